@@ -39,7 +39,7 @@ from animtool.batch.cluster_worker import (
 from animtool.batch.delivery import Delivery
 from animtool.batch.executors import Work
 from animtool.batch.item import Item
-from animtool.batch.work import ItemOutcome, ItemStatus
+from animtool.batch.work import RESUME, ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import FileState, changed_error
@@ -55,7 +55,6 @@ MAX_WORKERLESS_SECONDS = 300.0
 MAX_DELIVERY_SECONDS = 90.0
 # Number of times that an item is sent again after its worker was lost.
 MAX_LOSSES = 3
-RESUME = "finished items are recorded; run the same command again to resume"
 
 
 def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
@@ -179,7 +178,8 @@ class _ClusterRun:
                 yield from self._reclaim_lost_items(self._addresses())
                 last_count_time = time.monotonic()
             has_more = self._send()
-            yield from self._pop_faults()
+            yield from self.pending_warnings
+            self.pending_warnings.clear()
             if has_more and not self.undelivered:
                 self._refuse_unfit()
             if not (
@@ -193,10 +193,6 @@ class _ClusterRun:
                 if future in self.sent:
                     yield from self._handle_answer(self.sent.pop(future), value)
             yield from self._delivered_outcomes()
-
-    def _pop_faults(self) -> Iterator[Fault]:
-        while self.pending_warnings:
-            yield self.pending_warnings.pop(0)
 
     def _addresses(self) -> Mapping[str, int]:
         """Return the number of threads of each current worker, by address."""

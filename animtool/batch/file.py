@@ -100,12 +100,9 @@ def rows_of_document(
         columns = reader.columns(variants)
         # If values are faulty, the table is incomplete.
         table = None if len(document.faults) > fault_count else reader.combine(columns)
-    return (
-        None
-        if len(document.faults) > fault_count
-        or document.is_placeholder(VARIANTS_LOCATION)
-        else table
-    )
+    if len(document.faults) > fault_count or document.is_placeholder(VARIANTS_LOCATION):
+        return None
+    return table
 
 
 class _VariantReader:

@@ -24,6 +24,7 @@ from animtool.batch.item import Item, ItemTask
 from animtool.batch.spec import Limits, bytes_text
 from animtool.batch.work import (
     READY,
+    RESUME,
     FileBeingRead,
     ItemBuilder,
     ItemOutcome,
@@ -64,10 +65,9 @@ MAX_START = 900.0
 MAX_FAILED_STARTS = 3
 JOIN_TIMEOUT = 5.0
 # Hints by exit code of a process.
-_RESUME = "finished items are recorded; run the same command again to resume"
 _HINTS = {
-    -9: f"lower {argument('jobs')}, or allow more memory or time; {_RESUME}",
-    -6: f"the system may be out of memory: lower {argument('jobs')}; {_RESUME}",
+    -9: f"lower {argument('jobs')}, or allow more memory or time; {RESUME}",
+    -6: f"the system may be out of memory: lower {argument('jobs')}; {RESUME}",
 }
 
 
@@ -183,9 +183,11 @@ class _Pool:
             worker.is_ready, self.failed_starts = True, 0
         elif isinstance(received_message, FileBeingRead):
             pass
-        elif isinstance(
-            received_message, ItemOutcome
-        ) and received_message.number == _item_number(worker):
+        elif (
+            isinstance(received_message, ItemOutcome)
+            and worker.item is not None
+            and received_message.number == worker.item.number
+        ):
             yield from self._end_item(worker, received_message)
         elif not worker.is_ready:
             self._failed_to_start(worker)
@@ -202,7 +204,7 @@ class _Pool:
             message = f"the process that built it {_exit_text(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
-                hint = hint and f"raise {argument('memory_limit')}; {_RESUME}"
+                hint = hint and f"raise {argument('memory_limit')}; {RESUME}"
             yield self._fail_item(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
@@ -218,7 +220,11 @@ class _Pool:
 
     def _end_item(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
-        is_retired = outcome.retired or self._leaks_memory(worker)
+        # A process that uses more than half of the limit likely leaks memory.
+        limit = self.limits.memory
+        is_retired = outcome.retired or (
+            limit is not None and _used_bytes(worker.process) > limit / 2
+        )
         # The failure may be the last allowed one, which is known only after reporting
         # it.
         if self.queue_next and outcome.status is ItemStatus.DONE and not is_retired:
@@ -263,11 +269,6 @@ class _Pool:
         if worker.item is not None:
             folders = [folder.resolve() for folder in worker.item.folders]
             remove_leftovers(folders, worker.process.pid)
-
-    def _leaks_memory(self, worker: _Worker) -> bool:
-        """Return whether a worker uses more than half of the memory limit."""
-        limit = self.limits.memory
-        return limit is not None and _used_bytes(worker.process) > limit / 2
 
     def _time_left(self) -> float | None:
         """Return the time until the next limit must be checked [s]."""
@@ -360,10 +361,6 @@ def _worker_environment() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-def _item_number(worker: _Worker) -> int | None:
-    return None if worker.item is None else worker.item.number
 
 
 def _start_error(reason: str) -> OutputError:

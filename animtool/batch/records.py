@@ -171,7 +171,8 @@ class LineReader:
             with BufferedReader(raw_file) as file:
                 yield from self._lines(file)
         except OSError as error:
-            raise self._read_error(error.strerror or str(error)) from error
+            message = f"cannot be read: {error.strerror or error}"
+            raise FormatError(Fault("BAT011", message, str(self.path))) from error
 
     def _lines(self, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         self._read_header(file)
@@ -232,9 +233,6 @@ class LineReader:
         lines = tuple(self.damaged)[:100]
         warning = Severity.WARNING
         return [Fault("BAT070", message, str(self.path), lines, hint, warning)]
-
-    def _read_error(self, reason: str) -> FormatError:
-        return FormatError(Fault("BAT011", f"cannot be read: {reason}", str(self.path)))
 
     def _foreign_error(self, line: JsonLine) -> FormatError:
         (kind, version), *_ = self.header.items()

@@ -30,6 +30,9 @@ from animtool.motion.scores import PassScores
 if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
 
+# Hint of errors that end a run.
+RESUME = "finished items are recorded; run the same command again to resume"
+
 
 class ItemStatus(StrEnum):
     """Status of an item after a run."""
@@ -121,7 +124,10 @@ class ItemBuilder:
             reports = self.item_task.bake(item)
             raise_stopped(reports)
         paths = dict.fromkeys(path for report in reports for path in report.files)
-        outputs = tuple(self._output_record(path) for path in paths)
+        outputs = tuple(
+            record_of(path, relative_name(path, self.root), FileState.of(path))
+            for path in paths
+        )
         written_at = max(
             file.state.changed_at for file in outputs if file.state is not None
         )
@@ -155,9 +161,6 @@ class ItemBuilder:
         # The file is unchanged after reading it again for its digest.
         inputs.check()
         return tuple(records)
-
-    def _output_record(self, path: Path) -> FileRecord:
-        return record_of(path, relative_name(path, self.root), FileState.of(path))
 
 
 def _measurements(reports: Sequence[OutputReport]) -> BakeMeasurements:

@@ -95,9 +95,8 @@ class _JointCleaner:
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
             signal = values[:, i]
-            is_spike = _spike_frames(
-                signal, self.options.spikes, min_size, rotation=rotation
-            )
+            spikes = self.options.spikes
+            is_spike = _spike_frames(signal, spikes, min_size, rotation=rotation)
             if is_spike.any():
                 signal = bridge_gaps(signal, ~is_spike, rotation=rotation)
             noise = (rotation_noise if rotation else noise_level)(signal)
@@ -115,7 +114,19 @@ class _JointCleaner:
                 lowpass_filter = lowpass_rotations if rotation else lowpass
                 filtered = lowpass_filter(signal, cutoff, self.rate)
                 if self.options.cutoff is not None:
-                    cleaned_signal = _with_change(cleaned_signal, signal, filtered)
+                    mean = signal.mean(axis=0)
+                    if cleaned_signal.rotation:
+                        deviation = so3.angle_between(signal, so3.normalize(mean))
+                        change = so3.angle_between(signal, filtered)
+                    else:
+                        deviation = np.linalg.norm(signal - mean, axis=-1)
+                        change = np.linalg.norm(signal - filtered, axis=-1)
+                    cleaned_signal = replace(
+                        cleaned_signal,
+                        motion=float(np.sqrt(np.mean(deviation**2))),
+                        change=float(np.sqrt(np.mean(change**2))),
+                        max_change=float(change.max()),
+                    )
                 signal = filtered
             values[:, i] = signal
             self.signals.append(cleaned_signal)
@@ -128,25 +139,6 @@ class _JointCleaner:
         if self.options.cutoff is not None:
             return self.options.cutoff
         return find_best_cutoff(signal, self.rate, rotation=rotation)
-
-
-def _with_change(
-    cleaned: CleanedSignal, signal: FloatArray, filtered: FloatArray
-) -> CleanedSignal:
-    """Return a cleaning result completed with the sizes of motion and change."""
-    mean = signal.mean(axis=0)
-    if cleaned.rotation:
-        deviation = so3.angle_between(signal, so3.normalize(mean))
-        change = so3.angle_between(signal, filtered)
-    else:
-        deviation = np.linalg.norm(signal - mean, axis=-1)
-        change = np.linalg.norm(signal - filtered, axis=-1)
-    return replace(
-        cleaned,
-        motion=float(np.sqrt(np.mean(deviation**2))),
-        change=float(np.sqrt(np.mean(change**2))),
-        max_change=float(change.max()),
-    )
 
 
 def is_above_nyquist(options: CleanOptions, rate: float) -> bool:
@@ -210,9 +202,8 @@ def _run_deviations(
             (shifted[run + 1] - backward, shifted[run + 1] - after + step),
         ):
             distance = np.linalg.norm(deviation, axis=-1)
-            projection = np.sum(difference * deviation, axis=-1) / np.where(
-                distance > 0, distance, 1
-            )
+            divisor = np.where(distance > 0, distance, 1)
+            projection = np.sum(difference * deviation, axis=-1) / divisor
             sizes += [distance, projection]
         yield run, np.min(sizes, axis=0)
 
@@ -267,14 +258,12 @@ def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSig
     """Return a cleaned take, and the cleaning results of the joints that move."""
     motion = take.motion
     cleaner = _JointCleaner(tuple(take.rig.names), float(take.clock.rate), options)
-    translations = cleaner.clean_channel(
-        motion.translations, MIN_SPIKE_SHIFT * rest_size(take.rig)
-    )
+    min_shift = MIN_SPIKE_SHIFT * rest_size(take.rig)
+    translations = cleaner.clean_channel(motion.translations, min_shift)
     rotations = cleaner.clean_channel(motion.rotations, MIN_SPIKE_ROTATION)
     dense = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
-    motion = replace(
-        motion, translations=translations, rotations=replace(rotations, values=dense)
-    )
+    rotations = replace(rotations, values=dense)
+    motion = replace(motion, translations=translations, rotations=rotations)
     return replace(take, motion=motion), cleaner.signals
 
 
@@ -287,10 +276,8 @@ def cleaning_notices(
         and not options.keep_noise
         and options.cutoff is None
     ):
-        message = (
-            f"a take of {counted(take.clock.count, 'frame')} is too short to tell "
-            "noise from motion; nothing is filtered"
-        )
+        message = f"a take of {counted(take.clock.count, 'frame')} is too short to "
+        message += "tell noise from motion; nothing is filtered"
         return [warning("CAP102", message)]
     joints_with_spikes = sorted({s.joint for s in signals if s.spikes})
     filtered_signals = [s for s in signals if s.cutoff is not None]
@@ -301,9 +288,8 @@ def cleaning_notices(
             f"{rate:g} fps, whose highest frequency is {rate / 2:g} Hz; nothing is "
             "filtered"
         )
-        hint = (
-            f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body motion"
-        )
+        hint = f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body "
+        hint += "motion"
         faults.append(warning("CAP106", message, hint))
     removed = _removed_motion(filtered_signals)
     if removed is not None:

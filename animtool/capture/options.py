@@ -35,10 +35,7 @@ class CleanOptions:
         "it.  [default: filter]",
     )
     cutoff: float | None = option(
-        None,
-        "amount",
-        metavar="HZ",
-        help="Cut-off frequency for every joint instead.",
+        None, "amount", metavar="HZ", help="Cut-off frequency for every joint instead."
     )
 
 

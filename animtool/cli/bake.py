@@ -19,7 +19,7 @@ from animtool.cli.bake_options import (
 )
 from animtool.cli.console import Console
 from animtool.cli.help import command
-from animtool.cli.options import INPUT, OUTPUT, strict_option
+from animtool.cli.options import INPUT, OUTPUT, output_option, strict_option
 from animtool.cli.outputs import (
     atomic_command,
     check_plot,
@@ -76,13 +76,11 @@ Examples:
   animtool bake embers.scene.yaml --table --plot embers.png"""
 )
 @click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=INPUT)
-@click.option(
-    "-o",
-    "--output",
-    type=OUTPUT,
-    help="File to write: USD (.usda, .usdc, .usd, .usdz), or another motion format "
+@output_option(
+    "File to write: USD (.usda, .usdc, .usd, .usdz), or another motion format "
     f"({', '.join(file_suffixes())}); - writes usda to stdout.  [default: "
     "SOURCE with .usdc, or the shot's name; a library has none]",
+    kind=OUTPUT,
 )
 @bake_options
 @click.option(

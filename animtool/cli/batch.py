@@ -439,11 +439,9 @@ def _print_notices(console: Console, report: BatchReport) -> None:
         paths = {entry.item.file.path.absolute() for entry in entries}
         # A notice located in the only input needs no item line.
         is_located = notice.path is not None and paths == {Path(notice.path).absolute()}
-        item_lines = (
-            []
-            if is_located
-            else [f"  of {listed([entry.item.label for entry in entries])}"]
-        )
+        item_lines = []
+        if not is_located:
+            item_lines = [f"  of {listed([entry.item.label for entry in entries])}"]
         if notice.severity is Severity.NOTE:
             for line in (str(notice.worded(console.namer)), *item_lines):
                 console.detail(line)

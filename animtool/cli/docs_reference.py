@@ -60,7 +60,7 @@ def _command_paragraphs(
         yield from _table(
             ("option", "what it does"),
             [
-                (f"`{_escape_cell(option_text)}`", _escape_prose(text))
+                ("`{}`".format(option_text.replace("|", "\\|")), _escape_prose(text))
                 for option_text, text in option_rows
             ],
         )
@@ -97,11 +97,6 @@ def codes_markdown() -> str:
             ],
         )
     return "\n\n".join(paragraphs) + "\n"
-
-
-def _escape_cell(text: str) -> str:
-    """Return text formatted as code for a cell of a Markdown table."""
-    return text.replace("|", "\\|")
 
 
 def _escape_prose(text: str) -> str:

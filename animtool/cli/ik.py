@@ -19,6 +19,7 @@ from animtool.cli.options import (
     ParsedType,
     bake_option,
     names_of,
+    output_option,
     read_values,
     record_option,
     rig_layer_options,
@@ -117,13 +118,11 @@ Examples:
     help="Solve only one pose: that of the frame, or of the first.  [default: all "
     "frames]",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=OUTPUT,
-    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for usda "
+@output_option(
+    "File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for usda "
     "on stdout; with --match .targets.yaml. USD is a stage with the rig in it, "
     "or with --rig-layer an animation layer over that.  [default: nothing]",
+    kind=OUTPUT,
 )
 @record_option(TakeOptions)
 @click.option(

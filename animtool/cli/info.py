@@ -28,7 +28,6 @@ from animtool.report.text import Each, Line, Template
 
 if TYPE_CHECKING:
     from animtool.report.describe_characters import Extreme
-    from animtool.report.describe_scene import SystemDescription
     from animtool.usd.caches.info import PointPrim
 
 
@@ -204,10 +203,6 @@ def _system_counts(counts: dict[str, int]) -> str:
     )
 
 
-def _colliders_text(system: SystemDescription) -> str:
-    return listed([*system.meets, *(["the character"] if system.character else [])])
-
-
 # Formatters in addition to `animtool.report.text.PRINTED`.
 PRINTERS: dict[str, Callable[..., str]] = {
     "range": _range_text,
@@ -229,7 +224,9 @@ PRINTERS: dict[str, Callable[..., str]] = {
         [entry.name for entry in entries], int(max_count)
     ),
     "made": _system_counts,
-    "met": _colliders_text,
+    "met": lambda system: listed(
+        [*system.meets, *(["the character"] if system.character else [])]
+    ),
 }
 
 

@@ -12,6 +12,7 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     bake_option,
+    output_option,
     read_values,
     record_option,
     source_option,
@@ -32,12 +33,8 @@ Examples:
   animtool loop walk.bvh -o cycle.bvh --first 12 --last 44"""
 )
 @click.argument("source", type=INPUT)
-@click.option(
-    "-o",
-    "--output",
-    type=INPUT,
-    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh.  [default: "
-    "nothing]",
+@output_option(
+    "File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh.  [default: nothing]"
 )
 @record_option(LoopOptions)
 @source_options

@@ -10,7 +10,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
-    INPUT,
+    output_option,
     source_options,
     source_options_record,
     stack_options,
@@ -36,12 +36,8 @@ marker_options = stack_options(
     strict_option,
     writing_options,
 )
-output_option = click.option(
-    "-o",
-    "--output",
-    type=INPUT,
-    required=True,
-    help="File to write: .c3d, .trc or .npz.",
+marker_output_option = output_option(
+    "File to write: .c3d, .trc or .npz.", required=True
 )
 
 

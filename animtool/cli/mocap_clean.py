@@ -13,6 +13,7 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
+    output_option,
     read_values,
     record_option,
     source_option,
@@ -32,12 +33,8 @@ Examples:
   animtool mocap clean take.usdc -o clean.clip.yaml --cutoff 6"""
 )
 @click.argument("source", type=INPUT)
-@click.option(
-    "-o",
-    "--output",
-    type=INPUT,
-    required=True,
-    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh.",
+@output_option(
+    "File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh.", required=True
 )
 @record_option(CleanOptions)
 @click.option(

@@ -15,6 +15,7 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
+    output_option,
     read_values,
     record_option,
     source_option,
@@ -47,12 +48,8 @@ Examples:
     metavar="RIG",
     help="The rig with the shapes: a rig file or USD file.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=INPUT,
-    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .csv.  [default: "
-    "nothing]",
+@output_option(
+    "File to write: USD (.usda, .usdc, .usd), .clip.yaml or .csv.  [default: nothing]"
 )
 @click.option(
     "--landmarks",

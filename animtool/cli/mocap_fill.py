@@ -11,7 +11,11 @@ import click
 from animtool.capture.options import FillOptions
 from animtool.cli.console import Console
 from animtool.cli.help import command
-from animtool.cli.marker_files import marker_options, output_option, run_on_markers
+from animtool.cli.marker_files import (
+    marker_options,
+    marker_output_option,
+    run_on_markers,
+)
 from animtool.cli.options import INPUT, read_values, record_option
 from animtool.core.errors import faults_in
 from animtool.report.text import Each, Template
@@ -27,7 +31,7 @@ Examples:
   animtool mocap fill take.c3d -o clean.c3d --gaps keep --format json"""
 )
 @click.argument("markers", type=INPUT)
-@output_option
+@marker_output_option
 @click.option(
     "--template",
     type=INPUT,

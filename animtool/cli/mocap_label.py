@@ -9,7 +9,11 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.help import command
-from animtool.cli.marker_files import marker_options, output_option, run_on_markers
+from animtool.cli.marker_files import (
+    marker_options,
+    marker_output_option,
+    run_on_markers,
+)
 from animtool.cli.options import INPUT
 from animtool.report.text import Each, Template
 
@@ -21,7 +25,7 @@ Examples:
   animtool mocap label "take.npz#unlabelled_mm" --static rest.trc -o a.npz"""
 )
 @click.argument("cloud", type=INPUT)
-@output_option
+@marker_output_option
 @click.option(
     "--static",
     type=INPUT,

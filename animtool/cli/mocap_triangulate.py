@@ -14,6 +14,7 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     Count,
+    output_option,
     read_values,
     record_option,
     source_options,
@@ -44,13 +45,7 @@ Examples:
     help="Calibration: .cameras.yaml, or a file from OpenCV (YAML, JSON), Pose2Sim "
     "or anipose (TOML); repeat it for one file per camera.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=INPUT,
-    required=True,
-    help="Marker file to write: .npz, .c3d or .trc.",
-)
+@output_option("Marker file to write: .npz, .c3d or .trc.", required=True)
 @click.option(
     "--people",
     type=Count(1),

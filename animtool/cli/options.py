@@ -150,7 +150,7 @@ def _parse_variable(text: str) -> tuple[str, str]:
 
 
 def _parse_codes(text: str) -> tuple[str, ...]:
-    return tuple(code.strip().upper() for code in text.split(",") if code.strip())
+    return tuple(code.upper() for code in names_of(text))
 
 
 def _parse_severity(text: str) -> tuple[str, Severity]:
@@ -175,6 +175,13 @@ RATE = ParsedType("rate", parse_rate)
 LENGTH = ParsedType("length", parse_length)
 DISTANCE = ParsedType("length", _parse_distance)
 TOLERANCE = ParsedType("tolerance", _parse_tolerance)
+
+
+def output_option(
+    help_text: str, *, kind: click.Path = INPUT, **settings: Any
+) -> Callable[[Command], Command]:
+    """Return a decorator that adds ``-o``; ``settings`` are those of `click.option`."""
+    return click.option("-o", "--output", type=kind, help=help_text, **settings)
 
 
 def _console_callback(name: str, value: Any) -> Callable[..., None]:

@@ -15,6 +15,7 @@ from animtool.cli.options import (
     bake_option,
     common_options,
     format_option,
+    output_option,
     rig_layer_options,
     stack_options,
     strict_option,
@@ -37,12 +38,10 @@ writing_options = stack_options(
     common_options,
     click.pass_obj,
 )
-take_output_option = click.option(
-    "-o",
-    "--output",
-    type=OUTPUT,
-    help="File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for usda "
+take_output_option = output_option(
+    "File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for usda "
     "on stdout.  [default: nothing]",
+    kind=OUTPUT,
 )
 split_option = click.option(
     "--split", is_flag=True, help="Write USD in three files, as bake does."
@@ -67,18 +66,9 @@ def written_options_record(
 
     more_options: Additional options of this command.
     """
-    names = (
-        "rig_layer",
-        "force_fit",
-        "prim_path",
-        "reduce",
-        "overwrite",
-        *more_options,
-    )
-    usd_form = "split" if params["split"] else None
-    return BakeOptions(
-        form=usd_form, **{name: params[name] for name in names}, **values
-    )
+    names = ("rig_layer", "force_fit", "prim_path", "reduce", "overwrite")
+    values |= {name: params[name] for name in (*names, *more_options)}
+    return BakeOptions(form="split" if params["split"] else None, **values)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from animtool.cli.options import (
     bake_option,
     common_options,
     format_option,
+    output_option,
     read_values,
     record_option,
     set_option,
@@ -25,13 +26,7 @@ from animtool.core.options import changed_options
 from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
 
 _SOURCE_OPTIONS = (
-    "rig",
-    "take",
-    "positions",
-    "remap",
-    "dropped",
-    "template",
-    "cameras",
+    *("rig", "take", "positions", "remap", "dropped", "template", "cameras"),
 )
 
 
@@ -48,13 +43,10 @@ Examples:
   animtool preview hero.rig.yaml -o hero.webm --turntable"""
 )
 @click.argument("files", nargs=-1, required=True, type=INPUT)
-@click.option(
-    "-o",
-    "--output",
-    type=INPUT,
-    metavar="FILE",
-    help="Write the page (.html), or a picture or film of it (.png, .gif, .webp, "
+@output_option(
+    "Write the page (.html), or a picture or film of it (.png, .gif, .webp, "
     ".mp4, .webm).  [default: a temporary page, which is opened]",
+    metavar="FILE",
 )
 @record_option(ShowOptions)
 @record_option(PreviewOptions, "frame_range", "findings")
@@ -74,10 +66,10 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     takes are compared. The page is one file that needs no network. A scene is baked
     first. Pictures need the extra `pictures`, but no graphics card.
     """
-    from animtool.cli import preview_page, preview_picture
+    from animtool.cli import preview_page
     from animtool.preview.pictures.kinds import picture_kind
 
-    output, as_json = params["output"], params["report_format"] == "json"
+    output, report_format = params["output"], params["report_format"]
     show_options = ShowOptions(**read_values(ShowOptions, params))
     file_options = read_values(PreviewOptions, params)
     pictures = PictureOptions(**read_values(PictureOptions, params))
@@ -87,7 +79,8 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
             f"--{next(iter(picture_flags))} applies to pictures, such as -o walk.png."
         )
         raise click.UsageError(message)
-    if show_options.watch and (output is not None or as_json or show_options.plan):
+    is_json = report_format == "json"
+    if show_options.watch and (output is not None or is_json or show_options.plan):
         message = "--watch serves the page: remove -o, --plan and --format json."
         raise click.UsageError(message)
     options = PreviewOptions(
@@ -96,18 +89,18 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
         **{name: value for name, value in file_options.items() if value is not None},
     )
     if show_options.plan:
-        preview_page.print_plan(console, files, output, options, as_json=as_json)
+        preview_page.print_plan(console, files, output, options, report_format)
     elif show_options.watch:
         preview_page.serve_preview(console, files, options, show_options)
     elif output is not None and is_picture:
-        preview_picture.write_picture(
+        preview_page.write_picture(
             console,
             files,
             output,
             options,
             pictures,
+            report_format,
             overwrite=params["overwrite"],
-            as_json=as_json,
         )
     else:
         preview_page.write_preview(
@@ -116,6 +109,6 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
             output,
             options,
             show_options,
+            report_format,
             overwrite=params["overwrite"],
-            as_json=as_json,
         )

@@ -1,4 +1,4 @@
-"""Writes, serves or describes preview pages."""
+"""Writes, serves or describes preview pages, and writes preview pictures."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 
 from animtool.cli.console import Console
 from animtool.cli.summary import PLAN
-from animtool.core.errors import AnimtoolError
 from animtool.core.files.output import check_outputs
 from animtool.preview.build import PreviewPage, check_page_output, make_page, write_page
-from animtool.preview.options import PreviewOptions, ShowOptions
+from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
+from animtool.preview.pictures.build import write_pictures
 from animtool.preview.pictures.kinds import picture_kind
 from animtool.preview.plan import page_steps
 from animtool.preview.serve import PageServer, WatchedPage, rebuild_on_changes
@@ -25,15 +25,14 @@ def print_plan(
     files: tuple[Path, ...],
     output: Path | None,
     options: PreviewOptions,
-    *,
-    as_json: bool,
+    report_format: str,
 ) -> None:
     """Print the steps by which a page would be built."""
     if output is not None:
         picture_kind(output)
         check_outputs([output], files, overwrite=True)
     steps = page_steps(files, output, options)
-    console.report("json" if as_json else "text", PlanSteps(steps), PLAN)
+    console.report(report_format, PlanSteps(steps), PLAN)
 
 
 # Content, accuracy and omissions of a page.
@@ -53,6 +52,15 @@ PAGE = Template(
         "{path}: {size:size}",
     ),
 )
+PICTURE = Template(
+    "animtool.preview.pictures.build:PictureReport",
+    (
+        Each("page.manifest.notices", ("  {self}",)),
+        "{path}: {frames:n frame}[{?rate} at {rate:g} a second"
+        "[, every {every}. of the motion]], {width}x{height} pixels, {about}, "
+        "{size:size}",
+    ),
+)
 
 
 def write_preview(
@@ -61,9 +69,9 @@ def write_preview(
     output: Path | None,
     options: PreviewOptions,
     show_options: ShowOptions,
+    report_format: str,
     *,
     overwrite: bool,
-    as_json: bool,
 ) -> None:
     """Write a page and open it in a browser, if one is available."""
     opens_browser = show_options.opened
@@ -75,12 +83,31 @@ def write_preview(
     with console.progress(f"preview {files[0].name}"):
         report = write_page(files, target, options, overwrite=overwrite)
     console.faults(report.page.notices)
-    console.report("json" if as_json else "text", report, PAGE)
+    console.report(report_format, report, PAGE)
     if opens_browser and not open_browser(target.resolve().as_uri()):
         console.say("no browser was found")
         opens_browser = False
-    if output is None and not opens_browser and not as_json:
+    if output is None and not opens_browser and report_format != "json":
         console.result(str(target))
+
+
+def write_picture(
+    console: Console,
+    files: tuple[Path, ...],
+    output: Path,
+    options: PreviewOptions,
+    pictures: PictureOptions,
+    report_format: str,
+    *,
+    overwrite: bool,
+) -> None:
+    """Write a still picture, a contact sheet or a film."""
+    with console.progress(f"preview {files[0].name}") as progress:
+        report = write_pictures(
+            files, output, options, pictures, overwrite=overwrite, progress=progress
+        )
+    console.faults(report.page.notices)
+    console.report(report_format, report, PICTURE)
 
 
 def serve_preview(
@@ -104,16 +131,16 @@ def serve_preview(
             sys.stdout.flush()
         console.say("watching; press Ctrl-C to stop")
 
-        def report_failure(error: AnimtoolError) -> None:
-            console.faults(error.faults)
-
         def report_built(page: PreviewPage) -> None:
             console.faults(page.notices)
             console.say(f"reloaded: page {page_watcher.version}")
 
         try:
             rebuild_on_changes(
-                page_watcher, report_failure, report_built, threading.Event().wait
+                page_watcher,
+                lambda error: console.faults(error.faults),
+                report_built,
+                threading.Event().wait,
             )
         finally:
             server.shutdown()

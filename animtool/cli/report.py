@@ -18,6 +18,7 @@ from animtool.cli.options import (
     bake_option,
     common_options,
     format_option,
+    output_option,
     read_values,
     record_option,
     set_option,
@@ -59,12 +60,10 @@ Examples:
     help="Error budget, such as 0.5mm: the cheapest setting within it is "
     "recommended.  [default: the error of the current setting]",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=OUTPUT,
+@output_option(
+    "Also write a page (.html): plots, tables, and two settings side by side.",
+    kind=OUTPUT,
     metavar="FILE",
-    help="Also write a page (.html): plots, tables, and two settings side by side.",
 )
 @record_option(BakeOptions, *_OUTPUT_OPTIONS)
 @set_option

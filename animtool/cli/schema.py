@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import get_completion_class
@@ -55,14 +54,9 @@ REPORT_MODELS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
 
 def model_of(kind: str) -> type[BaseModel]:
     """Return the model of a kind of file."""
-    model_or_function = cast(
-        "Callable[[], type[BaseModel]]", load_object({**MODELS, **REPORT_MODELS}[kind])
-    )
-    return (
-        model_or_function
-        if isinstance(model_or_function, type)
-        else model_or_function()
-    )
+    model_or_function: Any = load_object({**MODELS, **REPORT_MODELS}[kind])
+    model: type[BaseModel] = model_or_function
+    return model if isinstance(model, type) else model_or_function()
 
 
 @command(

@@ -54,11 +54,9 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
         if error.error > NEGLIGIBLE_ERROR
     ]
     summary_lines = [f"keys on {', '.join(counts)}"]
-    return (
-        [*summary_lines, f"largest errors of channels: {', '.join(error_texts)}"]
-        if error_texts
-        else summary_lines
-    )
+    if error_texts:
+        return [*summary_lines, f"largest errors of channels: {', '.join(error_texts)}"]
+    return summary_lines
 
 
 _PRINTERS: Mapping[str, Callable[..., Any]] = {
@@ -137,10 +135,6 @@ _MESHES = Each(
 _PROPS = "  beside: {props:list}]"
 
 
-def _speed_text(report: BakeReport) -> str:
-    return size_text(report.source_bytes / report.seconds["total"])
-
-
 def _file_names_text(files: Sequence[Path]) -> str:
     """Format the files of an output: all, or the main file and a count."""
     if len(files) <= MAX_FILES:
@@ -161,11 +155,9 @@ def _curve_error_text(curves: Sequence[CurveReport]) -> str:
 
 
 def _precision_text(take: TakeReport) -> str:
-    return (
-        "float32 and half scales"
-        if take.written.rounding.has_rounded_scales
-        else "float32"
-    )
+    if take.written.rounding.has_rounded_scales:
+        return "float32 and half scales"
+    return "float32"
 
 
 def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
@@ -204,11 +196,9 @@ def _point_count_text(mesh: MeshReport) -> str:
 
 def _worst_point(cached_mesh: Any) -> str:
     point = cached_mesh.error_vertex
-    return (
-        f"body {excerpt(cached_mesh.names[point])}"
-        if cached_mesh.names
-        else f"vertex {point}"
-    )
+    if cached_mesh.names:
+        return f"body {excerpt(cached_mesh.names[point])}"
+    return f"vertex {point}"
 
 
 def _kept_text(characters: Any) -> str:
@@ -258,7 +248,7 @@ BAKE_TEMPLATE = Template(
         "points": _point_count_text,
         "worst_point": _worst_point,
         "kept": _kept_text,
-        "speed": _speed_text,
+        "speed": lambda bake: size_text(bake.source_bytes / bake.seconds["total"]),
         "rounded": _precision_text,
         "beyond": _beyond_limits_text,
         "posed": lambda take: [take] if take.posed else [],

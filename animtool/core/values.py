@@ -159,12 +159,10 @@ def _inserted_values(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
     return plain_values
 
 
-def _is_empty(value: Any) -> bool:
-    return value is None or (hasattr(value, "__len__") and not len(value))
-
-
 def _is_omitted(value: Any, sign: str) -> bool:
-    return ("?" in sign and value is None) or ("+" in sign and _is_empty(value))
+    """Return whether a sign of a template omits a value that is None or empty."""
+    is_empty = value is None or (hasattr(value, "__len__") and not len(value))
+    return ("?" in sign and value is None) or ("+" in sign and is_empty)
 
 
 def _value_of_key(value: Any, key: JsonKey) -> Any:

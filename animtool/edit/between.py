@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -65,14 +66,12 @@ class TakeSampler:
             curve_values = take.curve(times[block_frames])
             samples = take.motion.select(block_frames)
             for name in CURVE_CHANNELS:
-                is_equal = _equal_rows(
-                    getattr(samples, name), getattr(curve_values, name)
-                )
+                pair = (getattr(motion, name) for motion in (samples, curve_values))
+                is_equal = _equal_rows(*pair)
                 if is_equal is not None:
                     rows_on_curve[name] = rows_on_curve.get(name, is_equal) & is_equal
-        return TakeSampler(
-            take, {k: rows for k, rows in rows_on_curve.items() if rows.any()}
-        )
+        used_rows = {name: rows for name, rows in rows_on_curve.items() if rows.any()}
+        return TakeSampler(take, used_rows)
 
     def sample(
         self,
@@ -118,9 +117,8 @@ class TakeSampler:
 
         def sample(times: FloatArray) -> Motion:
             """Return the motion of the take at the mapped times."""
-            return self.sample(
-                nearby_positions((source_times(times) - start) / step, clock.count)
-            )
+            frames = (source_times(times) - start) / step
+            return self.sample(nearby_positions(frames, clock.count))
 
         return sample
 
@@ -142,7 +140,7 @@ class TakeSampler:
         """Return a motion with the rows that have curves evaluated between frames."""
         assert self.take.curve is not None
         curve_motion = self.take.curve(times)
-        new_channels: dict[str, Channel] = {}
+        new_channels: dict[str, Any] = {}
         for name, rows in self.rows_on_curve.items():
             interpolated_channel: Channel = getattr(interpolated, name)
             curve_channel: Channel = getattr(curve_motion, name)
@@ -157,14 +155,7 @@ class TakeSampler:
                 values = so3.align_to(values, values_of_rows[is_between])
             values_of_rows[is_between] = values
             new_channels[name] = interpolated_channel.put(moving_rows, values_of_rows)
-        return replace(
-            interpolated,
-            translations=new_channels.get("translations", interpolated.translations),
-            rotations=new_channels.get("rotations", interpolated.rotations),
-            scales=new_channels.get("scales", interpolated.scales),
-            weights=new_channels.get("weights", interpolated.weights),
-            controls=new_channels.get("controls", interpolated.controls),
-        )
+        return replace(interpolated, **new_channels)
 
 
 def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
@@ -174,11 +165,9 @@ def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
     """
     if a is None or b is None or a.rest.shape != b.rest.shape:
         return None
-    animated_rows = np.union1d(a.animated, b.animated)
+    rows = np.union1d(a.animated, b.animated)
     is_equal: BoolArray = _is_equal(a.rest[None], b.rest[None])[0]
-    is_equal[animated_rows] = _is_equal(
-        a.gather(animated_rows), b.gather(animated_rows)
-    ).all(axis=0)
+    is_equal[rows] = _is_equal(a.gather(rows), b.gather(rows)).all(axis=0)
     return is_equal
 
 

@@ -81,19 +81,12 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
     if rig.names == other.names and np.array_equal(rig.parents, other.parents):
         return
     missing_joints = sorted(set(rig.names) ^ set(other.names))
-    problem = (
-        f"joint {missing_joints[0]!r} is in only one of them"
-        if missing_joints
-        else ("joints are in different positions")
-    )
-    raise OptionError(
-        Fault(
-            "SCN017",
-            f"the takes are of different rigs, {rig.name!r} with {len(rig.joints)} "
-            f"joints and {other.name!r} with {len(other.joints)}: {problem}",
-            hint="retarget one of them first",
-        )
-    )
+    problem = "joints are in different positions"
+    if missing_joints:
+        problem = f"joint {missing_joints[0]!r} is in only one of them"
+    message = f"the takes are of different rigs, {rig.name!r} with {len(rig.joints)} "
+    message += f"joints and {other.name!r} with {len(other.joints)}: {problem}"
+    raise OptionError(Fault("SCN017", message, hint="retarget one of them first"))
 
 
 def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
@@ -130,20 +123,18 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         motion = transform_motion(motion, roots, placement)
         return replace(motion, rotations=rotations) if is_additive else motion
 
-    rig_with_placement, curve = other.rig, other.curve
+    matched_rig, curve = other.rig, other.curve
     if shapes is not None:
-        parts = tuple(rig_with_placement.shapes[i] for i in shapes)
-        rig_with_placement = replace(rig_with_placement, shapes=parts)
+        parts = tuple(matched_rig.shapes[i] for i in shapes)
+        matched_rig = replace(matched_rig, shapes=parts)
     if controls is not None:
-        rig_with_placement = replace(
-            rig_with_placement,
-            controls=tuple(rig_with_placement.controls[i] for i in controls),
-        )
+        rig_controls = tuple(matched_rig.controls[i] for i in controls)
+        matched_rig = replace(matched_rig, controls=rig_controls)
     if placement is not None:
-        rig_with_placement = transform_rig(rig_with_placement, placement, rig.up)
+        matched_rig = transform_rig(matched_rig, placement, rig.up)
     return replace(
         other,
-        rig=rig_with_placement,
+        rig=matched_rig,
         motion=matched(other.motion).map(Channel.compact),
         curve=None if curve is None else lambda times: matched(curve(times)),
     )
@@ -178,35 +169,19 @@ def combine(
     A motion without scales has scale 1, one without shape weights has 0; controls
     change only if both motions have controls.
     """
-    is_unmasked = strength.joints is None
 
     def numbers(name: str) -> Channel | None:
         """Return combined weights or controls."""
-        base_channel, other_channel = getattr(base, name), getattr(other, name)
-        if not is_unmasked or (base_channel is None and other_channel is None):
-            return _checked_channel(base_channel)
-        if name == "controls" and (base_channel is None or other_channel is None):
-            return _checked_channel(base_channel)
-        base_channel, other_channel = (
-            base_channel or _neutral_values(other_channel, 0.0),
-            other_channel or _neutral_values(base_channel, 0.0),
-        )
-        if base_channel.rest.shape != other_channel.rest.shape:
-            message = f"one take has {len(base_channel.rest)} {name}, the other "
-            raise OptionError(Fault("SCN017", message + str(len(other_channel.rest))))
-        return _combine_channels(
-            base_channel, other_channel, operations.numbers, strength
-        )
+        a: Channel | None = getattr(base, name)
+        b: Channel | None = getattr(other, name)
+        has_both = a is not None and b is not None
+        if strength.joints is not None or (name == "controls" and not has_both):
+            return a
+        if a is not None and b is not None and a.rest.shape != b.rest.shape:
+            message = f"one take has {len(a.rest)} {name}, the other {len(b.rest)}"
+            raise OptionError(Fault("SCN017", message))
+        return _combine_optional(a, b, 0.0, operations.numbers, strength)
 
-    scales = base.scales
-    if base.scales is not None or other.scales is not None:
-        base_channel = base.scales or _neutral_values(
-            _require_channel(other.scales), 1.0
-        )
-        other_channel = other.scales or _neutral_values(base_channel, 1.0)
-        scales = _combine_channels(
-            base_channel, other_channel, operations.scales, strength
-        )
     return Motion(
         _combine_channels(
             base.translations, other.translations, operations.translations, strength
@@ -214,22 +189,28 @@ def combine(
         _combine_channels(
             base.rotations, other.rotations, operations.rotations, strength
         ),
-        scales,
+        _combine_optional(base.scales, other.scales, 1.0, operations.scales, strength),
         numbers("weights"),
         numbers("controls"),
         base.track_times,
     )
 
 
-def _require_channel(channel: Channel | None) -> Channel:
-    """Return a channel; assert that it is not None."""
-    assert channel is not None
-    return channel
-
-
-def _checked_channel(value: object) -> Channel | None:
-    """Return a channel or None, for type checkers."""
-    return value if isinstance(value, Channel) else None
+def _combine_optional(
+    a: Channel | None,
+    b: Channel | None,
+    neutral: float,
+    operation: Operation,
+    strength: BlendStrength,
+) -> Channel | None:
+    """Return combined channels; one that is None has a neutral value everywhere."""
+    if a is None:
+        if b is None:
+            return None
+        a = _neutral_values(b, neutral)
+    if b is None:
+        b = _neutral_values(a, neutral)
+    return _combine_channels(a, b, operation, strength)
 
 
 def _neutral_values(like: Channel, value: float) -> Channel:
@@ -241,21 +222,17 @@ def _combine_channels(
     a: Channel, b: Channel, operation: Operation, strength: BlendStrength
 ) -> Channel:
     """Apply an operation to the affected rows of two channels, with the weights."""
-    is_affected = (
-        np.arange(len(a.rest))
-        if strength.joints is None
-        else np.array(strength.joints, np.int64)
-    )
-    is_moving = np.isin(is_affected, np.union1d(a.animated, b.animated)) | (
-        not strength.is_constant
-    )
-    moving_rows, fixed_rows = is_affected[is_moving], is_affected[~is_moving]
+    rows = np.arange(len(a.rest))
+    if strength.joints is not None:
+        rows = np.array(strength.joints, np.int64)
+    is_moving = np.isin(rows, np.union1d(a.animated, b.animated))
+    is_moving |= not strength.is_constant
+    moving_rows, fixed_rows = rows[is_moving], rows[~is_moving]
     weights = strength.weights[:, None, None]
     rest_values = a.rest.copy()
     if len(fixed_rows) and len(weights):
-        rest_values[fixed_rows] = operation(
-            a.rest[fixed_rows][None], b.rest[fixed_rows][None], weights[:1]
-        )[0]
+        rest_of_both = a.rest[fixed_rows][None], b.rest[fixed_rows][None]
+        rest_values[fixed_rows] = operation(*rest_of_both, weights[:1])[0]
     result = replace(a, rest=rest_values)
     if len(moving_rows):
         values_of_both = a.gather(moving_rows), b.gather(moving_rows)
@@ -295,12 +272,7 @@ def subtract_base(source: Motion, base: Motion) -> Motion:
 
 def _full_difference(operation: additive.Difference) -> Operation:
     """Wrap a difference function as an operation that ignores weights."""
-
-    def apply(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
-        """Return the difference; the weight is ignored."""
-        return operation(source, base)
-
-    return apply
+    return lambda source, base, _: operation(source, base)
 
 
 _ADD = ChannelOperations(

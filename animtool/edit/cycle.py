@@ -99,9 +99,8 @@ def find_cycle(
     frames = np.arange(first_index, last_index + 1, stride)
     rate = float(clock.rate) / stride
     min_lag = max(2, math.ceil(_checked_seconds(shortest, "shortest") * rate))
-    max_lag = min(
-        len(frames) - 1, math.floor(_checked_seconds(longest, "longest") * rate)
-    )
+    max_lag = math.floor(_checked_seconds(longest, "longest") * rate)
+    max_lag = min(len(frames) - 1, max_lag)
     if min_lag > max_lag:
         seconds = (last_index - first_index) / float(clock.rate)
         message = f"of {shortest:g} to {longest:g} s in a take of {seconds:.3g} s"
@@ -115,15 +114,13 @@ def find_cycle(
             hint = "a cycle needs several frames: choose another take"
         raise _no_cycle_error(message, hint)
     pose_view = _PoseView.from_take(take)
-    coarse_cycle = _best_cycle(
-        pose_view.columns_of_frames(frames), min_lag, max_lag, pose_view.static_extent
-    )
+    columns = pose_view.columns_of_frames(frames)
+    coarse_cycle = _best_cycle(columns, min_lag, max_lag, pose_view.static_extent)
     if coarse_cycle is None:
         raise _no_cycle_error("where nothing moves")
     start, lag, extent = coarse_cycle
-    pairs = _nearby_pairs(
-        frames[start], frames[start + lag], stride, (first_index, last_index)
-    )
+    ends = (first_index, last_index)
+    pairs = _nearby_pairs(frames[start], frames[start + lag], stride, ends)
     length = pairs[1] - pairs[0]
     has_length = (length >= min_lag * stride) & (length <= max_lag * stride)
     i, j, distance = _closest_pair(pose_view, pairs[:, has_length])
@@ -157,16 +154,16 @@ def measure_cycle(
         raise _no_cycle_error(f"from frame {first} to {last}")
     pose_view = _PoseView.from_take(take)
     stride = max(1, int(take.clock.rate // SEARCH_RATE))
-    first_column = pose_view.columns_of_frames(np.array([first_index]))
-    distance = float(
-        _pose_distance(
-            first_column, pose_view.columns_of_frames(np.array([last_index]))
-        )[0]
+    first_column, last_column, columns = (
+        pose_view.columns_of_frames(np.array(frames))
+        for frames in (
+            [first_index],
+            [last_index],
+            range(first_index, last_index + 1, stride),
+        )
     )
-    extents = _pose_distance(
-        first_column,
-        pose_view.columns_of_frames(np.arange(first_index, last_index + 1, stride)),
-    )
+    distance = float(_pose_distance(first_column, last_column)[0])
+    extents = _pose_distance(first_column, columns)
     largest_extent = max(distance, float(extents.max()), pose_view.static_extent)
     return _build_cycle(take.clock, first_index, last_index, distance, largest_extent)
 
@@ -215,9 +212,8 @@ class _PoseView:
         """Select the points of a take that are compared, and their weights."""
         rig = take.rig
         if not rig.joints:
-            raise _no_cycle_error(
-                "without joints: a cycle is found from their positions"
-            )
+            message = "without joints: a cycle is found from their positions"
+            raise _no_cycle_error(message)
         leaves = np.setdiff1d(np.arange(len(rig.joints)), rig.parents)
         bones = np.linalg.norm(rig.rest_translations, axis=-1)
         bones = np.where(rig.parents < 0, 0.0, bones)
@@ -261,14 +257,11 @@ class _PoseView:
             self._points(frame_indices) for frame_indices in neighbour_frames
         )
         end_offset = (frames - inner_frames)[:, None, None]
-        velocities = (points_after - points_before) / 2 + end_offset * (
-            points_after - 2 * points_in_middle + points_before
-        )
-        current_points = np.where(
-            end_offset < 0,
-            points_before,
-            np.where(end_offset > 0, points_after, points_in_middle),
-        )
+        second_differences = points_after - 2 * points_in_middle + points_before
+        velocities = (points_after - points_before) / 2
+        velocities = velocities + end_offset * second_differences
+        current_points = np.where(end_offset > 0, points_after, points_in_middle)
+        current_points = np.where(end_offset < 0, points_before, current_points)
         ground, heading = self._ground_pose(frames)
         inverse_heading = so3.conjugate(heading)[:, None]
         speed_as_distance = velocities * (SPEED_INTERVAL * float(self.take.clock.rate))
@@ -313,9 +306,8 @@ def _best_cycle(
     """Return start, length [columns] and extent [m] of the best cycle."""
     count = table.shape[1]
     distances_from_mean = _pose_distance(table, table.mean(axis=1, keepdims=True))
-    min_extent = max(
-        static_extent, MIN_EXTENT * math.sqrt(float(np.mean(distances_from_mean**2)))
-    )
+    deviation = math.sqrt(float(np.mean(distances_from_mean**2)))
+    min_extent = max(static_extent, MIN_EXTENT * deviation)
     extents = np.zeros(count)
     scores = np.full(max_lag + 1, np.inf)
     starts = np.zeros(max_lag + 1, np.int64)
@@ -326,27 +318,27 @@ def _best_cycle(
         extents = np.maximum(extents[: count - lag], distances)
         if lag >= min_lag:
             is_large = extents > min_extent
-            ratios = np.where(
-                is_large, distances / np.where(is_large, extents, 1), np.inf
-            )
+            ratios = distances / np.where(is_large, extents, 1)
+            ratios = np.where(is_large, ratios, np.inf)
             scores[lag], start_index = _first_minimum(ratios)
             starts[lag], largest_extents[lag] = start_index, extents[start_index]
     if not np.isfinite(scores).any():
         return None
-    lag = _shortest_cycle(scores)
+    # The shortest cycle that is nearly as good as the best.
+    is_acceptable = scores <= EQUAL_FACTOR * scores.min() + EQUAL_OFFSET
+    shortest = int(np.argmax(is_acceptable))
+    nearby_scores = scores[shortest : math.floor(shortest * LENGTH_RANGE) + 1]
+    lag = shortest + int(np.argmin(nearby_scores))
     return int(starts[lag]), lag, float(largest_extents[lag])
 
 
 def _pose_distances_by(table: FloatArray, lag: int) -> FloatArray:
     """Return distances between all columns ``lag`` apart, in cache-sized blocks."""
-    count = table.shape[1] - lag
-    block_starts = range(0, count, BLOCK_FRAMES)
-    ranges = [
-        (block_start, min(block_start + BLOCK_FRAMES, count))
-        for block_start in block_starts
-    ]
+    later, earlier = table[:, lag:], table[:, : table.shape[1] - lag]
+    starts = range(0, later.shape[1], BLOCK_FRAMES)
+    blocks = [slice(start, start + BLOCK_FRAMES) for start in starts]
     return np.concatenate(
-        [_pose_distance(table[:, a + lag : b + lag], table[:, a:b]) for a, b in ranges]
+        [_pose_distance(later[:, block], earlier[:, block]) for block in blocks]
     )
 
 
@@ -356,17 +348,6 @@ def _first_minimum(values: FloatArray) -> tuple[float, int]:
     coarse = np.round(values, 3)
     index = int(np.argmin(coarse))
     return float(coarse[index]), index
-
-
-def _shortest_cycle(scores: FloatArray) -> int:
-    """Return the length of the shortest cycle that is nearly as good as the best."""
-    first_acceptable = int(
-        np.argmax(scores <= EQUAL_FACTOR * scores.min() + EQUAL_OFFSET)
-    )
-    nearby_scores = scores[
-        first_acceptable : math.floor(first_acceptable * LENGTH_RANGE) + 1
-    ]
-    return first_acceptable + int(np.argmin(nearby_scores))
 
 
 def _nearby_pairs(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:
@@ -383,8 +364,5 @@ def _closest_pair(pose_view: _PoseView, pairs: IntArray) -> tuple[int, int, floa
     starts, end_columns = columns.reshape(pairs.shape)
     distances = _pose_distance(table[:, starts], table[:, end_columns])
     _, best_index = _first_minimum(distances / pose_view.static_extent)
-    return (
-        int(pairs[0, best_index]),
-        int(pairs[1, best_index]),
-        float(distances[best_index]),
-    )
+    i, j = pairs[:, best_index].tolist()
+    return i, j, float(distances[best_index])

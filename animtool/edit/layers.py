@@ -108,10 +108,8 @@ def blend(
     strength = BlendStrength(weights, isinstance(weight, (int, float)))
     first_motion = sample_other_take(take, clock.rate, 0, count)
     second_motion = sample_other_take(other, clock.rate, 0, count, delay_frames)
-    motion = align_signs(
-        interpolate_motions(first_motion, second_motion, strength)
-    ).map(Channel.compact)
-    return replace(take, clock=full_clock, motion=motion)
+    motion = align_signs(interpolate_motions(first_motion, second_motion, strength))
+    return replace(take, clock=full_clock, motion=motion.map(Channel.compact))
 
 
 def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
@@ -366,21 +364,19 @@ class _LayerPlan:
         """Yield the layered motion; warn about the weights at the end."""
         first_code = stream.first_frame
         delay = exact_fraction(self.delay, "delay") / stream.step
-        operation = (
-            interpolate_motions if self.mode is LayerMode.OVERRIDE else add_delta
-        )
+        is_override = self.mode is LayerMode.OVERRIDE
+        operation = interpolate_motions if is_override else add_delta
         is_constant = isinstance(self.weight, (int, float))
         sampler = TakeSampler.from_take(other)
+        rate = stream.fps / stream.step
         frame_count, previous = 0, None
         displaced = _Displacements(stream.rig, self.placed)
         for block in stream.blocks:
             block_code = first_code + frame_count * stream.step
             times = time_codes(block_code, stream.step, block.frames)
             weights = self._weights(times)
-            rate = stream.fps / stream.step
-            other_motion = sample_other_take(
-                sampler, rate, frame_count, block.frames, delay
-            )
+            span = (frame_count, block.frames)
+            other_motion = sample_other_take(sampler, rate, *span, delay)
             strength = BlendStrength(weights, is_constant, self.joint_indices)
             motion = align_signs(operation(block, other_motion, strength), previous)
             displaced.add(times, block, motion)
@@ -451,9 +447,9 @@ def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
 def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
     """Return a warning if an additive layer holds poses, not a difference (SCN119)."""
     rig = other.rig
-    rows = (
-        np.arange(len(rig.joints)) if joint_indices is None else np.array(joint_indices)
-    )
+    rows = np.arange(len(rig.joints))
+    if joint_indices is not None:
+        rows = np.array(joint_indices)
     rest = rig.rest_translations[rows]
     lengths = np.linalg.norm(rest, axis=1)
     has_length = (lengths > 0) & (rig.parents[rows] >= 0)
@@ -469,10 +465,8 @@ def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
         f"{counted(int(has_length.sum()), 'joint')} are at their rest offsets, which "
         "are added to those of the take, so that bones are twice as long"
     )
-    hint = (
-        "use mode: override, with `joints` for a part of the body, or make an additive "
-        "take of it with the pass difference"
-    )
+    hint = "use mode: override, with `joints` for a part of the body, or make an "
+    hint += "additive take of it with the pass difference"
     return [Fault("SCN119", message, hint=hint, severity=Severity.WARNING)]
 
 

@@ -23,10 +23,7 @@ class LoopOptions:
     )
     find: bool = False
     shortest: float = option(
-        0.25,
-        "amount",
-        metavar="SECONDS",
-        help="Shortest cycle to search for.",
+        0.25, "amount", metavar="SECONDS", help="Shortest cycle to search for."
     )
     longest: float = option(
         10.0, "amount", metavar="SECONDS", help="Longest cycle to search for."

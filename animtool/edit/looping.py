@@ -66,13 +66,10 @@ class SeamBlend:
     ) -> SeamBlend:
         """Return the blend of the last frames of a cycle."""
         blend_length = min(blend_frames, length)
-        s = np.clip(
-            (np.arange(length) - (length - blend_length)) / max(blend_length, 1), 0, 1
-        )
+        frames = np.arange(length) - (length - blend_length)
+        s = np.clip(frames / max(blend_length, 1), 0, 1)[:, None, None]
         offset_weight = s**3 * (10 - 15 * s + 6 * s**2)
         speed_weight = blend_length * s**3 * (-4 + 7 * s - 3 * s**2)
-        offset_weight = offset_weight[:, None, None]
-        speed_weight = speed_weight[:, None, None]
         return SeamBlend(
             length, frames_before, frames_after, offset_weight, speed_weight
         )
@@ -81,9 +78,8 @@ class SeamBlend:
     def blended_frames(self) -> slice:
         """The blended frames at the end of the cycle."""
         (frames,) = np.nonzero(self.offset_weight[:, 0, 0])
-        return slice(
-            int(frames[0]) if len(frames) else self.cycle_length, self.cycle_length
-        )
+        first = int(frames[0]) if len(frames) else self.cycle_length
+        return slice(first, self.cycle_length)
 
     def cycle_and_next(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
         """Return the frames of the cycle and the next frame ``(L + 1, ...)``."""
@@ -139,13 +135,11 @@ def close_rotations(
         blend,
     )
     corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
-    correction = so3.slerp(
-        so3.IDENTITY, offset, blend.offset_weight[blend_frames, :, 0]
-    )
+    weights = blend.offset_weight[blend_frames, :, 0]
+    correction = so3.slerp(so3.IDENTITY, offset, weights)
     corrected_part = so3.multiply(corrected_values[blend_frames], correction)
-    corrected_values[blend_frames] = so3.multiply(
-        corrected_part, so3.exp(blend.speed_weight[blend_frames] * missing_velocity)
-    )
+    speed_correction = so3.exp(blend.speed_weight[blend_frames] * missing_velocity)
+    corrected_values[blend_frames] = so3.multiply(corrected_part, speed_correction)
     return corrected_values
 
 
@@ -188,17 +182,13 @@ def map_attributes(
         mapped_columns = function(columns)
         return mapped_columns.reshape(len(mapped_columns), *values.shape[1:])
 
+    attributes = zip(track.attributes, transforms.values, strict=True)
     return Transforms(
         numbers(transforms.translations),
         function(transforms.rotations[:, None])[:, 0],
         numbers(transforms.scales),
         None if transforms.matrices is None else numbers(transforms.matrices),
-        tuple(
-            numbers(values) if attribute.width else values
-            for attribute, values in zip(
-                track.attributes, transforms.values, strict=True
-            )
-        ),
+        tuple(numbers(values) if a.width else values for a, values in attributes),
         transforms.is_clamped,
     )
 
@@ -227,12 +217,10 @@ def resample_track(track: Track, transforms: Transforms) -> Track:
             else transforms.values[i][positions.frames]
             for i, attribute in enumerate(track.attributes)
         )
-        static = (
-            None
-            if transforms.is_clamped is None
-            else transforms.is_clamped[positions.frames]
-        )
-        return replace(mapped_transforms, values=values, is_clamped=static)
+        is_clamped = transforms.is_clamped
+        if is_clamped is not None:
+            is_clamped = is_clamped[positions.frames]
+        return replace(mapped_transforms, values=values, is_clamped=is_clamped)
 
     return replace(track, sample=sample)
 
@@ -288,17 +276,13 @@ def loop(
     check_count(length * repeats)
     has_frame_before, has_frame_after = int(i > 0), int(j < clock.count - 1)
     seam = SeamBlend.from_lengths(length, blend, has_frame_before, has_frame_after)
-    cycle_frames = slice(i, j + 1)
-    frames_with_neighbours = slice(i - has_frame_before, j + has_frame_after + 1)
-    cycle = _CycleState(
-        cycle_travel(take.rig, take.motion.select(cycle_frames)), seam, repeats
-    )
-    motion = cycle.loop_motion(take.motion.select(frames_with_neighbours))
+    travel = cycle_travel(take.rig, take.motion.select(slice(i, j + 1)))
+    frames_around = slice(i - has_frame_before, j + has_frame_after + 1)
+    cycle = _CycleState(travel, seam, repeats)
+    motion = cycle.loop_motion(take.motion.select(frames_around))
     tracks = take.tracks
     if tracks:
-        motion, tracks = _loop_tracks(
-            take, motion, frames_with_neighbours, seam, repeats
-        )
+        motion, tracks = _loop_tracks(take, motion, frames_around, seam, repeats)
     first_code = clock.start + i * clock.step
     return replace(
         take,
@@ -338,8 +322,8 @@ def _loop_track(
         Channel.from_dense(transforms.translations[:, None]),
         Channel.from_dense(transforms.rotations[:, None]),
     )
-    cycle_slice = slice(seam.frames_before, seam.frames_before + seam.cycle_length + 1)
-    cycle = _CycleState(cycle_travel(root, motion.select(cycle_slice)), seam, repeats)
+    cycle_frames = seam.cycle_and_next(np.arange(len(transforms)))
+    cycle = _CycleState(cycle_travel(root, motion.select(cycle_frames)), seam, repeats)
     looped_motion = cycle.loop_motion(motion)
 
     def close_numbers(values: FloatArray) -> FloatArray:
@@ -347,23 +331,19 @@ def _loop_track(
         cycle_values = close_vectors(values, seam, lambda frame_values: frame_values)
         return np.concatenate([cycle_values] * repeats)
 
+    def repeat(values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
+        """Return repeated values of the cycle."""
+        return np.tile(seam.cycle_and_next(values)[:-1], repeats)
+
     mapped_transforms = map_attributes(track, transforms, close_numbers)
-    looped_values = tuple(
-        values
-        if attribute.width
-        else np.tile(seam.cycle_and_next(values)[:-1], repeats)
-        for attribute, values in zip(
-            track.attributes, mapped_transforms.values, strict=True
-        )
-    )
+    columns = zip(track.attributes, mapped_transforms.values, strict=True)
+    is_clamped = transforms.is_clamped
     result = replace(
         mapped_transforms,
         translations=looped_motion.translations.dense()[:, 0],
         rotations=looped_motion.rotations.dense()[:, 0],
-        values=looped_values,
-        is_clamped=None
-        if transforms.is_clamped is None
-        else np.tile(seam.cycle_and_next(transforms.is_clamped)[:-1], repeats),
+        values=tuple(v if attribute.width else repeat(v) for attribute, v in columns),
+        is_clamped=None if is_clamped is None else repeat(is_clamped),
     )
     return resample_track(track, result)
 
@@ -449,9 +429,8 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     else:
         message = "the take has one frame: there is nothing to repeat"
         hint = "choose a take that moves"
-        context.notices.append(
-            Fault("SCN114", message, hint=hint, severity=Severity.WARNING)
-        )
+        notice = Fault("SCN114", message, hint=hint, severity=Severity.WARNING)
+        context.notices.append(notice)
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
     context.notices.extend(cycle_notices(cycle, take, options))
@@ -470,9 +449,8 @@ def _better_cycle(cycle: Cycle, take: Take) -> Cycle | None:
 def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]:
     """Return the notices about a cycle of a take."""
     ends_text = (
-        f"frames {cycle.first:g} and {cycle.last:g} differ by "
-        f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of the motion "
-        "between them"
+        f"frames {cycle.first:g} and {cycle.last:g} differ by {1000 * cycle.apart:.2f} "
+        f"mm, {100 * cycle.share:.0f}% of the motion between them"
     )
     notices = []
     if options.find:
@@ -480,28 +458,20 @@ def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > MAX_GOOD_SEAM:
         best = None if options.find else _better_cycle(cycle, take)
-        hint = (
-            f"choose other frames with {argument('first')} and {argument('last')}, or "
-            f"a longer {argument('blend')}"
-        )
+        hint = f"choose other frames with {argument('first')} and {argument('last')}, "
+        hint += f"or a longer {argument('blend')}"
         if best is not None:
-            ends = (
-                argument("first", f"{best.first:g}"),
-                argument("last", f"{best.last:g}"),
-            )
-            hint = (
-                f"the best cycle of the take is {' '.join(ends)}: its ends differ by "
-                f"{100 * best.share:.0f}%"
-            )
+            first = argument("first", f"{best.first:g}")
+            last = argument("last", f"{best.last:g}")
+            hint = f"the best cycle of the take is {first} {last}: its ends differ by "
+            hint += f"{100 * best.share:.0f}%"
         message = f"the loop has a visible seam: {ends_text}"
         notices.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
     frames = round((cycle.last - cycle.first) / float(take.clock.step))
     # The default is not what was asked for: short cycles are blended as a whole.
     if options.blend > max(frames, _DEFAULTS.blend):
-        message = (
-            f"{argument('blend', options.blend)} is longer than the cycle of {frames} "
-            "frames: every frame is changed"
-        )
+        message = f"{argument('blend', options.blend)} is longer than the cycle of "
+        message += f"{frames} frames: every frame is changed"
         hint = f"use {frames // 2} or fewer; {_DEFAULTS.blend} is the default"
         notices.append(Fault("SCN115", message, hint=hint, severity=Severity.WARNING))
     return notices

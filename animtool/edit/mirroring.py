@@ -67,35 +67,27 @@ class ControlMirror:
         # A mirror reverses axes of rotation.
         mirror_signs = np.concatenate([-normal, normal])
         rest_rotations = rest_world(rig).linear[0]
-
-        def effect(control_index: int, sign: float) -> FloatArray:
-            """Return the flattened effect of a control in a direction."""
-            return _flatten_effect(
-                _control_effect(rig, control_index, sign, rest_rotations)
-            )
-
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
             effects, weights = _control_effect(rig, i, 1.0, rest_rotations)
-            flat_effect = _flatten_effect(
-                ((effects * mirror_signs)[joints], weights[shapes])
-            )
+            mirrored_effects = (effects * mirror_signs)[joints]
+            flat_effect = _flatten_effect(mirrored_effects, weights[shapes])
             if not flat_effect.any():
                 continue
-            partner_effects, mirrored_distances = (
-                np.linalg.norm(flat_effect - effect(partner, sign))
-                for sign in (1.0, -1.0)
-            )
-            if mirrored_distances < partner_effects - EFFECT_TOLERANCE:
+            distances = []
+            for sign in (1.0, -1.0):
+                partner_effect = _control_effect(rig, partner, sign, rest_rotations)
+                difference = flat_effect - _flatten_effect(*partner_effect)
+                distances.append(np.linalg.norm(difference))
+            if distances[1] < distances[0] - EFFECT_TOLERANCE:
                 signs[i] = -1.0
         pivots = np.array([_pivot(control) for control in rig.controls])
         return ControlMirror(partners, signs, pivots)
 
     def __call__(self, values: FloatArray, control_indices: IntArray) -> FloatArray:
         """Return values ``(..., A, 1)`` of controls mapped to their partners."""
-        flipped_values = self.pivots[self.partners[control_indices], None] - (
-            values - self.pivots[control_indices, None]
-        )
+        distances = values - self.pivots[control_indices, None]
+        flipped_values = self.pivots[self.partners[control_indices], None] - distances
         return np.where(self.signs[control_indices, None] < 0, flipped_values, values)
 
 
@@ -106,9 +98,9 @@ def _pivot(control: Control) -> float:
     return 0.0 if control.low <= 0 <= control.high else control.default
 
 
-def _flatten_effect(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Concatenate an effect on joints and shapes to one vector."""
-    return np.concatenate([part.ravel() for part in effect])
+def _flatten_effect(joints: FloatArray, shapes: FloatArray) -> FloatArray:
+    """Concatenate effects on joints and shapes to one vector."""
+    return np.concatenate([joints.ravel(), shapes.ravel()])
 
 
 def _control_effect(
@@ -126,10 +118,10 @@ def _control_effect(
         range_width = control.high - control.low
     base_value = np.array([_pivot(control)])
     changed_value = base_value + sign * PROBE_CHANGE * range_width
-    targets_before = evaluate_controls(rig.controls, {control.name: base_value}).targets
-    targets_after = evaluate_controls(
-        rig.controls, {control.name: changed_value}
-    ).targets
+    targets_before, targets_after = (
+        evaluate_controls(rig.controls, {control.name: value}).targets
+        for value in (base_value, changed_value)
+    )
     local, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
     for target in targets_after:
@@ -146,10 +138,9 @@ def _control_effect(
         else:
             axis = np.eye(3)["xyz".index(part[-1])]
         local[j, first_row : first_row + 3] += axis * change
-    row_parts = (
-        np.einsum("jab,jb->ja", rest_rotations, half) for half in np.split(local, 2, 1)
-    )
-    return np.concatenate(list(row_parts), axis=1), weights
+    halves = np.split(local, 2, 1)
+    world = [np.einsum("jab,jb->ja", rest_rotations, half) for half in halves]
+    return np.concatenate(world, axis=1), weights
 
 
 # Largest distance between a joint's rest position and its partner's mirror image, as a
@@ -235,9 +226,8 @@ def _run_mirror(
 ) -> TakeStream:
     """Run the pass: swap left and right."""
     rig = stream.rig
-    pairs = pair_sides(
-        rig.names, rig.parents, _with_rig_pairs(rig, _pair_tuples(options.pairs))
-    )
+    requested_pairs = _with_rig_pairs(rig, _pair_tuples(options.pairs))
+    pairs = pair_sides(rig.names, rig.parents, requested_pairs)
     partners = pairs.partners
     _check_stated(rig, options.pairs, partners)
     is_kept = _is_unpaired(rig, partners)
@@ -247,32 +237,23 @@ def _run_mirror(
         kind: [part.name for part in getattr(rig, kind, ())]
         for kind in ("shapes", "controls")
     }
-    side_pairs_by_kind = {
-        kind: pair_sides(names) for kind, names in names_by_kind.items()
-    }
+    pairs_by_kind = {kind: pair_sides(names) for kind, names in names_by_kind.items()}
     if context is not None:
-        context.notices.extend(_unpaired_warnings("joints", rig.names, pairs, is_kept))
+        notices = context.notices
+        notices.extend(_unpaired_warnings("joints", rig.names, pairs, is_kept))
         for kind, names in names_by_kind.items():
-            context.notices.extend(
-                _unpaired_warnings(kind, names, side_pairs_by_kind[kind])
-            )
-        is_counted_unpaired = is_kept.copy()
-        is_counted_unpaired[list(pairs.unpaired)] = True
-        context.notices.extend(
-            _asymmetry_warnings(rig, partners, ~is_counted_unpaired, axis)
-        )
+            notices.extend(_unpaired_warnings(kind, names, pairs_by_kind[kind]))
+        is_unpaired = is_kept.copy()
+        is_unpaired[list(pairs.unpaired)] = True
+        notices.extend(_asymmetry_warnings(rig, partners, ~is_unpaired, axis))
     joint_mirror = _JointMirror.from_rig(rig, partners, is_kept, axis)
-    shapes = side_pairs_by_kind["shapes"].partners
+    shapes = pairs_by_kind["shapes"].partners
+    control_partners = pairs_by_kind["controls"].partners
     controls = ControlMirror.from_rig(
-        rig,
-        side_pairs_by_kind["controls"].partners,
-        partners,
-        shapes,
-        joint_mirror.normal,
+        rig, control_partners, partners, shapes, joint_mirror.normal
     )
-    return replace(
-        stream, blocks=_mirrored_blocks(stream, joint_mirror, shapes, controls)
-    )
+    blocks = _mirrored_blocks(stream, joint_mirror, shapes, controls)
+    return replace(stream, blocks=blocks)
 
 
 def _is_unpaired(rig: Rig, partners: IntArray) -> BoolArray:
@@ -286,27 +267,24 @@ def _unpaired_warnings(
     kind: str, names: Sequence[str], pairs: SidePairs, is_kept: BoolArray | None = None
 ) -> Iterator[Fault]:
     """Yield a warning about joints of one side without a partner."""
-    unpaired_indices = {
-        *pairs.unpaired,
-        *([] if is_kept is None else np.flatnonzero(is_kept).tolist()),
-    }
+    unpaired_indices = set(pairs.unpaired)
+    if is_kept is not None:
+        unpaired_indices.update(np.flatnonzero(is_kept).tolist())
     if not unpaired_indices:
         return
     names_text = listed([repr(names[i]) for i in sorted(unpaired_indices)])
     message = f"mirror: {kind} of one side have no partner: {names_text}"
     likely_pairs = find_likely_pairs(names, pairs)
     if kind != "joints":
-        hint = (
-            "each keeps its values; give both sides the same name except for the side"
-        )
+        hint = "each keeps its values; give both sides the same name except for the "
+        hint += "side"
     elif likely_pairs:
         written_pairs = ", ".join(f"[{a}, {b}]" for a, b in likely_pairs)
         hint = f"add pairs: [{written_pairs}] to the pass's options to pair them"
     else:
         unpaired_name = names[min(unpaired_indices)]
-        hint = f"add pairs: [[{unpaired_name}, OTHER]] to the pass's options "
-        hint += "to pair two joints; "
-        hint += "without a pair each keeps its own motion"
+        hint = f"add pairs: [[{unpaired_name}, OTHER]] to the pass's options to pair "
+        hint += "two joints; without a pair each keeps its own motion"
     yield Fault("SCN082", message, hint=hint, severity=Severity.WARNING)
 
 
@@ -323,9 +301,8 @@ def _asymmetry_warnings(
     offsets = positions - positions[roots]
     rig_size = rest_size(rig)
     mirror_signs = np.where(np.arange(3) == axis, -1.0, 1.0)
-    distances = (
-        np.linalg.norm(offsets[partners] * mirror_signs - offsets, axis=1) * is_checked
-    )
+    mirrored_offsets = offsets[partners] * mirror_signs
+    distances = np.linalg.norm(mirrored_offsets - offsets, axis=1) * is_checked
     largest = int(distances.argmax())
     if not distances[largest] > SYMMETRY_TOLERANCE * rig_size:
         return
@@ -334,10 +311,8 @@ def _asymmetry_warnings(
         f"mirror: the rest pose is not symmetric: {rig.names[largest]!r} is "
         f"{distances[largest]:.3g} m from the mirror image of "
         f"{rig.names[int(partners[largest])]!r}, "
-        f"{percent_text(distances[largest] / rig_size)} of the "
-        "rig's size; joints that differ by more than "
-        f"{percent_text(SYMMETRY_TOLERANCE)}: "
-        f"{count}"
+        f"{percent_text(distances[largest] / rig_size)} of the rig's size; joints that "
+        f"differ by more than {percent_text(SYMMETRY_TOLERANCE)}: {count}"
     )
     hint = "each joint moves from its own rest pose, so the result differs by as much"
     yield Fault("SCN083", message, hint=hint, severity=Severity.WARNING)
@@ -347,23 +322,16 @@ def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) 
     """Raise if the parents of a stated pair are not partners."""
     faults = []
     for a, b in pairs:
-        parents_of_pair = [rig.joints[rig.index(name)].parent for name in (a, b)]
-        if min(parents_of_pair) < 0 and parents_of_pair[0] != parents_of_pair[1]:
-            first_name, second_name = (a, b) if parents_of_pair[0] >= 0 else (b, a)
-            faults.append(f"{second_name!r} has no parent, but {first_name!r} has one")
-        elif (
-            min(parents_of_pair) >= 0
-            and partners[parents_of_pair[0]] != parents_of_pair[1]
-        ):
-            first_parent, second_parent = (
-                repr(rig.names[parent]) for parent in parents_of_pair
-            )
-            faults.append(
-                f"their parents {first_parent} and {second_parent} are not a pair"
-            )
+        i, j = (rig.joints[rig.index(name)].parent for name in (a, b))
+        if min(i, j) < 0 and i != j:
+            first_name, second_name = (a, b) if i >= 0 else (b, a)
+            reason = f"{second_name!r} has no parent, but {first_name!r} has one"
+        elif min(i, j) >= 0 and partners[i] != j:
+            names = f"{rig.names[i]!r} and {rig.names[j]!r}"
+            reason = f"their parents {names} are not a pair"
         else:
             continue
-        faults[-1] = f"pairs: {a!r} and {b!r} cannot be swapped: {faults[-1]}"
+        faults.append(f"pairs: {a!r} and {b!r} cannot be swapped: {reason}")
     if faults:
         hint = "pair their parents too, or name other joints"
         raise OptionError([Fault("SCN019", text, hint=hint) for text in faults])
@@ -377,10 +345,8 @@ def _check_tree(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
         partner_parent = int(partners[joint.parent]) if joint.parent >= 0 else -1
         partner_joint = rig.joints[int(partners[i])]
         if partner_joint.parent != partner_parent:
-            message = (
-                f"the parents of {joint.name!r} and {partner_joint.name!r} are not a "
-                "pair"
-            )
+            names = f"{joint.name!r} and {partner_joint.name!r}"
+            message = f"the parents of {names} are not a pair"
             raise OptionError(Fault("SCN019", message, hint="write the pairs"))
 
 
@@ -405,9 +371,8 @@ class _JointMirror:
         for i, joint in enumerate(rig.joints):
             if joint.parent >= 0:
                 parent_rotations[i] = rest_world_rotations[joint.parent]
-                rest_world_rotations[i] = so3.multiply(
-                    parent_rotations[i], rest_world_rotations[i]
-                )
+                world = so3.multiply(parent_rotations[i], rest_world_rotations[i])
+                rest_world_rotations[i] = world
         normal = np.where(np.arange(3) == axis, -1.0, 1.0)
         return _JointMirror(
             partners,
@@ -422,36 +387,27 @@ class _JointMirror:
         self, values: FloatArray, joint_indices: IntArray
     ) -> FloatArray:
         """Return local rotations ``(..., A, 4)`` mapped to the joints' partners."""
-        partner_indices = self.partners[joint_indices]
-        world_rotations = so3.multiply(self.parent_rotations[joint_indices], values)
-        world_rotations = so3.multiply(
-            world_rotations, so3.conjugate(self.rest_world_rotations[joint_indices])
-        )
+        partners = self.partners[joint_indices]
+        inverse_rest = so3.conjugate(self.rest_world_rotations[joint_indices])
+        rotations = so3.multiply(self.parent_rotations[joint_indices], values)
+        rotations = so3.multiply(rotations, inverse_rest)
         # A mirror reverses axes of rotation.
-        world_rotations = world_rotations * np.append(-self.normal, 1.0)
-        world_rotations = so3.multiply(
-            so3.conjugate(self.parent_rotations[partner_indices]), world_rotations
-        )
-        world_rotations = so3.multiply(
-            world_rotations, self.rest_world_rotations[partner_indices]
-        )
-        return np.where(self.is_kept[joint_indices, None], values, world_rotations)
+        rotations = rotations * np.append(-self.normal, 1.0)
+        inverse_parent = so3.conjugate(self.parent_rotations[partners])
+        rotations = so3.multiply(inverse_parent, rotations)
+        rotations = so3.multiply(rotations, self.rest_world_rotations[partners])
+        return np.where(self.is_kept[joint_indices, None], values, rotations)
 
     def mirror_translations(
         self, values: FloatArray, joint_indices: IntArray
     ) -> FloatArray:
         """Return local translations ``(..., A, 3)`` mapped to the joints' partners."""
-        partner_indices = self.partners[joint_indices]
-        mirrored_offset = (
-            so3.rotate(
-                self.parent_rotations[joint_indices],
-                values - self.rest_translations[joint_indices],
-            )
-            * self.normal
-        )
-        reflected = self.rest_translations[partner_indices] + so3.rotate(
-            so3.conjugate(self.parent_rotations[partner_indices]), mirrored_offset
-        )
+        partners = self.partners[joint_indices]
+        offset = values - self.rest_translations[joint_indices]
+        world_offset = so3.rotate(self.parent_rotations[joint_indices], offset)
+        inverse_parent = so3.conjugate(self.parent_rotations[partners])
+        mirrored_offset = so3.rotate(inverse_parent, world_offset * self.normal)
+        reflected = self.rest_translations[partners] + mirrored_offset
         return np.where(self.is_kept[joint_indices, None], values, reflected)
 
     def mirror_scales(self, values: FloatArray, joint_indices: IntArray) -> FloatArray:
@@ -460,9 +416,8 @@ class _JointMirror:
             so3.to_matrix(self.rest_world_rotations[k])
             for k in (joint_indices, self.partners[joint_indices])
         )
-        change = np.swapaxes(partner_axes, -1, -2) @ (
-            self.normal[:, None] * source_axes
-        )
+        mirrored_axes = self.normal[:, None] * source_axes
+        change = np.swapaxes(partner_axes, -1, -2) @ mirrored_axes
         mirrored_scales = np.asarray((change**2 @ values[..., None])[..., 0])
         return np.where(self.is_kept[joint_indices, None], values, mirrored_scales)
 
@@ -474,21 +429,17 @@ def _mirrored_blocks(
     controls: ControlMirror,
 ) -> Iterator[Motion]:
     """Yield the mirrored motion."""
+    partners = joint_mirror.partners
     for block in stream.blocks:
+        scales = block.scales
+        if scales is not None:
+            scales = _mirror_channel(scales, partners, joint_mirror.mirror_scales)
         yield Motion(
             _mirror_channel(
-                block.translations,
-                joint_mirror.partners,
-                joint_mirror.mirror_translations,
+                block.translations, partners, joint_mirror.mirror_translations
             ),
-            _mirror_channel(
-                block.rotations, joint_mirror.partners, joint_mirror.mirror_rotations
-            ),
-            None
-            if block.scales is None
-            else _mirror_channel(
-                block.scales, joint_mirror.partners, joint_mirror.mirror_scales
-            ),
+            _mirror_channel(block.rotations, partners, joint_mirror.mirror_rotations),
+            scales,
             _swap_partners(block.weights, shapes, lambda values, _: values),
             _swap_partners(block.controls, controls.partners, controls),
             block.track_times,

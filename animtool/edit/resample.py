@@ -88,23 +88,20 @@ def plan_samples(
         frame_shift = origin - start
         frame_numbers = _covered_frames(frame_range, start, frame_span, extend=extend)
     if len(frame_numbers) * max(1, len(offsets)) > MAX_FRAMES:
-        raise _range_error(
-            f"{len(frame_numbers)} frames at {float(fps):g} fps are too many"
-        )
+        message = f"{len(frame_numbers)} frames at {float(fps):g} fps are too many"
+        raise _range_error(message)
     first, last = origin + frame_numbers[0], origin + frame_numbers[-1]
     index = np.arange(frame_numbers[0], frame_numbers[-1] + 1, frame_numbers.step)
-    positions_by_offset = [
+    offsets = offsets or (Fraction(0),)
+    positions = [
         even_positions(index, frame_shift + offset, ratio, clock.count)
-        for offset in offsets or (0,)
+        for offset in offsets
     ]
-    codes = np.stack([_time_codes(first + o, frame_numbers) for o in offsets or (0,)])
-    sort_order = np.argsort(codes.T.ravel(), kind="stable")
-    frames = np.stack(
-        [positions.frames for positions in positions_by_offset]
-    ).T.ravel()[sort_order]
-    fractions = np.stack(
-        [positions.fractions for positions in positions_by_offset]
-    ).T.ravel()[sort_order]
+    code_span = (Fraction(frame_numbers.step), len(frame_numbers))
+    codes = np.stack([time_codes(first + o, *code_span) for o in offsets]).T.ravel()
+    sort_order = np.argsort(codes, kind="stable")
+    frames = np.stack([p.frames for p in positions]).T.ravel()[sort_order]
+    fractions = np.stack([p.fractions for p in positions]).T.ravel()[sort_order]
     end_position = frame_span - frame_shift  # of the take, in the same count
     last_frame = math.floor(end_position)
     remainder = not extend and frame_numbers[-1] == last_frame
@@ -113,7 +110,7 @@ def plan_samples(
     return SampleTimes(
         first,
         last,
-        codes.T.ravel()[sort_order],
+        codes[sort_order],
         frames,
         fractions,
         _dropped_samples(
@@ -140,18 +137,12 @@ def _dropped_samples(
         return 0
     first_sample = max(0, math.ceil((frames[0] + shift) * ratio))
     last_sample = min(count - 1, math.floor((frames[-1] + shift) * ratio))
-    positions = even_positions(
-        np.arange(first_frame, last_frame + 1), shift, ratio, count
-    )
-    used_samples = np.union1d(
-        positions.frames[positions.fractions == 0], sampled_frames
-    )
-    return (
-        last_sample
-        - first_sample
-        + 1
-        - int(((used_samples >= first_sample) & (used_samples <= last_sample)).sum())
-    )
+    index = np.arange(first_frame, last_frame + 1)
+    positions = even_positions(index, shift, ratio, count)
+    on_frames = positions.frames[positions.fractions == 0]
+    used_samples = np.union1d(on_frames, sampled_frames)
+    is_between = (used_samples >= first_sample) & (used_samples <= last_sample)
+    return last_sample - first_sample + 1 - int(is_between.sum())
 
 
 def _range_error(message: str) -> OptionError:
@@ -187,11 +178,6 @@ def missing_frames_fault(
     return Fault("CLI005", message)
 
 
-def _time_codes(first: Fraction, frames: range) -> FloatArray:
-    """Return the time codes of frames counted from a first time code."""
-    return time_codes(Fraction(first), Fraction(frames.step), len(frames))
-
-
 def _covered_frames(
     frame_range: FrameRange, start: Fraction, span: Fraction, *, extend: bool
 ) -> range:
@@ -219,10 +205,8 @@ def _source_samples(
     first_index, last_index = 0, clock.count - 1
     if frame_range is not None:
         if frame_range.step != 1:
-            raise _range_error(
-                f"{argument('keep_samples', True)} needs a {argument('frame_range')} "
-                "without a step"
-            )
+            message = f"{argument('keep_samples', True)} needs a "
+            raise _range_error(f"{message}{argument('frame_range')} without a step")
         first_index = max(first_index, -(-(frame_range.first - start) // step))
         last_index = min(last_index, (frame_range.last - start) // step)
         if first_index > last_index:
@@ -250,10 +234,8 @@ def single_frame_warning(
     """Warn if resampling leaves one frame of a take with several frames (TAKE010)."""
     if len(times.codes) != 1 or clock.count < 2:
         return []
-    message = (
-        f"1 of {clock.count} frames remains, {frame_label(times.first)}: the rate of "
-        f"{float(fps):.6g} fps and the range leave no second one"
-    )
+    message = f"1 of {clock.count} frames remains, {frame_label(times.first)}: the "
+    message += f"rate of {float(fps):.6g} fps and the range leave no second one"
     hint = "use a higher rate or a wider range; a still pose needs a range of one frame"
     return [Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)]
 
@@ -274,17 +256,14 @@ def sample_blocks(
     block_length = max(1, len(times.codes)) if sampler.rows_on_curve else BLOCK_FRAMES
     for block_start in range(0, len(times.codes), block_length):
         block_samples = slice(block_start, block_start + block_length)
-        positions = FramePositions(
-            times.frames[block_samples], times.fractions[block_samples]
-        )
+        fractions = times.fractions[block_samples]
+        positions = FramePositions(times.frames[block_samples], fractions)
         motion = sampler.sample(positions, smooth=smooth)
         if smooth:
-            rotations = motion.rotations
-            aligned_rotations = so3.align_signs(rotations.values, previous_rotations)
-            motion = replace(
-                motion, rotations=replace(rotations, values=aligned_rotations)
-            )
-            previous_rotations = aligned_rotations[-1]
+            values = so3.align_signs(motion.rotations.values, previous_rotations)
+            rotations = replace(motion.rotations, values=values)
+            motion = replace(motion, rotations=rotations)
+            previous_rotations = values[-1]
         yield times.codes[block_samples], motion
 
 
@@ -333,9 +312,8 @@ def resampled(
         cutoff = CUTOFF_FRACTION * float(fps)
         source = replace(take, motion=filter_motion(take.motion, cutoff, float(rate)))
     sampler = TakeSampler.from_take(source)
-    motion = Motion.concatenate(
-        [block for _, block in sample_blocks(sampler, times, smooth=smooth)]
-    )
+    blocks = sample_blocks(sampler, times, smooth=smooth)
+    motion = Motion.concatenate([block for _, block in blocks])
     new_start, codes_ratio = take.clock.start, float(take.clock.fps / fps)
     clock, notices = Clock(fps, new_start, Fraction(1), motion.frames), take.notices
     if not smooth:
@@ -378,9 +356,8 @@ def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
     """Run the pass: resample at the new rate."""
     if options.fps is None:
         return take
-    result = resampled(
-        take, options.fps, lowpass=options.lowpass, smooth=options.smooth
-    )
+    settings = {"lowpass": options.lowpass, "smooth": options.smooth}
+    result = resampled(take, options.fps, **settings)
     context.add_notices_once(result.notices[len(take.notices) :])
     return result
 

@@ -38,7 +38,6 @@ from animtool.motion.passes import (
     RETIMED_PARTS,
     FrameScope,
     LinearTime,
-    OptionChecks,
     Pass,
     PassContext,
     TakePart,
@@ -89,35 +88,28 @@ def _run_trim(
     in_shot = context is not None and context.in_shot
     check_range(options.first, options.last)
     first_code = stream.first_frame
+
+    def nearest_index(frame: float, name: str, *, is_rounded_down: bool) -> int:
+        """Return the index of the frame at or next to a time code."""
+        index = (exact_fraction(frame, name) - first_code) / stream.step
+        if is_rounded_down:
+            return math.floor(index + FRAME_TOLERANCE)
+        return math.ceil(index - FRAME_TOLERANCE)
+
     first_index, last_index = 0, None
     if options.first is not None:
-        frames_from_start = (
-            exact_fraction(options.first, "first") - first_code
-        ) / stream.step
-        first_full = (
-            math.floor(frames_from_start + FRAME_TOLERANCE)
-            if in_shot
-            else math.ceil(frames_from_start - FRAME_TOLERANCE)
-        )
-        first_index = max(0, first_full)
+        first_index = nearest_index(options.first, "first", is_rounded_down=in_shot)
+        first_index = max(0, first_index)
     if options.last is not None:
-        frames_from_start = (
-            exact_fraction(options.last, "last") - first_code
-        ) / stream.step
-        last_index = (
-            math.ceil(frames_from_start - FRAME_TOLERANCE)
-            if in_shot
-            else math.floor(frames_from_start + FRAME_TOLERANCE)
-        )
+        last_index = nearest_index(options.last, "last", is_rounded_down=not in_shot)
+    hint = _trim_hint(options, first_code, stream.fps)
     if last_index is not None and last_index < first_index:
-        raise frame_error(
-            f"there is no frame from {_frame_text(options.first, first_code)} to "
-            f"{options.last:g}; the take begins at {float(first_code):g}",
-            _trim_hint(options, first_code, stream.fps),
-        )
-    new_start = (
-        stream.start if first_index == 0 else first_code + first_index * stream.step
-    )
+        first = float(first_code) if options.first is None else options.first
+        message = f"there is no frame from {first:g} to {options.last:g}; the take "
+        raise frame_error(f"{message}begins at {float(first_code):g}", hint)
+    new_start = stream.start
+    if first_index > 0:
+        new_start = first_code + first_index * stream.step
     return replace(
         stream,
         start=new_start,
@@ -127,7 +119,7 @@ def _run_trim(
             last_index,
             first_code,
             in_shot=in_shot,
-            hint=None if in_shot else _trim_hint(options, first_code, stream.fps),
+            hint=None if in_shot else hint,
         ),
     )
 
@@ -138,16 +130,6 @@ def _trim_hint(options: TrimOptions, start: Fraction, fps: Fraction) -> str | No
     return seconds_hint(stated_ends, start, fps)
 
 
-def _trim_checks(options: TrimOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
-    return {"last": lambda: check_range(options.first, options.last)}
-
-
-def _frame_text(frame: float | None, start: Fraction) -> str:
-    """Return a bound of a range as text; None is an end of the take."""
-    return f"{float(start) if frame is None else frame:g}"
-
-
 def _trim_blocks(
     stream: TakeStream,
     first_index: int,
@@ -155,7 +137,7 @@ def _trim_blocks(
     start: Fraction,
     *,
     in_shot: bool,
-    hint: str | None = None,
+    hint: str | None,
 ) -> Iterator[Motion]:
     """Yield the frames of a range; refuse a range outside the take.
 
@@ -164,17 +146,14 @@ def _trim_blocks(
     count = 0
     # The source is read to its end, which completes its notices.
     for block in stream.blocks:
-        first_in_block = max(0, first_index - count)
-        end_in_block = (
-            block.frames
-            if last_index is None
-            else min(block.frames, last_index + 1 - count)
-        )
+        first_in_block, end_in_block = max(0, first_index - count), block.frames
+        if last_index is not None:
+            end_in_block = min(block.frames, last_index + 1 - count)
         if first_in_block < end_in_block:
             yield block.select(slice(first_in_block, end_in_block))
         count += block.frames
+    last = start + (count - 1) * stream.step
     if first_index >= count:
-        last = start + (count - 1) * stream.step
         raise frame_error(
             f"the first frame to keep is {float(start + first_index * stream.step):g}, "
             f"but the take has {float(start):g}-{float(last):g}",
@@ -182,16 +161,12 @@ def _trim_blocks(
         )
     if hint is not None and last_index == first_index and count > 1:
         message = f"1 of {count} frames remains"
-        stream.notices.append(
-            Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)
-        )
+        notice = Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)
+        stream.notices.append(notice)
     if last_index is not None and last_index >= count and not in_shot:
-        last = start + (count - 1) * stream.step
         requested_end = float(start + last_index * stream.step)
-        message = (
-            f"last is {requested_end:g}, but the take ends at {float(last):g}, at "
-            f"{rate_label(stream.fps)}"
-        )
+        message = f"last is {requested_end:g}, but the take ends at {float(last):g}, "
+        message += f"at {rate_label(stream.fps)}"
         end_hint = f"write {argument('last', f'{float(last):g}')}"
         end_hint += ", or trim before a pass that changes the rate"
         notice = Fault("SCN013", message, hint=end_hint, severity=Severity.NOTE)
@@ -204,7 +179,7 @@ TRIM = Pass(
     TrimOptions,
     FrameScope.FRAME,
     _run_trim,
-    _trim_checks,
+    lambda options: {"last": lambda: check_range(options.first, options.last)},
     reads=frozenset({TakePart.CLOCK}),
     changes=frozenset({TakePart.CLOCK}),
 )
@@ -260,15 +235,14 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
         raise frame_error(f"at speed {speed:g} no frame remains")
     check_count(last_index - first_index + 1)
     index = np.arange(first_index, last_index + 1)
-    positions = even_positions(
-        index, pivot_frame / rate - pivot_frame, rate, clock.count
-    )
-    pivot_and_rate, factor = float(pivot_code), float(rate)
+    offset = pivot_frame / rate - pivot_frame
+    positions = even_positions(index, offset, rate, clock.count)
+    pivot_time, factor = float(pivot_code), float(rate)
     return _resample_at(
         take,
         replace(clock, start=clock.start + first_index * clock.step, count=len(index)),
         positions,
-        lambda times: pivot_and_rate + (times - pivot_and_rate) * factor,
+        lambda times: pivot_time + (times - pivot_time) * factor,
     )
 
 
@@ -283,14 +257,12 @@ def _resample_at(
     clock: clock of the result, whose time t shows time ``source_times(t)`` of the take.
     """
     sampler = TakeSampler.from_take(take)
+    notices = interpolation_notices(sampler, positions, RESAMPLE_HINT)
     return replace(
         take,
         clock=clock,
         motion=align_signs(sampler.sample(positions)).map(Channel.compact),
-        notices=(
-            *take.notices,
-            *interpolation_notices(sampler, positions, RESAMPLE_HINT),
-        ),
+        notices=(*take.notices, *notices),
         curve=sampler.retimed_curve(source_times),
     )
 
@@ -308,18 +280,11 @@ def _percentage_warnings(
     """Return a warning about a speed that looks like a percentage (SCN117)."""
     if abs(speed) < MAX_SPEED or clock_before.count < 2:
         return []
-    speed_option = argument("speed", f"{speed:g}")
-    message = (
-        f"{speed_option} plays {abs(speed):g} times as fast: "
-        f"of {clock_before.count} frames {clock_after.count} remain"
-    )
+    option = argument("speed", f"{speed:g}")
+    message = f"{option} plays {abs(speed):g} times as fast: of {clock_before.count} "
+    message += f"frames {clock_after.count} remain"
     hint = percent_hint(speed)
     return [Fault("SCN117", message, hint=hint, severity=Severity.WARNING)]
-
-
-def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
-    return {"speed": lambda: _check_speed(options.speed)}
 
 
 def _run_time_scale(
@@ -327,9 +292,8 @@ def _run_time_scale(
 ) -> Take:
     """Run the pass: play at another speed."""
     result = time_scale(take, options.speed, options.pivot)
-    context.notices.extend(
-        _percentage_warnings(options.speed, take.clock, result.clock)
-    )
+    warnings = _percentage_warnings(options.speed, take.clock, result.clock)
+    context.notices.extend(warnings)
     context.add_notices_once(result.notices[len(take.notices) :])
     return result
 
@@ -348,7 +312,7 @@ TIME_SCALE = Pass(
     TimeScaleOptions,
     FrameScope.CLIP,
     _run_time_scale,
-    _scale_checks,
+    lambda options: {"speed": lambda: _check_speed(options.speed)},
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
     linear_time=_linear_time,
@@ -393,33 +357,24 @@ def time_warp(
     clock = take.clock
     key_times, values = key_arrays(curve, "curve")
     _check_curve_range(clock, values)
-    first_index = math.ceil(
-        (exact_fraction(key_times[0], "curve") - clock.start) / clock.step
-    )
-    last_index = math.floor(
-        (exact_fraction(key_times[-1], "curve") - clock.start) / clock.step
-    )
-    if first_index > last_index:
-        first_code, last_code = key_times[0], key_times[-1]
-        message = (
-            f"the curve from {first_code:g} to {last_code:g} contains no whole frame"
-        )
+    first, last = float(key_times[0]), float(key_times[-1])
+    ends = [exact_fraction(code, "curve") - clock.start for code in (first, last)]
+    first_index = math.ceil(ends[0] / clock.step)
+    count = math.floor(ends[1] / clock.step) - first_index + 1
+    if count < 1:
+        message = f"the curve from {first:g} to {last:g} contains no whole frame"
         raise frame_error(message)
-    check_count(last_index - first_index + 1)
+    check_count(count)
     start, step = float(clock.start), float(clock.step)
-    result_clock = replace(
-        clock,
-        start=clock.start + first_index * clock.step,
-        count=last_index - first_index + 1,
-    )
+    result_start = clock.start + first_index * clock.step
+    result_clock = replace(clock, start=result_start, count=count)
 
     def source_times(times: FloatArray) -> FloatArray:
         """Return the times of the take that the curve shows."""
         return interpolate_keys(key_times, values, times, interpolation)
 
-    positions = nearby_positions(
-        (source_times(result_clock.times) - start) / step, clock.count
-    )
+    frames = (source_times(result_clock.times) - start) / step
+    positions = nearby_positions(frames, clock.count)
     return _resample_at(take, result_clock, positions, source_times)
 
 
@@ -448,18 +403,15 @@ def _run_time_warp(take: Take, options: TimeWarpOptions, context: PassContext) -
     return result
 
 
-def _warp_checks(options: TimeWarpOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
-    return {"curve": lambda: options.curve and key_arrays(options.curve, "curve")}
-
-
 TIME_WARP = Pass(
     "time_warp",
     "Retime by a curve",
     TimeWarpOptions,
     FrameScope.CLIP,
     _run_time_warp,
-    _warp_checks,
+    lambda options: {
+        "curve": lambda: options.curve and key_arrays(options.curve, "curve")
+    },
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
 )

@@ -29,7 +29,7 @@ from animtool.edit.tree import (
 from animtool.maths import so3
 from animtool.motion.keyed import parse_choice
 from animtool.motion.motion import Channel
-from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
+from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart
 from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 
@@ -125,28 +125,19 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
     if joint not in rig.parents:
         raise _root_error(f"{root!r} has no joint below it", "name one above the hips")
     entry = rig.joints[joint]
-    identity = JointTransforms(np.zeros((1, 3)), so3.IDENTITY[None])
+    translations, rotations = np.zeros((1, 3)), so3.IDENTITY[None]
     if keep:
-        identity = JointTransforms(
-            np.array([entry.translation]), np.array([entry.rotation])
-        )
-    take_with_root_at_rest = set_joint(take, joint, identity)
-    return _compact_take(
-        take_with_root_at_rest if keep else remove_joint(take_with_root_at_rest, joint)
-    )
+        translations = np.array([entry.translation])
+        rotations = np.array([entry.rotation])
+    take = set_joint(take, joint, JointTransforms(translations, rotations))
+    return _compact_take(take if keep else remove_joint(take, joint))
 
 
 def _check_axes(axes: str) -> None:
     """Raise if an axis is not x, y or z."""
     if not set(axes.lower()) <= set("xyz"):
-        raise _root_error(
-            f"axes {axes!r} may contain only x, y and z", "write xz, for example"
-        )
-
-
-def _option_checks(options: RootMotionOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
-    return {"axes": lambda: _check_axes(options.axes)}
+        message = f"axes {axes!r} may contain only x, y and z"
+        raise _root_error(message, "write xz, for example")
 
 
 def _root_error(message: str, hint: str) -> OptionError:
@@ -160,21 +151,14 @@ def _hips_index(take: Take, root: str, hips: str) -> int:
     if hips:
         return joint_index(rig, hips, "hips")
     if not rig.joints:
-        raise _root_error(
-            "the rig has no joints, so there is no root motion", "remove the pass"
-        )
+        message = "the rig has no joints, so there is no root motion"
+        raise _root_error(message, "remove the pass")
     has_root = root in rig.names
     topmost = rig.index(root) if has_root else rig.roots[0]
     traveller_joint = travelling_joint(rig, take.motion, topmost, exclude_root=has_root)
     if traveller_joint is None and has_root:
-        traveller_joint = next(
-            (
-                j
-                for j, rig_joint in enumerate(rig.joints)
-                if rig_joint.parent == topmost
-            ),
-            topmost,
-        )
+        children = (j for j, joint in enumerate(rig.joints) if joint.parent == topmost)
+        traveller_joint = next(children, topmost)
     return topmost if traveller_joint is None else traveller_joint
 
 
@@ -188,10 +172,8 @@ def _root_transforms(
     hips, root_frame = joint_frame(rig, motion, hip), joint_frame(rig, motion, root)
     frame = parent_frame(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
-        name = rig.names[root]
-        raise _root_error(
-            f"a joint above {name!r} has a scale of 0", "set another scale"
-        )
+        message = f"a joint above {rig.names[root]!r} has a scale of 0"
+        raise _root_error(message, "set another scale")
     position = np.where(has_root_axes, hips.position, root_frame.position)
     offset = (position - frame.position)[..., None]
     translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
@@ -250,7 +232,7 @@ PASS = Pass(
     RootMotionOptions,
     FrameScope.CLIP,
     _run,
-    _option_checks,
+    lambda options: {"axes": lambda: _check_axes(options.axes)},
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.RIG, TakePart.JOINTS}),
 )

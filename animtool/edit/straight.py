@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
@@ -11,7 +9,7 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import angle_text, length_text, plain_number
 from animtool.core.record import dataclass
-from animtool.edit.between import TakeSampler
+from animtool.edit.between import CURVE_CHANNELS, TakeSampler
 from animtool.edit.travel import FramePositions
 from animtool.maths import so3
 from animtool.motion.motion import Channel
@@ -49,7 +47,7 @@ def interpolation_errors(
     """
     motion = sampler.take.motion
     errors = []
-    for name in ("translations", "rotations", "scales", "weights", "controls"):
+    for name in CURVE_CHANNELS:
         channel: Channel | None = getattr(motion, name)
         if channel is None:
             continue
@@ -98,10 +96,8 @@ def interpolation_notices(
         )
     if not error_texts:
         return []
-    message = (
-        "the take has samples, not curves, there: interpolation between frames is "
-        f"linear, and may be off by about {listed(error_texts)}"
-    )
+    message = "the take has samples, not curves, there: interpolation between frames "
+    message += f"is linear, and may be off by about {listed(error_texts)}"
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
 
@@ -114,49 +110,28 @@ def _largest_error(
     if not len(indices_between) or not len(columns) or count < 3:
         return None
     largest_error: tuple[float, int, float] | None = None
-    for block in _blocks(indices_between):
+    for start in range(0, len(indices_between), BLOCK_FRAMES):
+        block = indices_between[start : start + BLOCK_FRAMES]
         frames, fraction = positions.frames[block], positions.fractions[block]
         # Curvature at the frames before and after each position.
         first_inner = int(np.clip(frames.min(), 1, count - 2))
         last_inner = int(np.clip(frames.max() + 1, 1, count - 2))
-        second_differences = _second_differences(
-            channel.values[first_inner - 1 : last_inner + 2], columns
-        )
+        values = channel.values[first_inner - 1 : last_inner + 2]
+        second_differences = _second_differences(values, columns)
         peaks, factor = second_differences.max(axis=1), fraction * (1 - fraction) / 2
-        inner_indices = [
-            np.clip(frame_indices, first_inner, last_inner) - first_inner
-            for frame_indices in (frames, frames + 1)
-        ]
-        worst_sample = int(
-            np.argmax(
-                np.maximum(*(peaks[frame_indices] for frame_indices in inner_indices))
-                * factor
-            )
+        before, after = (
+            np.clip(indices, first_inner, last_inner) - first_inner
+            for indices in (frames, frames + 1)
         )
-        sizes = (
-            np.maximum(
-                *(
-                    second_differences[frame_indices[worst_sample]]
-                    for frame_indices in inner_indices
-                )
-            )
-            * factor[worst_sample]
-        )
+        worst = int(np.argmax(np.maximum(peaks[before], peaks[after]) * factor))
+        sizes = np.maximum(*second_differences[[before[worst], after[worst]]])
+        sizes = sizes * factor[worst]
         column = int(np.argmax(sizes))
         column_size = float(sizes[column])
         if largest_error is None or column_size > largest_error[2]:
-            largest_error = (
-                float(frames[worst_sample] + fraction[worst_sample]),
-                int(columns[column]),
-                column_size,
-            )
+            frame = float(frames[worst] + fraction[worst])
+            largest_error = (frame, int(columns[column]), column_size)
     return largest_error
-
-
-def _blocks(indices: IntArray) -> Iterator[IntArray]:
-    """Yield consecutive blocks of indices, to limit memory."""
-    for start in range(0, len(indices), BLOCK_FRAMES):
-        yield indices[start : start + BLOCK_FRAMES]
 
 
 def _second_differences(values: FloatArray, columns: IntArray) -> FloatArray:

@@ -81,21 +81,18 @@ def _add_samples(measure: _RestoredError, kept_samples: IntArray) -> IntArray:
         is_over_tolerance = worst_ratios > 1
         if not is_over_tolerance.any():
             break
-        interval_of_frame = np.repeat(
-            np.arange(len(starts)), np.diff([*starts, len(frames)])
-        )
+        lengths = np.diff([*starts, len(frames)])
+        interval_of_frame = np.repeat(np.arange(len(starts)), lengths)
         peaks = np.flatnonzero(ratios == worst_ratios[interval_of_frame])
         _, first_peaks = np.unique(interval_of_frame[peaks], return_index=True)
         split_frames = frames[peaks[first_peaks]][is_over_tolerance]
         interval_starts = kept_samples[interval[starts[is_over_tolerance]]]
         interval_ends = kept_samples[interval[starts[is_over_tolerance]] + 1]
         margin = ((interval_ends - interval_starts) * SPLIT_MARGIN).astype(np.int64)
-        split_frames = np.clip(
-            split_frames, interval_starts + margin, interval_ends - margin
-        )
-        frames = np.setdiff1d(
-            frames[is_over_tolerance[interval_of_frame]], split_frames
-        )
+        lowest, highest = interval_starts + margin, interval_ends - margin
+        split_frames = np.clip(split_frames, lowest, highest)
+        remaining_frames = frames[is_over_tolerance[interval_of_frame]]
+        frames = np.setdiff1d(remaining_frames, split_frames)
         kept_samples = np.union1d(kept_samples, split_frames)
     return kept_samples
 
@@ -108,18 +105,13 @@ def _drop_alternate(
     if not len(dropped_positions):
         return kept_samples
     fewer_samples = np.delete(kept_samples, dropped_positions)
-    frames = np.setdiff1d(
-        np.arange(
-            kept_samples[dropped_positions[0] - 1],
-            kept_samples[dropped_positions[-1] + 1],
-        ),
-        fewer_samples,
-    )
+    first = kept_samples[dropped_positions[0] - 1]
+    end = kept_samples[dropped_positions[-1] + 1]
+    frames = np.setdiff1d(np.arange(first, end), fewer_samples)
     ratios = measure.ratios(fewer_samples, frames)
     # Every interval of the trial contains one frame: the sample that it drops.
-    interval = (
-        np.searchsorted(kept_samples[dropped_positions - 1], frames, side="right") - 1
-    )
+    starts = kept_samples[dropped_positions - 1]
+    interval = np.searchsorted(starts, frames, side="right") - 1
     worst_ratios = np.zeros(len(dropped_positions))
     np.maximum.at(worst_ratios, interval, ratios)
     return np.delete(kept_samples, dropped_positions[worst_ratios <= 1])
@@ -129,11 +121,7 @@ class _RestoredError:
     """Measures the error of the motion interpolated from the kept samples."""
 
     def __init__(
-        self,
-        rig: Rig,
-        codes: FloatArray,
-        motion: Motion,
-        bounds: FloatArray,
+        self, rig: Rig, codes: FloatArray, motion: Motion, bounds: FloatArray
     ) -> None:
         self.rig, self.codes, self.motion = rig, codes, motion
         self.bounds = bounds
@@ -146,9 +134,8 @@ class _RestoredError:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         positions = positions_between(self.codes[kept_samples], self.codes[frames])
         restored_motion = self.motion.select(kept_samples).map(positions.interpolate)
-        truth = WorldTransforms(
-            self.original_world.positions[frames], self.original_world.linear[frames]
-        )
+        original = self.original_world
+        truth = WorldTransforms(original.positions[frames], original.linear[frames])
         world = restored_motion.world(self.rig)
         weights = np.zeros(len(frames))
         if restored_motion.weights is not None and self.motion.weights is not None:

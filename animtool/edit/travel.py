@@ -128,12 +128,11 @@ class FramePositions:
         (is_between,) = np.nonzero(self.fractions > 0)
         t = self.fractions[is_between, None, None]
         a, b, c, d = (extended_values[self.frames[is_between] + k] for k in range(4))
-        spline_values = b + t / 2 * (
-            c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
-        )
-        values_at_frames[is_between] = (
-            so3.normalize(spline_values) if is_rotation else spline_values
-        )
+        curvature = 2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a)
+        spline_values = b + t / 2 * (c - a + t * curvature)
+        if is_rotation:
+            spline_values = so3.normalize(spline_values)
+        values_at_frames[is_between] = spline_values
         return Channel(channel.rest, channel.animated, values_at_frames)
 
 
@@ -158,9 +157,8 @@ def even_positions(
         fractions = remainders / float(scale)
     else:
         quotients = [divmod((int(i) + shift) * ratio, 1) for i in index]
-        frames = np.array(
-            [min(max(frame, -1), count) for frame, _ in quotients], np.int64
-        )
+        bounded_frames = [min(max(frame, -1), count) for frame, _ in quotients]
+        frames = np.array(bounded_frames, np.int64)
         fractions = np.array([float(remainders) for _, remainders in quotients])
     return _clamp_positions(frames, fractions, count)
 
@@ -175,11 +173,8 @@ def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
     """
     clamped_positions = np.clip(np.asarray(positions, np.float64), 0, count - 1)
     nearest = np.round(clamped_positions)
-    clamped_positions = np.where(
-        np.abs(clamped_positions - nearest) <= FRAME_TOLERANCE,
-        nearest,
-        clamped_positions,
-    )
+    is_on_frame = np.abs(clamped_positions - nearest) <= FRAME_TOLERANCE
+    clamped_positions = np.where(is_on_frame, nearest, clamped_positions)
     frames = np.floor(clamped_positions).astype(np.int64)
     return _clamp_positions(frames, clamped_positions - frames, count)
 
@@ -204,9 +199,8 @@ def _clamp_positions(
 ) -> FramePositions:
     """Return positions clamped to the first and last frame."""
     is_outside = (frames < 0) | (frames >= count - 1)
-    return FramePositions(
-        np.clip(frames, 0, count - 1), np.where(is_outside, 0.0, fractions)
-    )
+    fractions = np.where(is_outside, 0.0, fractions)
+    return FramePositions(np.clip(frames, 0, count - 1), fractions)
 
 
 # A joint that moves by less than this fraction of the rig's size, or rotates by less
@@ -236,9 +230,8 @@ def travelling_joint(
     below static joints only: the one with the most descendants, then the first. None if
     nothing travels.
     """
-    if not exclude_root and (
-        _is_translated(rig, motion, root) or _is_rotated(motion, root)
-    ):
+    is_moving = _is_translated(rig, motion, root) or _is_rotated(motion, root)
+    if is_moving and not exclude_root:
         return root
     moving_joints = _travelling_joints(rig, motion, root)
     return max(moving_joints, key=lambda j: (_subtree_size(rig, j), -j), default=None)
@@ -257,26 +250,20 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
         np.tile(np.eye(3), (count, 1, 1)),
         np.zeros((count, 3)),
     )
-    end_frames = motion.select(np.array([0, -1]))
+    end_frames, up = motion.select(np.array([0, -1])), np.array(rig.up.vector)
     for root in rig.roots:
         main_joint = travelling_joint(rig, motion, root)
         if main_joint is None:
             continue
         joints = [root] if main_joint == root else _travelling_joints(rig, motion, root)
-        rotation, displacement = _ground_step(rig, end_frames, main_joint)
+        frame = joint_frame(rig, end_frames, main_joint)
+        change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
+        rotation = vertical_twist(change, up)
+        displacement = frame.position[1] - so3.rotate(rotation, frame.position[0])
+        displacement = displacement - (displacement @ up) * up
         for joint in joints:
             _store_travel(travel, joint, rig, end_frames, rotation, displacement)
     return travel
-
-
-def _ground_step(rig: Rig, ends: Motion, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return world rotation ``(4,)`` and displacement ``(3,)`` of the full cycle."""
-    up = np.array(rig.up.vector)
-    frame = joint_frame(rig, ends, joint)
-    change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
-    rotation = vertical_twist(change, up)
-    displacement = frame.position[1] - so3.rotate(rotation, frame.position[0])
-    return rotation, displacement - (displacement @ up) * up
 
 
 def _store_travel(
@@ -293,18 +280,14 @@ def _store_travel(
         travel.linear[joint] = so3.to_matrix(world_rotation)
         return
     frame = parent_frame(rig, ends, joint)
-    position, rotation, linear = (
-        part[0] for part in (frame.position, frame.rotation, frame.linear)
-    )
+    position, rotation, linear = frame.position[0], frame.rotation[0], frame.linear[0]
     if np.linalg.det(linear) == 0:
         return
-    travel.rotations[joint] = so3.multiply(
-        so3.multiply(so3.conjugate(rotation), world_rotation), rotation
-    )
+    local_rotation = so3.multiply(so3.conjugate(rotation), world_rotation)
+    travel.rotations[joint] = so3.multiply(local_rotation, rotation)
     shift = so3.rotate(world_rotation, position) + displacement - position
-    travel.linear[joint] = np.linalg.solve(
-        linear, so3.to_matrix(world_rotation) @ linear
-    )
+    rotated_linear = so3.to_matrix(world_rotation) @ linear
+    travel.linear[joint] = np.linalg.solve(linear, rotated_linear)
     travel.shifts[joint] = np.linalg.solve(linear, shift)
 
 

@@ -40,29 +40,24 @@ def match_joints(
     >>> match_joints(arm, ["a"], children=True)
     [0, 1]
     """
-    is_selected = [False] * len(rig.joints)
+    selected: set[int] = set()
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        matches = [fnmatchcase(name, pattern) for name in rig.names]
-        if not any(matches):
+        matches = {i for i, name in enumerate(rig.names) if fnmatchcase(name, pattern)}
+        if not matches:
             raise _unknown_joint_error(rig, pattern, "joints")
-        is_selected = [
-            was_selected or is_match
-            for was_selected, is_match in zip(is_selected, matches, strict=True)
-        ]
+        selected |= matches
     if children:
         for i, joint in enumerate(rig.joints):
-            is_selected[i] = is_selected[i] or (
-                joint.parent >= 0 and is_selected[joint.parent]
-            )
-    return [i for i, selected in enumerate(is_selected) if selected]
+            if joint.parent in selected:
+                selected.add(i)
+    return sorted(selected)
 
 
 def _unknown_joint_error(rig: Rig, name: str, option: str) -> OptionError:
     """Return the error of an unknown joint in an option (SCN012)."""
     suggestions = most_similar(name, rig.names)
-    message = (
-        f"{option}: unknown joint {excerpt(name)}; the rig has {listed(rig.names)}"
-    )
+    message = f"{option}: unknown joint {excerpt(name)}; the rig has "
+    message += listed(rig.names)
     hint = f"did you mean {suggestions}?" if suggestions else None
     return OptionError(Fault("SCN012", message, hint=hint))
 
@@ -91,22 +86,18 @@ def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
     rotation = so3.multiply(inverse_rotations, rotations[:, 0])[:, None]
     is_rotated = so3.angle_between(transforms.rotations, rotations[:, 0]) > EQUAL_VALUES
     scale = _joint_scale(take, joint, is_rotated)[:, None]
-    shift = so3.rotate(inverse_rotations, translations[:, 0] - transforms.translations)[
-        :, None
-    ]
-    translations[:, 1:] = (
-        so3.rotate(rotation, scale * translations[:, 1:]) + shift
-    ) / scale
+    offset = translations[:, 0] - transforms.translations
+    shift = so3.rotate(inverse_rotations, offset)[:, None]
+    rotated_offsets = so3.rotate(rotation, scale * translations[:, 1:])
+    translations[:, 1:] = (rotated_offsets + shift) / scale
     rotations[:, 1:] = so3.multiply(rotation, rotations[:, 1:])
     translations[:, 0], rotations[:, 0] = transforms.translations, transforms.rotations
-    return replace(
-        take,
-        motion=replace(
-            motion,
-            translations=motion.translations.put(family, translations),
-            rotations=motion.rotations.put(family, rotations),
-        ),
+    motion = replace(
+        motion,
+        translations=motion.translations.put(family, translations),
+        rotations=motion.rotations.put(family, rotations),
     )
+    return replace(take, motion=motion)
 
 
 def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
@@ -117,15 +108,9 @@ def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
     values = scales.gather(np.array([joint]))[:, 0]
     is_uneven = np.ptp(values, axis=-1) > EQUAL_VALUES * np.abs(values).max(axis=-1)
     if (values == 0).any() or (is_uneven & is_rotated).any():
-        name = take.rig.names[joint]
-        raise OptionError(
-            Fault(
-                "SCN020",
-                f"{name!r} has a scale of 0 or one that differs by axis, which would "
-                "shear the joints below it",
-                hint="scale its children instead",
-            )
-        )
+        message = f"{take.rig.names[joint]!r} has a scale of 0 or one that differs by "
+        message += "axis, which would shear the joints below it"
+        raise OptionError(Fault("SCN020", message, hint="scale its children instead"))
     return values
 
 
@@ -134,9 +119,8 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
 
     The new joint takes the child's index; the child's index grows by one.
     """
-    joints = [
-        replace(j, parent=j.parent + (j.parent >= child)) for j in take.rig.joints
-    ]
+    old_joints = take.rig.joints
+    joints = [replace(j, parent=j.parent + (j.parent >= child)) for j in old_joints]
     parent = joints[child].parent
     joints[child] = replace(joints[child], parent=child)
     joints.insert(child, Joint(name, parent))
@@ -149,9 +133,8 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
             channel.values,
         )
 
-    return _with_changed_channels(
-        take, replace(take.rig, joints=tuple(joints)), insert_row
-    )
+    rig = replace(take.rig, joints=tuple(joints))
+    return _with_changed_channels(take, rig, insert_row)
 
 
 def remove_joint(take: Take, joint: int) -> Take:
@@ -190,9 +173,8 @@ def remove_joint(take: Take, joint: int) -> Take:
             channel.values[:, is_kept],
         )
 
-    smaller_rig = replace(
-        rig, joints=tuple(joints), bind=_bind_poses_without(rig, joint)
-    )
+    bind = _bind_poses_without(rig, joint)
+    smaller_rig = replace(rig, joints=tuple(joints), bind=bind)
     return _with_changed_channels(take, smaller_rig, remove_row)
 
 
@@ -220,16 +202,13 @@ def _with_changed_channels(
 ) -> Take:
     """Return a take with another rig, its channels changed accordingly."""
     motion = take.motion
-    return replace(
-        take,
-        rig=rig,
-        motion=replace(
-            motion,
-            translations=change(motion.translations, np.zeros(3)),
-            rotations=change(motion.rotations, so3.IDENTITY),
-            scales=None if motion.scales is None else change(motion.scales, np.ones(3)),
-        ),
+    motion = replace(
+        motion,
+        translations=change(motion.translations, np.zeros(3)),
+        rotations=change(motion.rotations, so3.IDENTITY),
+        scales=None if motion.scales is None else change(motion.scales, np.ones(3)),
     )
+    return replace(take, rig=rig, motion=motion)
 
 
 def _rest_pose(joint: Joint) -> Pose:
@@ -239,10 +218,8 @@ def _rest_pose(joint: Joint) -> Pose:
 
 def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
     """Compose a parent's pose with a child's, relative to the parent's parent."""
-    translation = (
-        so3.rotate(parent_pose.rotation, pose.translation) + parent_pose.translation
-    )
-    x, y, z = translation.tolist()
+    offset = so3.rotate(parent_pose.rotation, pose.translation)
+    x, y, z = (offset + parent_pose.translation).tolist()
     a, b, c, w = so3.multiply(parent_pose.rotation, pose.rotation).tolist()
     return Pose((x, y, z), (a, b, c, w))
 
@@ -251,14 +228,11 @@ def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
     """Return the bind poses of a rig after a joint is removed."""
     removed_joint = rig.joints[joint]
     bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
-    for rig_joint in rig.joints:
-        if rig_joint.parent == joint and {rig_joint.name, removed_joint.name} & set(
-            rig.bind
-        ):
-            parent_pose = rig.bind.get(removed_joint.name, _rest_pose(removed_joint))
-            bind[rig_joint.name] = _relative_pose(
-                parent_pose, rig.bind.get(rig_joint.name, _rest_pose(rig_joint))
-            )
+    parent_pose = rig.bind.get(removed_joint.name, _rest_pose(removed_joint))
+    for child in rig.joints:
+        if child.parent == joint and {child.name, removed_joint.name} & set(rig.bind):
+            pose = rig.bind.get(child.name, _rest_pose(child))
+            bind[child.name] = _relative_pose(parent_pose, pose)
     return bind
 
 
@@ -268,9 +242,8 @@ def _referenced_joints(rig: Rig) -> set[str]:
     chains = [(chain.root, chain.tip) for chain in rig.chains]
     groups = [*skins, *chains, *(entry.joints for entry in rig.attach)]
     drives = [drive.target for control in rig.controls for drive in control.drives]
-    driven_joints = [
-        t.removeprefix("joint/").split(".")[0] for t in drives if t[:6] == "joint/"
-    ]
+    paths = [target.partition("/") for target in drives]
+    driven_joints = [name.split(".")[0] for kind, _, name in paths if kind == "joint"]
     drivers = [
         *(joint.driven for joint in rig.joints),
         *(shape.driven for shape in rig.shapes),
@@ -281,12 +254,10 @@ def _referenced_joints(rig: Rig) -> set[str]:
         for driver in filter(None, drivers)
     ]
     groups.append(tuple(entry.name for entry in rig.joints if entry.driven is not None))
-    mimics = [joint.mimic.joint for joint in rig.joints if joint.mimic is not None]
-    colliders = [collider.joint for collider in rig.colliders]
-    colliders += [mass.joint for mass in rig.masses]
-    return {name for group in groups for name in group}.union(
-        driven_joints, mimics, colliders
-    )
+    groups.append(tuple(j.mimic.joint for j in rig.joints if j.mimic is not None))
+    groups.append(tuple(collider.joint for collider in rig.colliders))
+    groups.append(tuple(mass.joint for mass in rig.masses))
+    return {name for group in groups for name in group}.union(driven_joints)
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,10 +280,7 @@ class HangOptions:
 
 
 def hang(
-    take: Take,
-    joint: str,
-    ends: FloatArray,
-    axis: Sequence[float] | None = None,
+    take: Take, joint: str, ends: FloatArray, axis: Sequence[float] | None = None
 ) -> Take:
     """Return a take whose joint follows the last segment of a rope.
 
@@ -342,40 +310,27 @@ def hang(
     if rig.joints[j].type is not JointType.FREE:
         message = f"joint {joint!r} is of type {rig.joints[j].type}, and cannot leave "
         raise _hang_error(f"{message}its parent", "joint", "make it `type: free`")
-    frame_and_world, world = np.array([j]), take.world()
+    rows, world = np.array([j]), take.world()
     _check_scales(take, world, j)
     rotation = world.rotations[:, j]
-    local_axis = (
-        _hanging_axis(take, j) if axis is None else np.asarray(axis, np.float64)
-    )
+    down_vector = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
+    rest_rotation = rest_world(take.rig).rotations[0, j]
+    local_axis = so3.rotate(so3.conjugate(rest_rotation), down_vector)
+    if axis is not None:
+        local_axis = np.asarray(axis, np.float64)
     if local_axis.any():
         segment = ends[:, 1] - ends[:, 0]
-        rotation = so3.multiply(
-            _shortest_rotations(so3.rotate(rotation, local_axis), segment), rotation
-        )
-    positions, rotations = _to_parent_space(
-        world, rig.joints[j].parent, ends[:, 1], rotation
-    )
+        swing = _shortest_rotations(so3.rotate(rotation, local_axis), segment)
+        rotation = so3.multiply(swing, rotation)
+    parent = rig.joints[j].parent
+    positions, rotations = _to_parent_space(world, parent, ends[:, 1], rotation)
     rotations = so3.align_signs(rotations)
-    return replace(
-        take,
-        motion=replace(
-            motion,
-            translations=motion.translations.put(
-                frame_and_world, positions[:, None]
-            ).compact(),
-            rotations=motion.rotations.put(
-                frame_and_world, rotations[:, None]
-            ).compact(),
-        ),
+    motion = replace(
+        motion,
+        translations=motion.translations.put(rows, positions[:, None]).compact(),
+        rotations=motion.rotations.put(rows, rotations[:, None]).compact(),
     )
-
-
-def _hanging_axis(take: Take, joint: int) -> FloatArray:
-    """Return the axis that points down at rest, in a joint's frame."""
-    down_vector = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
-    rest_rotation = rest_world(take.rig).rotations[0, joint]
-    return np.asarray(so3.rotate(so3.conjugate(rest_rotation), down_vector))
+    return replace(take, motion=motion)
 
 
 def _shortest_rotations(
@@ -393,13 +348,11 @@ def _shortest_rotations(
         for v, size in zip((start_directions, end_directions), sizes, strict=True)
     )
     cross = np.cross(a, b)
-    angle = np.arctan2(
-        np.linalg.norm(cross, axis=1, keepdims=True), (a * b).sum(1, keepdims=True)
-    )
+    sine = np.linalg.norm(cross, axis=1, keepdims=True)
+    angle = np.arctan2(sine, (a * b).sum(1, keepdims=True))
     # Half a revolution may be about any perpendicular axis.
     perpendicular = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=1)])
-    is_parallel = np.linalg.norm(cross, axis=1, keepdims=True) < 1e-12
-    axis = np.where(is_parallel, perpendicular, cross)
+    axis = np.where(sine < 1e-12, perpendicular, cross)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
     return so3.exp(np.where(is_zero, 0.0, axis * angle))
 
@@ -411,9 +364,8 @@ def _to_parent_space(
     if parent < 0:
         return positions, rotations
     inverse_linear = np.linalg.inv(world.linear[:, parent])
-    local = np.einsum(
-        "fij,fj->fi", inverse_linear, positions - world.positions[:, parent]
-    )
+    offsets = positions - world.positions[:, parent]
+    local = np.einsum("fij,fj->fi", inverse_linear, offsets)
     inverse_parent = so3.conjugate(world.rotations[:, parent])
     return np.ascontiguousarray(local), so3.multiply(inverse_parent, rotations)
 
@@ -437,9 +389,8 @@ def _check_axis(axis: Sequence[float] | None) -> None:
     if axis is None:
         return
     if len(axis) != 3 or not all(math.isfinite(value) for value in axis):
-        raise _hang_error(
-            f"axis must be three finite numbers, not {list(axis)}", "axis"
-        )
+        message = f"axis must be three finite numbers, not {list(axis)}"
+        raise _hang_error(message, "axis")
 
 
 def _require_option(options: HangOptions, key: str) -> None:

@@ -24,6 +24,8 @@ from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
+UNLIMITED = (-np.inf, np.inf)
+
 
 @dataclass
 class _Frame:
@@ -59,23 +61,18 @@ class _ChainBuilder:
         self.balls: dict[int, int] = {}
         self.programs = Programs(rig, pose) if rig.is_driven else None
 
-    def add(
-        self,
-        joint: int,
-        frame: _Frame,
-    ) -> _Frame:
+    def add(self, joint: int, frame: _Frame) -> _Frame:
         """Append a joint's nodes below its rest frame; return the joint's frame."""
         spec = self.rig.joints[joint]
-        match spec.type:
-            case JointType.PIN | JointType.PRISMATIC:
-                return self._add_axis_joint(joint, frame)
-            case JointType.FREE:
-                first = self.slices[joint].start
-                for i in range(3):
-                    frame = self._add_slide(first + i, frame, np.eye(3)[i])
-                return self._add_ball(first + 3, spec, frame)
+        first = self.slices[joint].start
+        if spec.type in {JointType.PIN, JointType.PRISMATIC}:
+            return self._add_axis_joint(joint, frame)
+        if spec.type is JointType.FREE:
+            for i in range(3):
+                frame = self._add_slide(first + i, frame, np.eye(3)[i])
+            return self._add_ball(first + 3, spec, frame)
         self.balls[joint] = len(self.columns)
-        return self._add_ball(self.slices[joint].start, spec, frame)
+        return self._add_ball(first, spec, frame)
 
     def sources(self) -> dict[int, CoordinateSource]:
         """Return the chain coordinates that drivers may read, by joint."""
@@ -84,9 +81,8 @@ class _ChainBuilder:
             if joint.type in {JointType.PIN, JointType.PRISMATIC}:
                 leader, gain, shift = _leader_of(self.rig, j)
                 if leader in self.leader_columns:
-                    sources[j] = CoordinateSource(
-                        self.leader_columns[leader], gain, shift
-                    )
+                    column = self.leader_columns[leader]
+                    sources[j] = CoordinateSource(column, gain, shift)
         return sources
 
     def _add_node(
@@ -112,31 +108,28 @@ class _ChainBuilder:
         """Append a prismatic node along an axis; return the frame that it moves."""
         self.columns.append(column)
         self.lengths.append(True)
-        self.periods.append((-np.inf, np.inf))
-        return self._add_node(
-            SLIDE, frame, _rotation_from_z(axis), len(self.columns) - 1
-        )
+        self.periods.append(UNLIMITED)
+        rotation = _rotation_from_z(axis)
+        return self._add_node(SLIDE, frame, rotation, len(self.columns) - 1)
 
     def _add_axis_joint(self, joint: int, frame: _Frame) -> _Frame:
         """Append the node of a pin or prismatic joint; return its frame."""
         leader, gain, shift = _leader_of(self.rig, joint)
         spec = self.rig.joints[joint]
         kind = PIN if spec.type is JointType.PIN else SLIDE
+        rotation = _rotation_from_z(np.asarray(spec.axis, np.float64))
         if self.programs is not None and joint in self.programs.plan.joints:
-            rotation = _rotation_from_z(np.asarray(spec.axis, np.float64))
             program = self.programs.request_index(joint)
             return self._add_node(
                 kind, frame, rotation, program, driver_kind=FOLLOWS_PROGRAM
             )
-        rotation = _rotation_from_z(np.asarray(spec.axis, np.float64))
         if leader in self.leader_columns:
             column = self.leader_columns[leader]
             return self._add_node(
                 kind, frame, rotation, column, driver_kind=1, gain=(gain, shift)
             )
-        low, high = self.ranges.get(leader, (-np.inf, np.inf))
-        leader_joint = self.rig.joints[leader]
-        is_length = leader_joint.type is JointType.PRISMATIC
+        low, high = self.ranges.get(leader, UNLIMITED)
+        is_length = self.rig.joints[leader].type is JointType.PRISMATIC
         column = self.leader_columns[leader] = len(self.columns)
         self.columns.append(self.slices[leader].start)
         self.lengths.append(is_length)
@@ -146,15 +139,10 @@ class _ChainBuilder:
             and gain == 1.0
         )
         has_period = is_unlimited and math.isfinite(high - low)
-        self.periods.append((low, high) if has_period else (-np.inf, np.inf))
-        limits_of_angle = (-np.inf, np.inf) if is_unlimited else (low, high)
+        self.periods.append((low, high) if has_period else UNLIMITED)
+        limit = (*(UNLIMITED if is_unlimited else (low, high)), 0.0, 0.0)
         return self._add_node(
-            kind,
-            frame,
-            rotation,
-            column,
-            gain=(gain, shift),
-            limit=(*limits_of_angle, 0.0, 0.0),
+            kind, frame, rotation, column, gain=(gain, shift), limit=limit
         )
 
     def _add_ball(self, column: int, spec: Joint, frame: _Frame) -> _Frame:
@@ -165,14 +153,14 @@ class _ChainBuilder:
             basis = np.stack([first_swing_axis, second_swing_axis, twist_axis], axis=1)
             rotation = so3.from_matrix(basis)
             swing = spec.limits.swing or (np.inf, np.inf)
-            twist = spec.limits.twist or (-np.inf, np.inf)
+            twist = spec.limits.twist or UNLIMITED
             if twist[1] - twist[0] >= 2 * np.pi - REVOLUTION_TOLERANCE:
-                twist = (-np.inf, np.inf)
+                twist = UNLIMITED
             limit = (*swing, *twist)
         first_column = len(self.columns)
         self.columns += range(column, column + 4)
         self.lengths += [False] * 4
-        self.periods += [(-np.inf, np.inf)] * 4
+        self.periods += [UNLIMITED] * 4
         self.ball_rotations.append((first_column, so3.conjugate(rotation)))
         return self._add_node(BALL, frame, rotation, first_column, limit=limit)
 
@@ -209,11 +197,10 @@ def _coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
         leader, gain, shift = _leader_of(rig, j)
         if gain == 0:
             continue
-        leader_limits = sorted(
-            [(joint.limits.low - shift) / gain, (joint.limits.high - shift) / gain]
-        )
-        low, high = ranges.get(leader, (-np.inf, np.inf))
-        ranges[leader] = max(low, leader_limits[0]), min(high, leader_limits[1])
+        ends = (joint.limits.low, joint.limits.high)
+        first, last = sorted((end - shift) / gain for end in ends)
+        low, high = ranges.get(leader, UNLIMITED)
+        ranges[leader] = max(low, first), min(high, last)
     return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
 
 
@@ -230,23 +217,20 @@ def assemble(
     joints_above_goals = {
         j for goal in goals for j in rig.upwards(rig.index(goal.joint))
     }
-    for j in sorted(joints_above_goals):
-        joint = rig.joints[j]
-        at_root = _Frame(-1, np.zeros(3), so3.IDENTITY)
-        parent = frames[joint.parent] if joint.parent >= 0 else at_root
+    at_root = _Frame(-1, np.zeros(3), so3.IDENTITY)
+    rest_poses = zip(rig.rest_translations, rig.rest_rotations, strict=True)
+    poses = list(zip(local.translations[0], local.rotations[0], strict=True))
+    for j, rest in enumerate(rest_poses):
+        if j not in joints_above_goals:
+            continue
+        parent = frames.get(rig.joints[j].parent, at_root)
         if j in moving:
-            rest_frame = parent.transform(
-                rig.rest_translations[j], rig.rest_rotations[j]
-            )
-            frames[j] = builder.add(j, rest_frame)
+            frames[j] = builder.add(j, parent.transform(*rest))
         else:
-            frames[j] = parent.transform(
-                local.translations[0, j], local.rotations[0, j]
-            )
+            frames[j] = parent.transform(*poses[j])
     for j in sorted(moving - joints_above_goals):
-        # Joints that move goals only through mimic joints: their position is
-        # irrelevant.
-        builder.add(j, _Frame(-1, np.zeros(3), so3.IDENTITY))
+        # They move goals only through mimic joints: their position is irrelevant.
+        builder.add(j, at_root)
     limbs, faults = _limbs(rig, goals, moving, frames, local)
     return _build_chain(builder, rig, goals, frames, limbs), faults
 
@@ -259,27 +243,24 @@ def _limbs(
     local: LocalTransforms,
 ) -> tuple[list[tuple[int, int]], list[Fault]]:
     """Return the root and middle node of each goal's limb, and the faults of limbs."""
+    limbs = [(-1, -1)] * len(goals)
+    faults: list[Fault] = []
     if not any(goal.pole > 0 for goal in goals):
-        return [(-1, -1)] * len(goals), []
+        return limbs, faults
     world = forward_kinematics(rig, local.translations, local.rotations)
     origins = world.positions[0]
-    limbs, faults = [], []
     for i, goal in enumerate(goals):
         if goal.pole <= 0:
-            limbs.append((-1, -1))
             continue
         tip = rig.index(goal.joint)
         point = origins[tip] + world.linear[0, tip] @ np.asarray(goal.offset)
         limb = limb_joints(rig, goal, moving, origins, point)
         if limb is None:
-            message = (
-                f"the pole of {goal.joint!r} needs a limb of two bones that ends there"
-            )
-            faults.append(Fault("IK004", message, where=f"goals[{i}]"))
-            limbs.append((-1, -1))
-            continue
-        root, middle = limb
-        limbs.append((frames[root].node, frames[middle].node))
+            message = f"the pole of {goal.joint!r} needs a limb of two bones that ends"
+            faults.append(Fault("IK004", f"{message} there", where=f"goals[{i}]"))
+        else:
+            root, middle = limb
+            limbs[i] = (frames[root].node, frames[middle].node)
     return limbs, faults
 
 
@@ -311,13 +292,11 @@ def _build_chain(
         ]
         for goal, end, tool in zip(goals, goal_frames, tools, strict=True)
     ]
+    levels = _priority_levels(goals)
     goal_nodes = [
         [end.node, *limb, level]
-        for end, limb, level in zip(
-            goal_frames, limbs, _priority_levels(goals), strict=True
-        )
+        for end, limb, level in zip(goal_frames, limbs, levels, strict=True)
     ]
-    degrees_by_kind = {PIN: 1, SLIDE: 1, BALL: 3}
     return Chain(
         nodes,
         numbers,
@@ -329,7 +308,7 @@ def _build_chain(
         np.array(builder.periods, np.float64),
         tuple(builder.ball_rotations),
         sum(
-            degrees_by_kind[kind]
+            3 if kind == BALL else 1
             for kind, _, _, follows in builder.nodes
             if not follows
         ),
@@ -348,9 +327,8 @@ def _node_rows(
     node_scales = np.where(nodes[:, 0] == SLIDE, length, 1.0)
     programs = nodes[:, 3] == FOLLOWS_PROGRAM
     # Programs return metres and radians.
-    coordinate_scales = np.where(
-        programs, 1.0, scales[np.where(programs, 0, nodes[:, 2])]
-    )
+    columns = np.where(programs, 0, nodes[:, 2])
+    coordinate_scales = np.where(programs, 1.0, scales[columns])
     gains = np.array(builder.gains)
     limits = np.array(builder.limits)
     single_columns = nodes[:, 0] != BALL
@@ -366,9 +344,8 @@ def _node_rows(
         axis=1,
     )
     if builder.programs is not None:
-        requested, program_rows, values = builder.programs.rows(
-            builder.sources(), scales
-        )
+        sources = builder.sources()
+        requested, program_rows, values = builder.programs.rows(sources, scales)
         nodes[programs, 2] = np.array(requested, np.int64)[nodes[programs, 2]]
         padding = np.zeros((len(program_rows), node_numbers.shape[1]))
         padding[:, :6] = np.array(values).reshape(-1, 6)
@@ -397,11 +374,10 @@ def _chain_length(
     )
     if longest > 0:
         return longest
+    nodes = zip(builder.nodes, builder.limits, strict=True)
     slide_ranges = [
         high - low
-        for (kind, *_), (low, high, *_) in zip(
-            builder.nodes, builder.limits, strict=True
-        )
+        for (kind, *_), (low, high, *_) in nodes
         if kind == SLIDE and 0 < high - low < np.inf
     ]
     return float(max(slide_ranges, default=1.0))

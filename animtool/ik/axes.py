@@ -41,19 +41,14 @@ def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | No
     if not distances[1] <= limb_length < distances[0]:
         return None
     axes = "[x, z, -y]" if rig.up is UpAxis.Y else "[x, -z, y]"
-    return (
-        f"the rig is {rig.up}-up: if the targets are {other_up}-up, write [x, y, z] as "
-        f"{axes}"
-    )
+    text = f"the rig is {rig.up}-up: if the targets are {other_up}-up, write [x, y, z]"
+    return f"{text} as {axes}"
 
 
 def unit_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
     """Return a hint if a missed target would be in reach with a smaller unit.
 
-    Args:
-        solved_take: The solved take.
-        goal_index: A goal whose position is missed.
-        frame: Time code of a miss.
+    The arguments are those of `up_axis_hint`.
     """
     target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
     if target is None:
@@ -77,10 +72,7 @@ def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None
 
     The joints are the root of the rig and that of the limb, at rest.
 
-    Args:
-        solved_take: The solved take.
-        goal_index: A goal whose position is missed.
-        frame: Time code of a miss.
+    The arguments are those of `up_axis_hint`.
     """
     target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
     if target is None:

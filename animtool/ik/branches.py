@@ -71,13 +71,12 @@ class Interval:
         self, starts: FloatArray, frames: IntArray, steps: int = START_ITERATIONS
     ) -> tuple[FloatArray, FloatArray]:
         """Solve frames of the clip from starts; return poses ``(B, C)`` and costs."""
-        rows = self.problem.chain.into_rig(starts, self._empty_rows(len(starts)))
+        rows = self._rig_rows(starts)
         frame_options = replace(self.options, warm=False, restarts=0, iterations=steps)
         result = self._solve(rows, frames, frame_options)
         poses = self.chain.from_rig(result.coordinates)
-        misses = weight_misses(
-            self.problem, result.misses, targets_of_frames(self.targets, frames)
-        )
+        targets = targets_of_frames(self.targets, frames)
+        misses = weight_misses(self.problem, result.misses, targets)
         return poses, miss_cost(misses, result.converged)
 
     def track(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
@@ -85,7 +84,7 @@ class Interval:
         frame_options = replace(
             self.options, warm=True, restarts=0, iterations=TRACK_ITERATIONS
         )
-        start = self.problem.chain.into_rig(pose[None], self._empty_rows(1))[0]
+        start = self._rig_rows(pose[None])[0]
         poses = np.zeros((len(rows), len(pose)))
         for first in range(0, len(rows), TRACK_BATCH):
             batch = slice(first, min(first + TRACK_BATCH, len(rows)))
@@ -105,13 +104,10 @@ class Interval:
         preferred = self.preferred[frames]
         return solve(self.problem, starts, targets, options, prefer=preferred)
 
-    def _empty_rows(self, count: int) -> FloatArray:
-        """Return zero rig coordinates, as a buffer for coordinates of the chain."""
-        return np.zeros((count, self.problem.coordinates))
-
-    def difference_from_reference(self, poses: FloatArray, row: int) -> FloatArray:
-        """Return the difference of poses from a reference row ``(..., D)``."""
-        return difference(self.chain, self.reference[row], poses)
+    def _rig_rows(self, poses: FloatArray) -> FloatArray:
+        """Return poses of the chain as rig coordinates ``(B, Q)``, else zero."""
+        rows = np.zeros((len(poses), self.problem.coordinates))
+        return self.chain.into_rig(poses, rows)
 
 
 def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArray:
@@ -145,9 +141,8 @@ def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:
     [fraction of the length] costs as little as that one.
     """
     smallest = costs.min(axis=0)
-    limit = np.where(
-        smallest > 0, MISS_COST * (1.0 + (miss_of_cost(smallest) + slack) ** 2), 0.0
-    )
+    slack_cost = MISS_COST * (1.0 + (miss_of_cost(smallest) + slack) ** 2)
+    limit = np.where(smallest > 0, slack_cost, 0.0)
     return np.where(costs <= limit, smallest, costs)
 
 
@@ -174,8 +169,7 @@ def find_branches(
     if not len(distinct):
         distinct = solutions[np.argsort(cost, kind="stable")[:1]]
     tracks, costs = track_both_directions(interval, distinct, jump_row)
-    current_path = interval.poses[None]
-    paths = [current_path, tracks]
+    paths = [interval.poses[None], tracks]
     all_costs = [interval.costs[None], costs]
     for path, cost in _blend_paths(interval, tracks, jump_row):
         paths.append(path[None])
@@ -199,10 +193,9 @@ def branch_tracks(
         frames = np.full(len(starts), interval.frames[row])
         solutions, cost = interval.solve_frames(np.array(starts), frames)
         distinct = _distinct(interval.chain, solutions[cost <= cost.min() + EQUAL_COST])
-        distances = np.abs(difference(interval.chain, current_pose, distinct)).max(
-            axis=1
-        )
-        distinct = distinct[np.argsort(distances, kind="stable")[:SOLUTIONS_PER_SAMPLE]]
+        steps = np.abs(difference(interval.chain, current_pose, distinct))
+        order = np.argsort(steps.max(axis=1), kind="stable")
+        distinct = distinct[order[:SOLUTIONS_PER_SAMPLE]]
         tracks, costs = track_both_directions(interval, distinct, row, TRACK_ITERATIONS)
         paths.append(tracks)
         all_costs.append(costs)
@@ -230,25 +223,17 @@ def search_long_interval(
         )
         solutions, cost = interval.solve_frames(np.array(list(starts)), frames)
         layer = 1 + i % MAX_LAYERS * SOLUTIONS_PER_SAMPLE
-        paths[
-            layer : layer + SOLUTIONS_PER_SAMPLE,
-            max(row - search_reach, 0) : row + search_reach,
-        ] = solutions[:, None]
+        nearby = slice(max(row - search_reach, 0), row + search_reach)
+        paths[layer : layer + SOLUTIONS_PER_SAMPLE, nearby] = solutions[:, None]
         for k in np.flatnonzero(cost == 0):
-            for direction in (
-                slice(row, min(row + search_reach, length)),
-                slice(row, row - search_reach, -1),
+            for rows in (
+                np.arange(row, min(row + search_reach, length)),
+                np.arange(row, max(row - search_reach, -1), -1),
             ):
-                rows = np.arange(length)[_index_slice(direction)]
                 poses, is_reached = interval.track(solutions[k], rows)
                 paths[layer + k, rows[:is_reached]] = poses[:is_reached]
                 costs[layer + k, rows[:is_reached]] = 0.0
     return paths, costs
-
-
-def _index_slice(rows: slice) -> slice:
-    """Replace a negative stop of a slice by None, so that it includes index 0."""
-    return slice(rows.start, None, rows.step) if rows.stop < 0 else rows
 
 
 def _random_starts(
@@ -271,9 +256,8 @@ def random_poses(
         ):
             fraction, (low, high) = rng.uniform(-1, 1), numbers[14:16]
             if kind != BALL and not follows and np.isfinite([low, high]).all():
-                pose[column] = (low + high) / 2 + fraction * min(
-                    (high - low) / 2, np.pi
-                )
+                half_range = min((high - low) / 2, np.pi)
+                pose[column] = (low + high) / 2 + fraction * half_range
         yield pose
 
 
@@ -281,10 +265,10 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
     """Return the poses that differ from all earlier ones by more than `SAME_BRANCH`."""
     distinct: list[FloatArray] = []
     for pose in poses:
-        if not distinct or (
-            np.abs(difference(chain, np.array(distinct), pose)).max(axis=1).min()
-            > SAME_BRANCH
-        ):
+        steps = (
+            np.abs(difference(chain, np.array(distinct), pose)) if distinct else None
+        )
+        if steps is None or steps.max(axis=1).min() > SAME_BRANCH:
             distinct.append(pose)
     return np.array(distinct).reshape(-1, poses.shape[-1])
 
@@ -300,7 +284,8 @@ def track_both_directions(
         current = poses
         for row in range(start_row, stop, direction):
             if row != start_row:
-                change = interval.difference_from_reference(current, row - direction)
+                previous = interval.reference[row - direction]
+                change = difference(interval.chain, previous, current)
                 current = apply_steps(interval.chain, interval.reference[row], change)
             frames = np.full(len(current), interval.frames[row])
             current, costs[:, row] = interval.solve_frames(current, frames, steps)

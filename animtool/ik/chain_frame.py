@@ -17,7 +17,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, targets_of_frames
+from animtool.ik.goals import KINDS, Goal, Targets, targets_of_frames
 from animtool.ik.problem import build
 from animtool.maths import so3
 from animtool.motion.take import Take
@@ -47,21 +47,18 @@ class SolveSpan:
 
     def to_chain_frame(self, targets: Targets) -> Targets:
         """Return the span's targets in the carrier frame of its first pose."""
-        rotation = so3.multiply(
-            self.carrier_rotations[:1], so3.conjugate(self.carrier_rotations)
-        )
-
+        inverse = so3.conjugate(self.carrier_rotations)
+        rotation = so3.multiply(self.carrier_rotations[:1], inverse)
         span_targets = targets_of_frames(targets, self.frames)
         values_by_kind = {}
         for kind in KINDS:
             values = np.asarray(getattr(span_targets, kind.targets_field))
-            if kind.value_type is TargetValue.ROTATION:
+            if kind.is_rotation:
                 values_by_kind[kind.targets_field] = so3.multiply(rotation, values)
             else:
                 offsets = so3.rotate(rotation, values - self.carrier_positions)
-                values_by_kind[kind.targets_field] = np.asarray(
-                    self.carrier_positions[:1] + offsets
-                )
+                positions = self.carrier_positions[:1] + offsets
+                values_by_kind[kind.targets_field] = np.asarray(positions)
         return replace(span_targets, **values_by_kind)
 
 
@@ -120,11 +117,10 @@ def spans_of_take(
         name for name, values in controls.items() if (values != values[0]).any()
     ]
     count = len(coordinates)
-    spans = (
-        [slice(f, f + 1) for f in range(count)]
-        if moving_between or changing_controls
-        else [slice(0, count)]
-    )
+    if moving_between or changing_controls:
+        spans = [slice(f, f + 1) for f in range(count)]
+    else:
+        spans = [slice(0, count)]
     positions, rotations = _carrier_transforms(world, carriers)
     path_joint_list = sorted({j for path in paths for j in path})
     spans_of_frames = [
@@ -190,9 +186,8 @@ def _effective_rest_poses(
     modeled_poses = local_from_coordinates(rig, coordinates)
     inverse_rest = so3.conjugate(rig.rest_rotations)
     motion_rotations = so3.multiply(inverse_rest, modeled_poses.rotations)
-    motion_translations = so3.rotate(
-        inverse_rest, modeled_poses.translations - rig.rest_translations
-    )
+    offsets = modeled_poses.translations - rig.rest_translations
+    motion_translations = so3.rotate(inverse_rest, offsets)
     rotations = so3.multiply(local.rotations, so3.conjugate(motion_rotations))
     translations = local.translations - so3.rotate(rotations, motion_translations)
     return LocalTransforms(translations, rotations)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, fields, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from animtool.ik.jumps import jump_threshold
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.path import build_frame_path, find_jumping_frames, with_poses
 from animtool.ik.problem import Problem
-from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.result import PER_PROBLEM_ARRAYS, IkResult, IkStatus
 from animtool.ik.solving import pose_rows, solve
 
 # A step below this fraction of the jump threshold is smooth: no smoother path is
@@ -89,11 +89,9 @@ class ClipPath:
         self.frame_path = build_frame_path(problem, targets, start, options.solving)
         self.start = pose_rows(problem, start, len(self.frame_path.targets), "start")
         self.is_motion = start is not None and np.ndim(start) == 2
-        self.prefer = (
-            self.start
-            if prefer is None
-            else pose_rows(problem, prefer, len(self.start), "prefer")
-        )
+        self.prefer = self.start
+        if prefer is not None:
+            self.prefer = pose_rows(problem, prefer, len(self.start), "prefer")
         self.reference = problem.chain.from_rig(self.start)
         self.jump_threshold = jump_threshold(options.fps)
         self.least_costs = np.full(len(self.start), np.inf)
@@ -116,11 +114,10 @@ class ClipPath:
         frame_options = replace(
             self.options.solving, ordered=True, warm=not self.is_motion
         )
+        is_per_frame = self.is_motion or not len(starts)
         return solve(
             self.problem,
-            starts[frames]
-            if self.is_motion or not len(starts)
-            else starts[frames.start],
+            starts[frames] if is_per_frame else starts[frames.start],
             targets_of_frames(self.targets, frames),
             frame_options,
             prefer=self.prefer[frames],
@@ -138,9 +135,8 @@ class ClipPath:
 
         ``poses`` ``(L, C)`` of the frames from the first on.
         """
-        steps = self.frame_path.select_frames(slice(first, first + len(poses))).steps(
-            poses
-        )
+        frames = slice(first, first + len(poses))
+        steps = self.frame_path.select_frames(frames).steps(poses)
         return np.asarray(np.abs(steps).max(axis=1, initial=0.0) / self.jump_threshold)
 
     def max_jump_ratio(self, poses: FloatArray, first: int) -> float:
@@ -152,23 +148,19 @@ class ClipPath:
         frame_path = self.frame_path.select_frames(window)
         misses_in_tolerances = frame_path.measure_misses(poses)
         misses = misses_in_tolerances * by_unit(self.problem.length, 1.0)
-        weighted_misses = weight_misses(
-            self.problem, misses, targets_of_frames(self.targets, window)
-        )
+        targets = targets_of_frames(self.targets, window)
+        weighted_misses = weight_misses(self.problem, misses, targets)
+        is_reached = frame_path.max_tolerance_ratio(misses_in_tolerances) <= 1
+        free_step = SMOOTH_ENOUGH * self.jump_threshold
         return Interval(
             self.problem,
             self.targets,
             range(window.start, window.stop),
             frame,
             poses,
-            miss_cost(
-                weighted_misses,
-                frame_path.max_tolerance_ratio(misses_in_tolerances) <= 1,
-            ),
+            miss_cost(weighted_misses, is_reached),
             self.reference[window],
-            np.full(
-                len(frame_path.preserved_steps), SMOOTH_ENOUGH * self.jump_threshold
-            ),
+            np.full(len(frame_path.preserved_steps), free_step),
             self.prefer,
             replace(self.options.solving, method=IkMethod.DAMPED),
         )
@@ -225,42 +217,27 @@ class ClipPath:
         current_poses = self.chain_poses(result)
         misses = self.frame_path.select_frames(window).measure_misses(poses)
         window_result = with_poses(
-            _select_frames(result, window), poses, misses, self.frame_path
+            result.select(window), poses, misses, self.frame_path
         )
-        results = [_select_frames(result, slice(0, window.start)), window_result]
+        results = [result.select(slice(0, window.start)), window_result]
         later_frames = slice(window.stop, len(self))
         if later_frames.start < len(self):
-            is_unchanged = np.abs(
-                difference(chain, current_poses[later_frames.start - 1], poses[-1])
-            ).max()
-            if self.is_motion or is_unchanged < EQUAL_POSES:
-                results.append(_select_frames(result, later_frames))
+            previous_end = current_poses[later_frames.start - 1]
+            change = np.abs(difference(chain, previous_end, poses[-1])).max()
+            if self.is_motion or change < EQUAL_POSES:
+                results.append(result.select(later_frames))
             else:
-                starts = np.broadcast_to(
-                    window_result.coordinates[-1], self.start.shape
-                )
+                last_pose = window_result.coordinates[-1]
+                starts = np.broadcast_to(last_pose, self.start.shape)
                 results.append(self.solve_frames(later_frames, starts))
         return _concatenate(results)
 
 
-def _select_frames(result: IkResult, frames: slice) -> IkResult:
-    """Return the result of the selected frames."""
-    values = {name: getattr(result, name)[frames] for name in _per_frame_fields()}
-    return replace(result, **values)
-
-
 def _concatenate(results: Sequence[IkResult]) -> IkResult:
     """Concatenate results along the frame axis."""
-    values: dict[str, Any] = {}
-    for name in _per_frame_fields():
-        field_values = [getattr(result, name) for result in results]
-        if name == "statuses":
-            values[name] = tuple(status for result in field_values for status in result)
-        else:
-            values[name] = np.concatenate(field_values)
-    return replace(results[0], **values)
-
-
-def _per_frame_fields() -> list[str]:
-    """Return the names of the result fields that hold a value for each frame."""
-    return [f.name for f in fields(IkResult) if f.name not in {"problem", "jumps"}]
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(result, name) for result in results])
+        for name in PER_PROBLEM_ARRAYS
+    }
+    statuses = tuple(status for result in results for status in result.statuses)
+    return replace(results[0], statuses=statuses, **arrays)

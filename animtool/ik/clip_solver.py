@@ -99,13 +99,9 @@ def follow(
     if options.smooth > 0:
         source_motion = start if clip.is_motion else None
         result = smooth(
-            result,
-            targets,
-            options.smooth,
-            fps=options.fps,
-            start=source_motion,
-            options=options.solving,
-        )
+            result, targets, options.smooth,
+            fps=options.fps, start=source_motion, options=options.solving,
+        )  # fmt: skip
     return replace(result, jumps=find_clip_jumps(result, targets, start, options.fps))
 
 
@@ -170,12 +166,11 @@ def _is_avoidable(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
     frame_pairs, costs = find_branches(interval, options.branches, options.solving.seed)
+    frame_pairs = frame_pairs[(costs <= interval.costs + EQUAL_COST).all(axis=1)]
     current_ratio = clip.max_jump_ratio(poses[window], window.start)
     return any(
         clip.max_jump_ratio(frame_pair, window.start) < MIN_REDUCTION * current_ratio
-        for frame_pair in frame_pairs[
-            (costs <= interval.costs + EQUAL_COST).all(axis=1)
-        ]
+        for frame_pair in frame_pairs
     )
 
 
@@ -211,27 +206,22 @@ def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
     interval = clip.interval(poses, all_frames, int(frames[0]))
     costs = clip.interval(independent_poses, all_frames, int(frames[0])).costs
     clip.least_costs = np.minimum(interval.costs, costs)
-    equalized_costs = equalize_near_misses(
-        np.stack([interval.costs, costs]), clip.slack
-    )
-    improvements = np.where(
-        equalized_costs[0] > equalized_costs[1], interval.costs - costs, 0.0
-    )
+    all_costs = np.stack([interval.costs, costs])
+    current, independent = equalize_near_misses(all_costs, clip.slack)
+    improvements = np.where(current > independent, interval.costs - costs, 0.0)
     if not improvements.any():
         return result
-    paths = [poses[None], independent_poses[None]]
-    all_costs = [interval.costs[None], costs[None]]
+    paths, path_costs = [poses[None], independent_poses[None]], [all_costs]
     for row in np.argsort(-improvements, kind="stable")[:MAX_SEARCHES]:
         if improvements[row] > 0:
             tracks, cost = track_both_directions(
                 interval, independent_poses[row : row + 1], int(row)
             )
             paths.append(tracks)
-            all_costs.append(cost)
-    candidates = np.concatenate(paths), np.concatenate(all_costs)
-    return clip.with_window(
-        result, all_frames, clip.best_route(interval, *candidates, free_start=True)
-    )
+            path_costs.append(cost)
+    candidates = np.concatenate(paths), np.concatenate(path_costs)
+    route = clip.best_route(interval, *candidates, free_start=True)
+    return clip.with_window(result, all_frames, route)
 
 
 def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
@@ -239,20 +229,6 @@ def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult
     poses = clip.chain_poses(result)
     smallest_ratio = clip.max_jump_ratio(poses[frame - 1 : frame + 1], frame - 1)
     best_result: tuple[slice, FloatArray] | None = None
-    for first in _window_starts(clip, frame):
-        frames_after = min(frame - first, round(MAX_INTERVAL_AFTER * clip.options.fps))
-        window = slice(first, min(frame + frames_after + 1, len(clip)))
-        detour = _best_window_path(clip, poses, window, frame)
-        ratio = clip.max_jump_ratio(detour, first)
-        if ratio < MIN_REDUCTION * smallest_ratio:
-            smallest_ratio, best_result = ratio, (window, detour)
-        if smallest_ratio <= SMOOTH_ENOUGH:
-            break
-    return result if best_result is None else clip.with_window(result, *best_result)
-
-
-def _window_starts(clip: ClipPath, frame: int) -> list[int]:
-    """Return the first frames of the intervals to search, the shortest first."""
     starts: list[int] = []
     seconds_before = FIRST_INTERVAL
     while seconds_before <= clip.options.back and (not starts or starts[-1] > 0):
@@ -260,20 +236,21 @@ def _window_starts(clip: ClipPath, frame: int) -> list[int]:
         if start < frame and start not in starts:
             starts.append(start)
         seconds_before *= 2
-    return starts
-
-
-def _best_window_path(
-    clip: ClipPath, poses: FloatArray, window: slice, frame: int
-) -> FloatArray:
-    """Return the best path through a window, with its speed evened out."""
-    interval = clip.interval(poses[window], window, frame)
-    options = clip.options
-    paths, costs = find_branches(interval, options.branches, options.solving.seed)
-    fixed_end = (clip.is_motion or _has_small_solution_set(clip)) and window.stop < len(
-        clip
-    )
-    return _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
+    for first in starts:
+        frames_after = min(frame - first, round(MAX_INTERVAL_AFTER * clip.options.fps))
+        window = slice(first, min(frame + frames_after + 1, len(clip)))
+        interval = clip.interval(poses[window], window, frame)
+        options = clip.options
+        paths, costs = find_branches(interval, options.branches, options.solving.seed)
+        is_inside = window.stop < len(clip)
+        fixed_end = is_inside and (clip.is_motion or _has_small_solution_set(clip))
+        detour = _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
+        ratio = clip.max_jump_ratio(detour, first)
+        if ratio < MIN_REDUCTION * smallest_ratio:
+            smallest_ratio, best_result = ratio, (window, detour)
+        if smallest_ratio <= SMOOTH_ENOUGH:
+            break
+    return result if best_result is None else clip.with_window(result, *best_result)
 
 
 def _best_even_path(
@@ -290,9 +267,8 @@ def _best_even_path(
     """
     window = slice(interval.frames.start, interval.frames.stop)
     path = clip.frame_path.select_frames(window)
-    best_even_path = path.even_speed(
-        clip.best_route(interval, paths, costs, fixed_end=fixed_end)
-    )[0]
+    route = clip.best_route(interval, paths, costs, fixed_end=fixed_end)
+    best_even_path = path.even_speed(route)[0]
     smallest_ratio = clip.max_jump_ratio(best_even_path, window.start)
     if window.start > 0 or smallest_ratio <= 1:
         return best_even_path
@@ -300,12 +276,8 @@ def _best_even_path(
         interval, paths, costs, fixed_end=fixed_end, free_start=True
     )
     free_route = path.even_speed(free_route, free_start=True)[0]
-    return (
-        free_route
-        if clip.max_jump_ratio(free_route, window.start)
-        < MIN_REDUCTION * smallest_ratio
-        else best_even_path
-    )
+    ratio = clip.max_jump_ratio(free_route, window.start)
+    return free_route if ratio < MIN_REDUCTION * smallest_ratio else best_even_path
 
 
 def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
@@ -347,9 +319,8 @@ def _even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
     for frame in clip.find_jumping_frames(poses).tolist():
         for seconds in (FIRST_INTERVAL, 2 * FIRST_INTERVAL, 4 * FIRST_INTERVAL):
             half_width = max(round(seconds * clip.options.fps), 2)
-            window = slice(
-                max(frame - half_width, 0), min(frame + half_width, len(clip))
-            )
+            end = min(frame + half_width, len(clip))
+            window = slice(max(frame - half_width, 0), end)
             path = clip.frame_path.select_frames(window)
             smallest_ratio = clip.max_jump_ratio(poses[window], window.start)
             # The first pose of the clip moves only if that reduces a jump.

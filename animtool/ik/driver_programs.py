@@ -98,6 +98,9 @@ class Programs:
     requested: dict[str, int] = field(default_factory=dict)
     # Number of each program by target, in evaluation order.
     _numbers: dict[str, int] = field(default_factory=dict, init=False)
+    # Chain coordinates by joint, and the divisor of each coordinate.
+    _sources: Mapping[int, CoordinateSource] = field(default_factory=dict, init=False)
+    _scales: FloatArray = field(default_factory=lambda: np.zeros(0), init=False)
 
     @property
     def plan(self) -> DriverPlan:
@@ -120,6 +123,7 @@ class Programs:
             sources: Chain coordinates by joint.
             scales: Divisor of each chain coordinate.
         """
+        self._sources, self._scales = sources, scales
         needed_inputs = set(self.requested)
         for target in reversed(self.plan.order):
             if target in needed_inputs:
@@ -129,11 +133,10 @@ class Programs:
         nodes: list[list[int]] = []
         numbers: list[list[float]] = []
         for target, number in self._numbers.items():
-            for name, reference, values in self._program_rows(target, sources, scales):
+            for name, reference, values in self._program_rows(target):
                 # The reference is counted from 1: 0 marks joint rows.
-                nodes.append(
-                    [INSTRUCTION, number, _OPERATION_NUMBERS[name], reference + 1]
-                )
+                operation = _OPERATION_NUMBERS[name]
+                nodes.append([INSTRUCTION, number, operation, reference + 1])
                 numbers.append([*values, *[0.0] * (6 - len(values))])
         return [self._numbers[target] for target in self.requested], nodes, numbers
 
@@ -174,44 +177,37 @@ class Programs:
             if drive.target == f"control/{control}"
         ]
 
-    def _program_rows(
-        self, target: str, sources: Mapping[int, CoordinateSource], scales: FloatArray
-    ) -> list[_Row]:
+    def _program_rows(self, target: str) -> list[_Row]:
         """Return the rows that compute a target: a control or a driven joint."""
         kind, _, name = target.partition("/")
         if kind == "control":
             control = self._control_of(name)
             if control.driven is not None:
-                return self._driver_rows(control.driven, sources, scales)
+                return self._driver_rows(control.driven)
             rows: list[_Row] = [("number", 0, (control.default,))]
             for drive in self._drives_of(name):
-                rows += [*self._driver_rows(drive, sources, scales), ("+", 0, ())]
+                rows += [*self._driver_rows(drive), ("+", 0, ())]
             return rows
         joint = self.rig.index(name)
         driven, spec = self.plan.driver_of(joint), self.rig.joints[joint]
         if isinstance(driven, Mimic):
             leader = self.rig.joints[self.rig.index(driven.joint)]
             part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
-            rows = self._source_rows(f"{leader.name}.{part}", sources, scales)
+            rows = self._source_rows(f"{leader.name}.{part}")
             rows += [*_multiply_rows(driven.gain), *_add_rows(driven.offset)]
         else:
-            rows = self._driver_rows(driven, sources, scales)
+            rows = self._driver_rows(driven)
         if isinstance(spec.limits, RangeLimit):
             limits = (spec.limits.low, spec.limits.high)
             rows += [("number", 0, (limit,)) for limit in limits]
             rows.append(("clamp", 0, ()))
         return rows
 
-    def _driver_rows(
-        self,
-        driver: Driver,
-        sources: Mapping[int, CoordinateSource],
-        scales: FloatArray,
-    ) -> list[_Row]:
+    def _driver_rows(self, driver: Driver) -> list[_Row]:
         """Return the rows that evaluate a driver's expression and curve."""
         rows: list[_Row] = []
         if driver.expression is None:
-            rows += self._input_rows(driver, driver.curve_input, sources, scales)
+            rows += self._input_rows(driver, driver.curve_input)
             slopes = [0.0] * len(driver.curve)
             if driver.smooth and len(driver.curve) > 1:
                 slopes = smooth_slopes(driver.curve).tolist()
@@ -223,27 +219,19 @@ class Programs:
         else:
             for kind, value in driver.expression.postfix_program():
                 if kind == "name":
-                    rows += self._input_rows(driver, str(value), sources, scales)
+                    rows += self._input_rows(driver, str(value))
                 elif kind == "number":
                     rows.append(("number", 0, (float(value),)))
                 else:
                     rows.append((str(value), 0, ()))
         return rows + _multiply_rows(driver.unit)
 
-    def _input_rows(
-        self,
-        driver: Driver,
-        name: str,
-        sources: Mapping[int, CoordinateSource],
-        scales: FloatArray,
-    ) -> list[_Row]:
+    def _input_rows(self, driver: Driver, name: str) -> list[_Row]:
         """Return the program rows that read a driver's input in its unit."""
-        rows = self._source_rows(name, sources, scales)
+        rows = self._source_rows(name)
         return rows + _multiply_rows(1.0 / driver.unit_of(name))
 
-    def _source_rows(
-        self, name: str, sources: Mapping[int, CoordinateSource], scales: FloatArray
-    ) -> list[_Row]:
+    def _source_rows(self, name: str) -> list[_Row]:
         """Return the rows that read a control or a joint coordinate."""
         joint, part = split_coordinate(name)
         target = f"joint/{joint}" if joint else f"control/{name}"
@@ -253,13 +241,13 @@ class Programs:
             return [("number", 0, (self._control_of(name).default,))]
         j = self.rig.index(joint)
         spec = self.rig.joints[j]
-        if j not in sources:
+        if j not in self._sources:
             return [("number", 0, (self._static_coordinate(j, part),))]
-        source = sources[j]
+        source = self._sources[j]
         column = source.column
         if spec.type is JointType.BALL:
             return [("ball", column + 1, _ball_weights(spec, part))]
-        rows: list[_Row] = [("coordinate", column + 1, (float(scales[column]),))]
+        rows: list[_Row] = [("coordinate", column + 1, (float(self._scales[column]),))]
         return [*rows, *_multiply_rows(source.gain), *_add_rows(source.shift)]
 
     def _static_coordinate(self, j: int, part: str) -> float:

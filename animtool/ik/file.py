@@ -193,9 +193,8 @@ class _TargetsReader:
             message = f"has no goal for {model.effector!r}"
             hint = "add a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", location, message, hint)
-        weights = self._read_weights(
-            (*location, "weight"), model.weight, value_parts | parts_to_hold
-        )
+        used_parts = value_parts | parts_to_hold
+        weights = self._read_weights((*location, "weight"), model.weight, used_parts)
         axes = [
             self._read_axis((*location, kind.name, "axis"), part.axis)
             for kind in KINDS
@@ -213,7 +212,7 @@ class _TargetsReader:
             priority=model.priority,
             soft=model.soft,
             stretch=stretch if model.stretch is None else model.stretch,
-            **_enabling_weights(value_parts | parts_to_hold),
+            **{part: float(part in used_parts) for part in PARTS},
         )
         return GoalTrack(
             model.effector,
@@ -232,9 +231,9 @@ class _TargetsReader:
         self, location: Location, model: GoalModel, kind: GoalKind
     ) -> Value | None:
         """Return the value of a part of a goal; None if absent."""
-        location = (*location, kind.name)
-        value = getattr(model, kind.name)
         key = kind.name
+        location = (*location, key)
+        value = getattr(model, key)
         if kind.has_axis and value is not None:
             location, value, key = (*location, "at"), value.at, "at"
         return self.values.read_value(location, value, key)
@@ -268,9 +267,8 @@ class _TargetsReader:
         location = (*at, "root")
         if name not in self.rig.names:
             message = f"unknown joint {name!r} of {self.rig.name!r}"
-            self.document.add(
-                "TGT001", location, message, nearest(name, self.rig.names)
-            )
+            hint = nearest(name, self.rig.names)
+            self.document.add("TGT001", location, message, hint)
             return None
         if self.rig.index(name) not in self.rig.upwards(self.rig.index(joint)):
             message = f"{name!r} is not above {joint!r}"
@@ -324,10 +322,8 @@ class _TargetsReader:
         """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
             if model == 0 and not self.document.is_placeholder(location):
-                hint = "remove the goal"
-                self.document.add(
-                    "TGT002", location, "a weight of 0 has no effect", hint
-                )
+                message = "a weight of 0 has no effect"
+                self.document.add("TGT002", location, message, "remove the goal")
             if model == 1:
                 return {}
             return {part: Constant((float(model),)) for part in PARTS}
@@ -362,14 +358,8 @@ def _hold_parts(
     values: dict[str, Value | None], chain: IkChain | None
 ) -> frozenset[str]:
     """Return the parts of a goal that its `hold` spans apply to."""
-    parts_with_value = {p for p in ("position", "orientation") if values[p] is not None}
-    if parts_with_value:
-        return frozenset(parts_with_value)
-    goal = "pose" if chain is None else chain.goal
     pose_parts = ("position", "orientation")
-    return frozenset(part for part in pose_parts if goal in {part, "pose"})
-
-
-def _enabling_weights(parts: AbstractSet[str]) -> dict[str, float]:
-    """Return goal weights: 1 for each of the given parts."""
-    return {part: 1.0 if part in parts else 0.0 for part in PARTS}
+    parts_with_value = frozenset(p for p in pose_parts if values[p] is not None)
+    goal = "pose" if chain is None else chain.goal
+    goal_parts = frozenset(part for part in pose_parts if goal in {part, "pose"})
+    return parts_with_value or goal_parts

@@ -46,6 +46,11 @@ class GoalKind:
     weight_description: str = ""
     weight_example: object = 1.0
 
+    @property
+    def is_rotation(self) -> bool:
+        """Whether its targets are rotations."""
+        return self.value_type is TargetValue.ROTATION
+
 
 # In the order of residuals, weights and misses, as in the kernel.
 KINDS = (
@@ -113,7 +118,6 @@ TARGET_COLUMNS = {
     for kind, end in zip(KINDS, _TARGET_ENDS, strict=True)
 }
 WEIGHT_COLUMNS = slice(_TARGET_ENDS[-1], _TARGET_ENDS[-1] + len(KINDS))
-WEIGHT_COLUMN = {part: WEIGHT_COLUMNS.start + i for i, part in enumerate(PARTS)}
 IS_LENGTH = np.array([kind.is_length for kind in KINDS], np.bool_)
 
 
@@ -169,15 +173,14 @@ class Goal:
         """Raise if a target was passed as a weight (TGT007)."""
         for kind in KINDS:
             weight = getattr(self, kind.name)
-            if not isinstance(weight, Real):
-                message = (
-                    f"{kind.name} of the goal {self.joint!r} is a weight, a number "
-                )
-                message += f"from 0, not {excerpt(str(weight))}"
-                field, count = kind.targets_field, kind.value_type.value
-                hint = f"targets are arguments of the solve: Targets({field}=...), "
-                hint += f"one of {count} numbers for each goal of each pose"
-                raise OptionError(Fault("TGT007", message, hint=hint))
+            if isinstance(weight, Real):
+                continue
+            message = f"{kind.name} of the goal {self.joint!r} is a weight, a number "
+            message += f"from 0, not {excerpt(str(weight))}"
+            field, count = kind.targets_field, kind.value_type.value
+            hint = f"targets are arguments of the solve: Targets({field}=...), "
+            hint += f"one of {count} numbers for each goal of each pose"
+            raise OptionError(Fault("TGT007", message, hint=hint))
 
     @property
     def weights(self) -> tuple[float, ...]:
@@ -259,9 +262,8 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         message = f"its offset is beyond {MAX_COORDINATE:g} m, or not a number"
         faults.append(Fault("IK002", message, where=where))
     if goal.aim > 0 and not abs(np.linalg.norm(goal.aim_axis) - 1) < 1e-6:
-        faults.append(
-            Fault("TGT008", "its aim axis does not have length 1", where=where)
-        )
+        message = "its aim axis does not have length 1"
+        faults.append(Fault("TGT008", message, where=where))
     return faults
 
 
@@ -291,33 +293,28 @@ def targets_of_frames(targets: Targets, frames: IntArray | slice) -> Targets:
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     """Return targets packed for kernels ``(B, E, W)``; unused numbers are finite."""
     faults: list[Fault] = []
-    columns_by_name = [
-        (kind.targets_field, TARGET_COLUMNS[kind.name]) for kind in KINDS
-    ]
-    checked_arrays = [
-        (
-            columns,
-            _checked_shape(name, getattr(targets, name), len(goals), columns, faults),
-        )
-        for name, columns in [*columns_by_name, ("weights", WEIGHT_COLUMNS)]
-    ]
-    supplied_arrays = [
-        (columns, checked) for columns, checked in checked_arrays if checked is not None
-    ]
+    columns_by_name = {kind.targets_field: TARGET_COLUMNS[kind.name] for kind in KINDS}
+    columns_by_name["weights"] = WEIGHT_COLUMNS
+    supplied_arrays = []
+    for name, columns in columns_by_name.items():
+        values = getattr(targets, name)
+        checked = _checked_shape(name, values, len(goals), columns, faults)
+        if checked is not None:
+            supplied_arrays.append((columns, checked))
     batches = {len(checked) for _, checked in supplied_arrays}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
-    packed_targets = np.zeros(
-        (min(batches, default=1), len(goals), WEIGHT_COLUMNS.stop)
-    )
-    packed_targets[
-        :,
-        :,
-        [*_quaternion_w_columns(), *range(WEIGHT_COLUMNS.start, WEIGHT_COLUMNS.stop)],
-    ] = 1.0
+    shape = (min(batches, default=1), len(goals), WEIGHT_COLUMNS.stop)
+    packed_targets = np.zeros(shape)
+    packed_targets[:, :, WEIGHT_COLUMNS] = 1.0
+    for kind in KINDS:
+        if kind.is_rotation:
+            packed_targets[:, :, TARGET_COLUMNS[kind.name].stop - 1] = 1.0
     for columns, checked in supplied_arrays:
         packed_targets[:, :, columns] = checked[: len(packed_targets)]
-    active = _active_parts(goals, packed_targets)
+    # Mask of the parts that each problem uses ``(B, E, 4)``.
+    weighted = np.array([goal.weights for goal in goals]) > 0
+    active = np.asarray(weighted & (packed_targets[:, :, WEIGHT_COLUMNS] > 0))
     missing = active & [getattr(targets, kind.targets_field) is None for kind in KINDS]
     if faults or missing.any() or not _all_values_valid(packed_targets):
         faults += _value_faults(packed_targets, active, missing)
@@ -326,25 +323,12 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
         raise OptionError(faults)
     for kind in KINDS:
         if kind.is_direction:
-            _limit_direction_sizes(packed_targets[:, :, TARGET_COLUMNS[kind.name]])
+            # Squares of huge numbers overflow.
+            directions = packed_targets[:, :, TARGET_COLUMNS[kind.name]]
+            sizes = np.abs(directions).max(axis=2, keepdims=True)
+            if (sizes > MAX_COORDINATE).any():
+                directions *= MAX_COORDINATE / np.maximum(sizes, MAX_COORDINATE)
     return packed_targets
-
-
-def _quaternion_w_columns() -> list[int]:
-    """Return the columns of packed targets that hold the w of a quaternion."""
-    return [TARGET_COLUMNS[kind.name].stop - 1 for kind in KINDS if _is_rotation(kind)]
-
-
-def _is_rotation(kind: GoalKind) -> bool:
-    """Return whether targets of a kind are rotations."""
-    return kind.value_type is TargetValue.ROTATION
-
-
-def _limit_direction_sizes(directions: FloatArray) -> None:
-    """Scale down huge direction targets so that their squares do not overflow."""
-    sizes = np.abs(directions).max(axis=2, keepdims=True)
-    if (sizes > MAX_COORDINATE).any():
-        directions *= MAX_COORDINATE / np.maximum(sizes, MAX_COORDINATE)
 
 
 def _checked_shape(
@@ -364,19 +348,12 @@ def _checked_shape(
     except (TypeError, ValueError):
         # Text, or lists of different lengths.
         message = f"{name} must be numbers of shape {expected}"
-        faults.append(Fault("IK010", message))
-        return None
-    if array.ndim == 3 and array.shape[1:] == (goal_count, width):
-        return array
-    message = f"{name} must have shape {expected}, not {array.shape}"
+    else:
+        if array.ndim == 3 and array.shape[1:] == (goal_count, width):
+            return array
+        message = f"{name} must have shape {expected}, not {array.shape}"
     faults.append(Fault("IK010", message))
     return None
-
-
-def _active_parts(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
-    """Return a mask of the goal parts that each problem uses ``(B, E, 4)``."""
-    weighted = np.array([goal.weights for goal in goals]) > 0
-    return np.asarray(weighted & (packed[:, :, WEIGHT_COLUMNS] > 0))
 
 
 def _all_values_valid(packed: FloatArray) -> bool:
@@ -384,7 +361,7 @@ def _all_values_valid(packed: FloatArray) -> bool:
     rotations_valid = all(
         packed[:, :, TARGET_COLUMNS[kind.name]].any(axis=2).all()
         for kind in KINDS
-        if _is_rotation(kind)
+        if kind.is_rotation
     )
     weights_valid = (packed[:, :, WEIGHT_COLUMNS] >= 0).all()
     return bool(np.isfinite(packed).all() and rotations_valid and weights_valid)
@@ -409,15 +386,12 @@ def _value_faults(
             continue
         kind_targets = packed[:, :, TARGET_COLUMNS[kind.name]]
         is_invalid = ~np.isfinite(kind_targets).all(axis=2)
-        if _is_rotation(kind):
+        reason = "are not finite numbers"
+        if kind.is_rotation:
             is_invalid |= ~kind_targets.any(axis=2)
+            reason = "is not a rotation"
         is_invalid &= active[..., i]
         if is_invalid.any():
             b, e = (int(i) for i in np.argwhere(is_invalid)[0])
-            reason = (
-                ("is not a rotation")
-                if _is_rotation(kind)
-                else "are not finite numbers"
-            )
             faults.append(Fault("TGT007", f"{name}[{b}, {e}] {reason}"))
     return faults

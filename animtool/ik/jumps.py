@@ -93,20 +93,21 @@ def find_jumps(
         return ()
     names = [names[j] for j in moving]
     solved_poses = _select_joints(solved_poses, moving)
-    source_poses = (
-        None if source_poses is None else _select_joints(source_poses, moving)
-    )
-    windings = None if windings is None else windings[:, moving]
+    if source_poses is not None:
+        source_poses = _select_joints(source_poses, moving)
+    else:
+        source_poses = LocalTransforms(
+            solved_poses.translations[:1].repeat(count, 0),
+            solved_poses.rotations[:1].repeat(count, 0),
+        )
     is_cut_before = np.zeros(count - 1, np.bool_)
     goal_steps = goal_moves[:, None]
     rotations = _rotation_steps(solved_poses.rotations)
-    source_steps = _rotation_steps(solved_poses.rotations[:1].repeat(count, 0))
-    if source_poses is not None:
-        source_steps = _rotation_steps(source_poses.rotations)
+    source_steps = _rotation_steps(source_poses.rotations)
     angles = np.linalg.norm(rotations, axis=2)
     source_angles = np.linalg.norm(source_steps, axis=2)
     if windings is not None:
-        angles = angles + windings
+        angles = angles + windings[:, moving]
     excess = angles - source_angles
     is_jump = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
     is_jump |= (excess > jump_threshold(fps)) | _find_jerks(excess, goal_steps)
@@ -114,9 +115,7 @@ def find_jumps(
     is_jump |= is_pop & ~find_rotation_pops(source_steps, 1.0 / fps, is_cut_before)[0]
     jumps = _jumps_at(names, is_jump, angles, source_angles, goal_steps)
     displacements = np.diff(solved_poses.translations, axis=0)
-    source_steps = np.zeros_like(displacements)
-    if source_poses is not None:
-        source_steps = np.diff(source_poses.translations, axis=0)
+    source_steps = np.diff(source_poses.translations, axis=0)
     sizes, source_sizes = (
         np.linalg.norm(rows, axis=2) / length for rows in (displacements, source_steps)
     )
@@ -161,16 +160,11 @@ def _find_jerks(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
     """Return a mask of steps ``(F - 1, N)`` that far exceed the adjacent steps."""
     largest_neighbour = np.zeros_like(steps)
     for offset in range(1, NEIGHBOURS + 1):
-        largest_neighbour[offset:] = np.maximum(
-            largest_neighbour[offset:], steps[:-offset]
-        )
-        largest_neighbour[:-offset] = np.maximum(
-            largest_neighbour[:-offset], steps[offset:]
-        )
-    threshold = np.maximum(
-        NEIGHBOUR_FACTOR * largest_neighbour, MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
-    )
-    jerks = steps > threshold
+        earlier, later = largest_neighbour[:-offset], largest_neighbour[offset:]
+        np.maximum(later, steps[:-offset], out=later)
+        np.maximum(earlier, steps[offset:], out=earlier)
+    goal_threshold = MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
+    jerks = steps > np.maximum(NEIGHBOUR_FACTOR * largest_neighbour, goal_threshold)
     # The first and the last step have neighbours on one side only.
     jerks[:1] = jerks[-1:] = False
     return np.asarray(jerks, np.bool_)

@@ -16,6 +16,10 @@ from animtool.rig.skeleton import Rig
 
 # Joints nearer than this fraction of the rig's size share an origin.
 MIN_BONE_FRACTION = 1e-9
+# Lengths below this fraction of the problem's length count as zero.
+ZERO_LENGTH = 1e-12
+# A limb within this fraction of its full length is straight.
+STRAIGHT = 1e-9
 
 
 def limb_joints(
@@ -42,16 +46,8 @@ def limb_joints(
         j = -1 if rig.joints[j].name == goal.root else rig.joints[j].parent
     if len(joints) < 2:
         return None
-    distance_from_middle = [
-        min(length, lengths[-1] - length) for length in lengths[:-1]
-    ]
-    return joints[-1], joints[distance_from_middle.index(max(distance_from_middle))]
-
-
-# Lengths below this fraction of the problem's length count as zero.
-ZERO_LENGTH = 1e-12
-# A limb within this fraction of its full length is straight.
-STRAIGHT = 1e-9
+    distance_to_end = [min(length, lengths[-1] - length) for length in lengths[:-1]]
+    return joints[-1], joints[distance_to_end.index(max(distance_to_end))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +58,7 @@ class GoalLimb:
     joints: tuple[int, ...]  # joints whose translations are the limb's bones
     origin: FloatArray  # position of the root [fraction of problem length] ``(3,)``
     max_length: float  # its largest extension within limits [same unit]
-    bone_length: (
-        float  # growth of the reach per relative growth of the bones [same unit]
-    )
+    bone_length: float  # growth of the reach per relative growth of the bones [same]
     soft: float  # fraction of the reach over which its extension eases out
     stretch: float  # largest relative growth of its bones
 
@@ -105,17 +99,12 @@ def _goal_limb(
     length_between = float(np.linalg.norm(chain.numbers[path[1:], 9:12], axis=1).sum())
     tip_offset = bone_offset + tool_offset
     tip_length = float(np.linalg.norm(tip_offset))
-    alignment = (
-        max(float(bone_offset @ tip_offset) / tip_length, 0.0)
-        if tip_length > ZERO_LENGTH
-        else 0.0
-    )
+    alignment, extension = 0.0, 1.0
+    if tip_length > ZERO_LENGTH:
+        alignment = max(float(bone_offset @ tip_offset) / tip_length, 0.0)
     straight_length = length_between + tip_length
-    extension = (
-        min(_limb_reach(chain, path, tip_offset) / straight_length, 1.0)
-        if straight_length > 0
-        else 1.0
-    )
+    if straight_length > 0:
+        extension = min(_limb_reach(chain, path, tip_offset) / straight_length, 1.0)
     if extension > 1 - STRAIGHT:
         extension = 1.0
     return GoalLimb(
@@ -155,9 +144,8 @@ def _limb_reach(chain: Chain, path: list[int], end: FloatArray) -> float:
     if np.isfinite(low):
         farthest += 2 * np.pi * float(np.ceil((low - farthest) / (2 * np.pi)))
     angles = [farthest] if farthest <= high else [low, high]
-    largest_cosine = max(
-        cosine_part * np.cos(a) + sine_part * np.sin(a) for a in angles
-    )
+    products = [cosine_part * np.cos(a) + sine_part * np.sin(a) for a in angles]
+    largest_cosine = max(products)
     square = offset @ offset + end @ end + 2 * (z * end[2] + largest_cosine)
     return float(np.sqrt(max(square, 0.0)))
 
@@ -196,9 +184,7 @@ def _goal_nodes(chain: Chain, e: int) -> list[int]:
 class SoftReach:
     """Targets of B problems in reach of soft and stretching limbs."""
 
-    reachable_targets: (
-        FloatArray  # packed targets within reach of the limbs ``(B, E, W)``
-    )
+    reachable_targets: FloatArray  # packed, within reach of the limbs ``(B, E, W)``
     bone_scales: FloatArray  # bone length scales ``(B, E)``
     # Where only soft extension keeps a limb from its target ``(B, E)``.
     is_softened: BoolArray
@@ -223,8 +209,7 @@ def extend_softly(limbs: Sequence[GoalLimb], targets: FloatArray) -> SoftReach:
         A. Nicholas, Soft IK, 2009 (the exponential ease).
 
     Limits of the method: the reach is that of the straight limb, or for two bones with
-        a
-    pin within the pin's limits; other limits are ignored.
+    a pin within the pin's limits; other limits are ignored.
 
     ``targets`` ``(B, E, W)``: packed, in fractions of the problem's length.
     """

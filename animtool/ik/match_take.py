@@ -84,11 +84,7 @@ def array_file_of(path: Path) -> Path:
 
 
 def match_take(
-    take: Take,
-    chains: Sequence[IkChain],
-    path: Path,
-    *,
-    reduce: float | None = None,
+    take: Take, chains: Sequence[IkChain], path: Path, *, reduce: float | None = None
 ) -> TargetTracks:
     """Return targets that reproduce the limbs of a take.
 
@@ -142,9 +138,8 @@ def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Faul
     rig = take.rig
     chain_joints = {j for chain in chains for j in _path(rig, chain.tip, chain.root)}
     roots = {rig.index(chain.root) for chain in chains}
-    joints_above = {
-        j for chain in chains for j in _path(rig, chain.root)
-    } - chain_joints
+    joints_above = {j for chain in chains for j in _path(rig, chain.root)}
+    joints_above -= chain_joints
     stretching_joints = {
         j
         for chain in chains
@@ -187,11 +182,7 @@ def _joints_off_rest(channel: Channel, rest: FloatArray, joints: set[int]) -> se
 
 
 def _track(
-    rig: Rig,
-    chain: IkChain,
-    index: int,
-    matched: Matched,
-    builder: _ValueBuilder,
+    rig: Rig, chain: IkChain, index: int, matched: Matched, builder: _ValueBuilder
 ) -> GoalTrack:
     """Return the target track of a chain."""
     goal = matched.goals[index]
@@ -199,9 +190,8 @@ def _track(
     for kind in goal.kinds:
         rows = np.asarray(getattr(matched.targets, kind.targets_field))[:, index]
         name = f"{chain.name}_{kind.name}"
-        values[kind.name] = builder.build_value(
-            rows, name, rig.joints[rig.index(chain.tip)]
-        )
+        tip = rig.joints[rig.index(chain.tip)]
+        values[kind.name] = builder.build_value(rows, name, tip)
     return GoalTrack(
         chain.name, goal, chain, values, {}, (), DEFAULT_EASE, frozenset[str]()
     )

@@ -19,7 +19,7 @@ from animtool.ik.problem import find_moving_joints
 from animtool.ik.sub_rig import with_types
 from animtool.ik.two_bone import perpendicular_vectors
 from animtool.maths import so3
-from animtool.rig.kinematics import WorldTransforms, forward_kinematics
+from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Rig
 
@@ -53,8 +53,7 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
 
     With the same parents of the chains, the targets reproduce the positions of tips and
     middle joints, and all rotations of bent limbs with seven degrees of freedom: a
-        ball,
-    a hinge, and a tip with three, one of which may be a twist of the forearm.
+    ball, a hinge, and a tip with three, one of which may be a twist of the forearm.
 
     Limits of the method: targets do not capture the twist of a straight limb about its
     line; twist that two joints share, such as a wrist and a forearm; the twist of a
@@ -73,16 +72,12 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     >>> lower = Joint("lower", 0, JointType.PIN, translation=(1, 0, 0))
     >>> hand = Joint("hand", 1, JointType.BALL, translation=(0, 1, 0))
     >>> rig = Rig("arm", (upper, lower, hand))
-    >>> local = rig.rest_translations[None], rig.rest_rotations[None]
-    >>> rest = forward_kinematics(rig, *local)
-    >>> found = match(rig, [IkChain("arm", "upper", "hand")], rest)
+    >>> found = match(rig, [IkChain("arm", "upper", "hand")], rest_world(rig))
     >>> np.round(found.targets.poles, 3).tolist()
     [[[1.207, -0.207, 0.0]]]
     """
     rig = with_types(rig)
-    rest_transforms = forward_kinematics(
-        rig, rig.rest_translations[None], rig.rest_rotations[None]
-    )
+    rest_transforms = rest_world(rig)
     shape = (len(world.positions), len(chains))
     positions, poles = np.zeros((2, *shape, 3))
     rotations = np.zeros((*shape, 4))
@@ -91,24 +86,19 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
         tip = rig.index(chain.tip)
         positions[:, e] = world.positions[:, tip]
         rotations[:, e] = so3.align_signs(so3.split_scale(world.linear[:, tip])[0])
-        goal = _goal_of_chain(chain)
+        goal = Goal(
+            chain.tip,
+            position=float(chain.goal in {"position", "pose"}),
+            orientation=float(chain.goal in {"orientation", "pose"}),
+            root=chain.root,
+            stretch=chain.stretch if chain.goal != "orientation" else 0.0,
+        )
         limb = _bending_limb(rig, chain, goal, rest_transforms)
         if limb is not None:
             goal = replace(goal, pole=1.0)
             poles[:, e] = _pole_positions(limb, world)
         goals.append(goal)
     return Matched(tuple(goals), Targets(positions, rotations, poles=poles))
-
-
-def _goal_of_chain(chain: IkChain) -> Goal:
-    """Return the goal of a chain, without a pole."""
-    return Goal(
-        chain.tip,
-        position=1.0 if chain.goal in {"position", "pose"} else 0.0,
-        orientation=1.0 if chain.goal in {"orientation", "pose"} else 0.0,
-        root=chain.root,
-        stretch=chain.stretch if chain.goal != "orientation" else 0.0,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +128,8 @@ def _bending_limb(
     if not goal.position:
         return None
     tip, origins = rig.index(chain.tip), rest.positions[0]
-    joints = limb_joints(
-        rig, goal, find_moving_joints(rig, [goal]), origins, origins[tip]
-    )
+    moving = find_moving_joints(rig, [goal])
+    joints = limb_joints(rig, goal, moving, origins, origins[tip])
     if joints is None:
         return None
     root, middle = joints
@@ -152,17 +141,11 @@ def _bending_limb(
     # The pole direction is in the frame of the parent of the chain's root.
     parent_index = rig.joints[rig.index(chain.root)].parent
     parent_rotation = np.eye(3) if parent_index < 0 else rest.linear[0, parent_index]
+    pole_direction = np.array(chain.pole_dir or (0.0, 0.0, 0.0))
+    default_side = rest.linear[0, root].T @ parent_rotation @ pole_direction
     is_hinge = rig.joints[middle].type is JointType.PIN
-    return _BendingLimb(
-        root,
-        middle,
-        tip,
-        length,
-        rest.linear[0, root].T
-        @ parent_rotation
-        @ np.array(chain.pole_dir or (0.0, 0.0, 0.0)),
-        np.array(rig.joints[middle].axis) if is_hinge else np.zeros(3),
-    )
+    hinge = np.array(rig.joints[middle].axis) if is_hinge else np.zeros(3)
+    return _BendingLimb(root, middle, tip, length, default_side, hinge)
 
 
 def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
@@ -173,27 +156,25 @@ def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
     min_distance = MIN_SIDE_DISTANCE * limb.length
     line_directions, has_direction = _normalize(tip - root, min_distance)
     line_directions[~has_direction] = 0.0
-    middle_on_line = (
-        np.sum((middle - root) * line_directions, axis=1, keepdims=True)
-        * line_directions
-    )
+    middle_on_line = _part_along(line_directions, middle - root)
     sides, has_side = _normalize(middle - root - middle_on_line, min_distance)
     if not has_side.all():
         bend_sides = _transport_bend_sides(limb, world, sides, has_side)
-        outward_sides = (
-            bend_sides
-            - np.sum(bend_sides * line_directions, axis=1, keepdims=True)
-            * line_directions
-        )
+        outward_sides = bend_sides - _part_along(line_directions, bend_sides)
         # If a transported side lies along the line, any side will do.
         transported_sides, is_transported = _normalize(
             outward_sides, np.sqrt(MIN_SIDE_DISTANCE)
         )
-        transported_sides[~is_transported] = _normalize(
-            perpendicular_vectors(line_directions[~is_transported]), 0.0
-        )[0]
+        any_sides = perpendicular_vectors(line_directions[~is_transported])
+        transported_sides[~is_transported] = _normalize(any_sides, 0.0)[0]
         sides = np.where(has_side[:, None], sides, transported_sides)
     return np.asarray(root + middle_on_line + sides * limb.length / 2)
+
+
+def _part_along(directions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the parts of vectors along unit directions, each ``(F, 3)``."""
+    products = np.sum(vectors * directions, axis=1, keepdims=True)
+    return np.asarray(products * directions)
 
 
 def _normalize(vectors: FloatArray, min_length: float) -> tuple[FloatArray, BoolArray]:
@@ -213,9 +194,7 @@ def _transport_bend_sides(
         return so3.rotate(rotations, local_sides[_nearest_before(has_side)])
     hinges = so3.rotate(so3.split_scale(world.linear[:, limb.middle])[0], limb.hinge)
     default_side = so3.rotate(rotations, limb.default_side)
-    return np.asarray(
-        default_side - np.sum(default_side * hinges, axis=1, keepdims=True) * hinges
-    )
+    return np.asarray(default_side - _part_along(hinges, default_side))
 
 
 def _nearest_before(is_known: BoolArray) -> IntArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -14,7 +14,7 @@ from animtool.ik.chain import BALL, Chain, with_periods
 from animtool.ik.goals import Targets, targets_of_frames
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
-from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.result import PER_PROBLEM_ARRAYS, IkResult, IkStatus
 from animtool.ik.solving import solve
 
 # Number of starts from combinations of limits, and as many random poses; a ninth of
@@ -72,9 +72,8 @@ def find_nearest_poses(
     best_result, order = result, np.argsort(costs, axis=0, kind="stable")
     for start_indices in order[:MAX_REFINED]:
         best_costs = np.array(costs)[start_indices, np.arange(len(start_indices))]
-        promising = np.flatnonzero(
-            best_costs < HOPELESS_RATIO * miss_costs(best_result, targets)
-        )
+        current_costs = miss_costs(best_result, targets)
+        promising = np.flatnonzero(best_costs < HOPELESS_RATIO * current_costs)
         if len(promising):
             starts = np.array(trial_results)[start_indices[promising], promising]
             promising_targets = targets_of_frames(targets, promising)
@@ -85,10 +84,8 @@ def find_nearest_poses(
                 descent_options,
                 prefer=preferred[promising],
             )
-            is_better = (
-                miss_costs(trial_result, promising_targets)
-                < miss_costs(best_result, targets)[promising]
-            )
+            trial_costs = miss_costs(trial_result, promising_targets)
+            is_better = trial_costs < current_costs[promising]
             best_result = _replace_rows(
                 best_result,
                 trial_result,
@@ -109,9 +106,9 @@ def with_nearest_poses(
     rows = frames_out_of_reach(result, options)
     if not len(rows):
         return result
-    missed_frames = _select_rows(result, rows)
+    missed_targets = targets_of_frames(targets, rows)
     nearer = find_nearest_poses(
-        problem, missed_frames, targets_of_frames(targets, rows), options, prefer[rows]
+        problem, result.select(rows), missed_targets, options, prefer[rows]
     )
     return _replace_rows(result, nearer, rows, np.arange(len(rows)))
 
@@ -159,23 +156,8 @@ def _replace_rows(
     for row, source in zip(rows.tolist(), from_rows.tolist(), strict=True):
         statuses[row] = replacement.statuses[source]
     arrays = {}
-    for name in _per_problem_arrays():
+    for name in PER_PROBLEM_ARRAYS:
         values = getattr(result, name).copy()
         values[rows] = getattr(replacement, name)[from_rows]
         arrays[name] = values
     return replace(result, statuses=tuple(statuses), **arrays)
-
-
-def _select_rows(result: IkResult, rows: IntArray) -> IkResult:
-    """Return a result with only the selected problems."""
-    arrays = {name: getattr(result, name)[rows] for name in _per_problem_arrays()}
-    statuses = tuple(result.statuses[row] for row in rows.tolist())
-    return replace(result, statuses=statuses, **arrays)
-
-
-def _per_problem_arrays() -> list[str]:
-    """Return the names of a result's per-problem arrays."""
-    excluded_fields = {"problem", "jumps", "statuses"}
-    return [
-        field.name for field in fields(IkResult) if field.name not in excluded_fields
-    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -15,16 +15,17 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.names import nearest
 from animtool.core.old_names import renamed_arguments
 from animtool.ik.chain_frame import check_scales, spans_of_take
-from animtool.ik.goals import PARTS, Goal, Targets
+from animtool.ik.goals import PARTS, Goal, Targets, targets_of_frames
 from animtool.ik.options import TakeOptions
 from animtool.ik.pole_lines import poles_on_lines
+from animtool.ik.solving import raise_faults
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_run import (
     SpanSolution,
     TakeIk,
     TakeSolver,
-    check_options,
     gather_take,
+    take_option_faults,
 )
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
 from animtool.motion.driving import drive_take
@@ -134,7 +135,7 @@ def solve_take(
         FormatError: A prim's transform is not finite.
     """
     options = options or TakeOptions()
-    check_options(options)
+    raise_faults(take_option_faults(options))
     tracks = tracks.at_clock(take.clock)
     effectors = [(track.name, track.goal.joint) for track in tracks.goals]
     check_scales(take, effectors, tracks.path)
@@ -188,9 +189,8 @@ def _solve_take(
         )
         targets = tracks.sample(rig, take.clock, world, fade_transforms)
         if only is not None:
-            take, local, world, targets = _select_frame(
-                take, local, world, targets, only
-            )
+            parts = _select_frame(take, local, world, targets, only)
+            take, local, world, targets = parts
         rate = float(take.clock.rate)
         run = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
         controls = _controls(rig, take)
@@ -200,12 +200,12 @@ def _solve_take(
             progress(solved_parts[-1].span.frames.stop / take.clock.count)
     solved_take = gather_take(take, indices, local, tracks, targets, solved_parts, rate)
     rig_size = float(np.ptp(world.positions[0], axis=0).max())
-    has_poles = bool(solved_take.active[:, :, PARTS.index("pole")].any())
+    open_poles = None
+    if solved_take.active[:, :, PARTS.index("pole")].any():
+        open_poles = _find_open_poles(rig, indices, solved_take, targets)
     return replace(
         solved_take,
-        open_poles=_find_open_poles(rig, indices, solved_take, targets)
-        if has_poles
-        else None,
+        open_poles=open_poles,
         moving_between=solve_spans.moving_between,
         away=_min_target_distances(goals, rig, world, targets),
         size=max(rig_size, solved_take.problem.length),
@@ -294,18 +294,13 @@ def _select_frame(
 ) -> tuple[Take, LocalTransforms, WorldTransforms, Targets]:
     """Return one frame of a take, its transforms and targets."""
     rows = slice(frame, frame + 1)
-    clock = take.clock
-    start = clock.start + frame * clock.step
-    arrays = [getattr(targets, field.name)[rows] for field in fields(Targets)]
+    start = take.clock.start + frame * take.clock.step
+    clock = replace(take.clock, start=start, count=1)
     return (
-        replace(
-            take,
-            clock=replace(clock, start=start, count=1),
-            motion=take.motion.select(rows),
-        ),
+        replace(take, clock=clock, motion=take.motion.select(rows)),
         LocalTransforms(local.translations[rows], local.rotations[rows]),
         WorldTransforms(world.positions[rows], world.linear[rows]),
-        Targets(*arrays),
+        targets_of_frames(targets, rows),
     )
 
 

@@ -108,14 +108,10 @@ class TakeOptions:
         text_default=ANGLE_TOLERANCE,
     )
     restarts: int = option(
-        50,
-        "count",
-        help="Limit of restarts for a frame that does not reach its goals.",
+        50, "count", help="Limit of restarts for a frame that does not reach its goals."
     )
     seed: int = option(
-        0,
-        "seed",
-        help="Seed of the restarts: the same seed gives the same poses.",
+        0, "seed", help="Seed of the restarts: the same seed gives the same poses."
     )
     seconds: float = option(
         0.0,

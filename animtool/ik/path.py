@@ -12,14 +12,7 @@ from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.ik.chain import REVOLUTION_EXCESS, difference, unwrap_angles
-from animtool.ik.goals import (
-    KINDS,
-    TARGET_COLUMNS,
-    WEIGHT_COLUMNS,
-    Targets,
-    TargetValue,
-    by_unit,
-)
+from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Targets, by_unit
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.limbs import SoftReach, extend_softly
 from animtool.ik.options import IkOptions
@@ -71,9 +64,8 @@ class FramePath:
 
     def steps(self, poses: FloatArray) -> FloatArray:
         """Return steps between poses ``(F, C)``, minus the preserved steps."""
-        return (
-            difference(self.problem.chain, poses[:-1], poses[1:]) - self.preserved_steps
-        )
+        steps = difference(self.problem.chain, poses[:-1], poses[1:])
+        return steps - self.preserved_steps
 
     def smooth(
         self, poses: FloatArray, acceleration: float
@@ -94,9 +86,8 @@ class FramePath:
             end = len(poses) if is_last else begin + size
             first = max(begin - 2, 0)
             window = slice(first, min(end + lookahead_frames, len(poses)))
-            starts = np.concatenate(
-                [smooth_poses[first:begin], poses[begin : window.stop]]
-            )
+            later = poses[begin : window.stop]
+            starts = np.concatenate([smooth_poses[first:begin], later])
             moving_range = (begin - first, len(starts))
             path, path_misses = self.select_frames(window)._run_kernel(
                 starts, weights, moving_range, MAX_ITERATIONS
@@ -170,9 +161,8 @@ def build_frame_path(
     if start is not None and np.ndim(start) == 2:
         source = problem.chain.from_rig(pose_rows(problem, start, len(packed), "start"))
         drifts = difference(problem.chain, source[:-1], source[1:])
-    return FramePath(
-        problem, packed, extend_softly(problem.limbs, packed), drifts, options
-    )
+    soft_reach = extend_softly(problem.limbs, packed)
+    return FramePath(problem, packed, soft_reach, drifts, options)
 
 
 def goal_steps(problem: Problem, targets: FloatArray) -> FloatArray:
@@ -184,23 +174,15 @@ def goal_steps(problem: Problem, targets: FloatArray) -> FloatArray:
     is_weighted = targets[:, :, WEIGHT_COLUMNS] > 0
     is_active = is_weighted[1:] & is_weighted[:-1]
     is_used = np.array([goal.weights for goal in problem.goals]) > 0
-    steps = np.stack(
-        [
-            _target_steps(kind.value_type, targets[:, :, TARGET_COLUMNS[kind.name]])
-            for kind in KINDS
-        ],
-        axis=2,
-    )
-    return np.asarray(
-        np.where(is_active & is_used, steps, 0.0).max(axis=(1, 2), initial=0.0)
-    )
-
-
-def _target_steps(value: TargetValue, targets: FloatArray) -> FloatArray:
-    """Return distances or angles ``(F - 1, E)`` between targets ``(F, E, W)``."""
-    if value is TargetValue.ROTATION:
-        return so3.angle_between(targets[1:], targets[:-1])
-    return np.asarray(np.linalg.norm(np.diff(targets, axis=0), axis=2))
+    steps = np.zeros(is_active.shape)
+    for i, kind in enumerate(KINDS):
+        values = targets[:, :, TARGET_COLUMNS[kind.name]]
+        if kind.is_rotation:
+            steps[:, :, i] = so3.angle_between(values[1:], values[:-1])
+        else:
+            steps[:, :, i] = np.linalg.norm(np.diff(values, axis=0), axis=2)
+    steps = np.where(is_active & is_used, steps, 0.0)
+    return np.asarray(steps.max(axis=(1, 2), initial=0.0))
 
 
 def find_clip_jumps(
@@ -346,7 +328,8 @@ def with_poses(
     result: IkResult, poses: FloatArray, misses: FloatArray, path: FramePath
 ) -> IkResult:
     """Return a result with its chain poses ``(F, C)`` and misses replaced."""
-    chain = result.problem.chain
+    problem = result.problem
+    coordinates = problem.chain.into_rig(poses, result.coordinates)
     is_reached = path.max_tolerance_ratio(misses) <= 1
     statuses = tuple(
         IkStatus.CONVERGED
@@ -358,12 +341,8 @@ def with_poses(
     )
     return replace(
         result,
-        coordinates=with_mimics(
-            result.problem.rig,
-            chain.into_rig(poses, result.coordinates),
-            result.problem.joints,
-        ),
+        coordinates=with_mimics(problem.rig, coordinates, problem.joints),
         statuses=statuses,
-        misses=misses * by_unit(chain.length, 1.0),
+        misses=misses * by_unit(problem.length, 1.0),
         reached=path.tolerance_ratios(misses) <= 1,
     )

@@ -8,9 +8,9 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.ik.goals import PARTS, Goal, Targets
-from animtool.ik.limbs import limb_joints
+from animtool.ik.tracks import FreeEffector
 from animtool.rig.kinematics import WorldTransforms
-from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.skeleton import Rig
 
 # A pole this near to the line is on it, and a middle joint this near is on a straight
 # limb, whose pole does not matter; in lengths of the limb.
@@ -34,25 +34,20 @@ def poles_on_lines(
         active: Mask of the active parts of goals ``(F, E, 4)``.
     """
     is_on_line = np.zeros(active.shape[:2], np.bool_)
-    moving_joints = {
-        j for j, joint in enumerate(rig.joints) if joint.type != JointType.FIXED
-    }
-    origins = world.positions
     for e, goal in enumerate(goals):
         is_active = active[:, e, PARTS.index("pole")]
         if not is_active.any():
             continue
-        tip = rig.index(goal.joint)
-        points = origins[:, tip] + world.linear[:, tip] @ np.array(goal.offset)
-        limb = limb_joints(rig, goal, moving_joints, origins[0], points[0])
+        effector = FreeEffector(rig, goal, world)
+        limb = effector.limb()
         if limb is None:
             continue
-        root, middle = (origins[:, j] for j in limb)
+        points = effector.position()
+        root, middle = (world.positions[:, j] for j in limb)
         # The effector is off its position where the pole leads astray.
         has_position = active[:, e, PARTS.index("position")]
-        ends = np.where(
-            has_position[:, None], np.asarray(targets.positions)[:, e], points
-        )
+        positions = np.asarray(targets.positions)[:, e]
+        ends = np.where(has_position[:, None], positions, points)
         length = np.linalg.norm(middle - root, axis=1)
         length += np.linalg.norm(points - middle, axis=1)
         pole_distance = _distances(np.asarray(targets.poles)[:, e], root, ends)

@@ -120,10 +120,9 @@ def build(
     faults = _faults(rig, goals, joints, rest_weight)
     if faults:
         raise OptionError(faults)
-    width = rig.coordinates
-    pose_coordinates = (
-        np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
-    )
+    pose_coordinates = np.zeros(rig.coordinates)
+    if pose is not None:
+        pose_coordinates = as_floats(pose, (rig.coordinates,), "pose")
     moving = find_moving_joints(rig, goals, joints)
     faults = _immovable_faults(rig, goals, moving)
     if faults:
@@ -148,10 +147,7 @@ def build(
 
 
 def _faults(
-    rig: Rig,
-    goals: Sequence[Goal],
-    joints: Collection[str] | None,
-    rest_weight: float,
+    rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None, rest_weight: float
 ) -> list[Fault]:
     """Return the faults of goals and options, before any geometry."""
     faults = [] if goals else [Fault("IK006", "the problem has no goals")]
@@ -171,9 +167,8 @@ def _faults(
             message = f"the limits of {joint.name!r} are reversed or not numbers"
             faults.append(Fault("IK005", message))
         if not max(map(abs, joint.translation)) <= MAX_COORDINATE:
-            message = (
-                f"{joint.name!r} is more than {MAX_COORDINATE:g} m from its parent"
-            )
+            distance = f"more than {MAX_COORDINATE:g} m"
+            message = f"{joint.name!r} is {distance} from its parent"
             faults.append(Fault("IK009", message, hint="a Rig is in metres"))
     return faults
 
@@ -209,21 +204,16 @@ def find_moving_joints(
             joint = rig.joints[j]
             is_rotating = joint.type in {JointType.PIN, JointType.BALL}
             is_allowed = joints is None or joint.name in joints
-            is_movable = joint.type is not JointType.FIXED and not (
-                ignores_rotation and is_rotating
-            )
-            if is_movable and is_allowed:
+            is_fixed = joint.type is JointType.FIXED
+            if is_allowed and not is_fixed and not (ignores_rotation and is_rotating):
                 moving_indices.add(j)
             is_sliding = joint.type in {JointType.FREE, JointType.PRISMATIC}
-            ignores_rotation = (
-                ignores_rotation and not is_sliding and not any(joint.translation)
-            )
+            if is_sliding or any(joint.translation):
+                ignores_rotation = False
             j = -1 if joint.name == goal.root else joint.parent
-    return (
-        with_sources(rig, moving_indices, goals, joints)
-        if rig.is_driven
-        else moving_indices
-    )
+    if rig.is_driven:
+        return with_sources(rig, moving_indices, goals, joints)
+    return moving_indices
 
 
 def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fault]:
@@ -249,9 +239,8 @@ def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list
 def rest_pose(problem: Problem) -> FloatArray:
     """Return the coordinates ``(Q,)`` of the rest pose."""
     q = np.zeros(problem.coordinates)
-    for joint, columns in zip(
-        problem.rig.joints, coordinate_slices(problem.rig), strict=True
-    ):
+    slices = coordinate_slices(problem.rig)
+    for joint, columns in zip(problem.rig.joints, slices, strict=True):
         if joint.type in {JointType.BALL, JointType.FREE}:
             q[columns.stop - 1] = 1.0
     return q

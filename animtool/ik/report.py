@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import ClassVar
@@ -121,9 +120,8 @@ def goal_reports(
     times = solved_take.take.clock.times
     limits = by_unit(tolerance, angle_tolerance)
     reports = []
-    is_yielded = np.array(
-        [status is IkStatus.YIELDED for status in solved_take.statuses], np.bool_
-    )
+    statuses = solved_take.statuses
+    is_yielded = np.array([s is IkStatus.YIELDED for s in statuses], np.bool_)
     for e, track in enumerate(solved_take.tracks.goals):
         is_targeted, misses = solved_take.active[:, e], solved_take.misses[:, e]
         miss_reports = tuple(
@@ -134,9 +132,8 @@ def goal_reports(
         is_missed = np.asarray((is_targeted & (misses > limits)).any(axis=1), np.bool_)
         if track.goal.priority > 0 or track.goal.soft > 0:
             is_missed = np.asarray(is_missed & ~is_yielded, np.bool_)
-        spans = tuple(
-            _spans(solved_take, np.where(is_targeted, misses, 0.0), is_missed)
-        )
+        targeted_misses = np.where(is_targeted, misses, 0.0)
+        spans = tuple(_spans(solved_take, targeted_misses, is_missed))
         reports.append(
             GoalReport(
                 track.name, track.goal.joint, track.location, miss_reports, spans
@@ -202,9 +199,12 @@ def take_notices(
 def missed_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     """Return a warning for each goal that is missed."""
     return [
-        replace(
-            _goal_warning(solved_take, "IK101", i, _miss_text(report)),
-            hint=_miss_hint(solved_take, report, i),
+        _goal_warning(
+            solved_take,
+            "IK101",
+            i,
+            _miss_text(report),
+            _miss_hint(solved_take, report, i),
         )
         for i, report in enumerate(reports)
         if report.spans
@@ -217,24 +217,19 @@ def pole_notices(solved_take: TakeIk) -> list[Fault]:
         return []
     times, notices = solved_take.take.clock.times, []
     for e, track in enumerate(solved_take.tracks.goals):
-        frames = np.flatnonzero(solved_take.open_poles[:, e])
-        if not len(frames):
+        is_open = solved_take.open_poles[:, e]
+        if not is_open.any():
             continue
         spans = [
-            frame_label(times[first])
-            if end - first == 1
-            else span_label(times[first], times[end - 1])
-            for first, end in runs(solved_take.open_poles[:, e])
+            _span_text(times[first], times[end - 1]) for first, end in runs(is_open)
         ]
-        noun = "frame" if len(frames) == 1 else "frames"
+        noun = "frame" if is_open.sum() == 1 else "frames"
         message = (
             f"the pole of {track.name!r} is on the line from the root of the limb to "
             f"its end at {noun} {listed(spans, 4)}: the limb may bend in any direction"
         )
         hint = "move the pole to the side on which the middle joint is to be"
-        notices.append(
-            replace(_goal_warning(solved_take, "IK103", e, message), hint=hint)
-        )
+        notices.append(_goal_warning(solved_take, "IK103", e, message, hint))
     return notices
 
 
@@ -269,11 +264,8 @@ def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
             or "far out of reach: do the targets use these units and this space?"
         )
     if any(span.status is IkStatus.BUDGET for span in report.spans):
-        hint = (
-            f"the step or time limit was reached: raise {argument('seconds')}, "
-            "remove it, or use a "
-        )
-        return f"{hint}start that is nearer"
+        hint = f"the step or time limit was reached: raise {argument('seconds')}, "
+        return f"{hint}remove it, or use a start that is nearer"
     if any(span.status is IkStatus.CONFLICT for span in report.spans):
         return _root_hint(solved_take)
     return None
@@ -294,11 +286,11 @@ def _root_hint(solved_take: TakeIk) -> str | None:
                 if k != e
             )
             if moves_other_goals and rig.joints[joint].type is JointType.FREE:
-                message = f"the free joint {rig.names[joint]!r} moves for "
-                message += (
-                    f"{solved_take.tracks.goals[e].name!r} and moves other goals "
+                name = solved_take.tracks.goals[e].name
+                return (
+                    f"the free joint {rig.names[joint]!r} moves for {name!r} and moves "
+                    f"other goals too: 'root: {rig.names[child]}' keeps it still"
                 )
-                return f"{message}too: 'root: {rig.names[child]}' keeps it still"
     return None
 
 
@@ -338,21 +330,20 @@ def rest_notices(solved_take: TakeIk) -> list[Fault]:
         return []
     message = f"holding {listed([goal.name for goal in goals])} changes nothing: "
     message += "without a start clip, all frames are the rest pose"
-    fault = _goal_warning(solved_take, "TGT109", 0, message)
-    return [replace(fault, hint=f"pass the motion with {argument('clip')}")]
+    hint = f"pass the motion with {argument('clip')}"
+    return [_goal_warning(solved_take, "TGT109", 0, message, hint)]
 
 
 def jump_notices(solved_take: TakeIk) -> list[Fault]:
     """Return a warning if joints jump, with the largest jump."""
     if not solved_take.jumps:
         return []
-    largest = max(solved_take.jumps, key=_jump_sort_key(solved_take))
-    first, last = (
-        frame_label(solved_take.take.clock.times[largest.frame - frames_back])
-        for frames_back in (1, 0)
-    )
-    message = f"joint {largest.joint!r} {'slides' if largest.slides else 'rotates'} by "
-    message += f"{_step_text(largest, largest.size)} from frame {first} to {last}"
+    length = solved_take.problem.length
+    largest = max(solved_take.jumps, key=lambda jump: _severity_order(jump, length))
+    first, last = solved_take.take.clock.times[largest.frame - 1 : largest.frame + 1]
+    verb = "slides" if largest.slides else "rotates"
+    message = f"joint {largest.joint!r} {verb} by {_step_text(largest, largest.size)} "
+    message += f"from frame {span_label(first, last)}"
     if largest.source > 0:
         message += f" ({_step_text(largest, largest.source)} in the source)"
     frames = len({jump.frame for jump in solved_take.jumps} - {largest.frame})
@@ -367,15 +358,10 @@ def jump_notices(solved_take: TakeIk) -> list[Fault]:
     return [Fault("IK102", message, path, (), _jump_hint(solved_take, largest), level)]
 
 
-def _jump_sort_key(solved_take: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
-    """Return a sort key of jumps; slides are measured in chain lengths."""
-
-    def bad(jump: Jump) -> tuple[bool, float]:
-        """Return whether a jump is not explained by goals, and its excess."""
-        unit = solved_take.problem.length if jump.slides else 1.0
-        return (not jump.by_goals, (jump.size - jump.source) / unit)
-
-    return bad
+def _severity_order(jump: Jump, length: float) -> tuple[bool, float]:
+    """Return whether goals do not explain a jump, and its excess [rad], [length]."""
+    unit = length if jump.slides else 1.0
+    return (not jump.by_goals, (jump.size - jump.source) / unit)
 
 
 def _step_text(jump: Jump, size: float) -> str:
@@ -404,11 +390,9 @@ def _jump_hint(solved_take: TakeIk, worst: Jump) -> str:
         return f"{hint}{goal!r} eases it, and stops slightly short of its target"
     if solved_take.moving_between:
         return "each frame is solved on its own; let the joints between move (TGT105)"
-    hint = (
-        f"no smoother path was found, nor with {argument('smooth')}; a target that "
-        "passes farther "
-    )
-    return f"{hint}from {worst.joint!r}, moves earlier or has less weight may help"
+    hint = f"no smoother path was found, nor with {argument('smooth')}; a target that "
+    hint += f"passes farther from {worst.joint!r}, moves earlier or has less weight "
+    return f"{hint}may help"
 
 
 def _fading_goal(solved_take: TakeIk, worst: Jump) -> GoalTrack | None:
@@ -471,14 +455,11 @@ def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[F
         if report.spans or not distance > FAR_TARGET * solved_take.size:
             continue
         message = (
-            f"the targets of {report.name!r} are at least {length_text(distance)} "
+            f"the targets of {report.name!r} are at least {length_text(distance)} from "
+            f"its start, but the rig is {length_text(solved_take.size)} large"
         )
-        message += f"from its start, but the rig is {length_text(solved_take.size)} "
-        message += "large"
         hint = "do the targets use these units and this space?"
-        notices.append(
-            replace(_goal_warning(solved_take, "TGT106", i, message), hint=hint)
-        )
+        notices.append(_goal_warning(solved_take, "TGT106", i, message, hint))
     return notices
 
 
@@ -494,27 +475,30 @@ def independent_frame_notices(
     frames = len(solved_take.statuses)
     if not solved_take.moving_between or frames == 1:
         return []
-    message = f"each of {counted(frames, 'frame')} is solved on its own, as "
-    message += (
-        f"{listed([repr(name) for name in solved_take.moving_between], max_items=6)} "
+    names = [repr(name) for name in solved_take.moving_between]
+    message = (
+        f"each of {counted(frames, 'frame')} is solved on its own, as "
+        f"{listed(names, max_items=6)} between the joints that may move "
+        f"{'moves' if len(names) == 1 else 'move'} too"
     )
-    message += "between the joints that may move "
-    message += "moves too" if len(solved_take.moving_between) == 1 else "move too"
     hint = "that takes longer, no smoother path is searched for, and nothing is "
     hint += "smoothed; let these joints move, or move by what their types have"
     level = Severity.WARNING if smooth else Severity.NOTE
     return [Fault("TGT105", message, str(solved_take.tracks.path), (), hint, level)]
 
 
-def _goal_warning(solved_take: TakeIk, code: str, goal: int, message: str) -> Fault:
-    """Return a warning with a code and a message, located at a goal."""
+def _goal_warning(
+    solved_take: TakeIk, code: str, goal: int, message: str, hint: str | None = None
+) -> Fault:
+    """Return a warning, located at a goal."""
     line, column = solved_take.tracks.goals[goal].location
     return Fault(
         code,
         message,
         str(solved_take.tracks.path),
         (line,),
-        severity=Severity.WARNING,
+        hint,
+        Severity.WARNING,
         column=column,
         where=f"goals[{goal}]",
     )
@@ -523,31 +507,30 @@ def _goal_warning(solved_take: TakeIk, code: str, goal: int, message: str) -> Fa
 def _miss_text(report: GoalReport) -> str:
     """Return text that states the frames, the part and the size of a goal's miss."""
     worst = max(report.spans, key=lambda span: span.distance + span.angle)
-    frames_text = listed([_frames_text(span) for span in report.spans], max_items=6)
+    spans_text = listed(
+        [
+            f"{'frame' if span.first == span.last else 'frames'} "
+            f"{_span_text(span.first, span.last)}"
+            for span in report.spans
+        ],
+        max_items=6,
+    )
     amounts = []
     if worst.distance > 0:
-        amounts.append(_length_or_infinite(worst.distance))
+        is_finite = np.isfinite(worst.distance)
+        overflow_text = f"over {OVERFLOW_DISTANCE:g} m"
+        amounts.append(length_text(worst.distance) if is_finite else overflow_text)
     if worst.angle > 0:
         amounts.append(angle_text(float(np.degrees(worst.angle))))
-    message = f"{report.name!r} is not reached at {frames_text}: "
+    message = f"{report.name!r} is not reached at {spans_text}: "
     message += f"{' and '.join(amounts)} off at frame {frame_label(worst.frame)}"
-    if any(span.status is IkStatus.STEADIER for span in report.spans):
-        return f"{message}, {IkStatus.STEADIER}"
-    return f"{message}, {worst.status}"
+    is_steadier = any(span.status is IkStatus.STEADIER for span in report.spans)
+    return f"{message}, {IkStatus.STEADIER if is_steadier else worst.status}"
 
 
-def _length_or_infinite(meters: float) -> str:
-    """Return a distance as text, including infinity."""
-    if not np.isfinite(meters):
-        return f"over {OVERFLOW_DISTANCE:g} m"
-    return length_text(meters)
-
-
-def _frames_text(span: MissedSpan) -> str:
+def _span_text(first: float, last: float) -> str:
     """Return the frames of a span as text."""
-    if span.first == span.last:
-        return f"frame {frame_label(span.first)}"
-    return f"frames {span_label(span.first, span.last)}"
+    return frame_label(first) if first == last else span_label(first, last)
 
 
 def status_text(solved_take: TakeIk) -> str:
@@ -559,11 +542,9 @@ def status_text(solved_take: TakeIk) -> str:
         IkStatus(name): count for name, count in solved_take.status_counts.items()
     }
     steadier = counts.pop(IkStatus.STEADIER, 0)
+    missed_count = steadier + counts.pop(IkStatus.NEAREST, 0) if steadier else 0
+    counts_text = [f"{count} {status}" for status, count in counts.items()]
     if steadier:
-        missed_count = steadier + counts.pop(IkStatus.NEAREST, 0)
         path_text = f"{steadier} of them on a smoother path than the nearest poses give"
-        return ", ".join(
-            [*(f"{n} {status}" for status, n in counts.items()),
-             f"{missed_count} out of reach ({path_text})"]
-        )  # fmt: skip
-    return ", ".join(f"{count} {status}" for status, count in counts.items())
+        counts_text.append(f"{missed_count} out of reach ({path_text})")
+    return ", ".join(counts_text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import fields, replace
 from enum import StrEnum
 from fractions import Fraction
 from typing import ClassVar
@@ -147,11 +148,7 @@ class IkResult:
             local[:, list(limb.joints)] *= self.stretches[:, limb.goal, None, None]
         return local
 
-    def take(
-        self,
-        fps: FractionLike = 24,
-        start: Fraction | int = 1,
-    ) -> Take:
+    def take(self, fps: FractionLike = 24, start: Fraction | int = 1) -> Take:
         """Return the poses as a take of B consecutive frames.
 
         Args:
@@ -162,12 +159,8 @@ class IkResult:
         Raises:
             OptionError: The rate is invalid (SCN022), or there is no pose (TAKE001).
         """
-        clock = Clock(
-            rate_option(fps),
-            Fraction(start),
-            Fraction(1),
-            len(self.coordinates),
-        )
+        count = len(self.coordinates)
+        clock = Clock(rate_option(fps), Fraction(start), Fraction(1), count)
         rig = self.problem.rig
         rotations = local_from_coordinates(rig, self.coordinates).rotations
         motion = Motion(
@@ -175,6 +168,12 @@ class IkResult:
             Channel.from_dense(so3.align_signs(rotations)),
         )
         return drive_take(Take(rig, clock, motion))
+
+    def select(self, rows: IntArray | slice) -> IkResult:
+        """Return the result of the selected problems, with the same jumps."""
+        arrays = {name: getattr(self, name)[rows] for name in PER_PROBLEM_ARRAYS}
+        statuses = tuple(np.array(self.statuses, object)[rows].tolist())
+        return replace(self, statuses=statuses, **arrays)
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the names of the joints that are at a limit in pose ``index``."""
@@ -189,6 +188,14 @@ class IkResult:
         largest = float(self.positions.max(initial=0.0))
         missed = f"; goals missed: {len(self.missed)}" if self.missed else ""
         return f"<IkResult: {status_text}{missed}; worst position {largest:.3g} m>"
+
+
+# Names of the arrays that have a row for each problem.
+PER_PROBLEM_ARRAYS = tuple(
+    field.name
+    for field in fields(IkResult)
+    if field.name not in {"problem", "statuses", "jumps"}
+)
 
 
 def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, BoolArray]:
@@ -207,17 +214,14 @@ def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, Boo
 def _is_on_limit(limit: RangeLimit | BallLimit, coordinates: FloatArray) -> BoolArray:
     """Return a mask of the poses in which a coordinate is at its limit ``(B,)``."""
     if isinstance(limit, RangeLimit):
-        distance = np.minimum(
-            coordinates[:, 0] - limit.low, limit.high - coordinates[:, 0]
-        )
+        values = coordinates[:, 0]
+        distance = np.minimum(values - limit.low, limit.high - values)
         return np.asarray(distance <= LIMIT_TOLERANCE)
     # A pose outside a slightly narrower limit is on the true one.
     swing, twist = limit.swing, limit.twist
     if swing is not None:
-        swing = (
-            max(swing[0] - LIMIT_TOLERANCE, 0.0),
-            max(swing[1] - LIMIT_TOLERANCE, 0.0),
-        )
+        a, b = (max(angle - LIMIT_TOLERANCE, 0.0) for angle in swing)
+        swing = (a, b)
     if twist is not None and twist[1] - twist[0] > 2 * LIMIT_TOLERANCE:
         twist = (twist[0] + LIMIT_TOLERANCE, twist[1] - LIMIT_TOLERANCE)
     inner = BallLimit(swing, twist, limit.twist_axis)

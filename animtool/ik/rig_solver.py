@@ -13,7 +13,7 @@ from animtool.ik.limbs import limb_arrays
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.sub_rig import find_mimics
-from animtool.ik.two_bone import is_two_bone_limb
+from animtool.ik.two_bone import incompatibility
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Rig
 
@@ -55,51 +55,39 @@ class ClosedForm(IntEnum):
 
 
 def closed_form(problem: Problem) -> ClosedForm:
-    """Return the closed form of a problem, or NONE."""
+    """Return the closed form of a problem, or NONE; the problem caches it."""
     if "closed" not in problem.solver_cache:
-        problem.solver_cache["closed"] = _closed_form(problem)
+        arrays, form = problem.chain.kernel_arrays, ClosedForm.NONE
+        if incompatibility(problem) is None:
+            form = ClosedForm.LIMB
+        elif _kernels.arm_kind(*arrays, problem.rest_weight):
+            form = ClosedForm.ARM
+        problem.solver_cache["closed"] = form
     return ClosedForm(problem.solver_cache["closed"])
-
-
-def _closed_form(problem: Problem) -> ClosedForm:
-    """Compute the closed form of a problem, or NONE."""
-    if is_two_bone_limb(problem):
-        return ClosedForm.LIMB
-    arm = _kernels.arm_kind(*problem.chain.kernel_arrays, problem.rest_weight)
-    return ClosedForm.ARM if arm else ClosedForm.NONE
 
 
 def build_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
     """Build the kernel solver of a problem; it caches the last solved frame."""
-    form = (
-        closed_form(problem)
-        if options.method in CLOSED_FORM_METHODS
-        else ClosedForm.NONE
-    )
+    form = ClosedForm.NONE
+    if options.method in CLOSED_FORM_METHODS:
+        form = closed_form(problem)
     if "arrays" not in problem.solver_cache:
         problem.solver_cache["arrays"] = _kernel_arrays(problem)
     return _kernels.RigSolver(
         **problem.solver_cache["arrays"],
         rest_weight=problem.rest_weight,
         closed=int(form),
-        **kernel_options(options),
+        length_tolerance=options.tolerance,
+        angle_tolerance=options.angle_tolerance,
+        damping=WARM_DAMPING if options.warm else COLD_DAMPING,
+        iterations=options.iterations,
+        restarts=options.restarts,
+        seed=options.seed,
+        seconds=options.seconds,
+        ordered=options.ordered,
+        warm=options.warm,
+        method=KERNEL_METHODS[options.method],
     )
-
-
-def kernel_options(options: IkOptions) -> dict[str, Any]:
-    """Return options as arguments of kernel solvers."""
-    return {
-        "length_tolerance": options.tolerance,
-        "angle_tolerance": options.angle_tolerance,
-        "damping": WARM_DAMPING if options.warm else COLD_DAMPING,
-        "iterations": options.iterations,
-        "restarts": options.restarts,
-        "seed": options.seed,
-        "seconds": options.seconds,
-        "ordered": options.ordered,
-        "warm": options.warm,
-        "method": KERNEL_METHODS[options.method],
-    }
 
 
 def _kernel_arrays(problem: Problem) -> dict[str, Any]:
@@ -120,9 +108,7 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
         "scales": chain.scales,
         "periods": chain.periods,
         "balls": np.array([first for first, _ in chain.ball_frames], np.int64),
-        "ball_frames": np.array([frame for _, frame in chain.ball_frames]).reshape(
-            -1, 4
-        ),
+        "ball_frames": np.array([q for _, q in chain.ball_frames]).reshape(-1, 4),
         "mimics": mimic_columns,
         "mimic_numbers": mimic_numbers,
         "limbs": limbs,
@@ -149,13 +135,9 @@ def _mimic_columns(
     slices = coordinate_slices(rig)
     columns, numbers = [], []
     ready_names = set(rig.names) - set(names)
-    mimic_of = {
-        joint.name: joint.mimic for joint in rig.joints if joint.mimic is not None
-    }
+    mimic_of = {j.name: j.mimic for j in rig.joints if j.mimic is not None}
     while names:
-        ready_mimics = [
-            name for name in names if mimic_of[name].joint in ready_names
-        ] or names
+        ready_mimics = [n for n in names if mimic_of[n].joint in ready_names] or names
         for name in ready_mimics:
             joint_pair = rig.index(name), rig.index(mimic_of[name].joint)
             columns.append([slices[index].start for index in joint_pair])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.errors import Fault, OptionError, excerpt, listed, refuse
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Goal, Targets, pack
@@ -17,7 +17,13 @@ from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem, build, rest_pose
 from animtool.ik.result import IkResult
 from animtool.ik.rig_solver import ClosedForm, build_solver, closed_form
-from animtool.ik.solving import check_options, pose_rows, result_of_kernel, solve
+from animtool.ik.solving import (
+    option_faults,
+    pose_rows,
+    raise_faults,
+    result_of_kernel,
+    solve,
+)
 
 if TYPE_CHECKING:
     from animtool import _kernels
@@ -88,7 +94,7 @@ class Session:
         """Store the rig, goals and options that all calls share."""
         self.rig = rig
         self.options = options or IkOptions()
-        check_options(self.options)
+        raise_faults(option_faults(self.options))
         self._joints = None if joints is None else tuple(joints)
         self._pose, self._rest_weight = pose, rest_weight
         self._goals = _goals_by_name(rig, goals, self._joints or ())
@@ -124,13 +130,8 @@ class Session:
         values_by_goal = named if targets is None else {**targets, **named}
         packed, values = self._fill_buffer(values_by_goal)
         if self.options.near or self.rig.is_driven:
-            return solve(
-                packed.problem,
-                start,
-                _targets_of_buffer(values),
-                self.options,
-                prefer=prefer,
-            )
+            buffered = _targets_of_buffer(values)
+            return solve(packed.problem, start, buffered, self.options, prefer=prefer)
         problem = packed.problem
         rows = packed.rest if start is None else np.asarray(start, np.float64)[None]
         preferred = None if prefer is None else np.asarray(prefer, np.float64)[None]
@@ -188,7 +189,8 @@ class Session:
         values: list[Any] = []
         for name, value in values_by_goal.items():
             if name not in self._goals:
-                raise self._unknown_goal_error(name)
+                message = f"the session has no goal {excerpt(name)}"
+                refuse("TGT001", message, hint=nearest(name, self._goals))
             goal_parts, kind_mask = _target_parts(name, self._goals[name], value)
             requested.append((name, kind_mask))
             values += goal_parts
@@ -203,11 +205,6 @@ class Session:
         except (TypeError, ValueError) as error:
             raise _shape_error(values_by_goal) from error
         return packed, packed.targets
-
-    def _unknown_goal_error(self, name: str) -> OptionError:
-        """Return the error of a goal that the session does not have."""
-        message = f"the session has no goal {excerpt(name)}"
-        return OptionError(Fault("TGT001", message, hint=nearest(name, self._goals)))
 
     def _pack(self, requested: RequestedKinds) -> _PackedProblem:
         """Return the packed problem of the given goals, with a target buffer."""
@@ -308,9 +305,6 @@ def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
 def _targets_of_buffer(values: FloatArray) -> Targets:
     """Return targets from a packed buffer."""
     return Targets(
-        **{
-            kind.targets_field: values[:, :, TARGET_COLUMNS[kind.name]]
-            for kind in KINDS
-        },
+        **{k.targets_field: values[:, :, TARGET_COLUMNS[k.name]] for k in KINDS},
         weights=values[:, :, WEIGHT_COLUMNS],
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -81,16 +82,15 @@ def solve(
     (<IkStatus.CONVERGED: 'converged'>, True)
     """
     options = options or IkOptions()
-    check_options(options)
+    raise_faults(option_faults(options))
     check_method(problem, options.method)
     packed = pack(targets, problem.goals)
     starts = pose_rows(problem, start, len(packed), "start")
     if prefer is not None:
         prefer = pose_rows(problem, prefer, len(packed), "prefer")
     solver = build_solver(problem, options)
-    result = result_of_kernel(
-        problem, solver.solve(starts, packed, prefer, placed=False)
-    )
+    solution = solver.solve(starts, packed, prefer, placed=False)
+    result = result_of_kernel(problem, solution)
     if options.near and options.method in CLOSED_FORM_METHODS | {IkMethod.DAMPED}:
         preferred = starts if prefer is None else prefer
         return _pull_to_preferred(problem, packed, preferred, options, result)
@@ -140,12 +140,8 @@ def _pull_to_preferred(
     """
     is_redundant = problem.degrees > problem.rows
     rows = np.flatnonzero((result.descents > 1) & result.reached.all(axis=1))
-    if (
-        not is_redundant
-        or problem.rest_weight > 0
-        or options.seconds > 0
-        or not len(rows)
-    ):
+    has_preference = problem.rest_weight > 0 or options.seconds > 0
+    if not is_redundant or has_preference or not len(rows):
         return result
     pull_options = replace(options, method=IkMethod.DAMPED, restarts=0)
     poses, pulled_result = result.coordinates[rows], result
@@ -176,10 +172,8 @@ def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
         is_valid = bool(isinstance(value, (int, np.integer)) and low <= value <= high)
         rule = f"a whole number from {low} to {high}"
         faults[name] = _fault_unless(is_valid, name, rule, value)
-    is_valid = options.seconds >= 0
-    faults["seconds"] = _fault_unless(
-        is_valid, "seconds", "at least 0", options.seconds
-    )
+    seconds = options.seconds
+    faults["seconds"] = _fault_unless(seconds >= 0, "seconds", "at least 0", seconds)
     return faults
 
 
@@ -189,13 +183,9 @@ def _fault_unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fa
     return [] if is_valid else [Fault("IK014", message)]
 
 
-def check_options(options: IkOptions) -> None:
-    """Raise if options are invalid."""
-    faults = [
-        fault
-        for faults_of_option in option_faults(options).values()
-        for fault in faults_of_option
-    ]
+def raise_faults(faults_by_option: Mapping[str, list[Fault]]) -> None:
+    """Raise the faults of all options, if there are any."""
+    faults = [fault for faults in faults_by_option.values() for fault in faults]
     if faults:
         raise OptionError(faults)
 
@@ -253,7 +243,7 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
         return reason and f"does not apply: {reason}"
     simple_methods = {IkMethod.CCD, IkMethod.FABRIK}
     kinds = [kind for goal in problem.goals for kind in goal.kinds]
-    sliding_joints = _translating_joints(problem)
+    sliding_names = listed(_translating_joints(problem))
     has_priorities = bool(problem.chain.goals[:, 3].any())
     rules = [
         (
@@ -271,7 +261,11 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
             {IkMethod.FABRIK},
             "is for positions only",
         ),
-        (bool(sliding_joints), {IkMethod.FABRIK}, _sliding_text(sliding_joints)),
+        (
+            bool(sliding_names),
+            {IkMethod.FABRIK},
+            f"is for joints that only rotate, but {sliding_names} may translate",
+        ),
     ]
     matching_rules = (
         obstacle
@@ -286,8 +280,3 @@ def _translating_joints(problem: Problem) -> list[str]:
     rig = problem.rig
     kinds = {JointType.FREE, JointType.PRISMATIC}
     return [n for n in problem.joints if rig.joints[rig.index(n)].type in kinds]
-
-
-def _sliding_text(sliding: list[str]) -> str:
-    """Return text that states which sliding joints a method does not support."""
-    return f"is for joints that only rotate, but {listed(sliding)} may translate"

@@ -47,31 +47,18 @@ def with_mimics(
     names = find_mimics(rig, moved_names)
     if not names:
         return coordinates
-    slices = coordinate_slices(rig)
-    updated_coordinates = coordinates.copy()
     if rig.is_driven:
         driven_names = {rig.names[j] for j in plan_of(rig).joints}
-        mimics_only = [name for name in names if name not in driven_names]
-        return driven_coordinates(
-            plan_of(rig), _apply_mimics(rig, updated_coordinates, slices, mimics_only)
-        )
-    return _apply_mimics(rig, updated_coordinates, slices, names)
-
-
-def _apply_mimics(
-    rig: Rig, updated_coordinates: FloatArray, slices: list[slice], names: list[str]
-) -> FloatArray:
-    """Return coordinates ``(B, Q)`` with mimic joints set from their leads."""
+        names = [name for name in names if name not in driven_names]
+    slices, updated = coordinate_slices(rig), coordinates.copy()
     # Repeated for each name, so that chains of mimics are resolved.
     for _ in names:
         for name in names:
             mimic = rig.joints[rig.index(name)].mimic
             assert mimic is not None
-            lead = updated_coordinates[:, slices[rig.index(mimic.joint)]]
-            updated_coordinates[:, slices[rig.index(name)]] = (
-                mimic.gain * lead + mimic.offset
-            )
-    return updated_coordinates
+            lead = updated[:, slices[rig.index(mimic.joint)]]
+            updated[:, slices[rig.index(name)]] = mimic.gain * lead + mimic.offset
+    return driven_coordinates(plan_of(rig), updated) if rig.is_driven else updated
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
@@ -104,8 +91,8 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
         pending_joints += links.get(j, ())
         pending_joints += [
             i
-            for i, joint_index in enumerate(rig.joints)
-            if joint_index.mimic is not None and joint_index.mimic.joint == joint.name
+            for i, other in enumerate(rig.joints)
+            if other.mimic is not None and other.mimic.joint == joint.name
         ]
     indices = sorted(included_joints)
     index_in_part = {j: i for i, j in enumerate(indices)} | {-1: -1}
@@ -115,9 +102,8 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     )
     smaller_rig = Rig(rig.name, joints, rig.meters_per_unit, rig.up, chains=rig.chains)
     if links:
-        smaller_rig = replace(
-            smaller_rig, controls=_supported_controls(rig, smaller_rig.names)
-        )
+        controls = _supported_controls(rig, smaller_rig.names)
+        smaller_rig = replace(smaller_rig, controls=controls)
     return smaller_rig, np.array(indices, np.int64)
 
 
@@ -134,26 +120,17 @@ def _driver_links(rig: Rig) -> dict[int, list[int]]:
 
 def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
     """Return controls without drives of joints, and without unsupported drivers."""
-    available = set(names)
-    return tuple(
-        replace(
-            control,
-            drives=tuple(d for d in control.drives if d.target.startswith("control/")),
-            driven=control.driven
-            if control.driven is not None
-            and all(
-                _is_joint_available(name, available) for name in control.driven.names
-            )
-            else None,
-        )
-        for control in rig.controls
-    )
-
-
-def _is_joint_available(name: str, available_names: Collection[str]) -> bool:
-    """Return whether the joint of a coordinate's name is available."""
-    joint = split_coordinate(name)[0]
-    return not joint or joint in available_names
+    # Names of controls have no joint.
+    available = {"", *names}
+    controls = []
+    for control in rig.controls:
+        drives = tuple(d for d in control.drives if d.target.startswith("control/"))
+        driven = control.driven
+        inputs = () if driven is None else driven.names
+        if not available.issuperset(split_coordinate(name)[0] for name in inputs):
+            driven = None
+        controls.append(replace(control, drives=drives, driven=driven))
+    return tuple(controls)
 
 
 def with_types(rig: Rig) -> Rig:

@@ -129,9 +129,7 @@ def warn_of_offsets(
             f"{goal.effector!r}, with lengths in {unit}; the rig is "
             f"{length_text(size)} tall"
         )
-        hint = (
-            f"for {likely_unit} write [{numbers}], or 'units: {{length: "
-            f"{likely_unit}}}' for all lengths"
-        )
+        hint = f"for {likely_unit} write [{numbers}], or 'units: {{length: "
+        hint += f"{likely_unit}}}' for all lengths"
         document.warn("TGT110", ("goals", i, "offset"), message, hint)
         return

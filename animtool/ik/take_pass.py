@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, refuse
 from animtool.core.options import options_of, with_text_values
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
@@ -16,6 +16,7 @@ from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
+from animtool.ik.solving import raise_faults
 from animtool.ik.sub_rig import with_joint_data_of
 from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
@@ -79,16 +80,14 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
         for e, track in enumerate(solved_take.tracks.goals)
     )
     misses = [miss for goal in goals for miss in goal.misses]
-    lengths = [miss.max for miss in misses if miss.metric]
-    context.errors.extend(lengths)
+    context.errors.extend(miss.max for miss in misses if miss.metric)
     return replace(solved_take.take, rig=rig)
 
 
 def solve_options(options: Any) -> TakeOptions:
     """Return the solve options of the pass (invalid tolerance: IK014)."""
-    return replace(
-        _options_without_tolerance(options), tolerance=_length(options.tolerance)
-    )
+    tolerance = _length(options.tolerance)
+    return replace(_options_without_tolerance(options), tolerance=tolerance)
 
 
 def _options_without_tolerance(options: Any) -> TakeOptions:
@@ -103,8 +102,7 @@ def _options_without_tolerance(options: Any) -> TakeOptions:
 def _targets_file(options: IkPassOptions) -> Path:
     """Return the path of the targets file."""
     if options.targets is None:
-        message = "targets must name a targets file"
-        raise OptionError(Fault("TGT013", message))
+        refuse("TGT013", "targets must name a targets file")
     return options.targets
 
 
@@ -119,20 +117,11 @@ def _length(text: str) -> float:
 def _option_checks(options: Any) -> OptionChecks:
     """Return the function that checks each option, by option name."""
     faults_by_name = take_option_faults(_options_without_tolerance(options))
-    numbers = {
-        name: partial(_raise_faults, faults) for name, faults in faults_by_name.items()
-    }
     return {
-        **numbers,
+        **{n: partial(raise_faults, {n: f}) for n, f in faults_by_name.items()},
         "targets": lambda: _targets_file(options),
         "tolerance": lambda: _length(options.tolerance),
     }
-
-
-def _raise_faults(faults: list[Fault]) -> None:
-    """Raise faults, if there are any."""
-    if faults:
-        raise OptionError(faults)
 
 
 PASS = Pass(

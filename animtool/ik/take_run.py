@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
 from animtool.ik.chain_frame import SolveSpan
@@ -140,9 +140,8 @@ class TakeIk:
     def jumps_at_codes(self) -> list[dict[str, object]]:
         """The jumps as plain values, their frames as time codes."""
         times = self.take.clock.times
-        return [
-            {**plain_value(jump), "frame": times[jump.frame]} for jump in self.jumps
-        ]
+        jumps = self.jumps
+        return [{**plain_value(jump), "frame": times[jump.frame]} for jump in jumps]
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,70 +186,58 @@ def gather_take(
     rate: float,
 ) -> TakeIk:
     """Assemble a take from the solved poses of its frame spans."""
-    results = [solved_part.result for solved_part in solutions]
-    motion = take.motion
+    results = [solution.result for solution in solutions]
+    motion, problem = take.motion, results[0].problem
     rig = solutions[0].span.rig
-    names = {*results[0].problem.joints, *find_mimics(rig, results[0].problem.joints)}
-    stretched_joints = {j for limb in results[0].problem.limbs for j in limb.joints}
+    names = {*problem.joints, *find_mimics(rig, problem.joints)}
+    stretched_joints = {j for limb in problem.limbs for j in limb.joints}
     joints = sorted({rig.index(name) for name in names} | stretched_joints)
     translations, rotations = local.translations[:, joints], local.rotations[:, joints]
     source = LocalTransforms(translations.copy(), rotations.copy())
-    for solved_part in solutions:
-        span = solved_part.span.frames
-        rows, source_rows = solved_part.result.coordinates, solved_part.span.coordinates
-        locals_of_part = local_from_coordinates(solved_part.span.rig, rows)
-        stretched_translations = solved_part.result.local_translations()
-        slices = coordinate_slices(solved_part.span.rig)
+    for solution in solutions:
+        span, frames = solution.span, solution.span.frames
+        rows, source_rows = solution.result.coordinates, span.coordinates
+        solved = local_from_coordinates(span.rig, rows)
+        stretched_translations = solution.result.local_translations()
+        slices = coordinate_slices(span.rig)
         for i, j in enumerate(joints):
             change = np.abs(rows[:, slices[j]] - source_rows[:, slices[j]])
-            is_stretched = (
-                stretched_translations[:, j] != locals_of_part.translations[:, j]
-            ).any(axis=1)
-            is_changed = (
-                change.max(axis=1, initial=0.0) > EQUAL_COORDINATE
-            ) | is_stretched
-            translations[span, i][is_changed] = stretched_translations[is_changed, j]
-            rotations[span, i][is_changed] = locals_of_part.rotations[is_changed, j]
+            is_changed = change.max(axis=1, initial=0.0) > EQUAL_COORDINATE
+            differs = stretched_translations[:, j] != solved.translations[:, j]
+            is_changed |= differs.any(axis=1)
+            translations[frames, i][is_changed] = stretched_translations[is_changed, j]
+            rotations[frames, i][is_changed] = solved.rotations[is_changed, j]
     index = indices[joints]
     motion = replace(
         motion,
         translations=motion.translations.put(index, translations).compact(),
         rotations=motion.rotations.put(index, so3.align_signs(rotations)).compact(),
     )
-    problem = results[0].problem
+    packed_targets = np.concatenate([solution.targets for solution in solutions])
+    coordinates = np.concatenate([result.coordinates for result in results])
     jumps = find_jumps(
         [rig.names[j] for j in joints],
         source,
         LocalTransforms(translations, rotations),
-        goal_steps(
-            problem, np.concatenate([solved_part.targets for solved_part in solutions])
-        ),
+        goal_steps(problem, packed_targets),
         fps=rate,
         length=problem.length,
-        windings=full_revolutions(
-            rig, np.concatenate([solved_part.coordinates for solved_part in results])
-        )[:, joints],
+        windings=full_revolutions(rig, coordinates)[:, joints],
     )
     active = np.asarray(targets.weights) * [goal.goal.weights for goal in tracks.goals]
-    limits = [
-        frames_on_limits(solved_part.problem, solved_part.coordinates)
-        for solved_part in results
-    ]
+    limits = [frames_on_limits(r.problem, r.coordinates) for r in results]
     return TakeIk(
         replace(take, motion=motion),
         tracks,
         problem,
         active > 0,
-        np.concatenate([solved_part.misses for solved_part in results]),
-        tuple(status for solved_part in results for status in solved_part.statuses),
-        np.concatenate([solved_part.iterations for solved_part in results]),
-        np.concatenate([solved_part.descents for solved_part in results]),
-        sum(solved_part.seconds for solved_part in solutions),
+        np.concatenate([result.misses for result in results]),
+        tuple(status for result in results for status in result.statuses),
+        np.concatenate([result.iterations for result in results]),
+        np.concatenate([result.descents for result in results]),
+        sum(solution.seconds for solution in solutions),
         jumps,
-        {
-            name: np.concatenate([solved_part[name] for solved_part in limits])
-            for name in limits[0]
-        },
+        {name: np.concatenate([masks[name] for masks in limits]) for name in limits[0]},
         steadier=solutions[0].steadier if jumps else None,
     )
 
@@ -274,17 +261,6 @@ def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:
         "rest_weight": rest_weight_faults(options.rest_weight),
         "smooth": smoothing_faults(options.smooth, 1.0),
     }
-
-
-def check_options(options: TakeOptions) -> None:
-    """Raise if options are invalid."""
-    faults = [
-        fault
-        for faults_of_option in take_option_faults(options).values()
-        for fault in faults_of_option
-    ]
-    if faults:
-        raise OptionError(faults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,22 +288,17 @@ class TakeSolver:
         packed = pack_for_chain(problem, targets)
         if not self.static:
             start = span.coordinates
-            first_solution = self._timed_solve(problem, start, targets, warm=False)
-            return SpanSolution(
-                span,
-                packed,
-                *first_solution,
-                self._find_steadier_smoothing(first_solution[0], targets, start),
-            )
-        bent_start, seconds = self._solve_bent_start(span, problem, targets)
-        start, restart_solution = self._solve_start(span, problem, bent_start, targets)
-        first_pose = span.coordinates[0]
-        first_solution = self._timed_solve(
-            problem, start, targets, warm=True, prefer=first_pose
+            result, seconds = self._timed_solve(problem, start, targets, warm=False)
+            steadier = self._find_steadier_smoothing(result, targets, start)
+            return SpanSolution(span, packed, result, seconds, steadier)
+        bent_start, bent_seconds = self._solve_bent_start(span, problem, targets)
+        start, start_seconds = self._solve_start(span, problem, bent_start, targets)
+        result, seconds = self._timed_solve(
+            problem, start, targets, warm=True, prefer=span.coordinates[0]
         )
-        seconds += restart_solution + first_solution[1]
-        steadier = self._find_steadier_smoothing(first_solution[0], targets, None)
-        return SpanSolution(span, packed, first_solution[0], seconds, steadier)
+        seconds += bent_seconds + start_seconds
+        steadier = self._find_steadier_smoothing(result, targets, None)
+        return SpanSolution(span, packed, result, seconds, steadier)
 
     def _find_steadier_smoothing(
         self, result: IkResult, targets: Targets, start: FloatArray | None
@@ -367,9 +338,8 @@ class TakeSolver:
         clip would keep the random pose of a restart.
         """
         first = targets_of_frames(targets, slice(0, 1))
-        source_pose = span.coordinates[0]
         poses, seconds = self._timed_solve(
-            problem, start, first, warm=False, prefer=source_pose
+            problem, start, first, warm=False, prefer=span.coordinates[0]
         )
         moved_start = poses.descents[0] > 1 and bool(poses.converged[0])
         return poses.coordinates[0] if moved_start else start, seconds
@@ -487,10 +457,8 @@ def _distant_pole(
     chain = track.chain
     assert chain is not None
     root = rig.index(chain.root)
-    origin = world.positions[frame, root]
-    pole_distance = np.linalg.norm(
-        world.positions[frame, rig.index(chain.tip)] - origin
-    )
+    origin, tip = world.positions[frame, [root, rig.index(chain.tip)]]
+    pole_distance = np.linalg.norm(tip - origin)
     direction = np.array(chain.pole_dir, np.float64)
     parent = rig.joints[root].parent
     if parent >= 0:

@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.old_names import rename_attributes
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.ik.goals import KINDS, Goal, GoalKind, Targets, TargetValue
+from animtool.ik.goals import KINDS, Goal, GoalKind, Targets
 from animtool.ik.limbs import limb_joints
 from animtool.ik.two_bone import bend_angle
 from animtool.ik.values import (
@@ -80,23 +80,21 @@ class FreeEffector:
         fraction = weights[rows]
         if not len(fraction):
             return blended_values
-        if kind.value_type is TargetValue.ROTATION:
-            blended_values[rows] = so3.slerp(
-                self.orientation()[rows], values[rows], fraction
-            )
+        if kind.is_rotation:
+            free = self.orientation()[rows]
+            blended_values[rows] = so3.slerp(free, values[rows], fraction)
             return so3.align_signs(blended_values)
         if not kind.is_direction:
             blended_values[rows] = self._blend_positions(values, rows, fraction)
             return blended_values
-        origins, directions = (
-            self._aim_axis()
-            if kind.depends_on_rotation
-            else self._bend_directions(values)
-        )
+        if kind.depends_on_rotation:
+            origins = self.position()
+            directions = so3.rotate(self.orientation(), np.array(self.goal.aim_axis))
+        else:
+            origins, directions = self._bend_directions(values)
         offsets = values[rows] - origins[rows]
-        blended_values[rows] = origins[rows] + swing_towards(
-            directions[rows], offsets, fraction
-        )
+        swung_offsets = swing_towards(directions[rows], offsets, fraction)
+        blended_values[rows] = origins[rows] + swung_offsets
         return blended_values
 
     def _blend_positions(
@@ -105,7 +103,7 @@ class FreeEffector:
         """Return the blended positions of the selected rows ``(N, 3)``."""
         start, end = self.position()[rows], values[rows]
         straight = start + fraction[:, None] * (end - start)
-        limb = self._limb()
+        limb = self.limb()
         if limb is None or not self._is_complete(limb[0]):
             return np.asarray(straight)
         root, middle = (self.world.positions[rows, j] for j in limb)
@@ -115,27 +113,22 @@ class FreeEffector:
         )
         bends = bend_angle(a, b, size), bend_angle(a, b, rotation)
         angle = bends[0] + fraction * (bends[1] - bends[0])
-        limb_distance = np.sqrt(
-            np.maximum(a**2 + b**2 + 2 * a * b * np.cos(angle), 0.0)
-        )
+        square = a**2 + b**2 + 2 * a * b * np.cos(angle)
+        limb_distance = np.sqrt(np.maximum(square, 0.0))
         limb_distance += fraction * np.maximum(rotation - (a + b), 0.0)
         has_direction = (rotation > MIN_DIRECTION * (a + b))[:, None]
         end_direction = np.where(has_direction, end - root, start - root)
         vector = swing_towards(start - root, end_direction, fraction)
         vector_length = np.maximum(np.linalg.norm(vector, axis=1), 1e-300)
-        bend_weight = smoothstep(
-            (bends[0] - STRAIGHT_ANGLE) / (BENT_ANGLE - STRAIGHT_ANGLE)
-        )
+        bent_fraction = (bends[0] - STRAIGHT_ANGLE) / (BENT_ANGLE - STRAIGHT_ANGLE)
+        bend_weight = smoothstep(bent_fraction)
         rotated = root + vector * (limb_distance / vector_length)[:, None]
         return np.asarray(rotated + bend_weight[:, None] * (straight - rotated))
 
-    def _limb(self) -> tuple[int, int] | None:
+    def limb(self) -> tuple[int, int] | None:
         """Return the root and middle joint of the limb."""
-        moving = {
-            j
-            for j, joint in enumerate(self.rig.joints)
-            if joint.type is not JointType.FIXED
-        }
+        joints = enumerate(self.rig.joints)
+        moving = {j for j, joint in joints if joint.type is not JointType.FIXED}
         origins, point = self.world.positions[0], self.position()[0]
         return limb_joints(self.rig, self.goal, moving, origins, point)
 
@@ -148,31 +141,22 @@ class FreeEffector:
             parent = self.rig.joints[parent].parent
         return parent < 0
 
-    def _aim_axis(self) -> tuple[FloatArray, FloatArray]:
-        """Return origin and direction of the aim axis, each ``(F, 3)``."""
-        return self.position(), so3.rotate(
-            self.orientation(), np.array(self.goal.aim_axis)
-        )
-
     def _bend_directions(self, poles: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the limb's root and the direction of its bend, each ``(F, 3)``.
 
         A straight limb is assumed to bend towards its poles.
         """
         point = self.position()
-        limb = self._limb()
+        limb = self.limb()
         if limb is None:
             return point, poles - point
         root, middle = (self.world.positions[:, j] for j in limb)
         limb_vectors, bone = point - root, middle - root
         square = np.maximum((limb_vectors**2).sum(axis=1, keepdims=True), 1e-300)
-        perpendicular = (
-            bone
-            - (bone * limb_vectors).sum(axis=1, keepdims=True) / square * limb_vectors
-        )
-        is_bent = np.linalg.norm(
-            perpendicular, axis=1
-        ) > MIN_DIRECTION * np.linalg.norm(bone, axis=1)
+        product = (bone * limb_vectors).sum(axis=1, keepdims=True)
+        perpendicular = bone - product / square * limb_vectors
+        min_length = MIN_DIRECTION * np.linalg.norm(bone, axis=1)
+        is_bent = np.linalg.norm(perpendicular, axis=1) > min_length
         return root, np.where(is_bent[:, None], perpendicular, poles - root)
 
 
@@ -284,31 +268,24 @@ class TargetTracks:
         count = int((clock.count - 1) * clock.step // 1) + 1
         for track in self.goals:
             for value in track.values.values():
-                if isinstance(value, ArrayRows) and value.first is None:
-                    rows = len(value.values)
-                    if rows == count:
-                        continue
-                    message = (
-                        f"{value.name!r} has {counted(rows, 'row')}, but the take has "
-                    )
-                    message += f" {counted(count, 'frame')}"
+                if not isinstance(value, ArrayRows) or value.first is not None:
+                    continue
+                rows = len(value.values)
+                if rows != count:
+                    message = f"{value.name!r} has {counted(rows, 'row')}, but the "
+                    message += f"take has  {counted(count, 'frame')}"
                     hint = "write range to tell which frames the rows are for"
                     faults.append(value.rows_fault(message, hint, str(self.path)))
         if faults:
             raise OptionError(faults)
-        goals = tuple(
-            replace(
-                track,
-                values={
-                    part: replace(value, first=clock.start)
-                    if isinstance(value, ArrayRows) and value.first is None
-                    else value
-                    for part, value in track.values.items()
-                },
-            )
-            for track in self.goals
-        )
-        return replace(self, goals=goals)
+        goals = []
+        for track in self.goals:
+            values = dict(track.values)
+            for part, value in track.values.items():
+                if isinstance(value, ArrayRows) and value.first is None:
+                    values[part] = replace(value, first=clock.start)
+            goals.append(replace(track, values=values))
+        return replace(self, goals=tuple(goals))
 
     def sample(
         self,
@@ -339,7 +316,7 @@ class TargetTracks:
             for kind in KINDS
         }
         for kind in KINDS:
-            if kind.value_type is TargetValue.ROTATION:
+            if kind.is_rotation:
                 values_by_field[kind.targets_field][..., 3] = 1.0
         weights = np.ones((*shape, len(KINDS)))
         for e, track in enumerate(self.goals):
@@ -352,9 +329,8 @@ class TargetTracks:
                 if not track.goal.weights[i]:
                     continue
                 value, weight = _sample_part(track, kind, frames, source)
-                values_by_field[kind.targets_field][:, e] = (
-                    fade_source.blend_from_free_motion(kind, value, is_active)
-                )
+                value = fade_source.blend_from_free_motion(kind, value, is_active)
+                values_by_field[kind.targets_field][:, e] = value
                 weights[:, e, i] = weight * (is_active > 0)
         return Targets(**values_by_field, weights=weights)
 
@@ -375,11 +351,7 @@ def _sample_part(
     if value is not None:
         curve_values = value.sample(frames)
     else:
-        curve_values = (
-            pose.orientation()
-            if kind.value_type is TargetValue.ROTATION
-            else pose.position()
-        )
+        curve_values = pose.orientation() if kind.is_rotation else pose.position()
     if not track.spans or part not in track.hold_parts:
         return curve_values, weight
     weights_in_span = hold_weights(frames.times, track.spans, track.ease)

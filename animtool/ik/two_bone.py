@@ -35,11 +35,6 @@ def incompatibility(problem: Problem) -> str | None:
     return _joint_obstacle(problem.chain)
 
 
-def is_two_bone_limb(problem: Problem) -> bool:
-    """Return whether a problem is a limb of two bones with a position goal."""
-    return incompatibility(problem) is None
-
-
 def _joint_obstacle(chain: Chain) -> str | None:
     """Return why the joints cannot bend and rotate the limb fully; None if they can."""
     if not _is_unlimited(chain.numbers[0]):
@@ -51,7 +46,7 @@ def _joint_obstacle(chain: Chain) -> str | None:
     if chain.nodes[1, 0] == BALL:
         is_limited = not _is_unlimited(chain.numbers[1])
         return "its second joint is a ball with limits" if is_limited else None
-    axis = _rest_matrix(chain, 1)[:, 2]
+    axis = chain.numbers[1, :9].reshape(3, 3)[:, 2]
     bone_along_axis = chain.goal_numbers[0, 2]
     tool_along_axis = chain.goal_numbers[0, 5]
     largest_cosine = max(abs(axis @ upper), abs(bone_along_axis), abs(tool_along_axis))
@@ -65,11 +60,6 @@ def _is_unlimited(numbers: FloatArray) -> bool:
     """Return whether the node numbers of a joint contain no limits."""
     low_side = np.array([np.inf, np.inf, -np.inf, np.inf])
     return bool((numbers[14:18] == low_side).all())
-
-
-def _rest_matrix(chain: Chain, node: int) -> FloatArray:
-    """Return a node's rest rotation as a matrix ``(3, 3)``."""
-    return chain.numbers[node, :9].reshape(3, 3)
 
 
 def bend_angle(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:

@@ -65,10 +65,11 @@ def hold_weights(times: FloatArray, spans: Sequence[Span], ease: float) -> Float
     """
     weights = np.zeros((len(spans), len(times)))
     for i, (first, last) in enumerate(spans):
-        ease_in = ease if i == 0 else min(ease, (first - spans[i - 1][1]) / 2)
-        ease_out = (
-            ease if i + 1 == len(spans) else min(ease, (spans[i + 1][0] - last) / 2)
-        )
+        ease_in = ease_out = ease
+        if i > 0:
+            ease_in = min(ease, (first - spans[i - 1][1]) / 2)
+        if i + 1 < len(spans):
+            ease_out = min(ease, (spans[i + 1][0] - last) / 2)
         is_inside = (times >= first) & (times <= last)
         weights[i, is_inside] = 1.0
         for length, distance in ((ease_in, first - times), (ease_out, times - last)):
@@ -95,17 +96,12 @@ def blend_holds(
     blended_values = values.copy()
     for weight, hold_value in zip(weights, hold_values, strict=True):
         is_blending = (weight > 0) & (weight < 1)
+        fraction, free = weight[is_blending], blended_values[is_blending]
         if values.shape[1] == 4:
-            blending_hold_values = np.broadcast_to(
-                hold_value, blended_values[is_blending].shape
-            )
-            blended_values[is_blending] = so3.slerp(
-                blended_values[is_blending], blending_hold_values, weight[is_blending]
-            )
+            held = np.broadcast_to(hold_value, free.shape)
+            blended_values[is_blending] = so3.slerp(free, held, fraction)
         else:
-            blended_values[is_blending] += weight[is_blending, None] * (
-                hold_value - blended_values[is_blending]
-            )
+            blended_values[is_blending] += fraction[:, None] * (hold_value - free)
         blended_values[weight >= 1] = hold_value
     return so3.align_signs(blended_values) if values.shape[1] == 4 else blended_values
 
@@ -172,14 +168,12 @@ class ArrayRows:
         first = 1.0 if self.first is None else float(self.first)
         row_numbers = frames.times - first
         last = len(self.values) - 1
-        is_outside = (row_numbers < -ROW_TOLERANCE) | (
-            row_numbers > last + ROW_TOLERANCE
-        )
+        is_outside = row_numbers < -ROW_TOLERANCE
+        is_outside |= row_numbers > last + ROW_TOLERANCE
         if is_outside.any():
+            frame = frames.times[is_outside][0]
             message = f"{self.name!r} has {last + 1} rows, for the frames {first:g} to "
-            message += (
-                f"{first + last:g}, but none for frame {frames.times[is_outside][0]:g}"
-            )
+            message += f"{first + last:g}, but none for frame {frame:g}"
             hint = "add range to the targets, or use an array of that length"
             raise OptionError(self.rows_fault(message, hint))
         return interpolate_rows(self.values, row_numbers)
@@ -200,23 +194,19 @@ def interpolate_rows(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
     """
     row_numbers = np.clip(row_numbers, 0.0, len(values) - 1.0)
     nearest_row = np.round(row_numbers)
-    row_numbers = np.where(
-        np.abs(row_numbers - nearest_row) <= ROW_TOLERANCE, nearest_row, row_numbers
-    )
+    is_on_row = np.abs(row_numbers - nearest_row) <= ROW_TOLERANCE
+    row_numbers = np.where(is_on_row, nearest_row, row_numbers)
     row_below = np.floor(row_numbers).astype(np.int64)
     fraction = row_numbers - row_below
     values_between = values[row_below]
     is_fractional = fraction > 0
     if is_fractional.any():
-        row_above = values[row_below[is_fractional] + 1]
+        below, fraction = values_between[is_fractional], fraction[is_fractional]
+        above = values[row_below[is_fractional] + 1]
         if values.shape[1] == 4:
-            values_between[is_fractional] = so3.slerp(
-                values_between[is_fractional], row_above, fraction[is_fractional]
-            )
+            values_between[is_fractional] = so3.slerp(below, above, fraction)
         else:
-            values_between[is_fractional] += fraction[is_fractional, None] * (
-                row_above - values_between[is_fractional]
-            )
+            values_between[is_fractional] += fraction[:, None] * (above - below)
     return values_between
 
 
@@ -265,9 +255,8 @@ class ValueReader:
         reader = ChannelReader(self.document)
         reader.check_curve(location, model)
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
-        target = {"rotation": "joint/x.rotation", "control": "control/x"}
-        target_name = target.get(kind, "joint/x.translation")
-        unit = self.units.unit_of(target_name, model.euler or "")
+        target = "control/x" if kind == "control" else f"joint/x.{kind}"
+        unit = self.units.unit_of(target, model.euler or "")
         channel = reader.read_channel(location, model, key, kind, unit)
         return None if channel is None else Keyed(channel)
 
@@ -302,12 +291,10 @@ class ValueReader:
     ) -> Value | None:
         """Return a value from keys or from a prim; None with a fault."""
         if (model.keys is None) == (model.prim is None):
-            contents = (
-                "both keys and a prim" if model.prim else "neither keys nor a prim"
-            )
-            self.document.add(
-                "TGT009", location, f"has {contents}", "write one of them"
-            )
+            message = "has neither keys nor a prim"
+            if model.prim:
+                message = "has both keys and a prim"
+            self.document.add("TGT009", location, message, "write one of them")
             return None
         names = _PRIM_KEYS if model.keys is not None else _CURVE_KEYS
         unused_keys = [name for name in names if name in model.model_fields_set]
@@ -324,9 +311,8 @@ class ValueReader:
                 for name in CurveModel.model_fields
                 if name in model.model_fields_set
             }
-            return self.read_curve(
-                location, CurveModel.model_construct(**curve_options), key
-            )
+            curve = CurveModel.model_construct(**curve_options)
+            return self.read_curve(location, curve, key)
         return self._read_prim(location, model, key)
 
     def _read_prim(
@@ -339,9 +325,8 @@ class ValueReader:
         if key != "orientation":
             x, y, z = (v * self.units.length for v in model.offset or (0.0, 0.0, 0.0))
             return PrimPoint(motion, (x, y, z))
-        rotation = self._read_rotation(
-            (*location, "rotate"), model.rotate or [1.0, 0.0, 0.0, 0.0]
-        )
+        numbers = model.rotate or [1.0, 0.0, 0.0, 0.0]
+        rotation = self._read_rotation((*location, "rotate"), numbers)
         return None if rotation is None else PrimRotation(motion, rotation.value)
 
     def _open_prim_motion(
@@ -390,7 +375,7 @@ class ValueReader:
             self.document.add("TGT006", location, str(error))
             return None
         width = 4 if key == "orientation" else 3
-        first, count = self.first, self.count
+        count = self.count
         if values.ndim != 2 or values.shape[1] != width or not len(values):
             expected = "F" if count is None else count
             message = f"{text!r} has shape {values.shape}, not ({expected}, {width})"
@@ -401,10 +386,10 @@ class ValueReader:
             message += counted(count, "frame")
             self.document.add("TGT006", location, message, "write a row for each frame")
             return None
-        return self._check_finite(location, text, values, first)
+        return self._check_finite(location, text, values)
 
     def _check_finite(
-        self, at: Location, text: str, values: FloatArray, first: Fraction | None
+        self, at: Location, text: str, values: FloatArray
     ) -> ArrayRows | None:
         """Return finite rows of an array; None with a fault otherwise."""
         invalid_rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
@@ -416,14 +401,13 @@ class ValueReader:
             return None
         location = self.document.position(at)
         if values.shape[1] == 3:
-            return ArrayRows(text, values * self.units.length, first, location)
+            return ArrayRows(text, values * self.units.length, self.first, location)
         rotations, is_invalid = file_quaternions(values)
         if is_invalid:
-            message = (
-                f"{text!r} contains a quaternion of zero length in row {is_invalid[0]}"
-            )
+            row = is_invalid[0]
+            message = f"{text!r} contains a quaternion of zero length in row {row}"
             self.document.add("TGT007", at, message)
             return None
         k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
         warn_of_quaternion_length(self.document, at, values[k].tolist())
-        return ArrayRows(text, rotations, first, location)
+        return ArrayRows(text, rotations, self.first, location)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import field
 
 import numpy as np
@@ -64,8 +64,7 @@ class _TargetsWriter:
         yield "goals:"
         for track in tracks.goals:
             yield f"- effector: {yaml_scalar(track.name)}"
-            for line in self._goal_lines(track):
-                yield f"  {line}"
+            yield from _indented(self._goal_lines(track))
 
     def _goal_lines(self, track: GoalTrack) -> Iterator[str]:
         """Yield the lines of a goal."""
@@ -81,7 +80,7 @@ class _TargetsWriter:
             if part == "aim":
                 yield "aim:"
                 yield f"  axis: {_flow_text(goal.aim_axis)}"
-                yield from _wrap_in_braces(self._value_text("at", value))
+                yield from _indented(self._value_text("at", value))
             else:
                 yield from self._value_text(part, value)
         yield from self._weight_lines(track)
@@ -100,7 +99,7 @@ class _TargetsWriter:
             case Keyed(channel):
                 yield f"{key}:"
                 unit = self.units.angle if channel.euler else unit
-                yield from _wrap_in_braces(curve_lines(channel, unit))
+                yield from _indented(curve_lines(channel, unit))
             case _:
                 raise ValueError(f"{key} follows a prim, which is not written")
 
@@ -119,9 +118,7 @@ class _TargetsWriter:
                 yield f"  {part}: {decimal_text(weight.value[0])}"
             elif isinstance(weight, Keyed):
                 yield f"  {part}:"
-                yield from _wrap_in_braces(
-                    _wrap_in_braces(curve_lines(weight.channel, 1.0))
-                )
+                yield from _indented(_indented(curve_lines(weight.channel, 1.0)))
 
 
 def _option_lines(track: GoalTrack, goal: Goal) -> Iterator[str]:
@@ -141,8 +138,8 @@ def _option_lines(track: GoalTrack, goal: Goal) -> Iterator[str]:
         yield f"ease: {decimal_text(track.ease)}"
 
 
-def _wrap_in_braces(lines: Iterator[str]) -> Iterator[str]:
-    """Yield lines joined as a YAML mapping in braces."""
+def _indented(lines: Iterable[str]) -> Iterator[str]:
+    """Yield indented lines."""
     return (f"  {line}" for line in lines)
 
 

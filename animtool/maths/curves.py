@@ -87,12 +87,10 @@ def fold_times(
         elif length > 0:
             cycles_away = np.ceil(distance / length)
             remainder = cycles_away * length - distance  # to the far edge of that cycle
-            is_mirrored = (extrapolation is Extrapolation.OSCILLATE) & (
-                cycles_away % 2 == 1
-            )
-            from_start = np.where(
-                is_mirrored ^ is_before, remainder, length - remainder
-            )
+            is_mirrored = cycles_away % 2 == 1
+            is_mirrored &= extrapolation is Extrapolation.OSCILLATE
+            is_reversed = is_mirrored ^ is_before
+            from_start = np.where(is_reversed, remainder, length - remainder)
             clamped_times[is_outside] = np.clip(start + from_start, start, end)
             if extrapolation is Extrapolation.CYCLE_OFFSET:
                 cycles[is_outside] = -cycles_away if is_before else cycles_away
@@ -145,9 +143,8 @@ class Curves:
         """
         stretch = np.array([ratio, 1.0])
         times = first + (self.times - start) * ratio
-        return replace(
-            self, times=times, ins=self.ins * stretch, outs=self.outs * stretch
-        )
+        ins, outs = self.ins * stretch, self.outs * stretch
+        return replace(self, times=times, ins=ins, outs=outs)
 
 
 _KINDS = {Interp.STEP: SegmentKind.HOLD, Interp.LINEAR: SegmentKind.LINEAR}
@@ -185,30 +182,25 @@ def key_handles(
         if interp is Interp.CATMULL_ROM:
             outs[rows, 1:], ins[rows + 1, 1:] = slopes.catmull_rom(rows, third[:, None])
             continue
-        for handle_side, handles, free_handles in (
-            (1, outs, free_outs),
-            (0, ins, free_ins),
-        ):
-            key_rows = rows + 1 - handle_side
-            signed_thirds = third if handle_side else -third
+        for side, handles, free_handles in ((1, outs, free_outs), (0, ins, free_ins)):
+            key_rows = rows + 1 - side
+            signed_thirds = third if side else -third
             if interp is Interp.TCB:
-                handles[key_rows, 1:] = (
-                    slopes.tcb[handle_side][key_rows] * signed_thirds[:, None]
-                )
+                slope = slopes.tcb[side][key_rows]
+                handles[key_rows, 1:] = slope * signed_thirds[:, None]
                 continue
-            for tangent, subset in _indices_by_tangent(tangents, key_rows, handle_side):
-                key, length = key_rows[subset], signed_thirds[subset]
+            for tangent, subset in _indices_by_tangent(tangents, key_rows, side):
+                key, segments = key_rows[subset], rows[subset]
+                length = signed_thirds[subset]
                 if tangent is Tangent.FREE and interp is not Interp.HERMITE:
                     handles[key] = free_handles[key]
-                    kinds[rows[subset][free_handles[key, 0] != length]] = (
-                        SegmentKind.BEZIER
-                    )
+                    is_bezier = free_handles[key, 0] != length
+                    kinds[segments[is_bezier]] = SegmentKind.BEZIER
                     continue
-                slope = (
-                    _free_slopes(free_handles[key])
-                    if tangent is Tangent.FREE
-                    else slopes.by_rule(tangent, key, rows[subset])
-                )
+                if tangent is Tangent.FREE:
+                    slope = _free_slopes(free_handles[key])
+                else:
+                    slope = slopes.by_rule(tangent, key, segments)
                 handles[key, 0], handles[key, 1:] = length, slope * length[:, None]
     return ins, outs, kinds
 
@@ -222,9 +214,7 @@ def _indices_by_value(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArr
         yield values[0], np.arange(len(values))
         return
     for value in dict.fromkeys(values):
-        matches = np.fromiter(
-            (other_value == value for other_value in values), np.bool_, len(values)
-        )
+        matches = [other_value == value for other_value in values]
         yield value, np.flatnonzero(matches)
 
 
@@ -358,13 +348,9 @@ def end_slopes(curves: Curves) -> FloatArray:
     is_single_key = starts == ends
     second = np.where(is_single_key, starts, starts + 1)
     second_last = np.where(is_single_key, ends, ends - 1)
-    return np.stack(
-        [
-            _slopes(curves, starts, second, curves.outs[starts]),
-            _slopes(curves, second_last, ends, -curves.ins[ends]),
-        ],
-        axis=-1,
-    )
+    first_slopes = _slopes(curves, starts, second, curves.outs[starts])
+    last_slopes = _slopes(curves, second_last, ends, -curves.ins[ends])
+    return np.stack([first_slopes, last_slopes], axis=-1)
 
 
 def _slopes(

@@ -57,6 +57,5 @@ def from_quaternion(quaternions: ArrayLike, order: str) -> FloatArray:
     [[0.0, 0.0, 180.0]]
     """
     values = np.ascontiguousarray(quaternions, np.float64).reshape(-1, 1, 4)
-    return _kernels.quaternion_to_euler(values, np.array([axes_of(order)], np.int32))[
-        :, 0
-    ]
+    axes = np.array([axes_of(order)], np.int32)
+    return _kernels.quaternion_to_euler(values, axes)[:, 0]

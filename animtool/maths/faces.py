@@ -39,9 +39,7 @@ def unique_pairs(pairs: IntArray) -> IntArray:
 def edges(counts: IntArray, indices: IntArray) -> IntArray:
     """Return the distinct edges of polygons, ascending ``(E, 2)``.
 
-    Args:
-        counts: Number of corners of each polygon ``(M,)``.
-        indices: Corners, one polygon after the other ``(C,)``.
+    The arguments are those of `directed_edges`.
 
     >>> edges(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3])).tolist()
     [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]
@@ -52,9 +50,7 @@ def edges(counts: IntArray, indices: IntArray) -> IntArray:
 def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray]:
     """Return the distinct edges of polygons ``(E, 2)`` and their face counts ``(E,)``.
 
-    Args:
-        counts: Number of corners of each polygon ``(M,)``.
-        indices: Corners, one polygon after the other ``(C,)``.
+    The arguments are those of `directed_edges`.
 
     >>> edge_counts(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3]))[1].tolist()
     [1, 2, 1, 1, 1]
@@ -67,9 +63,7 @@ def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray
 def is_closed(counts: IntArray, indices: IntArray) -> bool:
     """Return whether polygons form a closed mesh: every edge has two faces.
 
-    Args:
-        counts: Number of corners of each polygon ``(M,)``.
-        indices: Corners, one polygon after the other ``(C,)``.
+    The arguments are those of `directed_edges`.
 
     >>> tetrahedron = np.array([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3])
     >>> is_closed(np.full(4, 3), tetrahedron), is_closed(np.full(3, 3), tetrahedron[:9])
@@ -105,9 +99,7 @@ def coincident_edges(pairs: IntArray) -> tuple[IntArray, IntArray]:
 def triangulate(counts: IntArray, indices: IntArray) -> IntArray:
     """Return the triangle fans of polygons ``(T, 3)``.
 
-    Args:
-        counts: Number of corners of each polygon ``(M,)``.
-        indices: Corners, one polygon after the other.
+    The arguments are those of `directed_edges`.
 
     >>> triangulate(np.array([4]), np.array([5, 6, 7, 8])).tolist()
     [[5, 6, 7], [5, 7, 8]]
@@ -116,9 +108,8 @@ def triangulate(counts: IntArray, indices: IntArray) -> IntArray:
     fans = np.maximum(counts - 2, 0)
     starts = np.repeat(firsts, fans)
     step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    return np.stack(
-        [indices[starts], indices[starts + step + 1], indices[starts + step + 2]], 1
-    )
+    seconds, thirds = starts + step + 1, starts + step + 2
+    return np.stack([indices[starts], indices[seconds], indices[thirds]], 1)
 
 
 def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
@@ -138,9 +129,8 @@ def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     a, b, c = (points[triangles[:, i]] for i in range(3))
     areas = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     corners, count = triangles.reshape(-1), len(points)
-    sums = np.stack(
-        [np.bincount(corners, areas[:, axis], count) for axis in range(3)], axis=1
-    )
+    columns = [np.bincount(corners, areas[:, axis], count) for axis in range(3)]
+    sums = np.stack(columns, axis=1)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     is_undefined = lengths[:, 0] <= np.finfo(np.float64).tiny
     normals: FloatArray = sums / np.where(is_undefined[:, None], 1.0, lengths)
@@ -174,17 +164,10 @@ def rigid_motion(
     start = np.asarray(source_points, np.float64)
     end = np.asarray(target_points, np.float64)
     centre, target_centre = start.mean(axis=0), end.mean(axis=0)
-    rotation = _best_rotation(
-        (start - centre).T @ (end - target_centre), _scale(start) * _scale(end)
-    )
-    return rotation, np.asarray(
-        target_centre - so3.rotate(rotation, centre), np.float64
-    )
-
-
-def _scale(points: FloatArray) -> float:
-    """Return the root mean square distance of centred points from the origin."""
-    return float(np.abs(points).max(initial=0.0))
+    covariance = (start - centre).T @ (end - target_centre)
+    scale = np.abs(start).max(initial=0.0) * np.abs(end).max(initial=0.0)
+    rotation = _best_rotation(covariance, float(scale))
+    return rotation, np.asarray(target_centre - so3.rotate(rotation, centre))
 
 
 def _best_rotation(covariance: FloatArray, scale: float) -> FloatArray:

@@ -127,11 +127,8 @@ def _noise_variance(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
         # Static components have no noise.
         width = max(1, int((np.ptp(values, axis=0) > 0).sum()))
         median_power_factor = width * (1 - _WILSON_COEFFICIENT / width) ** 3
-        power = (
-            float(np.median((differences * differences).sum(axis=-1)))
-            / median_power_factor
-        )
-        return power / gain, width
+        median_power = float(np.median((differences * differences).sum(axis=-1)))
+        return median_power / median_power_factor / gain, width
     # Relative to the middle frame, noise is a rotation vector.
     inner_frames = values[order // 2 : order // 2 + len(differences)]
     differences = so3.multiply(so3.conjugate(inner_frames), differences)[:, :3]
@@ -147,8 +144,8 @@ def find_best_cutoff(
     """Return the cut-off with the least expected error of a noisy signal [Hz].
 
     The expected error of a cut-off is the signal it removes plus the noise it keeps (C.
-    L. Mallows, Some comments on Cp, 1973), with the noise of `noise_level`. Return
-    It is None if the signal is best left unfiltered.
+    L. Mallows, Some comments on Cp, 1973), with the noise of `noise_level`. It is None
+    if the signal is best left unfiltered.
 
     Args:
         values: ``(F, K)``.
@@ -168,11 +165,9 @@ def find_best_cutoff(
         removed_power = float((residual * residual).sum()) / len(values)
         errors.append(removed_power + (2 * float(gains.mean()) - 1) * noise)
     best_index = int(np.argmin(errors))
-    return (
-        float(fractions[best_index] * rate)
-        if errors[best_index] < MAX_KEPT_NOISE * noise
-        else None
-    )
+    if errors[best_index] < MAX_KEPT_NOISE * noise:
+        return float(fractions[best_index] * rate)
+    return None
 
 
 def fill_gaps(values: FloatArray, times: FloatArray | IntArray) -> FloatArray:
@@ -183,11 +178,8 @@ def fill_gaps(values: FloatArray, times: FloatArray | IntArray) -> FloatArray:
     filled_values = values.copy()
     for column in filled_values.T:
         is_valid = np.isfinite(column)
-        if not is_valid.all():
-            any_valid = is_valid.any()
-            column[:] = (
-                np.interp(times, times[is_valid], column[is_valid])
-                if any_valid
-                else 0.0
-            )
+        if not is_valid.any():
+            column[:] = 0.0
+        elif not is_valid.all():
+            column[:] = np.interp(times, times[is_valid], column[is_valid])
     return filled_values

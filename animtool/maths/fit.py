@@ -39,9 +39,8 @@ class FittedKeys:
         slopes_before = self.ins[1:-1] / -lengths[:-1]
         slopes_after = self.outs[1:-1] / lengths[1:]
         magnitude = np.abs(slopes_before) + np.abs(slopes_after)
-        flags[1:-1] = (
-            np.abs(slopes_before - slopes_after) <= 1e-9 * magnitude + 1e-300
-        ).all(axis=1)
+        changes = np.abs(slopes_before - slopes_after)
+        flags[1:-1] = (changes <= 1e-9 * magnitude + 1e-300).all(axis=1)
         return flags
 
 
@@ -127,10 +126,8 @@ def _check_tolerances(
     """Return the checked tolerance, scalar or ``(D,)``, and its factor ``(F,)``."""
     limits, frames = np.asarray(tolerance, np.float64), len(samples)
     if limits.shape not in ((), samples.shape[1:]):
-        raise ValueError(
-            f"tolerance must be a number or have shape {samples.shape[1:]}, "
-            f"not {limits.shape}"
-        )
+        shapes = f"{samples.shape[1:]}, not {limits.shape}"
+        raise ValueError(f"tolerance must be a number or have shape {shapes}")
     scales = np.ones(frames)
     if scale is not None:
         scales = as_floats(scale, (frames,), "tolerance_scale")
@@ -149,7 +146,6 @@ def evaluate_keys(keys: FittedKeys, frames: ArrayLike) -> FloatArray:
     >>> evaluate_keys(keys, [1.5]).round(9).tolist()
     [[2.25]]
     """
-    curves = cubic_curves(
-        keys.frames.astype(np.float64), keys.values, keys.ins, keys.outs
-    )
+    times = keys.frames.astype(np.float64)
+    curves = cubic_curves(times, keys.values, keys.ins, keys.outs)
     return np.ascontiguousarray(evaluate(curves, frames).T)

@@ -26,14 +26,9 @@ def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     >>> phi_functions(np.array([[[0.0]], [[-1e3]]]))[0][:, 0, 0].tolist()
     [1.0, 0.001]
     """
-    distinct, inverse = np.unique(matrices, axis=0, return_inverse=True)
-    inverse = inverse.reshape(len(matrices))
-    phi1, phi2 = _phi_functions(distinct)
-    return phi1[inverse], phi2[inverse]
-
-
-def _phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return φ1 and φ2 of distinct matrices by scaling and doubling."""
+    count = len(matrices)
+    matrices, inverse = np.unique(matrices, axis=0, return_inverse=True)
+    inverse = inverse.reshape(count)
     norm = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
     halvings = max(math.ceil(math.log2(norm / _MAX_NORM)), 0) if norm > 0 else 0
     scaled_matrices, identity = matrices / 2.0**halvings, np.eye(matrices.shape[1])
@@ -51,4 +46,4 @@ def _phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
         phi2 = (exponential @ phi2 + phi1 + phi2) / 4
         phi1 = (exponential @ phi1 + phi1) / 2
         exponential = exponential @ exponential
-    return phi1, phi2
+    return phi1[inverse], phi2[inverse]

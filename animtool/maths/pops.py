@@ -102,9 +102,8 @@ def find_outliers(
     with np.errstate(over="ignore", invalid="ignore"):
         residuals, near_pop_residuals = _unexplained_deviations(steps, deviations)
         window_steps = max(MIN_STEPS, round(WINDOW_SECONDS / interval))
-        typical_residual = noise + mean_around(
-            residuals, window_steps, NEIGHBOURHOOD_GAP
-        )
+        mean = mean_around(residuals, window_steps, NEIGHBOURHOOD_GAP)
+        typical_residual = noise + mean
     mask[:, candidates] = (
         (deviations > min_deviation)
         & (residuals > MIN_UNEXPLAINED * min_deviation)
@@ -154,12 +153,10 @@ def _unexplained_deviations(
     squares = np.einsum("snc,snc->sn", steps, steps)
     for nearer, farther in ((c, b), (d, e)):
         line_errors = _lengths(steps - (2.0 * nearer - farther))
-        is_similar_speed = (
-            np.einsum("snc,snc->sn", nearer, nearer) > SIMILAR_SPEED**2 * squares
-        )
-        residuals = np.where(
-            is_similar_speed, np.fmin(residuals, line_errors), residuals
-        )
+        nearer_squares = np.einsum("snc,snc->sn", nearer, nearer)
+        is_similar_speed = nearer_squares > SIMILAR_SPEED**2 * squares
+        smaller = np.fmin(residuals, line_errors)
+        residuals = np.where(is_similar_speed, smaller, residuals)
         line_residuals = np.fmin(line_residuals, line_errors)
     return residuals, line_residuals
 
@@ -180,9 +177,8 @@ def _without_cuts(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     if not cuts.any() or cuts.all():
         return steps
     kept_steps = np.flatnonzero(~cuts)
-    nearest = np.searchsorted(kept_steps, np.arange(len(steps))).clip(
-        0, len(kept_steps) - 1
-    )
+    nearest = np.searchsorted(kept_steps, np.arange(len(steps)))
+    nearest = np.minimum(nearest, len(kept_steps) - 1)
     return np.asarray(steps[kept_steps[nearest]])
 
 
@@ -210,16 +206,8 @@ def adjacent_level(values: FloatArray) -> FloatArray:
     ``values`` ``(S, N)``.
     """
     rows = np.pad(values, ((2, 2), (0, 0)))
-    before2 = rows[:-4]
-    step_before = rows[1:-3]
-    step_after = rows[3:-1]
-    after2 = rows[4:]
-    stays_level = np.maximum(step_before, step_after)
-    returns_after_level = np.maximum(step_before, after2)
-    returned_before_level = np.maximum(before2, step_after)
-    return np.asarray(
-        np.minimum(stays_level, np.minimum(returns_after_level, returned_before_level))
-    )
+    pairs = _neighbour_pairs(rows)
+    return np.asarray(np.min([np.maximum(a, b) for a, b in pairs], axis=0))
 
 
 def velocity_changes(steps: FloatArray) -> FloatArray:
@@ -231,14 +219,14 @@ def velocity_changes(steps: FloatArray) -> FloatArray:
     ``steps`` ``(S, N, 3)``.
     """
     rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    pairs = _neighbour_pairs(rows)
+    return np.asarray(np.min([np.linalg.norm(b - a, axis=2) for a, b in pairs], axis=0))
+
+
+def _neighbour_pairs(rows: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the rows before and after each, with at most one of them skipped.
+
+    ``rows``: padded by two at each end.
+    """
     before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
-    pairs = ((before, after), (before, after2), (before2, after))
-    return np.asarray(
-        np.min(
-            [
-                np.linalg.norm(after_velocity - before_velocity, axis=2)
-                for before_velocity, after_velocity in pairs
-            ],
-            axis=0,
-        )
-    )
+    return [(before, after), (before, after2), (before2, after)]

@@ -142,9 +142,9 @@ def hermite(ends: ArrayLike, velocities: ArrayLike, u: ArrayLike) -> FloatArray:
     """
     start, end = np.asarray(ends, np.float64)
     first, last = np.asarray(velocities, np.float64) / 3
-    middle = rotation_between(
-        so3.multiply(start, so3.exp(first)), so3.multiply(end, so3.exp(-last))
-    )
+    inner_start = so3.multiply(start, so3.exp(first))
+    inner_end = so3.multiply(end, so3.exp(-last))
+    middle = rotation_between(inner_start, inner_end)
     u = np.asarray(u, np.float64)[..., None]
     weights = (1 - (1 - u) ** 3, u**2 * (3 - 2 * u), u**3)
     return _compose_weighted(start, weights, (first, middle, last))
@@ -175,9 +175,8 @@ def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
     keys = align_keys(q, 4)
     u = as_floats(u, ("U",), "u")[:, None]
     weights = (1 - (1 - u) ** 3 / 6, (1 + u * (3 + u * (3 - 2 * u))) / 6, u**3 / 6)
-    return _compose_weighted(
-        keys[0], weights, tuple(rotation_between(keys[:-1], keys[1:]))
-    )
+    steps = tuple(rotation_between(keys[:-1], keys[1:]))
+    return _compose_weighted(keys[0], weights, steps)
 
 
 def _arc(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:

@@ -97,9 +97,8 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> FloatArray:
     axis = np.asarray(axis, np.float64)
     half = np.asarray(angle, np.float64)[..., None] / 2
     vector = axis * np.sin(half)
-    return np.concatenate(
-        [vector, np.broadcast_to(np.cos(half), (*vector.shape[:-1], 1))], axis=-1
-    )
+    w = np.broadcast_to(np.cos(half), (*vector.shape[:-1], 1))
+    return np.concatenate([vector, w], axis=-1)
 
 
 def shortest_rotation(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -124,11 +123,8 @@ def exp(vector: ArrayLike) -> FloatArray:
     vector = np.asarray(vector, np.float64)
     angle = np.linalg.norm(vector, axis=-1, keepdims=True)
     is_small = angle < SMALL_ANGLE
-    factor = np.where(
-        is_small,
-        0.5 - angle**2 / 48,
-        np.sin(angle / 2) / np.where(is_small, 1.0, angle),
-    )
+    ratio = np.sin(angle / 2) / np.where(is_small, 1.0, angle)
+    factor = np.where(is_small, 0.5 - angle**2 / 48, ratio)
     return np.concatenate([vector * factor, np.cos(angle / 2)], axis=-1)
 
 
@@ -145,12 +141,9 @@ def log(q: ArrayLike) -> FloatArray:
     length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     w = q[..., 3:]
     is_small = length < SMALL_ANGLE
-    factor = np.where(
-        is_small,
-        2.0 / w.clip(min=0.5) * (1 - (length / w.clip(min=0.5)) ** 2 / 3),
-        2.0 * np.arctan2(length, w) / np.where(is_small, 1.0, length),
-    )
-    return np.asarray(q[..., :3] * factor + 0.0)
+    series = 2.0 / w.clip(min=0.5) * (1 - (length / w.clip(min=0.5)) ** 2 / 3)
+    ratio = 2.0 * np.arctan2(length, w) / np.where(is_small, 1.0, length)
+    return np.asarray(q[..., :3] * np.where(is_small, series, ratio) + 0.0)
 
 
 def steps(q: FloatArray) -> FloatArray:
@@ -207,9 +200,8 @@ def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
         np.ascontiguousarray(q if q.size == 4 else np.broadcast_to(q, (*shape, 4)))
         for q in (a, b)
     )
-    rotations = _kernels.slerp(
-        starts.reshape(-1, 4), ends.reshape(-1, 4), np.broadcast_to(t, shape).ravel()
-    )
+    fractions = np.broadcast_to(t, shape).ravel()
+    rotations = _kernels.slerp(starts.reshape(-1, 4), ends.reshape(-1, 4), fractions)
     return rotations.reshape(*shape, 4)
 
 
@@ -224,9 +216,8 @@ def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
     q = np.asarray(q, np.float64)
     if not len(q):
         return q.copy()
-    first_previous = np.broadcast_to(
-        IDENTITY if previous is None else previous, q.shape[1:]
-    )
+    previous = IDENTITY if previous is None else previous
+    first_previous = np.broadcast_to(previous, q.shape[1:])
     dots = np.sum(q * np.concatenate([first_previous[None], q[:-1]]), axis=-1)
     signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     return np.asarray(q * signs[..., None])
@@ -275,17 +266,9 @@ def from_matrix(matrix: ArrayLike) -> FloatArray:
         row[k] = m[..., i, k] + m[..., k, i]
         row[3] = m[..., k, j] - m[..., j, k]
         rows.append(np.stack(row, axis=-1))
-    rows.append(
-        np.stack(
-            [
-                m[..., 2, 1] - m[..., 1, 2],
-                m[..., 0, 2] - m[..., 2, 0],
-                m[..., 1, 0] - m[..., 0, 1],
-                1 + trace,
-            ],
-            axis=-1,
-        )
-    )
+    row = [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0]]
+    row += [m[..., 1, 0] - m[..., 0, 1], 1 + trace]
+    rows.append(np.stack(row, axis=-1))
     table = np.stack(rows, axis=-2)
     q = normalize(np.take_along_axis(table, pivot[..., None, None], axis=-2)[..., 0, :])
     return np.where(q[..., 3:] < 0, -q, q) + 0.0

@@ -42,19 +42,15 @@ def revolve(profile: FloatArray) -> Solid:
     """
     angles = np.arange(SIDES) * (2 * math.pi / SIDES)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    points = np.concatenate(
-        [
-            np.concatenate([radius * circle, np.full((SIDES, 1), height)], axis=1)
-            for radius, height in profile.tolist()
-        ]
-    )
+    rings = [
+        np.concatenate([radius * circle, np.full((SIDES, 1), height)], axis=1)
+        for radius, height in profile.tolist()
+    ]
     rows = np.arange(len(profile) - 1)[:, None] * SIDES
     columns, next_columns = np.arange(SIDES)[None], (np.arange(SIDES) + 1)[None] % SIDES
-    lower_corners = rows + columns, rows + next_columns
-    faces = np.stack(
-        [*lower_corners, lower_corners[1] + SIDES, lower_corners[0] + SIDES], axis=-1
-    ).reshape(-1)
-    return points, np.full(len(faces) // 4, 4), faces
+    a, b = rows + columns, rows + next_columns
+    faces = np.stack([a, b, b + SIDES, a + SIDES], axis=-1).reshape(-1)
+    return np.concatenate(rings), np.full(len(faces) // 4, 4), faces
 
 
 def sphere(radius: float) -> Solid:
@@ -73,14 +69,6 @@ def capsule(radius: float, height: float) -> Solid:
 def cylinder(radius: float, height: float, top: float | None = None) -> Solid:
     """Return a closed cylinder; ``top``: radius of its top, 0 for a cone."""
     top_radius = radius if top is None else top
-    half_height = height / 2
-    return revolve(
-        np.array(
-            [
-                [0.0, -half_height],
-                [radius, -half_height],
-                [top_radius, half_height],
-                [0.0, half_height],
-            ]
-        )
-    )
+    low, high = -height / 2, height / 2
+    profile = [[0.0, low], [radius, low], [top_radius, high], [0.0, high]]
+    return revolve(np.array(profile))

@@ -53,9 +53,8 @@ def parabola_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
     """
     _, values, spans, slopes = _checked_segments(times, values)
     span_before, span_after = spans[:-1], spans[1:]
-    inner = (span_after * slopes[:-1] + span_before * slopes[1:]) / (
-        span_before + span_after
-    )
+    inner = span_after * slopes[:-1] + span_before * slopes[1:]
+    inner = inner / (span_before + span_after)
     return _with_ends(inner, slopes, values)
 
 
@@ -87,24 +86,16 @@ def tcb(
     _, values, spans, slopes = _checked_segments(times, values)
     settings = as_floats(parameters, (len(values), 3), "parameters")[1:-1]
     tension, continuity, bias = settings.T[:, :, None]
-    spans_before, spans_after = spans[:-1], spans[1:]
     # Factor of each secant slope; its key difference is a or b times the slope.
-    factor_before, factor_after = (
-        (spans_after, spans_before)
-        if rule == "nonuniform"
-        else (spans_before, spans_after)
-    )
+    factor_before, factor_after = spans[:-1], spans[1:]
+    if rule == "nonuniform":
+        factor_before, factor_after = factor_after, factor_before
     slopes_of_sides = []
     for c in (-continuity, continuity):
         from_before = (1 - tension) * (1 + c) * (1 + bias) * factor_before * slopes[:-1]
         from_after = (1 - tension) * (1 - c) * (1 - bias) * factor_after * slopes[1:]
-        slopes_of_sides.append(
-            _with_ends(
-                (from_before + from_after) / (spans_before + spans_after),
-                slopes,
-                values,
-            )
-        )
+        inner = (from_before + from_after) / (spans[:-1] + spans[1:])
+        slopes_of_sides.append(_with_ends(inner, slopes, values))
     return slopes_of_sides[0], slopes_of_sides[1]
 
 
@@ -134,15 +125,9 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     secants_after = np.concatenate([slopes, slopes[-1:]])
     is_monotone = np.sign(secants_before) == np.sign(secants_after)
     max_slope = 3 * np.minimum(np.abs(secants_before), np.abs(secants_after))
-    slope_size = np.sign(secants_before) * clamped
-    return (
-        np.where(
-            is_monotone,
-            np.sign(secants_before) * np.clip(slope_size, 0, max_slope),
-            0.0,
-        )
-        + 0.0
-    )
+    signs = np.sign(secants_before)
+    limited = signs * np.clip(signs * clamped, 0, max_slope)
+    return np.where(is_monotone, limited, 0.0) + 0.0
 
 
 def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatArray:
@@ -196,10 +181,8 @@ def catmull_rom_controls(
     path = np.concatenate([first, points, last])
     handles_after, handles_before = _inner_handles(path, alpha)
     # The outer handles of the ends have no segment and no effect.
-    return (
-        np.concatenate([-handles_after[:1], handles_before]),
-        np.concatenate([handles_after, -handles_before[-1:]]),
-    )
+    ins = np.concatenate([-handles_after[:1], handles_before])
+    return ins, np.concatenate([handles_after, -handles_before[-1:]])
 
 
 def _inner_handles(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
@@ -207,10 +190,8 @@ def _inner_handles(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArr
     steps = np.diff(path, axis=0)
     knots = np.linalg.norm(steps, axis=1, keepdims=True) ** alpha
     a, h, b = knots[:-2], knots[1:-1], knots[2:]
-    return (
-        _handle(steps[:-2], a, steps[1:-1], h),
-        -_handle(steps[2:], b, steps[1:-1], h),
-    )
+    inner = steps[1:-1]
+    return _handle(steps[:-2], a, inner, h), -_handle(steps[2:], b, inner, h)
 
 
 def _handle(
@@ -290,10 +271,7 @@ class KeySlopes:
             rises = self.values[segments + 1] - self.values[segments]
             spans = self.times[segments + 1] - self.times[segments]
             return np.asarray(rises / spans[:, None])
-        rule = {
-            Tangent.AUTO: parabola_slopes,
-            Tangent.AUTO_CLAMPED: auto_clamped,
-        }[tangent]
+        rule = parabola_slopes if tangent is Tangent.AUTO else auto_clamped
         return np.asarray(self._slopes(rule.__name__, rule)[keys])
 
     def catmull_rom(

@@ -92,9 +92,8 @@ def find_contacts(
     points = [ankle] if toe is None else [ankle, toe]
     if len(ankle) < MIN_CONTACT_FRAMES or leg_length <= 0:
         no_contacts = np.zeros(len(ankle), np.bool_)
-        return FootContacts(
-            no_contacts, no_contacts, float(ankle[:, up].min(initial=np.inf))
-        )
+        lowest = float(ankle[:, up].min(initial=np.inf))
+        return FootContacts(no_contacts, no_contacts, lowest)
     width = SMOOTHING_WIDTH * fps
     noise = noise_speed(points, fps)
     if noise > 0:
@@ -110,22 +109,14 @@ def find_contacts(
     for k, (is_slow, height) in enumerate(motion_of_parts):
         slow_heights = height[is_slow] if is_slow.any() else height
         ground_height = float(np.quantile(slow_heights, GROUND_QUANTILE))
-        max_height = (
-            RAISED_HEEL_HEIGHT if k == 0 and toe is not None else MAX_STANDING_HEIGHT
-        )
-        contact_masks.append(
-            remove_short_runs(
-                is_slow & (height < ground_height + max_height * leg_length), fps
-            )
-        )
+        is_heel = k == 0 and toe is not None
+        max_height = RAISED_HEEL_HEIGHT if is_heel else MAX_STANDING_HEIGHT
+        is_low = height < ground_height + max_height * leg_length
+        contact_masks.append(remove_short_runs(is_slow & is_low, fps))
     is_planted = contact_masks[0] & contact_masks[-1]
     height = motion_of_parts[0][1]
-    ground = (
-        float(np.median(height[is_planted]))
-        if is_planted.any()
-        else float(height.min())
-    )
-    return FootContacts(contact_masks[0], contact_masks[-1], ground)
+    ground = np.median(height[is_planted]) if is_planted.any() else height.min()
+    return FootContacts(contact_masks[0], contact_masks[-1], float(ground))
 
 
 def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
@@ -134,10 +125,8 @@ def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
         return 0.0
     differences = [np.diff(point, 3, axis=0) for point in points]
     # Third differences of white noise are sqrt(20) times as large.
-    amplitudes = [
-        float(np.median(np.abs(d))) / 0.6745 / math.sqrt(20) for d in differences
-    ]
-    return max(amplitudes) * fps * math.sqrt(3)
+    deviations = [float(np.median(np.abs(d))) / 0.6745 for d in differences]
+    return max(deviations) / math.sqrt(20) * fps * math.sqrt(3)
 
 
 def remove_short_runs(mask: BoolArray, fps: float) -> BoolArray:

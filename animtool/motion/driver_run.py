@@ -15,11 +15,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import TWIST, split_coordinate
-from animtool.rig.driving import (
-    DriverValues,
-    ball_part_values,
-    evaluate_drivers,
-)
+from animtool.rig.driving import DriverValues, ball_part_values, evaluate_drivers
 from animtool.rig.limits import RangeLimit
 from animtool.rig.shapes import add_combinations, subtract_combinations
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -90,22 +86,19 @@ class DriverRun:
         if motion.frames == 1:
             # Twice, as one frame does not distinguish moving from static values.
             two_samples = motion.select(np.zeros(2, np.int64))
-            return self.evaluate(two_samples, np.repeat(times, 2), coordinates).select(
-                slice(1)
-            )
+            driven = self.evaluate(two_samples, np.repeat(times, 2), coordinates)
+            return driven.select(slice(1))
         rig = self.rig
         controls = self._current_controls(motion)
         read_coordinate = _CoordinateReader(self, motion, times, coordinates or {})
-        kept_targets = (
-            self._find_targets_to_keep(motion) if motion.controls is None else set()
-        )
+        kept_targets = set[str]()
+        if motion.controls is None:
+            kept_targets = self._find_targets_to_keep(motion)
         values = evaluate_drivers(self.plan, read_coordinate, controls, kept_targets)
         _check_defined(rig, values, times)
         for j, excess in values.excess.items():
-            name = rig.names[j]
-            self._limit_excess.setdefault(name, LargestAmount()).update(
-                np.abs(excess), times
-            )
+            largest = self._limit_excess.setdefault(rig.names[j], LargestAmount())
+            largest.update(np.abs(excess), times)
         return replace(
             self._driven_joints(motion, values, times),
             weights=self._driven_weights(motion, values, times),
@@ -131,24 +124,19 @@ class DriverRun:
                 fault = _driver_warning("RIG103", message, hint)
                 notices.append((fault, f"joint/{name}", largest.frame))
         for name, largest in self._twist_wraps.items():
-            message = (
-                f"{name} crosses 180 degrees at frame {largest.frame:g}: what it "
-                "drives jumps there"
-            )
+            message = f"{name} crosses 180 degrees at frame {largest.frame:g}: what it "
+            message += "drives jumps there"
             hint = "the limits of the joint's twist place the seam"
             fault = _driver_warning("RIG105", message, hint)
             joint_name = split_coordinate(name)[0]
             notices.append((fault, f"joint/{joint_name}", largest.frame))
         if self._targets_keeping_source and self.report_replaced:
-            names = sorted(
-                target.partition("/")[2] for target in self._targets_keeping_source
-            )
-            message = (
-                "the take contains no controls for its drivers to read: "
-                f"{listed(names)} keep the take's values"
-            )
+            targets = self._targets_keeping_source
+            names = sorted(target.partition("/")[2] for target in targets)
+            message = "the take contains no controls for its drivers to read: "
+            message += f"{listed(names)} keep the take's values"
             fault = Fault("RIG106", message, severity=Severity.NOTE)
-            notices.append((fault, sorted(self._targets_keeping_source)[0], 0.0))
+            notices.append((fault, min(targets), 0.0))
         for target, largest in self._replaced_amounts.items():
             kind, _, name = target.partition("/")
             amount = f"{largest.amount:.4g}"
@@ -191,13 +179,12 @@ class DriverRun:
         kept_targets = set()
         for target in self.plan.controlled_targets:
             kind, _, name = target.partition("/")
+            is_posed = False
             if kind == "joint":
                 is_posed = self._is_posed_joint(motion, self.rig.index(name))
             elif kind == "shape" and motion.weights is not None:
                 names = [shape.name for shape in self.rig.shapes]
                 is_posed = _is_posed(motion.weights, names.index(name), np.zeros(1))
-            else:
-                is_posed = False
             if is_posed:
                 kept_targets.add(target)
         self._targets_keeping_source |= kept_targets
@@ -223,10 +210,11 @@ class DriverRun:
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Motion:
         """Return a motion with the driven joints replaced."""
+        rig = self.rig
         rotations: dict[int, FloatArray] = {}
         translations: dict[int, FloatArray] = {}
         for j, value in driver_values.joints.items():
-            joint = self.rig.joints[j]
+            joint = rig.joints[j]
             rest_rotation = np.array(joint.rotation)
             if joint.type is JointType.PRISMATIC:
                 slide = so3.rotate(rest_rotation, value[:, None] * np.array(joint.axis))
@@ -238,21 +226,14 @@ class DriverRun:
             is_rotation = j in rotations
             channel = motion.rotations if is_rotation else motion.translations
             current_values = _joint_rows(channel, j)
-            rest_values = (
-                self.rig.rest_rotations if is_rotation else self.rig.rest_translations
-            )
+            rest_values = rig.rest_rotations if is_rotation else rig.rest_translations
             distance = so3.angle_between if is_rotation else _translation_distance
-            driven_distance = (
-                distance(current_values, rest_values[j][None]).max(initial=0.0)
-                > COORDINATE_ROUNDING
-            )
-            if driven_distance and self.rig.joints[j].driven is not None:
-                self._record_replaced(
-                    f"joint/{self.rig.names[j]}",
-                    distance(current_values, driven_values),
-                    times,
-                    COORDINATE_ROUNDING,
-                )
+            from_rest = distance(current_values, rest_values[j][None])
+            is_moved = from_rest.max(initial=0.0) > COORDINATE_ROUNDING
+            if is_moved and rig.joints[j].driven is not None:
+                target = f"joint/{rig.names[j]}"
+                differences = distance(current_values, driven_values)
+                self._record_replaced(target, differences, times, COORDINATE_ROUNDING)
         return replace(
             motion,
             rotations=_with_joint_rows(motion.rotations, rotations),
@@ -266,25 +247,21 @@ class DriverRun:
         plan, shapes = self.plan, self.rig.shapes
         if not plan.shapes:
             return motion.weights
-        source_weights = {shape.name: np.zeros(1) for shape in shapes}
-        channel = Channel.static(np.zeros((len(shapes), 1)), motion.frames)
-        if motion.weights is not None:
-            channel = motion.weights
-            source_weights = {
-                s.name: _animated_column(channel, i) for i, s in enumerate(shapes)
-            }
-        uncombined = (
-            subtract_combinations(shapes, source_weights) | driver_values.shapes
-        )
-        new_weights = add_combinations(shapes, uncombined)
+        channel = motion.weights
+        if channel is None:
+            channel = Channel.static(np.zeros((len(shapes), 1)), motion.frames)
+        source_weights = {
+            shape.name: _animated_column(channel, i) for i, shape in enumerate(shapes)
+        }
+        uncombined = subtract_combinations(shapes, source_weights)
+        new_weights = add_combinations(shapes, uncombined | driver_values.shapes)
         index = {shape.name: i for i, shape in enumerate(shapes)}
         changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined_shapes])
         for name in driver_values.shapes:
             if source_weights[name].any():
                 differences = np.abs(new_weights[name] - source_weights[name])
-                self._record_replaced(
-                    f"shape/{name}", differences, times, WEIGHT_ROUNDING
-                )
+                target = f"shape/{name}"
+                self._record_replaced(target, differences, times, WEIGHT_ROUNDING)
         rows = {index[name]: new_weights[name][:, None] for name in changed_shapes}
         return _with_joint_rows(channel, rows)
 
@@ -313,9 +290,8 @@ class DriverRun:
     ) -> None:
         """Record the difference between a target's source motion and driven motion."""
         if self.report_replaced and differences.max(initial=0.0) > tolerance:
-            self._replaced_amounts.setdefault(target, LargestAmount()).update(
-                differences, times
-            )
+            largest = self._replaced_amounts.setdefault(target, LargestAmount())
+            largest.update(differences, times)
 
 
 @dataclass(frozen=True, slots=True)
@@ -366,17 +342,19 @@ class _CoordinateReader:
 
 def _check_defined(rig: Rig, driver_values: DriverValues, times: FloatArray) -> None:
     """Raise if a driver's value is not finite."""
-    values_by_target = {
-        f"joint {rig.names[j]!r}": value for j, value in driver_values.joints.items()
+    joints = {rig.names[j]: value for j, value in driver_values.joints.items()}
+    values_by_kind = {
+        "joint": joints,
+        "control": driver_values.controls,
+        "shape": driver_values.shapes,
     }
-    values_by_target |= {
-        f"control {name!r}": value for name, value in driver_values.controls.items()
-    }
-    values_by_target |= {
-        f"shape {name!r}": value for name, value in driver_values.shapes.items()
-    }
+    values_by_target = [
+        (f"{kind} {name!r}", values)
+        for kind, values_by_name in values_by_kind.items()
+        for name, values in values_by_name.items()
+    ]
     faults = []
-    for target, values in values_by_target.items():
+    for target, values in values_by_target:
         undefined_samples = np.flatnonzero(~np.isfinite(values))
         if undefined_samples.size and len(times):
             frame = times[undefined_samples[0] if len(values) > 1 else 0]
@@ -397,9 +375,8 @@ def _joint_rows(channel: Channel, i: int) -> FloatArray:
 
 def _is_posed(channel: Channel, i: int, rest_value: FloatArray) -> bool:
     """Return whether a joint of a channel moves or differs from rest."""
-    difference = min(
-        np.abs(channel.rest[i] + sign * rest_value).max() for sign in (-1, 1)
-    )
+    rest = channel.rest[i]
+    difference = min(np.abs(rest - sign * rest_value).max() for sign in (1, -1))
     return i in channel.animated or bool(difference > COORDINATE_ROUNDING)
 
 
@@ -419,19 +396,13 @@ def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channe
     for i in static_rows:
         rest_values[i] = rows[i][0]
     is_animated = ~np.isin(channel.animated, static_rows)
-    result = Channel(
-        rest_values, channel.animated[is_animated], channel.values[:, is_animated]
-    )
+    kept_values = channel.values[:, is_animated]
+    result = Channel(rest_values, channel.animated[is_animated], kept_values)
     if not animated_rows:
         return result
-    values = np.stack(
-        [
-            np.broadcast_to(rows[i], (frames, rest_values.shape[1]))
-            for i in animated_rows
-        ],
-        axis=1,
-    )
-    return result.put(np.array(animated_rows, np.int64), values)
+    shape = (frames, rest_values.shape[1])
+    values = [np.broadcast_to(rows[i], shape) for i in animated_rows]
+    return result.put(np.array(animated_rows, np.int64), np.stack(values, axis=1))
 
 
 def _translation_distance(a: FloatArray, b: FloatArray) -> FloatArray:

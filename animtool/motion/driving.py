@@ -7,17 +7,16 @@ from the first frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Shape
-from animtool.rig.skeleton import Rig
 
 # Codes that drivers report again for the same joint after every pass.
 REPEATED_CODES = frozenset({"RIG103", "RIG105"})
@@ -52,15 +51,13 @@ def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeSt
     from animtool.motion.driver_run import DriverRun
 
     run = DriverRun(stream.rig, report_replaced)
-    start = float(stream.start or 1)
+    start, rig = float(stream.start or 1), stream.rig
 
     def blocks() -> Iterator[Motion]:
         """Yield the driven blocks; add the warnings at the end."""
         frames_done = 0
         for block in stream.blocks:
-            indices = np.arange(
-                frames_done, frames_done + block.frames, dtype=np.float64
-            )
+            indices = frames_done + np.arange(block.frames, dtype=np.float64)
             times = start + float(stream.step) * indices
             frames_done += block.frames
             yield run.evaluate(block, times)
@@ -69,17 +66,9 @@ def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeSt
     result = replace(stream, blocks=blocks())
     curve = stream.curve
     if curve is not None:
-        result.curve = _drive_curve(stream.rig, curve)
+        # Each call begins anew, as its times may be in any order.
+        result.curve = lambda times: DriverRun(rig).evaluate(curve(times), times)
     return result
-
-
-def _drive_curve(
-    rig: Rig, curve: Callable[[FloatArray], Motion]
-) -> Callable[[FloatArray], Motion]:
-    """Return a curve with drivers evaluated at each of its times."""
-    from animtool.motion.driver_run import DriverRun
-
-    return lambda times: DriverRun(rig).evaluate(curve(times), times)
 
 
 def drop_repeated_notices(
@@ -132,15 +121,11 @@ def combine_missing_weights(
         i, driver_indices = index[shape.name], [index[name] for name in shape.combine]
         if i not in missing_indices or not driver_indices:
             continue
-        rest[i] = np.prod(
-            [rest[driver_index] for driver_index in driver_indices], axis=0
-        )
-        if any(driver_index in values_by_shape for driver_index in driver_indices):
+        rest[i] = np.prod([rest[k] for k in driver_indices], axis=0)
+        if any(k in values_by_shape for k in driver_indices):
             product = np.ones((len(weights.values), 1))
-            for driver_index in driver_indices:
-                product = product * values_by_shape.get(
-                    driver_index, rest[driver_index]
-                )
+            for k in driver_indices:
+                product = product * values_by_shape.get(k, rest[k])
             values_by_shape[i] = product
     if len(values_by_shape) == len(weights.animated):
         return Channel(rest, weights.animated, weights.values)

@@ -63,10 +63,8 @@ def weight_warnings(
         message = f"{span_text}, {frames_text}: they look like seconds"
         hint = f"write frames: {times[-1]:g} s is frame {first + times[-1] * rate:g}"
     elif not in_shot and (times[-1] < first or times[0] > last):
-        constant_weight = values[-1] if times[-1] < first else values[0]
-        message = (
-            f"{span_text}, {frames_text}: the weight is always {constant_weight:g}"
-        )
+        constant = values[-1] if times[-1] < first else values[0]
+        message = f"{span_text}, {frames_text}: the weight is always {constant:g}"
         hint = "times are frames of the take"
     else:
         return []

@@ -31,9 +31,8 @@ def parse_choice(choices: type[Choice], word: str, option: str) -> Choice:
         return choices(word)
     except ValueError as error:
         allowed_names = [str(choice) for choice in choices]
-        message = (
-            f"{option} is {excerpt(str(word))}; it is one of {', '.join(allowed_names)}"
-        )
+        message = f"{option} is {excerpt(str(word))}; it is one of "
+        message += ", ".join(allowed_names)
         suggestion = most_similar(str(word), allowed_names)
         hint = f"did you mean {suggestion}?" if suggestion else None
         raise OptionError(Fault("SCN025", message, hint=hint)) from error

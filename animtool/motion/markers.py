@@ -54,15 +54,11 @@ class Markers:
     def __post_init__(self) -> None:
         """Check shapes, names and numbers."""
         shape = (self.clock.count, len(self.names))
-        for name, width in (
-            ("positions", (3,)),
-            ("cameras", ()),
-            ("residuals", ()),
-            ("filled", ()),
-        ):
+        for name in ("positions", "cameras", "residuals", "filled"):
             values = getattr(self, name)
-            if values is not None and values.shape != shape + width:
-                message = f"{name} must have shape {shape + width}, not {values.shape}"
+            expected = (*shape, 3) if name == "positions" else shape
+            if values is not None and values.shape != expected:
+                message = f"{name} must have shape {expected}, not {values.shape}"
                 raise OptionError(Fault("MKR001", message))
         if np.isinf(self.positions).any():
             frame, marker, _ = np.argwhere(np.isinf(self.positions))[0].tolist()

@@ -80,18 +80,16 @@ class Channel:
         if not len(self.values):
             return self
         is_animated = (self.values[-1] != self.values[0]).any(axis=-1)
-        unchanged_entries = np.flatnonzero(~is_animated)
-        if len(unchanged_entries):
-            is_animated[unchanged_entries] = (
-                self.values[:, unchanged_entries] != self.values[:1, unchanged_entries]
-            ).any((0, 2))
-        rest_values = self.rest.copy()
-        rest_values[self.animated[~is_animated]] = self.values[0, ~is_animated]
+        unchanged = np.flatnonzero(~is_animated)
+        if len(unchanged):
+            candidates = self.values[:, unchanged]
+            is_animated[unchanged] = (candidates != candidates[:1]).any((0, 2))
         if is_animated.all():
             return self
-        return Channel(
-            rest_values, self.animated[is_animated], self.values[:, is_animated]
-        )
+        rest_values = self.rest.copy()
+        rest_values[self.animated[~is_animated]] = self.values[0, ~is_animated]
+        values = self.values[:, is_animated]
+        return Channel(rest_values, self.animated[is_animated], values)
 
     def select(self, frames: slice | IntArray) -> Channel:
         """Return the channel at selected frames."""
@@ -125,12 +123,10 @@ class Channel:
     @staticmethod
     def concatenate(channels: list[Channel]) -> Channel:
         """Concatenate blocks with equal rest values and animated joints in time."""
-        first = channels[0]
         if len(channels) == 1:
-            return first
-        return replace(
-            first, values=np.concatenate([channel.values for channel in channels])
-        )
+            return channels[0]
+        values = np.concatenate([channel.values for channel in channels])
+        return replace(channels[0], values=values)
 
 
 rename_attributes(Channel, still="static")
@@ -184,11 +180,8 @@ class Motion:
 
     def dense(self) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Return translations, rotations and scales of every joint in every frame."""
-        return (
-            self.translations.dense(),
-            self.rotations.dense(),
-            None if self.scales is None else self.scales.dense(),
-        )
+        scales = None if self.scales is None else self.scales.dense()
+        return self.translations.dense(), self.rotations.dense(), scales
 
     def world(self, rig: Rig) -> WorldTransforms:
         """Return the world transforms of every joint in every frame."""
@@ -234,6 +227,10 @@ class Motion:
             channels = [getattr(block, name) for block in blocks]
             return None if channels[0] is None else Channel.concatenate(channels)
 
+        points = {
+            name: Channel.concatenate([block.points[name] for block in blocks])
+            for name in blocks[0].points
+        }
         return Motion(
             Channel.concatenate([block.translations for block in blocks]),
             Channel.concatenate([block.rotations for block in blocks]),
@@ -241,10 +238,7 @@ class Motion:
             concatenate_channel("weights"),
             concatenate_channel("controls"),
             concatenate_channel("track_times"),
-            {
-                name: Channel.concatenate([block.points[name] for block in blocks])
-                for name in blocks[0].points
-            },
+            points,
         )
 
 

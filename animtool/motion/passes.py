@@ -44,9 +44,8 @@ class PassthroughTracks:
     def __init__(self, stream: TakeStream) -> None:
         self._tracks, curve = stream.tracks, stream.curve
         self._pending_times: deque[Channel] = deque()
-        self.stream = replace(
-            stream, tracks=(), blocks=self._remove_track_times(stream.blocks)
-        )
+        blocks = self._remove_track_times(stream.blocks)
+        self.stream = replace(stream, tracks=(), blocks=blocks)
         if curve is not None:
             self.stream.curve = lambda times: replace(curve(times), track_times=None)
 
@@ -246,11 +245,6 @@ ClipRun: TypeAlias = Callable[[Take, Any, PassContext], Take]
 StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
 
 
-def _no_checks(_: object) -> OptionChecks:
-    """Return an empty set of checks, for passes without option checks."""
-    return {}
-
-
 @dataclass(frozen=True, slots=True)
 class LinearTime:
     """Linear time map: t of the source becomes ``first + (t - start) · ratio``."""
@@ -258,11 +252,6 @@ class LinearTime:
     start: float  # [time code]
     ratio: float  # time ratio above 0
     first: float  # [time code]
-
-
-def _no_linear_time(_: object, __: Clock) -> LinearTime | None:
-    """Return None, for passes that do not map time linearly."""
-    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +268,7 @@ class Pass:
     # context, and returns the same kind.
     run: ClipRun | StreamRun
     # Returns checks of the options that need no take.
-    checks: Callable[[Any], OptionChecks] = _no_checks
+    checks: Callable[[Any], OptionChecks] = lambda _: {}
     # Parts of the take that the result depends on.
     reads: frozenset[TakePart] = EVERY_PART
     # Parts that it may change. If the clock is among them, the parts not listed keep
@@ -293,7 +282,7 @@ class Pass:
     reports_progress: bool = False
     # Returns the linear time mapping of the pass, from its options and a take's clock,
     # so that curves of controls stay curves; None if time changes otherwise.
-    linear_time: Callable[[Any, Clock], LinearTime | None] = _no_linear_time
+    linear_time: Callable[[Any, Clock], LinearTime | None] = lambda *_: None
 
 
 _OLD_FIELDS = {
@@ -377,9 +366,8 @@ def apply_pass(
     changed_take = cast(ClipRun, pass_.run)(source_take, options, context)
     take = drive_take(changed_take)
     context.notices.extend(take.notices[len(changed_take.notices) :])
-    kept_curves = _valid_curves(
-        stream, source_take, take, pass_.linear_time(options, source_take.clock)
-    )
+    linear_time = pass_.linear_time(options, source_take.clock)
+    kept_curves = _valid_curves(stream, source_take, take, linear_time)
     if not _same_channels(source_take.rig, take.rig):
         take = replace(take, curve=None)
     result = check_tracks(TakeStream.of(take), source_take.tracks, pass_.name)
@@ -408,32 +396,23 @@ def _valid_curves(
     if linear_time is None or source_take.clock == result_take.clock:
         kept_controls = _unchanged_controls(source_take, result_take)
         return {name: curve for name, curve in curves.items() if name in kept_controls}
-    return {
-        name: curve.with_linear_time(
-            linear_time.start, linear_time.ratio, linear_time.first
-        )
-        for name, curve in curves.items()
-    }
+    times = linear_time.start, linear_time.ratio, linear_time.first
+    return {name: curve.with_linear_time(*times) for name, curve in curves.items()}
 
 
 def _same_channels(rig: Rig, other_rig: Rig) -> bool:
     """Return whether motions of two rigs have the same joints, shapes and controls."""
-    return (
-        rig.names == other_rig.names
-        and [shape.name for shape in rig.shapes] == [s.name for s in other_rig.shapes]
-        and [control.name for control in rig.controls]
-        == [c.name for c in other_rig.controls]
+    names, other_names = (
+        [[part.name for part in parts] for parts in (r.joints, r.shapes, r.controls)]
+        for r in (rig, other_rig)
     )
+    return names == other_names
 
 
 def _check_points(stream: TakeStream, pass_: Pass) -> None:
     """Raise if a pass moves joints of simulated points."""
-    changes = pass_.changes
-    if (
-        not stream.points
-        or TakePart.JOINTS not in changes
-        or TakePart.POINTS in changes
-    ):
+    moves_points = TakePart.POINTS in pass_.changes
+    if not stream.points or TakePart.JOINTS not in pass_.changes or moves_points:
         return
     names = ", ".join(sorted(stream.points))
     message = f"{pass_.name} would move joints away from what is simulated: {names}"

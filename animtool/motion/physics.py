@@ -22,9 +22,8 @@ class PhysicsShape:
     # sides), `plane` (none: what is below y = 0) or `mesh` (none: its triangles).
     kind: str
     size: tuple[float, ...] = ()  # [m]
-    pose: FloatArray = field(
-        default_factory=IDENTITY_POSE.copy
-    )  # origin [m], quaternion (7,)
+    # origin [m], quaternion (7,)
+    pose: FloatArray = field(default_factory=IDENTITY_POSE.copy)
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (P, 3) [m]
     triangles: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     friction: float = 0.5
@@ -60,9 +59,8 @@ class JointDrive:
     stiffness: float  # [N m/rad] or [N/m]
     damping: float  # [N m s/rad] or [N s/m]
     target: float = 0.0  # [rad] or [m]
-    rotation: FloatArray = field(
-        default_factory=IDENTITY_POSE[3:].copy
-    )  # of a ball (4,)
+    # target rotation of a ball joint (4,)
+    rotation: FloatArray = field(default_factory=IDENTITY_POSE[3:].copy)
     max_force: float | None = None  # largest torque [N m] or force [N]
     speed: float = 0.0  # target velocity of the damping [rad/s] or [m/s]
 

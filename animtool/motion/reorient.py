@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -58,24 +57,19 @@ def remove_placement(stream: TakeStream) -> TakeStream:
 def _with_placement(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
     """Return a stream with a placement applied to its rig, blocks and curve."""
     roots, curve = np.array(stream.rig.roots, np.int64), stream.curve
+
+    def transform(motion: Motion) -> Motion:
+        """Return the transformed motion."""
+        return transform_motion(motion, roots, placement)
+
     placed_stream = replace(
         stream,
         rig=transform_rig(stream.rig, placement, up),
-        blocks=_transform_blocks(stream.blocks, roots, placement),
+        blocks=(transform(block) for block in stream.blocks),
     )
     if curve is not None:
-        placed_stream.curve = lambda times: transform_motion(
-            curve(times), roots, placement
-        )
+        placed_stream.curve = lambda times: transform(curve(times))
     return placed_stream
-
-
-def _transform_blocks(
-    blocks: Iterator[Motion], roots: IntArray, placement: Placement
-) -> Iterator[Motion]:
-    """Yield blocks with a placement applied."""
-    for block in blocks:
-        yield transform_motion(block, roots, placement)
 
 
 def rotate_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
@@ -92,6 +86,7 @@ def transform_motion(motion: Motion, roots: IntArray, placement: Placement) -> M
     if placement.is_animated:
         frames = so3.align_signs(rotations.gather(roots))
         rotations = rotations.put(roots, frames)
+    points = motion.points.items()
     return replace(
         motion,
         translations=_position_roots(
@@ -99,10 +94,7 @@ def transform_motion(motion: Motion, roots: IntArray, placement: Placement) -> M
         ),
         rotations=rotations,
         scales=_scale_roots(motion, roots, placement),
-        points={
-            name: _transform_points(channel, placement)
-            for name, channel in motion.points.items()
-        },
+        points={name: _transform_points(rows, placement) for name, rows in points},
     )
 
 
@@ -137,19 +129,16 @@ def _scale_roots(
         return motion.scales
     scales = motion.scales
     if scales is None:
-        scales = Channel.static(
-            np.ones((len(motion.translations.rest), 3)), len(extra_scale)
-        )
+        ones = np.ones((len(motion.translations.rest), 3))
+        scales = Channel.static(ones, len(extra_scale))
     return scales.put(roots, scales.gather(roots) * extra_scale[:, None, None])
 
 
 def _transform_points(channel: Channel, placement: Placement) -> Channel:
     """Return world points with a placement applied."""
     if placement.is_animated:
-        all_points = np.arange(len(channel.rest))
-        return channel.put(
-            all_points, placement.transform_points(channel.gather(all_points))
-        )
+        rows = np.arange(len(channel.rest))
+        return channel.put(rows, placement.transform_points(channel.gather(rows)))
     return replace(
         channel,
         rest=placement.transform_points(channel.rest),
@@ -167,16 +156,15 @@ def placement_notice(
 ) -> list[Fault]:
     """Return a notice on a take's stage placement (USD124).
 
-    rig_placement: placement of the layer's rig; stays: whether a parent animated the
-    placement, which is now in the joints.
+    is_kept: whether the placement is kept; rig_placement: placement of the layer's rig;
+    is_in_joints: whether a parent animated the placement, which is now in the joints.
     """
     if rig.placement is None and not rig.has_animated_parents:
         return []
-    placement_text = f"stands {rig.placement.description()}" if rig.placement else ""
-    parent_text = (
-        "moves with a prim above its SkelRoot" if rig.has_animated_parents else ""
-    )
-    message = f"the take {' and '.join(filter(None, (placement_text, parent_text)))}, "
+    texts = [f"stands {rig.placement.description()}"] if rig.placement else []
+    if rig.has_animated_parents:
+        texts.append("moves with a prim above its SkelRoot")
+    message = f"the take {' and '.join(texts)}, "
     message += "which is kept" if is_kept else "which is dropped"
     if rig_placement is not None and not rig_placement.is_identity:
         message += f"; the rig has its placement {rig_placement.description()}"

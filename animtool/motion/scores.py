@@ -71,11 +71,9 @@ class Score:
             return length_text(value)
         if self.unit is ScoreUnit.ANGLE:
             return angle_text(math.degrees(value))
-        return (
-            percent_text(value)
-            if self.unit is ScoreUnit.FRACTION
-            else plain_number(value)
-        )
+        if self.unit is ScoreUnit.FRACTION:
+            return percent_text(value)
+        return plain_number(value)
 
 
 @dataclass(frozen=True, slots=True)

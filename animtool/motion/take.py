@@ -93,11 +93,10 @@ def find_value_faults(
                 index = _first_non_unit(values)
                 code, problem = "TAKE005", "not a unit quaternion (x, y, z, w)"
             if index is not None:
-                owner_index = index[0] if is_static else int(channel.animated[index[1]])
-                frame_text = (
-                    "" if is_static else f" at frame {float(clock.times[index[0]]):g}"
-                )
-                owner = f"{_row_owner(rig, tracks, name, owner_index)}{frame_text}"
+                row = index[0] if is_static else int(channel.animated[index[1]])
+                owner = _row_owner(rig, tracks, name, row)
+                if not is_static:
+                    owner += f" at frame {float(clock.times[index[0]]):g}"
                 message = f"{name}: {owner} is {values[index].tolist()}, {problem}"
                 faults.append(Fault(code, message))
     return faults
@@ -198,9 +197,8 @@ class Take:
         step_text = "" if clock.step == 1 else f" every {float(clock.step):g}"
         frames = counted(clock.count, "frame")
         return (
-            f"<Take of {self.rig.name!r}: {frames} from "
-            f"{float(clock.start):g} to {float(last):g}{step_text} "
-            f"at {rate_label(clock.fps)}, {joints}>"
+            f"<Take of {self.rig.name!r}: {frames} from {float(clock.start):g} to "
+            f"{float(last):g}{step_text} at {rate_label(clock.fps)}, {joints}>"
         )
 
 
@@ -263,9 +261,8 @@ class TakeStream:
         """Return the complete take, with static joints stored once."""
         motion = Motion.concatenate(list(self.blocks)).map(Channel.compact)
         clock = Clock(self.fps, self.first_frame, self.step, motion.frames)
-        return Take(
-            self.rig, clock, motion, tuple(self.notices), self.tracks, self.curve
-        )
+        notices = tuple(self.notices)
+        return Take(self.rig, clock, motion, notices, self.tracks, self.curve)
 
     @staticmethod
     def of(take: Take) -> TakeStream:

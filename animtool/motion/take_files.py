@@ -31,9 +31,7 @@ class WriteOptions:
     # Base of an additive take, at the same frames.
     base: Take | None = None
     rig_file: Path | None = None  # existing rig file to refer to; None writes one
-    others: tuple[
-        Take, ...
-    ] = ()  # further takes of the rig, for files with several takes
+    others: tuple[Take, ...] = ()  # further takes of the rig in the same file
     names: tuple[str, ...] = ()  # of all takes; empty uses the file name
 
 

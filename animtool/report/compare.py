@@ -131,9 +131,9 @@ SCALE_TOLERANCE = 1e-3
 class Difference:
     """Largest difference of one quantity between joints, and where it occurs."""
 
-    value: float  # difference [m] or [deg]
-    joint: str  # name of the joint
-    code: float  # time code in the first take
+    value: float = 0.0  # difference [m] or [deg]
+    joint: str = ""  # name of the joint
+    code: float = 0.0  # time code in the first take
     skeleton: str = ""  # path of the skeleton if the first file has several
 
 
@@ -141,15 +141,16 @@ class Difference:
 class TakeDifference:
     """Differences of two takes over their common joints, shapes and frames."""
 
-    world: Difference  # world position [m]
-    translation: Difference  # local translation [m]
-    rotation: Difference  # local rotation [deg]
-    scale: Difference  # local scale [1]
-    weight: ShapeDifference  # weight of a blend shape [1]
-    frames: int  # frames compared
-    joints: int  # joints compared
-    shapes: int  # shapes compared
-    mismatches: list[str]  # joints and shapes that only one take has, as text
+    world: Difference = Difference()  # world position [m]
+    translation: Difference = Difference()  # local translation [m]
+    rotation: Difference = Difference()  # local rotation [deg]
+    scale: Difference = Difference()  # local scale [1]
+    weight: ShapeDifference = ShapeDifference()  # weight of a blend shape [1]
+    frames: int = 0  # frames compared
+    joints: int = 0  # joints compared
+    shapes: int = 0  # shapes compared
+    # Joints and shapes that only one take has, as text.
+    mismatches: list[str] = field(default_factory=list)
     # Differences that do not affect the takes, as text.
     notes: list[str] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)  # warnings and notes
@@ -251,19 +252,7 @@ def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDiff
         [path for path in first if path not in first_matches],
         [path for path in second if path not in second_matches],
     )
-    equal = Difference(0.0, "", 0.0)
-    total = TakeDifference(
-        equal,
-        equal,
-        equal,
-        equal,
-        ShapeDifference(),
-        frames=0,
-        joints=0,
-        shapes=0,
-        mismatches=mismatches,
-        skeletons=len(pairs),
-    )
+    total = TakeDifference(mismatches=mismatches, skeletons=len(pairs))
     for first_path, second_path in pairs:
         difference = _stream_difference(first[first_path](), second[second_path]())
         total = _merged_difference(total, difference, first_path)
@@ -349,7 +338,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
 
     def largest(values: FloatArray) -> Difference:
         if not values.size:
-            return Difference(0.0, "", 0.0)
+            return Difference()
         frame, joint = np.unravel_index(np.argmax(values), values.shape)
         name = first.rig.names[first_joints[int(joint)]]
         return Difference(float(values[frame, joint]), name, float(codes[frame]))

@@ -326,10 +326,6 @@ def _count_text(value: Any, *nouns: str) -> str:
     return counted(count, noun, plural)
 
 
-def _list_text(value: Any, max_count: str = "5") -> str:
-    return listed(list(value), int(max_count))
-
-
 def _with_digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., str]:
     def print_value(value: float, *digits: str) -> str:
         return printer(float(value) * scale, *map(int, digits))
@@ -346,7 +342,7 @@ DEFAULT_PRINTERS: dict[str, Callable[..., Any]] = {
     "counts": lambda value: ", ".join(counted(n, noun) for noun, n in value.items()),
     "spans": lambda value: listed([span_label(*span) for span in value]),
     "g": lambda value, digits="6": f"{float(value):.{digits}g}",
-    "list": _list_text,
+    "list": lambda value, max_count="5": listed(list(value), int(max_count)),
     "join": lambda value: ", ".join(map(str, value)),
     "kinds": lambda value: ", ".join(f"{n} {kind}" for kind, n in value.items()),
     "corners": lambda value, digits="4": " to ".join(

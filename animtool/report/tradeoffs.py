@@ -99,11 +99,9 @@ def _advice(table: TrialTable) -> str:
         error = None if recommended_row is None else table.error_of(recommended_row)
         if recommended_row is None or error is None:
             return ""
-        setting_text = (
-            "the current setting"
-            if recommended_row.chosen
-            else str(recommended_row.setting)
-        )
+        setting_text = "the current setting"
+        if not recommended_row.chosen:
+            setting_text = str(recommended_row.setting)
         return (
             f"cheapest within {length_text(table.budget)}: {setting_text}, "
             f"with {length_text(error)} ({table.error})"

@@ -43,8 +43,7 @@ from animtool.rig.skeleton import Rig
 _LIMB_ROLES = {"arm": ARM_ROLES, "leg": LEG_ROLES}
 _LIMB_SHAPES = {
     f"{name}_{side}": LimbShape(
-        (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))),
-        *lengths,
+        (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))), *lengths
     )
     for side in SIDES
     for name, roles, lengths in (
@@ -122,9 +121,8 @@ def find_anatomy(
         search.body = replace(body, positions=positions)
         up = find_up_direction(search.body, search.tips)
     is_rest_pose = search.body is body
-    _assign_sides_by_position(
-        search, find_left_direction(search.body, search.tips, up, at_rest=is_rest_pose)
-    )
+    left = find_left_direction(search.body, search.tips, up, at_rest=is_rest_pose)
+    _assign_sides_by_position(search, left)
     _assign_trunk(search)
     for limb in search.tips:
         _assign_limb(search, limb)
@@ -175,10 +173,8 @@ def _largest_tree(search: _RoleSearch) -> list[Fault]:
         return []
     names = body.rig.names
     other_names = listed([repr(names[j]) for j in other_tops], MAX_LISTED_JOINTS)
-    message = (
-        f"{len(other_tops) + 1} skeletons in one file: that of {names[main_hips]!r} is "
-        f"mapped, {other_names} are skipped"
-    )
+    message = f"{len(other_tops) + 1} skeletons in one file: that of "
+    message += f"{names[main_hips]!r} is mapped, {other_names} are skipped"
     hint = "export the others to separate files"
     return [warning("MAP103", message, hint)]
 
@@ -213,9 +209,8 @@ def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
         named_roles_above = [
             limb_roles & body.votes[k].keys() for k in body.rig.upwards(j)
         ]
-        score = len(set().union(*named_roles_above)) + 0.01 * sum(
-            map(bool, named_roles_above)
-        )
+        named_count = sum(map(bool, named_roles_above))
+        score = len(set().union(*named_roles_above)) + 0.01 * named_count
         if score > best_score:
             best_joint, best_score = j, score
     return best_joint
@@ -409,9 +404,8 @@ def _assign_toes(search: _RoleSearch, side: str) -> None:
     ends = body.positions[last_joints] + body.last_bones[last_joints]
     directions = ends - body.positions[feet[-1]]
     sizes = np.linalg.norm(directions, axis=1)
-    alignment = (
-        directions @ directions[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
-    )
+    longest = int(np.argmax(sizes))
+    alignment = directions @ directions[longest] / max(float(sizes[longest]), 1e-30)
     is_toe = alignment > _MIN_TOE_FRACTION * alignment.max()
     toes = list(compress(toe_roots, is_toe))
     for toe in toes if len(toes) > 1 else ():

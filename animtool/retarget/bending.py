@@ -41,9 +41,8 @@ def bend_limb(
     shortest_distance = np.abs(a - b) * (1 + 1e-9)
     longest_distance = (a + b) * MAX_EXTENSION
     # A leg that was straighter may stay so.
-    longest_distance = np.maximum(
-        longest_distance, np.minimum(np.linalg.norm(ankle - hip, axis=1), a + b)
-    )
+    current_distance = np.linalg.norm(ankle - hip, axis=1)
+    longest_distance = np.maximum(longest_distance, np.minimum(current_distance, a + b))
     goal_distance = np.clip(goal_distance, shortest_distance, longest_distance)
     hinge_axis = np.cross(thigh, shin)
     axis_length = np.linalg.norm(hinge_axis, axis=1, keepdims=True)
@@ -53,9 +52,8 @@ def bend_limb(
         hinge,
     )
     cosine = np.clip((goal_distance**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
-    current_angle = np.arctan2(
-        (np.cross(thigh, shin) * hinge_axis).sum(axis=1), (thigh * shin).sum(axis=1)
-    )
+    sine = (np.cross(thigh, shin) * hinge_axis).sum(axis=1)
+    current_angle = np.arctan2(sine, (thigh * shin).sum(axis=1))
     bend_rotation = so3.from_axis_angle(hinge_axis, np.arccos(cosine) - current_angle)
     tip = thigh + so3.rotate(bend_rotation, shin)
     swing = shortest_rotations(tip, goal - hip)
@@ -98,9 +96,8 @@ def bend_at_pin(
     if not amplitude:
         return thigh, angle
     goal_distance = np.linalg.norm(goal - hip, axis=1)
-    required_cosine = (
-        goal_distance**2 - upper @ upper - lower @ lower
-    ) / 2 - axial_product
+    required_product = (goal_distance**2 - upper @ upper - lower @ lower) / 2
+    required_cosine = required_product - axial_product
     opening_angles = np.arccos(np.clip(required_cosine / amplitude, -1.0, 1.0))
     straight_angle = float(np.arctan2(sine, cosine))
     candidates = np.stack(
@@ -126,8 +123,7 @@ def shortest_rotations(
     """Return the shortest rotations ``(F, 4)`` between directions ``(F, 3)``."""
     a = start_directions / np.linalg.norm(start_directions, axis=1, keepdims=True)
     b = end_directions / np.linalg.norm(end_directions, axis=1, keepdims=True)
-    quaternions = np.concatenate(
-        [np.cross(a, b), 1 + (a * b).sum(axis=1)[:, None]], axis=1
-    )
+    w = 1 + (a * b).sum(axis=1)[:, None]
+    quaternions = np.concatenate([np.cross(a, b), w], axis=1)
     is_defined = np.abs(quaternions).max(axis=1)[:, None] > OPPOSITE_TOLERANCE
     return so3.normalize(np.where(is_defined, quaternions, [1.0, 0.0, 0.0, 0.0]))

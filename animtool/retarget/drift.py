@@ -206,9 +206,8 @@ def _stance_tracks(
             length = stance_frames.stop - stance_frames.start
             middle_frame = (stance_frames.start + stance_frames.stop - 1) / 2
             mean_position = pivot[stance_frames].mean(axis=0)
-            contact_rows.append(
-                [middle_frame, length, spin, *speed[[a, b]], *mean_position[[a, b]]]
-            )
+            row = [middle_frame, length, spin, *speed[[a, b]], *mean_position[[a, b]]]
+            contact_rows.append(row)
             positions = pivot[stance_frames][:, [a, b, up]] - [0.0, 0.0, base]
             position_sums[stance_frames] += positions
             contact_counts[stance_frames] += 1

@@ -143,9 +143,8 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
         target = mean
         if foot.flat_rotation is not None:
             lean = so3.multiply(mean, so3.conjugate(foot.flat_rotation))
-            level_rotation = so3.multiply(
-                _heading_rotation(lean, up), foot.flat_rotation
-            )
+            heading = _heading_rotation(lean, up)
+            level_rotation = so3.multiply(heading, foot.flat_rotation)
             if so3.angle_between(level_rotation, mean) <= MAX_LEAN:
                 target = level_rotation
         inverse_rotations = so3.conjugate(foot.rotation[start:end])
@@ -238,9 +237,8 @@ def _foot_weight(is_planted: BoolArray, fps: float) -> FloatArray:
         # Contacts cut off by the ends of the take continue.
         frames_since_start = np.inf if start == 0 else frames - start
         frames_until_end = np.inf if end == len(is_planted) else end - 1 - frames
-        weight[start:end] = _smooth_step(
-            np.minimum(frames_since_start, frames_until_end) / ramp
-        )
+        frames_to_edge = np.minimum(frames_since_start, frames_until_end)
+        weight[start:end] = _smooth_step(frames_to_edge / ramp)
     return weight
 
 
@@ -298,9 +296,8 @@ def _locked_path(
                 goal[up] += median_height
         correction[start:end] = goal - toe_offset - ankle_path
     fill_between(correction, is_planted, fps)
-    _raise_above_ground(
-        correction[:, up], (ankle + ankle_to_toe)[:, up], level, is_planted, fps
-    )
+    toe_height = (ankle + ankle_to_toe)[:, up]
+    _raise_above_ground(correction[:, up], toe_height, level, is_planted, fps)
     return ankle + correction
 
 
@@ -368,9 +365,8 @@ def _hip_shifts(
         horizontal = offset.copy()
         horizontal[:, up] = 0.0
         horizontal_squared = (horizontal**2).sum(axis=1)
-        highest = np.sqrt(
-            np.maximum((fraction * foot.leg_length) ** 2 - horizontal_squared, 0.0)
-        )
+        highest_squared = (fraction * foot.leg_length) ** 2 - horizontal_squared
+        highest = np.sqrt(np.maximum(highest_squared, 0.0))
         hip_drop = np.maximum(hip_drop, offset[:, up] - highest)
         lowest = np.sqrt(np.maximum(foot.min_reach**2 - horizontal_squared, 0.0))
         # A body hanging by its feet is not flipped.

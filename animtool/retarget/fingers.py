@@ -13,7 +13,15 @@ from animtool.retarget.structure import SkeletonTree
 
 def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[int, str]:
     """Return the roles of the joints below the joints of a hand."""
-    paths = _finger_paths(body, hands)
+    paths: list[list[int]] = []
+    finger_roots = [child for hand in hands for child in body.limb_children(hand)]
+    stack = [[child] for child in finger_roots[::-1] if child not in hands]
+    while stack:
+        path = stack.pop()
+        children = body.limb_children(path[-1])
+        if not children:
+            paths.append(path)
+        stack += [[*path, child] for child in children[::-1]]
     if not paths:
         return {}
     digits = _assign_digits(body, paths, hands[-1])
@@ -32,20 +40,6 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
         if digits[i]:
             roles |= _phalanx_roles(body, joints_of_digit[i], digits[i], side, thumb)
     return roles
-
-
-def _finger_paths(body: SkeletonTree, hands: Sequence[int]) -> list[list[int]]:
-    """Return the joint path of each finger, without the hand."""
-    paths: list[list[int]] = []
-    finger_roots = [child for hand in hands for child in body.limb_children(hand)]
-    stack = [[child] for child in finger_roots[::-1] if child not in hands]
-    while stack:
-        path = stack.pop()
-        finger_roots = body.limb_children(path[-1])
-        if not finger_roots:
-            paths.append(path)
-        stack += [[*path, child] for child in finger_roots[::-1]]
-    return paths
 
 
 def _assign_digits(
@@ -91,9 +85,8 @@ def _digits_by_position(
     mean_finger_direction = directions.sum(axis=0)
     mean_finger_direction /= max(float(np.linalg.norm(mean_finger_direction)), 1e-30)
     largest_extent = max(float(np.abs(knuckle_offsets @ mean_direction).max()), 1e-30)
-    likeness = (
-        knuckle_offsets @ mean_direction
-    ) / largest_extent + directions @ mean_finger_direction
+    likeness = knuckle_offsets @ mean_direction / largest_extent
+    likeness = likeness + directions @ mean_finger_direction
     thumb = int(np.argmin(likeness))
     finger_indices = [i for i in range(count) if i != thumb]
     knuckle_center = knuckles[finger_indices].mean(axis=0)

@@ -10,11 +10,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.runs import runs
-from animtool.motion.contacts import (
-    find_contacts,
-    gaussian_smooth,
-    remove_short_runs,
-)
+from animtool.motion.contacts import find_contacts, gaussian_smooth, remove_short_runs
 from animtool.retarget.feet import fill_between
 from animtool.retarget.legs import limb_rotations, up_index
 from animtool.retarget.props import PropMotion
@@ -195,9 +191,8 @@ def hand_contacts(
         bends = _arm_rotations(
             transfer.target, side, tracks[k], shoulders[k], goals[k], is_contact, fps
         )
-        contacts.append(
-            HandContact(side, goals[k], is_active[k], bends, frozenset(gripped_props))
-        )
+        prop_tracks = frozenset(gripped_props)
+        contacts.append(HandContact(side, goals[k], is_active[k], bends, prop_tracks))
     return contacts
 
 
@@ -227,9 +222,8 @@ def _arm_rotations(
         target, arm, joints, goal[frames], bone_rotations, hinge
     )
     for k in (0, 1):
-        bends[frames, k] = so3.log(
-            so3.multiply(bent_rotations[k], so3.conjugate(bone_rotations[k]))
-        )
+        inverse = so3.conjugate(bone_rotations[k])
+        bends[frames, k] = so3.log(so3.multiply(bent_rotations[k], inverse))
     flat_bends = bends.reshape(len(bends), 6)
     fill_between(flat_bends, is_contact, fps, FADE_SECONDS)
     return flat_bends.reshape(bends.shape)

@@ -149,9 +149,8 @@ def _leg_reach(
     # maximum.
     pin = np.array(joint.axis, np.float64)
     bone = so3.rotate(so3.conjugate(rest_rotation), upper)
-    straight_angle = np.arctan2(
-        bone @ np.cross(pin, lower), bone @ lower - (bone @ pin) * (lower @ pin)
-    )
+    cosine = bone @ lower - (bone @ pin) * (lower @ pin)
+    straight_angle = np.arctan2(bone @ np.cross(pin, lower), cosine)
     free_angle = straight_angle + np.pi * np.arange(-4, 5)
     angles = np.append(
         free_angle[(free_angle > lower_limit) & (free_angle < upper_limit)],
@@ -272,9 +271,8 @@ def _bend_pin_limb(
     joint, rest_rotation = rig.joints[middle], rig.rest_rotations[middle]
     local_rotation = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     pin = np.array(joint.axis, np.float64)
-    angle = swing_twist(
-        so3.multiply(so3.conjugate(rest_rotation), local_rotation), joint.axis
-    )[1]
+    from_rest = so3.multiply(so3.conjugate(rest_rotation), local_rotation)
+    angle = swing_twist(from_rest, joint.axis)[1]
     bones = (
         rig.rest_translations[middle],
         so3.rotate(rest_rotation, target.offset(middle, end_joint)),
@@ -283,10 +281,8 @@ def _bend_pin_limb(
     upper, upper_and_angle = bend_at_pin(
         start, goal, rotations[0], bones, so3.rotate(rest_rotation, pin), angle, limits
     )
-    lower = so3.multiply(
-        upper, so3.multiply(rest_rotation, so3.from_axis_angle(pin, upper_and_angle))
-    )
-    return upper, lower
+    bend = so3.multiply(rest_rotation, so3.from_axis_angle(pin, upper_and_angle))
+    return upper, so3.multiply(upper, bend)
 
 
 def _knee_axis(target: RoledSkeleton, shin: int) -> FloatArray:

@@ -125,16 +125,13 @@ class _Leg:
         )
         parent_rotation = self.tracks.rotations[:, 0]
         rest_rotation = rig.rest_rotations[thigh]
-        local = so3.multiply(
-            so3.conjugate(so3.multiply(parent_rotation, rest_rotation)), thigh_rotation
-        )
-        clamped = so3.multiply(
-            parent_rotation, so3.multiply(rest_rotation, limit.clamped(local))
-        )
+        frame = so3.multiply(parent_rotation, rest_rotation)
+        local = so3.multiply(so3.conjugate(frame), thigh_rotation)
+        clamped_local = so3.multiply(rest_rotation, limit.clamped(local))
+        clamped = so3.multiply(parent_rotation, clamped_local)
         # The knee keeps its bend.
-        shin_rotation = so3.multiply(
-            clamped, so3.multiply(so3.conjugate(thigh_rotation), shin_rotation)
-        )
+        bend = so3.multiply(so3.conjugate(thigh_rotation), shin_rotation)
+        shin_rotation = so3.multiply(clamped, bend)
         bones = rig.rest_translations
         knee = hip_positions + so3.rotate(clamped, bones[shin])
         ankle = knee + so3.rotate(shin_rotation, bones[foot])

@@ -156,9 +156,8 @@ class Retargeting:
             props.moving_props(transfer) if props is not None and arms else (),
         )
         # Offset of gripped props (3,) [m].
-        self.lift = AnkleHeights.lift(
-            floor, transfer.scale, up_index(transfer.target.rig)
-        )
+        up = up_index(transfer.target.rig)
+        self.lift = AnkleHeights.lift(floor, transfer.scale, up)
         contacts = tuple(foot.contacts for foot in feet)
         self.contact_frames = ContactFrames(legs, contacts, planted, hand_goals)
         self._meter = FitMeter(transfer, joint_map, self.contact_frames)
@@ -186,9 +185,8 @@ class Retargeting:
                     for k, side in enumerate(legs)
                 ]
             )
-            arm_tracks.append(
-                [ArmTracks.of(transfer, side, source, *target) for side in arms]
-            )
+            block_tracks = [ArmTracks.of(transfer, s, source, *target) for s in arms]
+            arm_tracks.append(block_tracks)
             hips.append(block.hips)
             frame_arrays = [
                 rotations.local,
@@ -214,17 +212,12 @@ class Retargeting:
         self.max_bone_lengths = np.maximum(self.max_bone_lengths, bone_lengths)
         max_displacement = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
         quaternion_dots = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
-        is_moving = (
-            max_displacement > STATIC_TOLERANCE * self.transfer.source.size
-        ) | (quaternion_dots < 1 - STATIC_TOLERANCE)
+        is_moving = max_displacement > STATIC_TOLERANCE * self.transfer.source.size
+        is_moving |= quaternion_dots < 1 - STATIC_TOLERANCE
         self.moving_joints.update(np.flatnonzero(is_moving).tolist())
 
     def _plant_feet(
-        self,
-        legs: str,
-        tracks: Sequence[LegTracks],
-        feet: Sequence[Foot],
-        fps: float,
+        self, legs: str, tracks: Sequence[LegTracks], feet: Sequence[Foot], fps: float
     ) -> PlacedFeet:
         """Return the planted feet; store hip positions and knee swivels that reach."""
         transfer = self.transfer
@@ -255,8 +248,9 @@ class Retargeting:
         balls = np.zeros((len(positions), len(legs), 3))
         for k, side in enumerate(legs):
             balls[:, k] = ball_of_foot(source, side, positions, world)
-        source_points = map(transfer.to_target_axes, (positions, balls))
-        return _PosedFrames(*source_points, posed, bones, relative, hips)
+        source_positions = transfer.to_target_axes(positions)
+        balls = transfer.to_target_axes(balls)
+        return _PosedFrames(source_positions, balls, posed, bones, relative, hips)
 
     @property
     def clamped(self) -> Mapping[int, float]:
@@ -324,9 +318,8 @@ class Retargeting:
             ):
                 static = np.abs(values - first_row) < ROUNDING_TOLERANCE
                 np.copyto(values, first_row, where=static)
-            self._meter.add(
-                begin, forward_kinematics(rig, translations, local), source, balls
-            )
+            posed = forward_kinematics(rig, translations, local)
+            self._meter.add(begin, posed, source, balls)
             yield Motion(
                 self._animated_channel(translations, first_rows[0]),
                 self._animated_channel(local, first_rows[1]),

@@ -162,10 +162,8 @@ def _crossed_sides(
     if not crossed_pairs:
         return []
     side_count = sum(role[-2:] in {"_l", "_r"} for role in anatomies[1].roles)
-    message = (
-        f"{counted(len(crossed_pairs), 'joint')} of {side_count} on the left and right "
-        f"follow the other side: {listed(crossed_pairs, 6)}"
-    )
+    message = f"{counted(len(crossed_pairs), 'joint')} of {side_count} on the left and "
+    message += f"right follow the other side: {listed(crossed_pairs, 6)}"
     hint = "swap the sides in the map; to mirror a take, use the mirror pass"
     path = map_file.document.path if isinstance(map_file, MapFile) else map_file
     file_path = None if path is None else str(path)
@@ -183,10 +181,8 @@ def _leg_counts(
     if {*stands_on_hands} != {True, False}:
         return []
     legs, other_legs = ("four" if on_hands else "two" for on_hands in stands_on_hands)
-    message = (
-        f"{rigs[0].name!r} stands on {legs} legs and {rigs[1].name!r} on {other_legs}: "
-        "arms and front legs are paired, and their poses differ"
-    )
+    message = f"{rigs[0].name!r} stands on {legs} legs and {rigs[1].name!r} on "
+    message += f"{other_legs}: arms and front legs are paired, and their poses differ"
     hint = "choose a rig with the same legs, or pair joints in a map file"
     return [warning("MAP109", message, hint)]
 
@@ -316,8 +312,9 @@ class _PairCollector:
             )
         ]
         if len(source_joints) > 1 or len(target_joints) > 1:
-            chain = map(tuple, (source_joints, target_joints, *positions))
-            self.chains.append(JointChain(role, *chain))
+            joints = tuple(source_joints), tuple(target_joints)
+            chain = JointChain(role, *joints, *map(tuple, positions))
+            self.chains.append(chain)
         for i, j in enumerate(target_joints):
             nearest = i
             if len(source_joints) != len(target_joints):

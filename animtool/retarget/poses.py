@@ -83,9 +83,8 @@ def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
             (crossed * upper_direction).sum(axis=1),
             (perpendicular * bend_normal * bend_sign).sum(axis=1),
         )
-        bend_weight = np.clip(
-            (sine - BEND_SINES[0]) / (BEND_SINES[1] - BEND_SINES[0]), 0.0, 1.0
-        )
+        bend_weight = (sine - BEND_SINES[0]) / (BEND_SINES[1] - BEND_SINES[0])
+        bend_weight = np.clip(bend_weight, 0.0, 1.0)
         angle = angle * bend_weight * bend_weight * (3 - 2 * bend_weight)
         twist = so3.from_axis_angle(upper_direction, angle)
         rotations[:, parent] = so3.multiply(twist, rotations[:, parent])
@@ -152,9 +151,9 @@ def local_rotations(
         if j not in outdated_joints:
             continue
         parent_rotation = world[:, parent] if parent >= 0 else None
-        inverse_parent = (
-            so3.IDENTITY if parent_rotation is None else so3.conjugate(parent_rotation)
-        )
+        inverse_parent = so3.IDENTITY
+        if parent_rotation is not None:
+            inverse_parent = so3.conjugate(parent_rotation)
         joint_local = rest_rotation[None]
         if transfer.source_joints[j] >= 0:
             joint_local = so3.multiply(inverse_parent, rotations[:, j])
@@ -208,9 +207,8 @@ def _clamp_to_limits(
         )
     elif isinstance(limits, BallLimit):
         clamped_rotations = limits.clamped(rotation_from_rest)
-        is_clamped = (
-            so3.angle_between(clamped_rotations, rotation_from_rest) > LIMIT_ROUNDING
-        )
+        angles = so3.angle_between(clamped_rotations, rotation_from_rest)
+        is_clamped = angles > LIMIT_ROUNDING
         rotation_from_rest = clamped_rotations
     else:
         rotation_from_rest = np.broadcast_to(so3.IDENTITY, rotation_from_rest.shape)

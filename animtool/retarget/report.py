@@ -24,12 +24,7 @@ from animtool.retarget.verdict import Verdict, assess_take
 from animtool.rig.kinematics import WorldTransforms
 
 # Roles whose bones are compared, with the role at the end of each bone.
-BONE_ENDS = {
-    "upper_arm": "forearm",
-    "forearm": "hand",
-    "thigh": "shin",
-    "shin": "foot",
-}
+BONE_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 
 
 ARM_ROLES = ("upper_arm", "forearm", "hand")
@@ -180,9 +175,8 @@ class FitMeter:
                 for points in current
             ]
             largest_of_block = [values.max(initial=0.0) for values in accelerations]
-            self._max_accelerations = np.maximum(
-                self._max_accelerations, largest_of_block
-            )
+            maxima = np.maximum(self._max_accelerations, largest_of_block)
+            self._max_accelerations = maxima
             self._add_score("acceleration", accelerations[0])
 
     def _add_score(self, score: str, values: FloatArray) -> None:
@@ -218,8 +212,9 @@ class FitMeter:
                         directions.append(points[:, end_joint] - points[:, start_joint])
                 if len(directions) < 2:
                     continue
-                cross_length = np.linalg.norm(np.cross(*directions), axis=1)
-                cosine = (directions[0] * directions[1]).sum(axis=1)
+                a, b = directions
+                cross_length = np.linalg.norm(np.cross(a, b), axis=1)
+                cosine = (a * b).sum(axis=1)
                 angle = np.arctan2(cross_length, cosine)
                 rows: BoolArray | slice = slice(None)
                 if role in {"thigh", "shin"} and side in contact_frames.sides:
@@ -406,11 +401,9 @@ def _reach_errors(
             arms = points[:, arm]
             length = np.linalg.norm(np.diff(arms[0], axis=0), axis=1).sum()
             if length > 0:
-                arm_fractions.append(
-                    np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1) / length
-                )
+                reach = np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1)
+                arm_fractions.append(reach / length)
         if len(arm_fractions) == 2:
-            largest_errors = np.fmax(
-                largest_errors, np.abs(arm_fractions[0] - arm_fractions[1])
-            )
+            errors = np.abs(arm_fractions[0] - arm_fractions[1])
+            largest_errors = np.fmax(largest_errors, errors)
     return largest_errors

@@ -146,9 +146,8 @@ class RoledSkeleton:
         for pair in (("thigh_l", "thigh_r"), ("upper_arm_l", "upper_arm_r")):
             left_side, right_side = map(self.first, pair)
             if left_side >= 0 and right_side >= 0:
-                directions.append(
-                    self.positions[left_side] - self.positions[right_side]
-                )
+                left, right = self.positions[left_side], self.positions[right_side]
+                directions.append(left - right)
         hips, head = self.first("hips"), self.first("head")
         head = head if head >= 0 else self.last("spine")
         if not directions or hips < 0 or head < 0:

@@ -19,7 +19,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.retarget.roles import CONTROL, END, SIDES, TWIST
-from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
 # Bones shorter than this fraction of the skeleton have zero length.
@@ -56,9 +56,7 @@ class SkeletonTree:
         cls, rig: Rig, votes: Sequence[dict[str, float]], kinds: Sequence[str]
     ) -> SkeletonTree:
         """Return the tree of a skeleton at rest."""
-        rest_transforms = forward_kinematics(
-            rig, rig.rest_translations[None], rig.rest_rotations[None]
-        )
+        rest_transforms = rest_world(rig)
         tips = np.zeros((len(rig.joints), 3))
         for j, joint in enumerate(rig.joints):
             if joint.tips:
@@ -294,7 +292,7 @@ def find_up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray
     cosine = float(trunk @ mean_drop) / (lengths[0] * lengths[1])
     if cosine >= _MAX_UPRIGHT_COSINE:
         return None
-    return trunk / lengths[0] - mean_drop / lengths[1]
+    return np.asarray(trunk / lengths[0] - mean_drop / lengths[1])
 
 
 def find_left_direction(
@@ -362,7 +360,15 @@ def split_limb(
                 for role, (a, b) in zip(limb.roles, pairwise(boundaries), strict=True)
                 for _ in range(b - a)
             ]
-            score = _name_score(body, path, labels)
+            # How well names agree with roles; the first joint of a role counts most.
+            score, previous = 0.0, ""
+            for j, label in zip(path, labels, strict=True):
+                votes = body.votes[j]
+                if label in votes:
+                    score += (20.0 if label != previous else 12.0) * votes[label]
+                elif votes:
+                    score -= 12.0
+                previous = label
             score += _shape_score(distances, boundaries, limb)
             if branch >= 0:
                 score += 4.0 if end_index < n and path[end_index] == branch else -4.0
@@ -372,21 +378,6 @@ def split_limb(
             if score > best_score:
                 best_labels, best_score = labels, score
     return best_labels + [""] * len(remaining_joints)
-
-
-def _name_score(
-    body: SkeletonTree, path: Sequence[int], labels: Sequence[str]
-) -> float:
-    """Score how well names agree with roles; the first joint of a role counts most."""
-    score, previous = 0.0, ""
-    for j, label in zip(path, labels, strict=True):
-        votes = body.votes[j]
-        if label in votes:
-            score += (20.0 if label != previous else 12.0) * votes[label]
-        elif votes:
-            score -= 12.0
-        previous = label
-    return score
 
 
 def _shape_score(

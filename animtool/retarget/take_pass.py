@@ -106,10 +106,8 @@ def insufficient_pairs_fault(
     if limbs and not intact_limbs:
         names = listed(sorted(limbs), MAX_LISTED_LIMBS)
         message += f", and none of its limbs ({names})"
-    hint = (
-        "write a map file, or retarget what is paired with "
-        f"{argument('force_fit', True)}, in a pass force_fit: true"
-    )
+    hint = "write a map file, or retarget what is paired with "
+    hint += f"{argument('force_fit', True)}, in a pass force_fit: true"
     return Fault("MAP010", message, hint=hint)
 
 
@@ -134,9 +132,8 @@ def zero_length_fault(
     limb_joints: set[int] = set()
     for start_joint, *_, end_joint in _complete_limbs(roles).values():
         path = source.upwards(end_joint)
-        limb_joints.update(
-            path[: path.index(start_joint)] if start_joint in path else ()
-        )
+        if start_joint in path:
+            limb_joints.update(path[: path.index(start_joint)])
     bones = sorted(j for j in limb_joints if has_collapsed[j])
     if not bones:
         return None
@@ -230,14 +227,10 @@ def retarget_stream(
         hint = f"read it with {argument('source.up', stance_axis)}"
         notices.append(warning("MOT214", message, hint))
     elif stance_axis is not None:
-        message = (
-            f"the body stands along {stance_axis}, though the take's up axis is "
-            f"{source.up}; using {stance_axis} up"
-        )
-        hint = (
-            f"confirm with {argument('source.up', stance_axis)}, or write "
-            f"{argument('source.up', source.up)} if it lies"
-        )
+        message = f"the body stands along {stance_axis}, though the take's up axis is "
+        message += f"{source.up}; using {stance_axis} up"
+        hint = f"confirm with {argument('source.up', stance_axis)}, or write "
+        hint += f"{argument('source.up', source.up)} if it lies"
         notices.append(warning("MAP009", message, hint))
         source = replace(source, up=stance_axis)
     transfer = build_transfer(source, rig, joint_map, rest_rotations, as_rig=as_rig)
@@ -339,9 +332,8 @@ def _scale_warnings(scale: float, *, has_option: bool = True) -> list[Fault]:
     """
     if is_likely_scale(scale):
         return []
-    message = (
-        f"the rig is {plain_number(scale)} times the size of the person in the take"
-    )
+    message = f"the rig is {plain_number(scale)} times the size of the person in the "
+    message += "take"
     hint = "correct the unit that the file of the take states, or units of the rig"
     if has_option:
         hint = f"give the unit of the take with {argument('source.unit')}, or correct "
@@ -409,14 +401,10 @@ def checked_blocks(
     file = None if path is None else str(path)
     stopped = retargeting.stopped_by_rest_frame
     if stopped:
-        message = (
-            f"with frame {options.rest} as the rest pose, limits stop "
-            f"{listed([repr(name) for name in stopped], 4)} in nearly all frames"
-        )
-        hint = (
-            "choose a frame in which the person stands still in the rest pose of the "
-            f"rig, or leave out {argument('rest')}"
-        )
+        message = f"with frame {options.rest} as the rest pose, limits stop "
+        message += f"{listed([repr(name) for name in stopped], 4)} in nearly all frames"
+        hint = "choose a frame in which the person stands still in the rest pose of "
+        hint += f"the rig, or leave out {argument('rest')}"
         notices.append(Fault("MAP110", message, file, (), hint, Severity.WARNING))
     if options.warn_above is None:
         return

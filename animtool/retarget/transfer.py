@@ -93,9 +93,8 @@ class Transfer:
             # The next joint below with a role twists the bone.
             next_joints = target.children_with_role(twist.bone)
             if next_joints:
-                twists.append(
-                    (twist.target, twist.bone, next_joints[0], twist.fraction)
-                )
+                bone = (twist.bone, next_joints[0])
+                twists.append((twist.target, *bone, twist.fraction))
         scale = _leg_ratio(source, target, source_joints)
         return Transfer(
             source,
@@ -139,9 +138,8 @@ class Transfer:
         rotations_from_rest = so3.multiply(world, so3.conjugate(self.source.rotations))
         if (self.upright != so3.IDENTITY).any():
             rotations_from_rest = so3.multiply(self.upright, rotations_from_rest)
-            rotations_from_rest = so3.multiply(
-                rotations_from_rest, so3.conjugate(self.upright)
-            )
+            inverse = so3.conjugate(self.upright)
+            rotations_from_rest = so3.multiply(rotations_from_rest, inverse)
         world_rotations = np.zeros((len(world), len(rig.joints), 4))
         for j, parent in enumerate(rig.parents.tolist()):
             source_joint = self.source_joints[j]
@@ -175,9 +173,8 @@ class Transfer:
         """
         source_rig, target_rig = self.source.rig, self.target.rig
         deviations = translations - source_rig.rest_translations
-        is_moving = (
-            np.abs(deviations).max(axis=(0, 2)) > MIN_DEVIATION * self.source.size
-        )
+        largest_deviations = np.abs(deviations).max(axis=(0, 2))
+        is_moving = largest_deviations > MIN_DEVIATION * self.source.size
         local_translations = target_rig.rest_translations[None]
         hips = self.target.first("hips")
         for joint, source_joint in enumerate(self.source_joints.tolist()):
@@ -191,9 +188,8 @@ class Transfer:
             ):
                 continue
             if len(local_translations) == 1:
-                local_translations = np.repeat(
-                    local_translations, len(rotations), axis=0
-                )
+                count = len(rotations)
+                local_translations = np.repeat(local_translations, count, axis=0)
             offset = so3.rotate(world[:, source_parent], deviations[:, source_joint])
             offset = so3.rotate(self.upright, offset)
             inverse_rotations = so3.conjugate(rotations[:, target_parent])
@@ -277,9 +273,8 @@ def _rest_alignment(
             bone, source_bone = bone / sizes[0], source_bone / sizes[1]
         elif role not in _AIMED_ROLES and role[:-2] not in _FINGER_NAMES:
             continue
-        rotations[j] = so3.multiply(
-            so3.shortest_rotation(bone, source_bone), rotations[j]
-        )
+        swing = so3.shortest_rotation(bone, source_bone)
+        rotations[j] = so3.multiply(swing, rotations[j])
     return rotations
 
 
@@ -330,7 +325,9 @@ def _leg_ratio(
             (target.first(role), source.first(role))
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY_ROLES and role in target.roles
-        ] or [(j, source_joints[j]) for j in np.flatnonzero(source_joints >= 0)]
+        ] or [
+            (j, source_joints[j]) for j in np.flatnonzero(source_joints >= 0).tolist()
+        ]
         leg_lengths = [
             (float(path_lengths[0][j]), float(path_lengths[1][k]))
             for j, k in joint_pairs

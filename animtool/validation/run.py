@@ -447,11 +447,9 @@ def _with_file_name(fault: Fault, names: dict[Path, str]) -> Fault:
     except (OSError, ValueError):
         return fault
     working_folder = Path.cwd()
-    shown_path = (
-        path.relative_to(working_folder)
-        if path.is_relative_to(working_folder)
-        else path
-    )
+    shown_path = path
+    if path.is_relative_to(working_folder):
+        shown_path = path.relative_to(working_folder)
     return replace(fault, path=names.get(path, str(shown_path)))
 
 

@@ -38,7 +38,6 @@ from animtool.ik.matching import _BendingLimb, _normalize, _pole_positions
 from animtool.ik.nearest import (
     _limit_combinations,
     _replace_rows,
-    _select_rows,
     frames_out_of_reach,
 )
 from animtool.ik.report import (
@@ -552,7 +551,7 @@ def outcome(count: int) -> IkResult:
 
 def test_rows_of_a_result_are_picked_and_placed() -> None:
     whole, other = outcome(5), replace(outcome(2), statuses=(IkStatus.BUDGET,) * 2)
-    some = _select_rows(whole, np.array([4, 2]))
+    some = whole.select(np.array([4, 2]))
     assert some.seconds.tolist() == [4, 2]
     made = _replace_rows(whole, other, np.array([3]), np.array([1]))
     assert made.seconds.tolist() == [0, 1, 2, 1, 4]
@@ -732,7 +731,6 @@ def test_what_comes_after_a_window_is_kept_where_it_ends_as_before(
     monkeypatch.setitem(
         names, "with_poses", lambda *_: SimpleNamespace(coordinates=[7])
     )
-    monkeypatch.setitem(names, "_select_frames", lambda _, own: (own.start, own.stop))
     monkeypatch.setitem(names, "_concatenate", lambda parts: parts)
 
     class Path:
@@ -750,12 +748,13 @@ def test_what_comes_after_a_window_is_kept_where_it_ends_as_before(
             return 6
 
     own: Any = Path()
+    result: Any = SimpleNamespace(select=lambda rows: (rows.start, rows.stop))
     own.is_motion = moving
-    parts = ClipPath.with_window(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
+    parts = ClipPath.with_window(own, result, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
     assert parts[0] == (0, 1)  # type: ignore[index]
     assert parts[2:] == ([(3, 6)] if kept else [("solved", 3, 7.0)])  # type: ignore[index]
     own.__class__.__len__ = lambda _: 3
-    end = ClipPath.with_window(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
+    end = ClipPath.with_window(own, result, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
     assert len(end) == 2
 
 

@@ -21,7 +21,7 @@ from animtool.ik import (
     build,
     solve,
 )
-from animtool.ik.goals import WEIGHT_COLUMN, WEIGHT_COLUMNS
+from animtool.ik.goals import WEIGHT_COLUMNS
 from animtool.ik.limbs import GoalLimb, extend_softly
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
@@ -213,7 +213,7 @@ def test_bones_that_are_a_part_of_the_reach_grow_by_more_of_their_own() -> None:
     own = GoalLimb(0, (1, 2), origin, 0.8, 0.6, soft=0.0, stretch=0.5)
     targets = np.zeros((4, 1, WEIGHT_COLUMNS.stop))
     targets[:, 0, :3] = origin + np.array([0.5, 1.0, 1.2, 1.2])[:, None] * [0, 1, 0]
-    targets[:3, 0, WEIGHT_COLUMN["position"]] = 1.0
+    targets[:3, 0, WEIGHT_COLUMNS.start] = 1.0
     found = extend_softly((own,), targets)
     np.testing.assert_allclose(found.bone_scales[:, 0], [1.0, 1 + 1 / 3, 1.5, 1.0])
     off = found.reachable_targets[:, 0, 1] - origin[1]

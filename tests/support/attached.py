@@ -55,9 +55,14 @@ def strands_rig(colliders: tuple[Collider, ...] = ()) -> Rig:
     return Rig("head", (Joint("head", -1),), attach=attach, colliders=colliders)
 
 
-def sheet_rig(size: int = 4, pins: tuple[int, ...] | None = None) -> Rig:
-    """Return a post with a sheet in its plane that hangs from its upper edge."""
-    across, down = np.meshgrid(np.linspace(0, 0.3, size), np.linspace(0, -0.3, size))
+def sheet_rig(
+    size: int = 4, pins: tuple[int, ...] | None = None, side: float = 0.3
+) -> Rig:
+    """Return a post with a sheet in its plane that hangs from its upper edge.
+
+    Its sides are ``side`` long [m], with ``size`` points each.
+    """
+    across, down = np.meshgrid(np.linspace(0, side, size), np.linspace(0, -side, size))
     points = np.stack([across, down, np.zeros_like(down)], axis=-1).reshape(-1, 3)
     row, column = np.mgrid[: size - 1, : size - 1]
     corner = (row * size + column).ravel()

@@ -257,8 +257,9 @@ class _CalibrationEntry:
     def _matrix_of_storage(self, value: dict[str, Any]) -> Any:
         """Return a matrix of a FileStorage, or raw numbers if its shape is wrong."""
         rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
-        has_size = isinstance(rows, int) and isinstance(columns, int)
-        if not (has_size and rows > 0 < columns and isinstance(data, list)):
+        if not (isinstance(rows, int) and isinstance(columns, int)):
+            return None
+        if not isinstance(data, list) or not rows > 0 < columns:
             return None
         if rows * columns != len(data):
             return None
@@ -283,9 +284,8 @@ class _CalibrationEntry:
             nearest_rotation(value.reshape(3, 3)) if value.size == 9 else None
         )
         if rotation_matrix is None:
-            hint = (
-                "write a matrix with orthogonal rows of length 1, or a rotation vector"
-            )
+            hint = "write a matrix with orthogonal rows of length 1, or a rotation "
+            hint += "vector"
             self._add_fault("CAM001", "rotation", "is not a rotation", hint)
         return rotation_matrix
 

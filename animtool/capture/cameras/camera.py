@@ -118,9 +118,8 @@ def distort(camera: Camera, points: FloatArray) -> FloatArray:
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
     x, y = points[..., 0], points[..., 1]
     squared_radius = x * x + y * y
-    radial = (
-        1 + squared_radius * (k1 + squared_radius * (k2 + squared_radius * k3))
-    ) / (1 + squared_radius * (k4 + squared_radius * (k5 + squared_radius * k6)))
+    radial = 1 + squared_radius * (k1 + squared_radius * (k2 + squared_radius * k3))
+    radial /= 1 + squared_radius * (k4 + squared_radius * (k5 + squared_radius * k6))
     x_distorted = x * radial + 2 * p1 * x * y + p2 * (squared_radius + 2 * x * x)
     y_distorted = y * radial + p1 * (squared_radius + 2 * y * y) + 2 * p2 * x * y
     return np.stack([x_distorted, y_distorted], axis=-1)
@@ -139,9 +138,8 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         in_camera = points @ camera.rotation.T + camera.translation
         depth = np.where(in_camera[..., 2] > 0, in_camera[..., 2], np.nan)
-        x, y = np.moveaxis(
-            distort(camera, in_camera[..., :2] / depth[..., None]), -1, 0
-        )
+        distorted = distort(camera, in_camera[..., :2] / depth[..., None])
+        x, y = np.moveaxis(distorted, -1, 0)
         pixel_x = camera.focal[0] * x + camera.skew * y + camera.centre[0]
         pixel_y = camera.focal[1] * y + camera.centre[1]
     pixels = np.stack([pixel_x, pixel_y], axis=-1)
@@ -171,12 +169,10 @@ def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
         # Finite differences are exact enough for the slopes of the lens: every step is
         # checked with the lens model itself.
         step, projected = 1e-6, distort(camera, estimate)
-        derivative_x = (
-            distort(camera, estimate + np.array([step, 0])) - projected
-        ) / step
-        derivative_y = (
-            distort(camera, estimate + np.array([0, step])) - projected
-        ) / step
+        derivative_x, derivative_y = (
+            (distort(camera, estimate + np.array(offset)) - projected) / step
+            for offset in ([step, 0], [0, step])
+        )
         error = projected - target
         determinant = (
             derivative_x[..., 0] * derivative_y[..., 1]

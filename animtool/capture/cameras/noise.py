@@ -178,15 +178,13 @@ def initial_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     """Estimate the noise by least median of squares over camera pairs [px]."""
     pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_POINTS)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
-    least_medians = _kernels.least_median_residuals(
-        np.ascontiguousarray(pixels), numbers
-    )
+    pixels = np.ascontiguousarray(pixels)
+    least_medians = _kernels.least_median_residuals(pixels, numbers)
     has_estimate = np.isfinite(least_medians) & (counts > 1)
     if not has_estimate.any():
         return 1.0
-    factors = np.array([*_LEAST_MEDIAN_FACTORS, 1.0])[
-        np.clip(counts - 2, 0, len(_LEAST_MEDIAN_FACTORS))
-    ]
+    indices = np.clip(counts - 2, 0, len(_LEAST_MEDIAN_FACTORS))
+    factors = np.array([*_LEAST_MEDIAN_FACTORS, 1.0])[indices]
     return max(
         float(np.median(least_medians[has_estimate] / factors[has_estimate])), MIN_NOISE
     )
@@ -208,9 +206,8 @@ def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatAr
     """Estimate each camera's noise from its median residual [px] ``(C,)``."""
     is_used = states == USED
     other_counts = is_used.sum(axis=1)[:, None] - is_used
-    is_judged = (is_used | (states == _REJECTED) | (states == _INACTIVE)) & (
-        other_counts > 1
-    )
+    is_judged = is_used | (states == _REJECTED) | (states == _INACTIVE)
+    is_judged &= other_counts > 1
     # A point seen by n cameras takes 3 of their 2n residuals.
     residual_fraction = np.where(
         is_used, 1 - 1.5 / np.maximum(other_counts + is_used, 2), 1.0

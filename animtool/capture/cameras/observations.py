@@ -117,11 +117,6 @@ def _solve_hint(path: Path) -> str:
     return f"they are triangulated already: animtool mocap solve {path}"
 
 
-def _positions_hint(message: str, path: Path) -> str:
-    """Return the hint for an npz without pixels, which may have positions."""
-    return _solve_hint(path) if message.startswith(_POSITIONS) else LAYOUT_HINT
-
-
 def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
     """Return the error message and hint for a file that is not npz."""
     with open_input(path, None) as file:
@@ -130,7 +125,8 @@ def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
         return "the file is empty", "export or copy it again"
     if first_bytes[:2] == b"PK":
         is_damaged = message.startswith("is incomplete")
-        return message, None if is_damaged else _positions_hint(message, path)
+        hint = _solve_hint(path) if message.startswith(_POSITIONS) else LAYOUT_HINT
+        return message, None if is_damaged else hint
     signature = signature_of(first_bytes)
     if signature is not None and signature.suffixes[:1] in {(".c3d",), (".trc",)}:
         return f"is {signature.about}, not pixels of cameras", _solve_hint(path)
@@ -147,10 +143,8 @@ def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
         )
         return kind, hint + "-o people.npz"
     if any(key in text for key in (b'"cameras"', b'"camera_matrix"', b'"K"')):
-        kind = (
-            "holds cameras, not observations; pass it as "
-            f"{argument('cameras', path.name)}"
-        )
+        kind = "holds cameras, not observations; pass it as "
+        kind += f"{argument('cameras', path.name)}"
     return kind, LAYOUT_HINT
 
 
@@ -164,9 +158,8 @@ def _read_arrays(
         arrays = listed(array_names) or "nothing"
         if any(re.match(r"markers(_|$)", name) for name in array_names):
             raise ValueError(f"{_POSITIONS}, not pixels; its arrays are {arrays}")
-        raise ValueError(
-            f"has no array 'uv' or 'uv8' of pixels; its arrays are {arrays}"
-        )
+        message = "has no array 'uv' or 'uv8' of pixels; its arrays are "
+        raise ValueError(f"{message}{arrays}")
     unit, missing = _PIXEL_ARRAYS[key]
     header = archives.header(path, key)
     if len(header.shape) != 4 or header.shape[3] != 2:
@@ -195,9 +188,8 @@ def _read_arrays(
     )
     for label, length, expected_length in lengths:
         if length not in {expected_length, 0}:
-            raise ValueError(
-                f"{label!r} has {length}, but {key!r} has {expected_length}"
-            )
+            message = f"{label!r} has {length}, but {key!r} has "
+            raise ValueError(f"{message}{expected_length}")
     rate = _observation_rate(archives, path, array_names, fps)
     confidences = None
     if "confidence" in array_names:
@@ -218,16 +210,14 @@ def _observation_rate(
     if fps is not None:
         return rate_option(fps)
     if "fs" not in array_names:
-        raise ValueError(
-            f"has no number 'fs', the frame rate; set it with {argument('fps')}"
-        )
+        message = "has no number 'fs', the frame rate; set it with "
+        raise ValueError(f"{message}{argument('fps')}")
     stored_rates = archives.load_stored(path, "fs").ravel()
     low, high = _RATE_RANGE
     if stored_rates.size != 1 or not low <= float(stored_rates[0]) <= high:
         rates = listed(stored_rates.tolist())
-        raise ValueError(
-            f"'fs' is {rates}, which is not a frame rate; set it with {argument('fps')}"
-        )
+        message = f"'fs' is {rates}, which is not a frame rate; set it with "
+        raise ValueError(f"{message}{argument('fps')}")
     return rate_from_float(float(stored_rates[0]))
 
 

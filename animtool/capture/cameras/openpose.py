@@ -150,10 +150,8 @@ def _continue_tracks(
                 distances = np.linalg.norm(projected - keypoints[:, :2], axis=-1)
                 is_visible = np.isfinite(distances)
                 if is_visible.sum() >= MIN_SHARED_KEYPOINTS:
-                    cost = float(np.median(distances[is_visible])) / _person_size(
-                        keypoints
-                    )
-                    costs[t, i] = min(cost, _MAX_SHIFT)
+                    distance = float(np.median(distances[is_visible]))
+                    costs[t, i] = min(distance / _person_size(keypoints), _MAX_SHIFT)
         for t, i in zip(*linear_sum_assignment(costs), strict=True):
             if costs[t, i] < _MAX_SHIFT:
                 groups[t][c] = int(i)
@@ -226,9 +224,8 @@ def _ray_distance(
         if is_finite.sum() < MIN_SHARED_KEYPOINTS:
             return np.inf
         # Lengths are at depth 1 of the camera.
-        largest = max(
-            largest, float(np.median(sine[is_finite])) * camera.focal[0] / scale
-        )
+        median = float(np.median(sine[is_finite]))
+        largest = max(largest, median * camera.focal[0] / scale)
     return largest
 
 

@@ -87,9 +87,8 @@ class Triangulation:
     output: Path | None = None  # the marker file, likewise
     json_keys: ClassVar[str] = (
         "'mocap triangulate' observations=source output frames=markers.clock.count "
-        "fps=markers.clock.rate markers=markers.names "
-        "points=.{seen=visible found=triangulated} "
-        "reprojection=.{px=error_px mm=error_mm} cameras notices"
+        "fps=markers.clock.rate markers=markers.names points=.{seen=visible "
+        "found=triangulated} reprojection=.{px=error_px mm=error_mm} cameras notices"
     )
 
     @property
@@ -159,9 +158,8 @@ def camera_notices(
 
     for shift in report.shifts:
         throughout = shift.first == 0 and shift.end == clock.count
-        text = (
-            f"camera {report.name!r} moved in frames {shift.first + 1} to {shift.end}"
-        )
+        text = f"camera {report.name!r} moved in frames {shift.first + 1} to "
+        text += f"{shift.end}"
         if throughout:
             text = f"camera {report.name!r} does not match its calibration in any frame"
         text += f": {percent_text(shift.outliers)} of its points are outliers"
@@ -184,17 +182,14 @@ def camera_notices(
         hint = "was it bumped or out of sync there? its outliers are excluded"
         yield warning("CAM111", text, hint)
     if report.outliers > MAX_OUTLIER_FRACTION and not report.shifts:
-        text = (
-            f"{percent_text(report.outliers)} of the points of camera "
-            f"{report.name!r} are "
-        )
+        text = f"{percent_text(report.outliers)} of the points of camera "
+        text += f"{report.name!r} are "
         yield warning("CAM102", f"{text}outliers", "check its labels and its clock")
     if not report.observed:
         yield warning("CAM103", f"camera {report.name!r} sees nothing")
     if report.no_ray:
-        text = (
-            f"{counted(report.no_ray, 'pixel')} of camera {report.name!r} are outside "
-        )
+        text = f"{counted(report.no_ray, 'pixel')} of camera {report.name!r} are "
+        text += "outside "
         yield warning("CAM106", f"{text}the range of its lens model")
     if report.outside and camera.size is not None:
         text = f"{counted(report.outside, 'pixel')} of camera {report.name!r} are "
@@ -243,8 +238,6 @@ def gap_notices(
         yield Fault("CAM104", text, path or None, severity=Severity.WARNING)
     lost_count = views - int(triangulated.sum())
     if lost_count > 0:
-        text = (
-            f"{counted(lost_count, 'point')} that two or more cameras see are gaps: no "
-        )
-        text += "two agree, or their rays are too close to parallel"
+        text = f"{counted(lost_count, 'point')} that two or more cameras see are gaps: "
+        text += "no two agree, or their rays are too close to parallel"
         yield Fault("CAM105", text, path or None, severity=Severity.NOTE)

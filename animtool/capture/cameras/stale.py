@@ -116,11 +116,9 @@ def find_shifted_ranges(
     most_rejections = 0
     for camera in range(triangulated_counts.shape[1]):
         is_active = active[:, camera] & (active.sum(axis=1) > 2)
-        count = _window_sums(
-            np.where(is_active, triangulated_counts[:, camera], 0), window
-        )
-        rejected_count = _window_sums(
-            np.where(is_active, rejected[:, camera], 0), window
+        count, rejected_count = (
+            _window_sums(np.where(is_active, counts[:, camera], 0), window)
+            for counts in (triangulated_counts, rejected)
         )
         is_off = (
             is_active
@@ -147,10 +145,9 @@ def find_stale_ranges(
     window = max(1, min(len(triangulated_counts), round(MIN_SECONDS * rate)))
     count = _window_sums(triangulated_counts[:, camera], window)
     rejected_count = _window_sums(rejected[:, camera], window)
-    is_off = (rejected_count > MIN_REJECTED_FRACTION * count) | (
-        count < MIN_OBSERVATIONS
-    )
-    if not (is_off & (count >= MIN_OBSERVATIONS)).any():
+    is_observed = count >= MIN_OBSERVATIONS
+    is_off = (rejected_count > MIN_REJECTED_FRACTION * count) | ~is_observed
+    if not (is_off & is_observed).any():
         is_off[:] = True
     return _exact_ranges(triangulated_counts, rejected, camera, is_off, window)
 
@@ -172,9 +169,8 @@ def find_disagreements(
         ratio_limit = 1 + SAMPLING_SPREAD / np.sqrt(used)
     is_mostly_rejected = rejected > MIN_REJECTED_FRACTION * triangulated_counts
     is_loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD_RATIO**2, ratio_limit))
-    frames = np.flatnonzero(
-        is_active & (triangulated_counts >= MIN_VIEW) & (is_mostly_rejected | is_loud)
-    )
+    is_active = is_active & (triangulated_counts >= MIN_VIEW)
+    frames = np.flatnonzero(is_active & (is_mostly_rejected | is_loud))
     return [
         CameraDisagreement(
             f,
@@ -281,9 +277,8 @@ def fit_pose_change(
         is_usable &= np.isfinite(slopes).all(axis=(1, 2))
         root_weights = np.sqrt(weights[is_usable])[:, None]
         matrix = (slopes[is_usable] * root_weights[..., None]).reshape(-1, 6)
-        step = np.linalg.lstsq(
-            matrix, -(residual_vectors[is_usable] * root_weights).ravel(), rcond=None
-        )[0]
+        weighted_residuals = (residual_vectors[is_usable] * root_weights).ravel()
+        step = np.linalg.lstsq(matrix, -weighted_residuals, rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
     residuals = np.linalg.norm(project(refined_camera, points) - pixels, axis=-1)

@@ -93,9 +93,8 @@ def _check_options(options: TriangulateOptions) -> None:
             raise OptionError(Fault("CAP001", message, where=name))
     if not 0 <= options.min_angle < np.pi / 2:
         degrees = np.degrees(options.min_angle)
-        message = (
-            f"the smallest angle must be from 0 to below 90 degrees, not {degrees:g}"
-        )
+        message = "the smallest angle must be from 0 to below 90 degrees, not "
+        message += f"{degrees:g}"
         raise OptionError(Fault("CAP001", message, where="min_angle"))
 
 
@@ -147,9 +146,8 @@ class _TriangulationRun:
         if noise.pose_changes or not noise.cameras_agree or median_noise > limit:
             self._refuse_other_convention(limit)
         if median_noise > MAX_NOISE * width:
-            message = (
-                f"cameras disagree: their rays miss each other by {median_noise:.0f} px"
-            )
+            message = "cameras disagree: their rays miss each other by "
+            message += f"{median_noise:.0f} px"
             self._refuse_cameras(message)
         if not noise.cameras_agree or median_noise > limit:
             message = f"rays of the cameras miss each other by {median_noise:.1f} px"
@@ -171,10 +169,8 @@ class _TriangulationRun:
             return
         convention, noise, noise_as_read = better
         written, remedy = convention.texts
-        message = (
-            f"rays of the cameras miss each other by {noise_as_read:.1f} px, but by "
-            f"{noise:.1f} px if {written}"
-        )
+        message = f"rays of the cameras miss each other by {noise_as_read:.1f} px, but "
+        message += f"by {noise:.1f} px if {written}"
         hint = f"{remedy}: x_camera = rotation * x_world + translation"
         path = self.cameras.path or None
         raise OptionError(Fault("CAM014", message, path, hint=hint))

@@ -157,9 +157,8 @@ def _read_arrays(
     if "landmark_names" in keys:
         name_array = tuple(archives.texts(path, "landmark_names"))
         if len(name_array) != count or len(set(name_array)) < count:
-            message = (
-                f"landmark_names has {len(set(name_array))} names for {count} landmarks"
-            )
+            message = f"landmark_names has {len(set(name_array))} names for {count} "
+            message += "landmarks"
             raise _fault_in_file(path, message)
     rate = _capture_rate(archives, path, keys, fps)
     clock = Clock(rate, Fraction(1), Fraction(1), frames)
@@ -235,10 +234,8 @@ def order_landmarks(
     path, count = str(capture.path), len(model.names)
     if capture.names is None or capture.names == model.names:
         if capture.points.shape[1] != count:
-            message = (
-                f"has {counted(capture.points.shape[1], 'landmark')} without names, "
-                f"but the face has {count}"
-            )
+            message = f"has {counted(capture.points.shape[1], 'landmark')} without "
+            message += f"names, but the face has {count}"
             hint = "write landmark_names in the npz to tell which are which"
             raise OptionError(Fault("FAC004", message, path, (), hint))
         return capture.points, []

@@ -77,11 +77,9 @@ class FaceFit:
     def rms(self) -> float:
         """Root mean square residual of landmarks with weight of at least one half."""
         is_inlier = (self.shares >= MISPLACED_FRACTION) & np.isfinite(self.residuals)
-        return (
-            float(np.sqrt((self.residuals[is_inlier] ** 2).mean()))
-            if is_inlier.any()
-            else 0.0
-        )
+        if is_inlier.any():
+            return float(np.sqrt((self.residuals[is_inlier] ** 2).mean()))
+        return 0.0
 
     @property
     def landmarks(self) -> list[LandmarkScore]:

@@ -55,9 +55,8 @@ class FaceModel:
                 message = f"{name} must have shape {shape}, not {values.shape}"
                 faults.append(Fault("FAC003", message))
             elif not np.isfinite(values).all():
-                faults.append(
-                    Fault("FAC003", f"{name} contains a value that is not finite")
-                )
+                message = f"{name} contains a value that is not finite"
+                faults.append(Fault("FAC003", message))
         for label, names in (("landmarks", self.names), ("shapes", self.shapes)):
             if len(set(names)) < len(names):
                 duplicate = next(n for n in names if names.count(n) > 1)
@@ -123,10 +122,8 @@ class FaceModel:
         pairs = self.similar_shapes()
         if len(pairs):
             names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs]
-            message = (
-                f"{len(pairs)} pairs of shapes move landmarks in the same direction, "
-                "and are solved together: "
-            )
+            message = f"{len(pairs)} pairs of shapes move landmarks in the same "
+            message += "direction, and are solved together: "
             notices.append(
                 names_fault("FAC102", message, names, severity=Severity.WARNING)
             )

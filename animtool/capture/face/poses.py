@@ -30,17 +30,14 @@ def estimate_head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray
     for _ in range(ROBUST_ROUNDS):
         poses = _kabsch_poses(neutral, points, robust_weights)
         posed_points = rotate(poses[:, None, :4], neutral[None]) + poses[:, None, 4:]
-        distances = np.where(
-            visible, np.linalg.norm(points - posed_points, axis=-1), np.nan
-        )
+        distances = np.linalg.norm(points - posed_points, axis=-1)
+        distances = np.where(visible, distances, np.nan)
         max_distances = np.full(len(distances), np.inf)
         has_landmarks: BoolArray = np.asarray(visible.any(axis=1))
-        max_distances[has_landmarks] = np.maximum(
-            np.nanmedian(distances[has_landmarks], axis=1), 1e-9
-        )
-        robust_weights = np.where(
-            visible, 1.0 / (1.0 + (distances / max_distances[:, None]) ** 2), 0.0
-        )
+        medians = np.nanmedian(distances[has_landmarks], axis=1)
+        max_distances[has_landmarks] = np.maximum(medians, 1e-9)
+        robust_weights = 1.0 / (1.0 + (distances / max_distances[:, None]) ** 2)
+        robust_weights = np.where(visible, robust_weights, 0.0)
     return last_good_poses(poses, visible.sum(axis=1) >= 3)
 
 
@@ -129,7 +126,6 @@ def interpolate_poses(
         rotations[next_frame[is_gap]],
         fraction[is_gap],
     )
-    shifts[is_gap] = shifts[previous_frame[is_gap]] + fraction[is_gap, None] * (
-        shifts[next_frame[is_gap]] - shifts[previous_frame[is_gap]]
-    )
+    start, end = shifts[previous_frame[is_gap]], shifts[next_frame[is_gap]]
+    shifts[is_gap] = start + fraction[is_gap, None] * (end - start)
     return align_signs(rotations), shifts

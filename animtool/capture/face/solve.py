@@ -115,27 +115,22 @@ def fit_face(
     # in-betweens or correctives are solved separately.
     solved_shapes, representative_of_shape = _solved_shapes(model, moving)
     face = model.select(solved_shapes)
-    counts = np.bincount(representative_of_shape[moving], minlength=len(model.shapes))[
-        solved_shapes
-    ]
+    representatives = representative_of_shape[moving]
+    counts = np.bincount(representatives, minlength=len(model.shapes))[solved_shapes]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
-    solver = _Fit(
-        face, np.where(is_usable[:, None, None], observed, np.nan), fps, smooth, camera
-    )
+    usable_landmarks = np.where(is_usable[:, None, None], observed, np.nan)
+    solver = _Fit(face, usable_landmarks, fps, smooth, camera)
     weights, poses, residuals, robust_weights, rounds, change = solver.solve(progress)
     all_weights = np.zeros((len(observed), len(model.shapes)))
     columns = np.cumsum(solved_shapes) - 1
     all_weights[:, moving] = weights[:, columns[representative_of_shape[moving]]]
     rotations, translations = interpolate_poses(poses, is_usable)
-    is_poor = is_usable & (
-        (robust_weights < MISPLACED_FRACTION).sum(axis=1) > 0.5 * len(model.names)
-    )
-    is_poor &= (robust_weights >= MISPLACED_FRACTION).sum(axis=1) < 0.5 * visible.sum(
-        axis=1
-    )
-    status = np.where(
-        is_usable, np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
-    )
+    misplaced_counts = (robust_weights < MISPLACED_FRACTION).sum(axis=1)
+    matching_counts = (robust_weights >= MISPLACED_FRACTION).sum(axis=1)
+    is_poor = is_usable & (misplaced_counts > 0.5 * len(model.names))
+    is_poor &= matching_counts < 0.5 * visible.sum(axis=1)
+    status = np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED)
+    status = np.where(is_usable, status, "gap")
     notices = _notices(model, visible, is_usable, is_poor, robust_weights)
     return FaceFit(
         model,
@@ -169,10 +164,8 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     width = 3 if camera is None else 2
     shape = (len(model.names), width)
     if observed.ndim != 3 or observed.shape[1:] != shape or not len(observed):
-        message = (
-            f"landmarks have shape {observed.shape}, but the face has "
-            f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {width})"
-        )
+        message = f"landmarks have shape {observed.shape}, but the face has "
+        message += f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {width})"
         raise OptionError(Fault("FAC004", message))
     if len(model.names) < MIN_LANDMARKS:
         message = f"the face has {counted(len(model.names), 'landmark')}"
@@ -181,9 +174,8 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     if camera is not None or rms_spread(model.neutral) == 0:
         return
     visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    sampled_frames = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)[
-        :: max(1, len(visible) // 50)
-    ]
+    sampled_frames = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)
+    sampled_frames = sampled_frames[:: max(1, len(visible) // 50)]
     ratios = [
         rms_spread(observed[f, visible[f]])
         / max(rms_spread(model.neutral[visible[f]]), 1e-300)
@@ -191,9 +183,8 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
     if not 1 / MAX_SCALE <= ratio <= MAX_SCALE:
-        message = (
-            f"the captured face is {plain_number(ratio)} times the size of the rig's"
-        )
+        message = f"the captured face is {plain_number(ratio)} times the size of the "
+        message += "rig's"
         hint = f"set the unit of the landmarks with {argument('source.unit')}"
         raise OptionError(Fault("FAC006", message, hint=hint))
 
@@ -214,11 +205,9 @@ class _Fit:
         self.deltas = np.ascontiguousarray(face.deltas)
         self.start_poses = self._initial_poses()
         # The image scale at the face's median distance [px/m].
-        self.pixels_per_unit = (
-            1.0
-            if camera is None
-            else float(camera[0] / np.median(self.start_poses[:, 6]))
-        )
+        self.pixels_per_unit = 1.0
+        if camera is not None:
+            self.pixels_per_unit = float(camera[0] / np.median(self.start_poses[:, 6]))
         self.noise = self._measure_noise()
         speed = TYPICAL_SPEED / fps
         self.smooth = smooth * (self.noise / speed) ** 2
@@ -230,9 +219,8 @@ class _Fit:
             return estimate_head_poses(self.face.neutral, self.observed)
         median_points = np.full(self.observed.shape[1:], np.nan)
         has_landmarks = np.isfinite(self.observed[..., 0]).any(axis=0)
-        median_points[has_landmarks] = np.nanmedian(
-            self.observed[:, has_landmarks], axis=0
-        )
+        observed = self.observed[:, has_landmarks]
+        median_points[has_landmarks] = np.nanmedian(observed, axis=0)
         pose = estimate_camera_pose(self.face.neutral, median_points, self.camera)
         if pose is None or not pose[6] > 0:
             message = "no face in the camera matches the rig's"
@@ -272,10 +260,8 @@ class _Fit:
     def _measure_noise(self) -> float:
         """Estimate the standard deviation of landmarks from independent frames."""
         usable_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
-        sampled_frames = usable_frames[
-            np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)
-        ]
-        sampled_frames = np.unique(sampled_frames)
+        rows = np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)
+        sampled_frames = np.unique(usable_frames[rows])
         min_noise = MIN_NOISE * self.face.size * self.pixels_per_unit
         self.rest = (min_noise * 10 / TYPICAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.pixels_per_unit
@@ -351,16 +337,13 @@ def _notices(
     ):
         numbers = np.flatnonzero(frames).tolist()
         if numbers:
-            message = (
-                f"{counted(len(numbers), 'frame')} with {problem}; "
-                f"from the first, frames {listed(numbers, MAX_LISTED)}"
-            )
+            message = f"{counted(len(numbers), 'frame')} with {problem}; from the "
+            message += f"first, frames {listed(numbers, MAX_LISTED)}"
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = visible & is_usable[:, None]
     counts = is_used.sum(axis=0)
-    is_misplaced = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(
-        axis=0
-    ) > MISPLACED_FRACTION * np.maximum(counts, 1)
+    misplaced_counts = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(axis=0)
+    is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(counts, 1)
     for names, verbs, problem in (
         (list(compress(model.names, counts == 0)), ("is", "are"), "never seen"),
         (
@@ -372,7 +355,6 @@ def _notices(
         if names:
             verb = verbs[len(names) > 1]
             message = f"{counted(len(names), 'landmark')} {verb} {problem}: "
-            notices.append(
-                names_fault("FAC105", message, names, severity=Severity.WARNING)
-            )
+            fault = names_fault("FAC105", message, names, severity=Severity.WARNING)
+            notices.append(fault)
     return notices

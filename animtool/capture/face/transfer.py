@@ -95,9 +95,8 @@ def _transfer_by_name(
     notices = []
     if unlinked_names:
         message = f"{len(unlinked_names)} shapes that move are not in the target: "
-        notices.append(
-            names_fault("FAC108", message, unlinked_names, severity=Severity.WARNING)
-        )
+        warning = Severity.WARNING
+        notices.append(names_fault("FAC108", message, unlinked_names, severity=warning))
     linked_weights = links.apply(weights, count)
     return TransferredWeights(linked_weights, links, None, tuple(notices))
 

@@ -178,10 +178,8 @@ def _length_warning(longest: float | None, markers: Markers) -> list[Fault]:
     if longest is None or hint is None or longest <= duration:
         return []
     limit_text = argument("longest", plain_number(longest))
-    message = (
-        f"{limit_text} allows gaps of {longest:g} s, "
-        f"but the take has {duration:.3g} s: gaps of any length are filled"
-    )
+    message = f"{limit_text} allows gaps of {longest:g} s, but the take has "
+    message += f"{duration:.3g} s: gaps of any length are filled"
     return [Fault("MKR112", message, None, (), hint, Severity.WARNING)]
 
 
@@ -276,9 +274,8 @@ def _polynomial_positions(
     scale = float(max(frames[-1] - middle_frame, middle_frame - frames[0]))
     degree = min(CURVE_DEGREE, len(frames) - 3)
     powers = np.vander((frames - middle_frame) / scale, degree + 1)
-    gap_powers = np.vander(
-        (np.arange(gap.start, gap.stop) - middle_frame) / scale, degree + 1
-    )
+    gap_frames = np.arange(gap.start, gap.stop)
+    gap_powers = np.vander((gap_frames - middle_frame) / scale, degree + 1)
     return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ path[frames]))
 
 

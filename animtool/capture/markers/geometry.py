@@ -129,7 +129,6 @@ def mean_shape(points: FloatArray) -> FloatArray:
     shape = np.median(points - points[:, :1], axis=0)
     for _ in range(SHAPE_ITERATIONS):
         rotation, shift = fit_shape(points, shape)
-        shape = np.median(
-            np.einsum("fji,fkj->fki", rotation, points - shift[:, None]), axis=0
-        )
+        local_points = np.einsum("fji,fkj->fki", rotation, points - shift[:, None])
+        shape = np.median(local_points, axis=0)
     return np.asarray(shape)

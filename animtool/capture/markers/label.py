@@ -137,9 +137,8 @@ def _matching_markers(
     partial_matches = np.stack([first, second], axis=1)
     partial_matches = partial_matches[first != second]
     for k in range(2, len(group)):
-        deviation = np.abs(
-            rest[partial_matches] - lengths[group[k], group[:k]][None, :, None]
-        )
+        group_lengths = lengths[group[k], group[:k]]
+        deviation = np.abs(rest[partial_matches] - group_lengths[None, :, None])
         is_match: BoolArray = np.asarray((deviation < tolerance).all(axis=1))
         is_match[np.arange(len(partial_matches))[:, None], partial_matches] = False
         match_indices, marker = np.nonzero(is_match)
@@ -238,9 +237,8 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     run_labels = RunLabels(cloud.positions, tracklets, rate, first, lengths)
     names_of, exchanges, pairs = distinguish_twins(run_labels.marker_paths(), rest)
-    run_labels.names_of = np.where(
-        run_labels.names_of >= 0, names_of[run_labels.names_of], -1
-    )
+    is_named = run_labels.names_of >= 0
+    run_labels.names_of = np.where(is_named, names_of[run_labels.names_of], -1)
     for pair in pairs:
         _exchange_parts(run_labels, rest, pair)
     run_labels.name_runs()
@@ -327,15 +325,12 @@ def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
     doubt_texts = []
     for doubt in doubts:
         first, last = cloud.clock.times[[doubt.first, doubt.last]]
-        doubt_texts.append(
-            f"{', '.join(doubt.markers)} (frames {span_label(first, last)})"
-        )
-    message = "by distances and shapes, these names could be swapped: " + "; ".join(
-        doubt_texts
-    )
-    hint = (
-        "look at a frame; a trial with a pose nearer to the take would tell them apart"
-    )
+        frames = f"frames {span_label(first, last)}"
+        doubt_texts.append(f"{', '.join(doubt.markers)} ({frames})")
+    message = "by distances and shapes, these names could be swapped: "
+    message += "; ".join(doubt_texts)
+    hint = "look at a frame; a trial with a pose nearer to the take would tell them "
+    hint += "apart"
     return Fault("MKR116", message, hint=hint, severity=Severity.WARNING)
 
 
@@ -394,10 +389,8 @@ def _exchange_parts(
         return
     marker_positions = run_labels.marker_paths()
     for runs_in_part in parts_of_take:
-        frames = slice(
-            int(first[runs_in_part].min()), int(last[runs_in_part].max()) + 1
-        )
+        end = int(last[runs_in_part].max()) + 1
+        frames = slice(int(first[runs_in_part].min()), end)
         if is_exchanged(marker_positions[frames], rest, pair):
-            run_labels.names_of[runs_in_part] = (
-                sum(pair) - run_labels.names_of[runs_in_part]
-            )
+            names = run_labels.names_of[runs_in_part]
+            run_labels.names_of[runs_in_part] = sum(pair) - names

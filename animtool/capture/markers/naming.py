@@ -63,7 +63,18 @@ class PointNaming:
         chain_evidence = pair_weights * chain_likelihoods(moving, overlap)
         for name in range(markers):
             self.pair_scores[:, :, name, name] += chain_evidence.astype(np.float32)
-        self.rigid_pairs = _rigid_pairs(moving, overlap_fraction)
+        # Pairs of points that stay rigid, few for each point.
+        is_known = (overlap_fraction > 0) & np.isfinite(moving.spread)
+        spread = np.where(is_known, moving.spread, np.inf)
+        partners = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
+        pairs = {
+            (min(point, other), max(point, other))
+            for point, others in enumerate(partners.tolist())
+            for other in others
+            if spread[point, other] < RIGID_SPREAD
+        }
+        pair_array = np.array(sorted(pairs), np.int64).reshape(-1, 2)
+        self.rigid_pairs = pair_array[:, 0], pair_array[:, 1]
         self.exchanges = find_exchanges(rest_distances)
         self.names_of = np.full(count, -1)
         self.scores = np.zeros((count, markers))
@@ -108,9 +119,8 @@ class PointNaming:
             score[rows, marker] = -np.inf
             rival_score = np.maximum(score.max(axis=1), 0.0)
             margin = np.full(len(rows), -1.0)
-            is_eligible = np.isfinite(best_score) & (
-                best_score > MIN_EVIDENCE * self.visible_fraction
-            )
+            min_scores = MIN_EVIDENCE * self.visible_fraction
+            is_eligible = np.isfinite(best_score) & (best_score > min_scores)
             margin[is_eligible] = (best_score - rival_score)[is_eligible]
             point = int(margin.argmax())
             if pair and pair[0] > max(0.0, margin[point]):
@@ -129,9 +139,8 @@ class PointNaming:
         if not len(first):
             return None
         pair_scores = score[first][:, :, None] + score[second][:, None, :]
-        pair_scores = (pair_scores + self.pair_scores[first, second]).reshape(
-            len(first), -1
-        )
+        pair_scores = pair_scores + self.pair_scores[first, second]
+        pair_scores = pair_scores.reshape(len(first), -1)
         rows = np.arange(len(first))
         best_names = pair_scores.argmax(axis=1)
         best_score = pair_scores[rows, best_names].copy()
@@ -180,11 +189,10 @@ class PointNaming:
                 current_score = float(self.scores[point, current])
             score = np.where(blocked_counts > 0, -np.inf, self.scores[point])
             candidate = int(score.argmax())
-            min_score = (
-                current_score + MIN_GAIN
-                if current >= 0
-                else MIN_EVIDENCE * self.visible_fraction[point]
-            )
+            if current >= 0:
+                min_score = current_score + MIN_GAIN
+            else:
+                min_score = MIN_EVIDENCE * self.visible_fraction[point]
             if candidate != current and score[candidate] > min_score:
                 self.assign(point, candidate)
                 has_changed = True
@@ -307,9 +315,8 @@ def search_names(
         bias = rng.normal(0.0, 1.0, best.scores.shape) * offsets
         candidate = best.copy()
         # Sometimes restart from scratch with another group.
-        seed = (
-            seeds[int(rng.integers(len(seeds)))] if rng.random() < EMPTY_START else {}
-        )
+        has_seed = rng.random() < EMPTY_START
+        seed = seeds[int(rng.integers(len(seeds)))] if has_seed else {}
         candidate.restart(is_near | bool(seed), seed, bias)
         candidate.improve(-np.inf if seed else best_total)
         candidate_total = candidate.total_evidence()
@@ -364,23 +371,6 @@ def compute_pair_evidence(
     return np.asarray(pair_scores)
 
 
-def _rigid_pairs(
-    moving: MarkerDistances, overlap: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """Return the pairs of points that stay rigid, few for each point."""
-    is_known = (overlap > 0) & np.isfinite(moving.spread)
-    spread = np.where(is_known, moving.spread, np.inf)
-    partners = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
-    pairs = {
-        (min(point, other), max(point, other))
-        for point, others in enumerate(partners.tolist())
-        for other in others
-        if spread[point, other] < RIGID_SPREAD
-    }
-    pair_array = np.array(sorted(pairs), np.int64).reshape(-1, 2)
-    return pair_array[:, 0], pair_array[:, 1]
-
-
 def compute_exchange_gains(
     pair_scores: FloatArray,
     single_scores: FloatArray,
@@ -416,9 +406,8 @@ def find_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]
     double_pairs = double_pairs[disjoint]
     row, third = np.nonzero(is_near[close_pairs].any(axis=1))
     triples = np.concatenate([close_pairs[row], third[:, None]], axis=1)
-    triples = triples[
-        (triples[:, 2] != triples[:, 0]) & (triples[:, 2] != triples[:, 1])
-    ]
+    is_distinct = (triples[:, 2:] != triples[:, :2]).all(axis=1)
+    triples = triples[is_distinct]
     return [
         (pairs_of_markers, pairs_of_markers[:, ::-1]),
         (triples, triples[:, [1, 2, 0]]),

@@ -23,7 +23,18 @@ SAMPLED_FRAMES, MIN_MARKERS = 100, 4
 def plausibility_warnings(markers: Markers) -> list[Fault]:
     """Return warnings about the rate (TAKE009) and the size (MKR117) of a capture."""
     notices = rate_warning(markers.clock.rate, "source.fps")
-    size = _markers_size(markers)
+    is_named = [not name.startswith("*") for name in markers.names]
+    rows = np.linspace(0, max(len(markers) - 1, 0), SAMPLED_FRAMES).astype(int)
+    points = markers.positions[np.unique(rows)][
+        :, is_named if any(is_named) else slice(None)
+    ]
+    sizes = []
+    for frame in points:
+        visible_points = frame[np.isfinite(frame).all(axis=1)]
+        if len(visible_points) >= MIN_MARKERS:
+            sizes.append(float(np.linalg.norm(np.ptp(visible_points, axis=0))))
+    # Median diagonal of a frame's markers [m].
+    size = float(np.median(sizes)) if sizes else None
     if size is None or MIN_SUBJECT <= size <= MAX_SUBJECT:
         return notices
     message = f"the markers of a frame span {length_text(size)}"
@@ -37,18 +48,3 @@ def plausibility_warnings(markers: Markers) -> list[Fault]:
         message += f"; {factor_text} that would be {length_text(size * factor)}"
     hint = f"set the unit of the file with {argument('source.unit')}"
     return [*notices, Fault("MKR117", message, hint=hint, severity=Severity.WARNING)]
-
-
-def _markers_size(markers: Markers) -> float | None:
-    """Return the median diagonal of a frame's markers [m]; None for too few."""
-    is_named = [not name.startswith("*") for name in markers.names]
-    rows = np.unique(
-        np.linspace(0, max(len(markers) - 1, 0), SAMPLED_FRAMES).astype(int)
-    )
-    points = markers.positions[rows][:, is_named if any(is_named) else slice(None)]
-    sizes = []
-    for frame in points:
-        visible_points = frame[np.isfinite(frame).all(axis=1)]
-        if len(visible_points) >= MIN_MARKERS:
-            sizes.append(float(np.linalg.norm(np.ptp(visible_points, axis=0))))
-    return float(np.median(sizes)) if sizes else None

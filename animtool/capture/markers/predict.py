@@ -252,9 +252,8 @@ def _training_frames(
     """Return the training frames: all near the gap, and sparse ones farther away."""
     window = int(TRAINING_SECONDS * rate)
     first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
-    is_usable = visible[first:end, marker] & visible[first:end][:, neighbours].all(
-        axis=1
-    )
+    neighbours_visible = visible[first:end][:, neighbours].all(axis=1)
+    is_usable = visible[first:end, marker] & neighbours_visible
     frames = np.flatnonzero(is_usable) + first
     frames = frames[(frames < gap.start) | (frames >= gap.stop)]
     distance = np.where(frames < gap.start, gap.start - frames, frames - gap.stop + 1)
@@ -262,9 +261,8 @@ def _training_frames(
     other_frames = frames[distance > DENSE_FRAMES]
     count = MAX_TRAINING_FRAMES - len(dense_frames)
     if len(other_frames) > count:
-        other_frames = other_frames[
-            np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
-        ]
+        rows = np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
+        other_frames = other_frames[rows]
     return np.sort(np.concatenate([dense_frames, other_frames]))
 
 
@@ -315,9 +313,8 @@ def _predict_gap(
     training_frames = frames[:known_count]
     errors = []
     for begin in _validation_spans(training_frames, gap):
-        left_out_rows = np.flatnonzero(
-            (training_frames >= begin) & (training_frames < begin + length)
-        )
+        is_left_out = (training_frames >= begin) & (training_frames < begin + length)
+        left_out_rows = np.flatnonzero(is_left_out)
         if 0 < len(left_out_rows) < known_count - MIN_TRAINING_FRAMES:
             inverse_block = inverse[np.ix_(left_out_rows, left_out_rows)]
             residuals = np.linalg.solve(inverse_block, weights[left_out_rows])
@@ -354,14 +351,12 @@ def _covariance(
     lag = np.sqrt(5.0) * distance / deviation_time
     time_covariance = deviation**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)
-    features = centred_pose / (
-        np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean()) + 1e-9
-    )
+    size = np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean())
+    features = centred_pose / (size + 1e-9)
     products = features @ features[:known_count].T
     if length_scale:
         square = (features**2).sum(axis=1)
-        squares = np.maximum(
-            square[:, None] + square[None, :known_count] - 2.0 * products, 0.0
-        )
+        squares = square[:, None] + square[None, :known_count] - 2.0 * products
+        squares = np.maximum(squares, 0.0)
         products = products + np.exp(-0.5 * squares / length_scale**2)
     return np.asarray(variance * products + time_covariance)

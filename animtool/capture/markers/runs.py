@@ -83,9 +83,8 @@ class RunLabels:
     def _update_distances(self) -> None:
         """Update the distances from the named runs, and reset the costs."""
         self.marker_positions = self.marker_paths()
-        self.distances = _merge_known_distances(
-            self.rest, marker_distances(self.marker_positions)
-        )
+        distances = marker_distances(self.marker_positions)
+        self.distances = _merge_known_distances(self.rest, distances)
         self.costs = np.full((self.runs, len(self.rest)), np.inf)
         self.is_stale = np.ones(self.runs, bool)
 
@@ -120,9 +119,8 @@ class RunLabels:
                 continue
             run = int(runs[row])
             marker = int(self.costs[run].argmin())
-            is_overlapped = (candidates[:, 0] <= last[run]) & (
-                candidates[:, 1] >= first[run]
-            )
+            begins, ends = candidates[:, 0], candidates[:, 1]
+            is_overlapped = (begins <= last[run]) & (ends >= first[run])
             if is_overlapped.any() if forced else not self._is_free(run, marker):
                 continue
             self.names_of[run] = marker
@@ -152,22 +150,19 @@ class RunLabels:
 
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
         """Return the cost of a run's distances to named markers, for each candidate."""
-        sample = np.unique(
-            np.linspace(0, end - begin - 1, SAMPLED_FRAMES).astype(np.int64)
-        )
+        rows = np.linspace(0, end - begin - 1, SAMPLED_FRAMES).astype(np.int64)
+        sample = np.unique(rows)
         marker_positions = self.marker_positions[begin + sample]
-        lengths = np.linalg.norm(
-            marker_positions - path[sample][:, None], axis=-1
-        )  # (S, M)
+        offsets = marker_positions - path[sample][:, None]
+        lengths = np.linalg.norm(offsets, axis=-1)  # (S, M)
         # The run itself may already have a name.
         is_known = np.isfinite(lengths) & (lengths > 0.0)
         spread = self.distances.spread
         weight = np.nan_to_num(1.0 / (1.0 + (spread / WEIGHT_SPREAD) ** 2))
         np.fill_diagonal(weight, 0.0)
         tolerance = DISTANCE_TOLERANCE + SPREAD_FACTOR * spread
-        deviation = (
-            np.nan_to_num(lengths)[:, None] - self.distances.mean[None]
-        ) / tolerance[None]
+        deviation = np.nan_to_num(lengths)[:, None] - self.distances.mean[None]
+        deviation = deviation / tolerance[None]
         pair_costs = np.minimum(np.nan_to_num(deviation) ** 2, MAX_PAIR_COST)
         weights = weight[None] * is_known[:, None]
         weight_sum = weights.sum(axis=(0, 2))

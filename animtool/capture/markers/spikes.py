@@ -172,9 +172,8 @@ def _is_gap_artifact(
 
 def _is_one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
     """Return a mask of spans without a nearby position before or after the span."""
-    padded = np.concatenate(
-        [np.zeros(SUPPORT_FRAMES, bool), visible, np.zeros(SUPPORT_FRAMES, bool)]
-    )
+    padding = np.zeros(SUPPORT_FRAMES, bool)
+    padded = np.concatenate([padding, visible, padding])
     sums = np.concatenate([[0], np.cumsum(padded)])
     count_before = sums[starts + SUPPORT_FRAMES] - sums[starts]
     end = starts + SUPPORT_FRAMES + length
@@ -192,9 +191,8 @@ def _local_level(
     padded = np.concatenate([squared_residuals, [np.inf]])
     window_length = 2 * FIT_WINDOW
     window_rows = window_start[:, None] + np.arange(window_length)
-    window_rows = np.where(
-        window_rows < window_end[:, None], window_rows, len(squared_residuals)
-    )
+    is_inside = window_rows < window_end[:, None]
+    window_rows = np.where(is_inside, window_rows, len(squared_residuals))
     windows = np.sort(padded[window_rows], axis=1)
     quantile_index = (FIT_QUANTILE * (window_end - window_start)).astype(np.int64)
     level = windows[np.arange(frames), np.minimum(quantile_index, window_length - 1)]
@@ -264,15 +262,13 @@ def _span_deviations(
             code, length, roughness
         )
         support_positions = values[starts[rows][:, None] + offsets]  # (S, K, 3)
-        span_positions = values[
-            starts[rows][:, None] + SUPPORT_FRAMES + np.arange(length)
-        ]
+        span_starts = starts[rows][:, None] + SUPPORT_FRAMES
+        span_positions = values[span_starts + np.arange(length)]
         prediction_error = span_positions - weights @ support_positions
         gain[rows] = (prediction_error * (inverse @ prediction_error)).sum(axis=(1, 2))
         deviations[rows] = np.sqrt((prediction_error**2).sum(axis=2)).min(axis=1)
-        remaining_squares = (
-            support_positions * (quadratic_form @ support_positions)
-        ).sum(axis=(1, 2))
+        products = support_positions * (quadratic_form @ support_positions)
+        remaining_squares = products.sum(axis=(1, 2))
         residuals[rows] = remaining_squares / max(1, len(offsets) - CURVE_DEGREE - 1)
     return starts, deviations, gain, residuals
 
@@ -305,9 +301,8 @@ def _prediction_weights(
         + earlier_frame**3 * frame_distance**2 / 12.0
     )
     kernel = roughness * curve + np.eye(len(frames))
-    polynomial_terms = np.vander(
-        (frames - frames.mean()) / SUPPORT_FRAMES, CURVE_DEGREE + 1
-    )
+    centred_frames = frames - frames.mean()
+    polynomial_terms = np.vander(centred_frames / SUPPORT_FRAMES, CURVE_DEGREE + 1)
     support_count = len(offsets)
     inverse = np.linalg.inv(kernel)
     projection = inverse - inverse @ polynomial_terms @ np.linalg.solve(
@@ -315,7 +310,6 @@ def _prediction_weights(
     )
     block = projection[support_count:, support_count:]
     weights = -np.linalg.solve(block, projection[support_count:, :support_count])
-    quadratic_form = (
-        projection[:support_count, :support_count] - weights.T @ block @ weights
-    )
+    support_block = projection[:support_count, :support_count]
+    quadratic_form = support_block - weights.T @ block @ weights
     return offsets, weights, block, quadratic_form

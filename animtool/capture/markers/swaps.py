@@ -133,9 +133,8 @@ def _expected_positions(
             & np.isfinite(earlier[..., 0])
             & (has_velocity | (samples_back == 1))
         )
-        velocity[is_usable] = (
-            last_position[is_usable] - earlier[is_usable]
-        ) / samples_back
+        displacement = last_position[is_usable] - earlier[is_usable]
+        velocity[is_usable] = displacement / samples_back
         has_velocity = is_usable if samples_back == 1 else has_velocity
     time = age / rate
     tolerance = (
@@ -158,9 +157,8 @@ def _jump_pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
     offsets = np.linalg.norm(points[:, None] - expected[frame], axis=-1)
     deviation_from_expected = np.where(is_known, deviation, np.inf)[frame, marker]
     max_distance = tolerance * (MAX_ACCELERATION / DEFAULT_ACCELERATION)
-    is_reached = (
-        is_known[frame] & (offsets <= max_distance[frame]) & ~is_continuous[frame]
-    )
+    is_reached = is_known[frame] & (offsets <= max_distance[frame])
+    is_reached &= ~is_continuous[frame]
     is_reached &= NEARER_RATIO * offsets < deviation_from_expected[:, None]
     is_reached[np.arange(len(marker)), marker] = False
     for k, target in np.argwhere(is_reached).tolist():
@@ -329,10 +327,8 @@ def _shape_gain(
     other_markers = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
     gains = []
     for pair, exchanged_pair in ((a, b), (b, a)):
-        lengths = np.linalg.norm(
-            positions[frames][:, other_markers] - positions[frames, pair][:, None],
-            axis=-1,
-        )
+        offsets = positions[frames][:, other_markers] - positions[frames, pair][:, None]
+        lengths = np.linalg.norm(offsets, axis=-1)
         costs = []
         for marker in (pair, exchanged_pair):
             spread = known_lengths.spread[marker, other_markers]

@@ -97,9 +97,8 @@ def _expected_positions(
     current, previous, before_previous = np.moveaxis(past_positions, 1, 0)
     linear_prediction = 2.0 * current - previous
     # Halfway to a parabola: a full parabola has seven times the noise.
-    quadratic_prediction = 0.5 * (
-        linear_prediction + 3.0 * current - 3.0 * previous + before_previous
-    )
+    parabola = linear_prediction + 3.0 * current - 3.0 * previous + before_previous
+    quadratic_prediction = 0.5 * parabola
     expected = np.where(
         (age >= 3)[:, None],
         quadratic_prediction,
@@ -130,9 +129,8 @@ def _mutual_nearest(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
         _second_smallest(relative_distance)[run],
         _second_smallest(relative_distance.T)[point],
     )
-    is_sure = (nearest <= 1.0) & (
-        second_distance > RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
-    )
+    rival_distance = RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
+    is_sure = (nearest <= 1.0) & (second_distance > rival_distance)
     return run[is_sure], point[is_sure]
 
 

@@ -6,10 +6,4 @@ from animtool.capture.options import SolveOptions
 from animtool.capture.solve.calibration import Calibration, calibrate
 from animtool.capture.solve.run import MarkerSolve, solve_markers
 
-__all__ = [
-    "Calibration",
-    "MarkerSolve",
-    "SolveOptions",
-    "calibrate",
-    "solve_markers",
-]
+__all__ = ["Calibration", "MarkerSolve", "SolveOptions", "calibrate", "solve_markers"]

@@ -161,9 +161,8 @@ class _CalibrationState:
         self.static_frames = 0 if static is None else len(parts[0])
         self.positions = np.concatenate(parts)
         if len(self.positions) < MIN_FRAMES:
-            message = (
-                f"{len(self.positions)} frames have at least {MIN_MARKERS} markers"
-            )
+            message = f"{len(self.positions)} frames have at least {MIN_MARKERS} "
+            message += "markers"
             refuse("SOL006", message, hint=f"a calibration needs {MIN_FRAMES}")
         check_units(self.model, self.positions, self.model.template)
         # The joints whose bones scale independently: all but roots.
@@ -175,9 +174,8 @@ class _CalibrationState:
         self.base_translations = self.model.rig.rest_translations
         self.initial_offsets = self.model.offsets
         self.scales = np.full(len(self.bones), self._size_ratio())
-        self.is_fixed_offset = np.array(
-            [m.fixed for m in self.model.template.markers], np.bool_
-        )
+        template_markers = self.model.template.markers
+        self.is_fixed_offset = np.array([m.fixed for m in template_markers], np.bool_)
         size = np.where(self.is_fixed_offset, 1.0, self.scales[0])
         self.offsets = size[:, None] * self.initial_offsets
         self.noise = np.full(len(self.model.joints), max(GENERIC_NOISE, options.noise))
@@ -276,13 +274,10 @@ class _CalibrationState:
         )[:, :, 0]
         mixed_slopes = columns.reshape(-1, columns.shape[2])
         mixed_terms = (transposed_slopes @ columns).reshape(-1, columns.shape[2])
-        matrix = (
-            mixed_slopes.T @ mixed_slopes
-            - mixed_terms.T @ eliminated_columns.reshape(mixed_terms.shape)
-        )
-        gradient = (
-            mixed_slopes.T @ residuals.ravel() - mixed_terms.T @ pose_step.ravel()
-        )
+        eliminated_columns = eliminated_columns.reshape(mixed_terms.shape)
+        matrix = mixed_slopes.T @ mixed_slopes - mixed_terms.T @ eliminated_columns
+        gradient = mixed_slopes.T @ residuals.ravel()
+        gradient = gradient - mixed_terms.T @ pose_step.ravel()
         prior, prior_gradient = self._prior_equations()
         bone_precision = np.diag(matrix)[: len(self.bones)]
         self.surety = bone_precision / (bone_precision + BONE_DEVIATION**-2.0)
@@ -341,13 +336,11 @@ class _CalibrationState:
         # Markers scale with their bones; the prior is on the remaining offset, d = A p.
         offset_map = np.zeros((self.offsets.size, size))
         offset_map[:, bones:] = np.eye(self.offsets.size)
-        bone_offset_terms = (
-            self._bone_weights()[:, None, :] * self.initial_offsets[:, :, None]
-        )
-        offset_map[:, :bones] = -bone_offset_terms.reshape(-1, bones)
-        deviation = (
-            self.offsets.ravel() - bone_offset_terms.reshape(-1, bones) @ self.scales
-        )
+        bone_weights = self._bone_weights()[:, None, :]
+        offset_terms = bone_weights * self.initial_offsets[:, :, None]
+        offset_terms = offset_terms.reshape(-1, bones)
+        offset_map[:, :bones] = -offset_terms
+        deviation = self.offsets.ravel() - offset_terms @ self.scales
         # Fixed markers do not scale with bones.
         is_fixed = np.repeat(self.is_fixed_offset, 3)
         offset_map[is_fixed, :bones] = 0.0

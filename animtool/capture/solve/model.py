@@ -19,7 +19,7 @@ from animtool.rig.joints import (
     coordinate_slices,
     local_from_coordinates,
 )
-from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.skeleton import JointType, Rig
 
 # Minimum number of markers that determine a rotation.
@@ -86,9 +86,7 @@ class MarkerProblem:
             np.where(visible[:, :, None], positions, 0.0),
             visible * joint_weights * self.template.weights,
         )
-        rest_pose = forward_kinematics(
-            rig, rig.rest_translations[None], rig.rest_rotations[None]
-        )
+        rest_pose = rest_world(rig)
         rest_position = rest_pose.positions[0, root]
         rest_rotation = rest_pose.rotations[0, root]
         # world = T(rest) R(rest) motion: the remaining rotation.
@@ -152,9 +150,8 @@ def marker_model(
     ]
     if len(used_markers) < MIN_MARKERS:
         names = ", ".join(template.markers[m].name for m in used_markers)
-        message = (
-            f"has {len(used_markers)} of the template's {len(columns)} markers: {names}"
-        )
+        message = f"has {len(used_markers)} of the template's {len(columns)} markers: "
+        message += f"{names}"
         hint = f"at least {MIN_MARKERS} are needed, with some on every limb"
         raise OptionError(Fault("SOL003", message, hint=hint))
     used_markers.sort(key=lambda m: int(joints[m]))

@@ -295,10 +295,8 @@ def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
         return []
     hint = "delete them or label them again: they may be on a fixed object"
     if is_static.sum() == is_tested.sum():
-        message = (
-            f"no marker moves by more than {length_text(STATIC_EXTENT)} in "
-            f"{counted(len(positions), 'frame')}"
-        )
+        message = f"no marker moves by more than {length_text(STATIC_EXTENT)} in "
+        message += f"{counted(len(positions), 'frame')}"
         hint = "is this the static trial? solve the take in which the subject moves"
     elif np.median(extents[is_tested]) < MOVING_EXTENT:
         return []
@@ -361,13 +359,11 @@ def check_units(
         if notice.code == "MKT003":
             message = f"{notice.message}; captured markers are {comparison}"
             severity = Severity.ERROR
-            raise OptionError(
-                replace(notice, code="SOL005", message=message, severity=severity)
-            )
+            fault = replace(notice, code="SOL005", message=message, severity=severity)
+            raise OptionError(fault)
     unit_written, unit_read = _confused_units(ratio)
-    hint = (
-        f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or in"
-    )
+    hint = f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or "
+    hint += "in"
     if abs(math.log(ratio * unit_written.meters / unit_read.meters)) < MAX_SIZE_RATIO:
         unit_text = argument("source.unit", str(unit_written))
         hint = f"the numbers look like {unit_written} that are read as {unit_read}: "

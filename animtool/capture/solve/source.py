@@ -58,10 +58,8 @@ def open_markers_source(
         markers = triangulate_source(path, cameras, unit=unit, up=up, fps=fps)
     if template is None:
         message = "holds markers, but no template places them on the rig"
-        hint = (
-            f"animtool mocap solve {path} solves them with a template; name it with "
-            f"{argument('source.template')}, or as template: of a scene's source"
-        )
+        hint = f"animtool mocap solve {path} solves them with a template; name it with "
+        hint += f"{argument('source.template')}, or as template: of a scene's source"
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
     marker_template = load_template(template)
     rig_path = rig_of_template(marker_template, rig, template)
@@ -81,9 +79,8 @@ def rig_of_template(template: MarkerTemplate, rig: Path | None, path: Path) -> P
     if template.rig is not None:
         return template.rig
     message = "names no rig"
-    hint = (
-        f"write 'rig: hero.rig.yaml' into it, or pass a rig ({argument('source.rig')})"
-    )
+    hint = "write 'rig: hero.rig.yaml' into it, or pass a rig "
+    hint += f"({argument('source.rig')})"
     raise OptionError(Fault("SOL008", message, str(path), (), hint))
 
 

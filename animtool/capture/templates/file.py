@@ -72,8 +72,7 @@ class MarkersModel(FileModel):
         default=MarkerUnitsModel(),
     )
     marker_set: Annotated[list[MarkerModel], Len(1)] = key(
-        "The markers.",
-        [{"name": "LFHD", "joint": "head", "offset": [0.07, 0.1, 0.08]}],
+        "The markers.", [{"name": "LFHD", "joint": "head", "offset": [0.07, 0.1, 0.08]}]
     )
     ignore: list[IgnoreModel] = key(
         "Findings of `animtool validate` that are accepted.",

@@ -169,7 +169,6 @@ def _unmatched_fault(
     hint = f"{suggestions_text}: rename them in the template, or add aliases"
     if not suggestions:
         suggestions_text = listed(labelled_names, MAX_LISTED_NAMES)
-        hint = (
-            f"the capture has {suggestions_text}; add them to aliases of the template"
-        )
+        hint = f"the capture has {suggestions_text}; add them to aliases of the "
+        hint += "template"
     return Fault("SOL001", message, hint=hint)

@@ -9,13 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import (
-    AnimtoolError,
-    Fault,
-    FormatError,
-    OptionError,
-    listed,
-)
+from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError, listed
 from animtool.core.names import decimal_text, flow_list, nearest, yaml_scalar
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, location_text
@@ -93,9 +87,8 @@ class MarkerTemplate:
         for i, marker in enumerate(self.markers):
             if marker.joint in index:
                 continue
-            message = (
-                f"{marker.name!r} is on {marker.joint!r}, which {rig.name!r} lacks"
-            )
+            message = f"{marker.name!r} is on {marker.joint!r}, which {rig.name!r} "
+            message += "lacks"
             key_path = ("marker_set", i, "joint")
             hint = nearest(marker.joint, index)
             faults.append(
@@ -120,10 +113,8 @@ class MarkerTemplate:
         if not names <= set(named_rig.names):
             return faults
         missing = [repr(name) for name in sorted(names - set(rig.names))]
-        message = (
-            f"{len(faults)} of {len(self.markers)} markers are on joints that "
-            f"{rig.name!r} lacks: {listed(missing, 4)}"
-        )
+        message = f"{len(faults)} of {len(self.markers)} markers are on joints that "
+        message += f"{rig.name!r} lacks: {listed(missing, 4)}"
         hint = f"the template is for {self.rig.name}, which has them; use its rig, or "
         hint += f"a template of {rig.name!r}"
         return [self.document.fault("MKT001", ("rig",), message, hint)]

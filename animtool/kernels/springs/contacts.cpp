@@ -327,7 +327,7 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
   if (has_midpoints_) resolve_midpoints(max_displacement, angle, {before, x, v}, marks);
   touched = std::max(touched, moved_count);
   if (!marks && last_cell_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside_count;
-  const bool has_moved_faces = !nearby_.empty() && resolve_faces({before, x, v});
+  const bool has_moved_faces = !nearby_.empty() && resolve_faces({before, x, v}, marks);
   if (has_moved_faces && marks)
     for (const std::int32_t n : nearby_) (*marks)[static_cast<std::size_t>(n)] = 1;
   return moved_count > 0 || has_moved_faces;
@@ -378,7 +378,7 @@ double SpringContacts::depth(std::size_t c, std::size_t n) const {
   return min_depth - contact_distances_[c] * MIDPOINT_FACTOR;
 }
 
-bool SpringContacts::resolve_faces(StepRows rows) {
+bool SpringContacts::resolve_faces(StepRows rows, std::vector<std::uint8_t>* marks) {
   bool has_moved = false;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
     if (!faces_.resolve(c, step_colliders_[c], h_, nearby_, rows)) continue;
@@ -386,6 +386,8 @@ bool SpringContacts::resolve_faces(StepRows rows) {
     for (const FaceContacts::MovedParticle& moved_particle : faces_.moved_particles) {
       const auto n = static_cast<std::size_t>(moved_particle.particle);
       clearances_[n] -= moved_particle.displacement;
+      // Far corners of an edge or a face move too, and are not among the nearby particles.
+      if (marks) (*marks)[n] = 1;
       record_impulse(c, 1 / network_.inverse_masses[n], load(&rows.x[ROW * n]),
                      moved_particle.velocity_change);
     }

@@ -119,8 +119,8 @@ class SpringContacts {
   void begin_surfaces(std::int64_t cell, bool& is_cache_valid);
   // Builds the colliders of all steps of the cell, with moving meshes.
   void add_surfaces();
-  // Collides the edges and faces of nearby particles.
-  bool resolve_faces(StepRows rows);
+  // Collides the edges and faces of nearby particles; marks the particles that it moves.
+  bool resolve_faces(StepRows rows, std::vector<std::uint8_t>* marks);
   // Collides the midpoints of edges, given the largest displacement and rotation of colliders.
   void resolve_midpoints(double max_displacement, double angle, StepRows rows,
                          std::vector<std::uint8_t>* marks);

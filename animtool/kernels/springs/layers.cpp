@@ -22,6 +22,8 @@ constexpr double MAX_DETOUR = 2;
 // Contact distance of edges, over the thickness: resting layers are supported by their particles
 // only, and edges touch only where ridges would cut into each other.
 constexpr double EDGE_FACTOR = 0.75;
+// Rest distances that are larger than a limit by this factor are so despite rounding [1].
+constexpr double ROUNDING_FACTOR = 1 + 1e-9;
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
 // Shortest path lengths between particles along edges and springs.
@@ -161,6 +163,14 @@ double SpringLayers::edge_distance(std::size_t first, std::size_t second) const 
   if (particles[0] == particles[2] || particles[0] == particles[3] ||
       particles[1] == particles[2] || particles[1] == particles[3])
     return 0;
+  // Most edges that meet in folds are far apart at rest: the spheres around them show it.
+  const shapes::Segment first_edge(first_ends, rest_.data()),
+      second_edge(second_ends, rest_.data());
+  const Vec between = first_edge.point_at(0.5) - second_edge.point_at(0.5);
+  const double max_distance = (ADJACENT_RATIO * thickness +
+                               (length(first_edge.vector()) + length(second_edge.vector())) / 2) *
+                              ROUNDING_FACTOR;
+  if (dot(between, between) > max_distance * max_distance) return max_edge_distance();
   const double rest_gap = length(shapes::EdgePair(particles, rest_.data()).nearest().offset);
   if (!(rest_gap < ADJACENT_RATIO * thickness)) return max_edge_distance();
   const auto is_adjacent_to_second = [&](std::int32_t n) {

@@ -17,8 +17,10 @@ using collide::Vec;
 
 // Largest relative displacement in a step for which crossings are tested [thickness].
 constexpr double MAX_TRAVEL = 4;
-// Extra distance up to which pairs are listed [thickness].
-constexpr double LIST_MARGIN = 4;
+// Extra distance up to which pairs are listed, relative to the longest edge plus the thickness: a
+// list of pairs takes time in proportion to the square of its distance over that sum, and is
+// rebuilt when elements have moved by the margin. Times of flags and capes are lowest near this.
+constexpr double LIST_MARGIN = 0.3;
 // Number of steps for which near pairs are picked from the list; bounds of their distance
 // [thickness].
 constexpr double PICK_STEPS = 6, MIN_PICK = 0.03, MAX_PICK = 0.5;
@@ -132,7 +134,7 @@ void SelfContacts::update_lists(double h, const std::vector<double>& before,
   const double thickness = layers_->thickness;
   if (!are_cells_sufficient() || !pair_list_.covers(required_distance_)) {
     rebuild_cells(h, before, x);
-    pair_list_.reset(x, required_distance_ + LIST_MARGIN * thickness);
+    pair_list_.reset(x, required_distance_ + LIST_MARGIN * (longest_edge_ + thickness));
     corners_.list_pairs(*layers_, x, pair_list_.distance);
     edges_.list_pairs(*layers_, x, pair_list_.distance);
   }

@@ -100,12 +100,8 @@ class Outline:
     @property
     def scene(self) -> Scene | None:
         """The scene, if it is the only source."""
-        source_set = self.source_set
-        return (
-            source_set.scenes.get(source_set.files[0])
-            if len(source_set.files) == 1
-            else None
-        )
+        files, scenes = self.source_set.files, self.source_set.scenes
+        return scenes.get(files[0]) if len(files) == 1 else None
 
     @property
     def overwriting(self) -> Outline:

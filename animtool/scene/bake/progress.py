@@ -164,25 +164,18 @@ class ProgressPhases:
 
     def __init__(self, show: Callable[[float], None]) -> None:
         """Start at 0."""
-        self._show, self._start_fraction, self._shown = show, 0.0, 0.0
+        self._show, self._shown = show, 0.0
 
-    def phase(self) -> Callable[[float], None]:
-        """Begin a phase; return the callback for its fraction done."""
-        self._start_fraction = self._shown
-        return self._phase_callback(0.5)
+    def phase(self, *, is_last: bool = False) -> Callable[[float], None]:
+        """Begin a phase; return the callback for its fraction done.
 
-    def last(self) -> Callable[[float], None]:
-        """Begin the last phase, which gets the remaining fraction."""
-        self._start_fraction = self._shown
-        return self._phase_callback(1.0)
-
-    def _phase_callback(self, phase_fraction: float) -> Callable[[float], None]:
-        start_fraction = self._start_fraction
+        The last phase gets all of the remaining fraction.
+        """
+        start_fraction = self._shown
+        phase_fraction = (1.0 - start_fraction) * (1.0 if is_last else 0.5)
 
         def report_fraction(fraction: float) -> None:
-            fraction_done = start_fraction + (
-                1.0 - start_fraction
-            ) * phase_fraction * min(fraction, 1.0)
+            fraction_done = start_fraction + phase_fraction * min(fraction, 1.0)
             if fraction_done > self._shown:
                 self._shown = fraction_done
                 self._show(fraction_done)

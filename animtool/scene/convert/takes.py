@@ -12,7 +12,6 @@ from animtool.core.errors import OptionError
 from animtool.core.files.output import protect_inputs
 from animtool.core.writers import take_writer
 from animtool.motion.passes import Pass, PassContext, apply_pass
-from animtool.motion.take import Take
 from animtool.scene.bake.bake import OutputReport, bake_outputs, bake_take
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
@@ -118,7 +117,9 @@ def convert_with_passes(
     with protect_inputs(outline.files):
         stream = open_checked(source, source_options, progress=progress)
         for pass_, options in passes:
-            context = PassContext(_read_take, source.parent)
+            context = PassContext(
+                lambda path: open_source(path).collect(), source.parent
+            )
             contexts.append(context)
             stream = apply_pass(stream, pass_, options, context)
             stream.notices = [*stream.notices, *context.notices]
@@ -157,7 +158,3 @@ def _conversion_report(report: OutputReport, output: Path) -> ConvertReport:
         report.notices,
         files=report.files,
     )
-
-
-def _read_take(path: Path) -> Take:
-    return open_source(path).collect()

@@ -95,10 +95,6 @@ def _value(kind: OptionKind, value: Any, location: Location, reader: KeyReader) 
     return value if parse is None else reader.parse_value(location, value, parse)
 
 
-def _offsets(numbers: list[float]) -> tuple[Fraction, ...]:
-    return parse_offsets(",".join(map(repr, numbers))) if numbers else ()
-
-
 def _range(first_and_last: list[int]) -> FrameRange:
     first, last = first_and_last
     if first > last:
@@ -112,7 +108,7 @@ _PARSERS: dict[OptionKind, Callable[[Any], Any]] = {
     "rate": parse_rate,
     "range": _range,
     "frame": Fraction,
-    "offsets": _offsets,
+    "offsets": lambda ns: parse_offsets(",".join(map(repr, ns))) if ns else (),
     "length": parse_length,
 }
 
@@ -180,11 +176,9 @@ class OutputReader:
         fps: Fraction | None,
         frames: FrameRange | None,
     ) -> SceneOutput:
-        path = (
-            None
-            if model.file is None
-            else self._file((*entry_path, "file"), model.file)
-        )
+        path = None
+        if model.file is not None:
+            path = self._file((*entry_path, "file"), model.file)
         writer = None if path is None else writer_of(path)
         if writer is not None and not writer.stage:
             self._check_keys(entry_path, model, writer)

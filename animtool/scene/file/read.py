@@ -248,16 +248,14 @@ class _SceneReader:
             message = f"a system has one kind, but this one has {' and '.join(kinds)}"
             hint = "write each as its own entry, starting with a dash"
             self.document.add("SCN065", location, message, hint)
-        elif not self._raw_systems()[location[1]]:
+            return None
+        # The unparsed entries, which may have an old key.
+        old_key = self.document.old_keys.get(("systems",), "systems")
+        if not self.document.value[old_key][location[1]]:
             self.document.add(
                 "SCN065", location, "its kind is missing", f"the kinds are {kind_names}"
             )
         return None
-
-    def _raw_systems(self) -> Any:
-        """Return the unparsed system entries, also if they use an old key."""
-        old_key = self.document.old_keys.get(("systems",), "systems")
-        return self.document.value[old_key]
 
     def _check_simulated(self) -> None:
         """Refuse keys that need a source and outputs that are not USD."""

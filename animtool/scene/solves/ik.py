@@ -317,17 +317,12 @@ def _with_goal_tolerances(job: IkJob) -> TakeOptions:
 
 def _goal_tolerances(job: IkJob) -> tuple[float, float]:
     """Return the errors above which a goal counts as missed [m], [rad]."""
-    options = job.options
-    position_tolerance = job.tolerance
-    angle_tolerance = job.angle_tolerance
-    return (
-        max(MISSED_LENGTH, options.tolerance)
-        if position_tolerance is None
-        else position_tolerance,
-        max(MISSED_ANGLE, options.angle_tolerance)
-        if angle_tolerance is None
-        else angle_tolerance,
-    )
+    position_tolerance, angle_tolerance = job.tolerance, job.angle_tolerance
+    if position_tolerance is None:
+        position_tolerance = max(MISSED_LENGTH, job.options.tolerance)
+    if angle_tolerance is None:
+        angle_tolerance = max(MISSED_ANGLE, job.options.angle_tolerance)
+    return position_tolerance, angle_tolerance
 
 
 MAX_NAMED = 6

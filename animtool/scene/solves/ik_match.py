@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import ClassVar
 
 from animtool.clip.channels import ClipUnits
-from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, faults_in, refuse_warnings
 from animtool.core.files.output import (
@@ -30,7 +29,6 @@ from animtool.ik.match_take import (
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
 from animtool.motion.take import Take
-from animtool.rig.surfaces import StoredArrays
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
 from animtool.scene.solves.ik import frame_index, open_start
@@ -112,7 +110,8 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     if text.arrays:
         outputs.insert(0, array_file_of(job.output))
         check_outputs(outputs, inputs, overwrite=job.write_options.overwrite)
-        write_arrays(outputs[0], _arrays_by_name(text.arrays))
+        arrays = {name.partition("#")[2]: rows for name, rows in text.arrays.items()}
+        write_arrays(outputs[0], arrays)
     write_parts(job.output, [text.text.encode()])
     seconds = {
         "read": read_end_time - start_time,
@@ -129,7 +128,3 @@ def _select_frame(take: Take, frame: int) -> Take:
     return replace(
         take, clock=one_frame_clock, motion=take.motion.select(slice(frame, frame + 1))
     )
-
-
-def _arrays_by_name(arrays: dict[str, FloatArray]) -> StoredArrays:
-    return {name.partition("#")[2]: values for name, values in arrays.items()}

@@ -54,10 +54,8 @@ class SolvedOutput:
     @property
     def files(self) -> list[Path]:
         """Files to write; for a clip, the clip itself is last."""
-        return [
-            *self.extra_files,
-            *([] if self.outline is None else self.outline.files),
-        ]
+        outline_files = [] if self.outline is None else self.outline.files
+        return [*self.extra_files, *outline_files]
 
     def check(self, inputs: Iterable[Path | None]) -> None:
         """Check the output, and raise its faults before the solve."""

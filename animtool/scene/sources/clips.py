@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
@@ -19,7 +18,7 @@ from animtool.clip.keyed_curve import KeyedCurve
 from animtool.clip.sample import ClipNotice, SampledMotion, sample_channels
 from animtool.clip.schema import ChannelModel, key_times
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, FormatError
+from animtool.core.errors import Fault, FormatError, faults_in
 from animtool.core.units import unit_name
 from animtool.documents.document import Location, location_text
 from animtool.motion.motion import Motion
@@ -76,12 +75,12 @@ def clip_stream(
         return sampled.motion
 
     def curve(times: FloatArray) -> Motion:
-        with _add_path(path):
+        with faults_in(path):
             sampled = sample_channels(clip.channels, rig, times, clamp=clamp)
         return to_motion(sampled)
 
     def blocks(times: FloatArray) -> Iterator[Motion]:
-        with _add_path(path):
+        with faults_in(path):
             for sampled in sample_blocks(clip.channels, rig, times, clamp=clamp):
                 yield to_motion(sampled)
 
@@ -160,14 +159,4 @@ def _frame_count(file: ClipFile, clip: Clip) -> int:
             replace(fault, path=path, lines=(line,), column=column, where=range_path[0])
             for fault in error.faults
         ]
-        raise FormatError(faults) from error
-
-
-@contextmanager
-def _add_path(path: Path) -> Iterator[None]:
-    """Add the clip's path to faults without a file."""
-    try:
-        yield
-    except FormatError as error:
-        faults = [replace(fault, path=str(path)) for fault in error.faults]
         raise FormatError(faults) from error

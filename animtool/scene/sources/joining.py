@@ -124,11 +124,9 @@ def _with_animated_entries_of(motion: Motion, template: Motion) -> Motion:
 
     def optional(name: str) -> Channel | None:
         channel, like_channel = getattr(motion, name), getattr(template, name)
-        return (
-            None
-            if channel is None or like_channel is None
-            else convert(channel, like_channel)
-        )
+        if channel is None or like_channel is None:
+            return None
+        return convert(channel, like_channel)
 
     return Motion(
         convert(motion.translations, template.translations),

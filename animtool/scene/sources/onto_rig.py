@@ -174,39 +174,16 @@ def unmapped_notices(names: NameMap, other_rig: Rig, path: str) -> list[Fault]:
     missing_joints = [
         names.rig.names[index] for index in np.flatnonzero(names.joints < 0).tolist()
     ]
+    warning, note = Severity.WARNING, Severity.NOTE
+    groups = (
+        ("RIG042", joints, "joints are not in the rig", MOTION_IGNORED, warning),
+        ("RIG042", spare_names, "shapes are not in the rig", MOTION_IGNORED, warning),
+        ("RIG043", missing_joints, "joints only the rig has", STAY_AT_REST, note),
+    )
     return [
-        names_fault(
-            code,
-            f"{len(track_names)} {description}: ",
-            track_names,
-            path,
-            hint,
-            severity,
-        )
-        for code, track_names, description, hint, severity in (
-            (
-                "RIG042",
-                joints,
-                "joints are not in the rig",
-                MOTION_IGNORED,
-                Severity.WARNING,
-            ),
-            (
-                "RIG042",
-                spare_names,
-                "shapes are not in the rig",
-                MOTION_IGNORED,
-                Severity.WARNING,
-            ),
-            (
-                "RIG043",
-                missing_joints,
-                "joints only the rig has",
-                STAY_AT_REST,
-                Severity.NOTE,
-            ),
-        )
-        if track_names
+        names_fault(code, f"{len(group)} {about}: ", group, path, hint, severity)
+        for code, group, about, hint, severity in groups
+        if group
     ]
 
 
@@ -252,11 +229,9 @@ def _indices(names: list[str], other_names: list[str]) -> IntArray:
 def _gather_or_rest(
     channel: Channel | None, indices: IntArray, rest_values: FloatArray
 ) -> Channel | None:
-    return (
-        None
-        if channel is None or not len(indices)
-        else _gather_entries(channel, indices, rest_values)
-    )
+    if channel is None or not len(indices):
+        return None
+    return _gather_entries(channel, indices, rest_values)
 
 
 def _gather_entries(

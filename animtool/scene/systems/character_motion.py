@@ -58,12 +58,8 @@ class CharacterMotions:
     def of(self, path: Path) -> CharacterMotion:
         """Return the character of a clip or scene file; read it once."""
         if path not in self.by_path:
-            self.by_path[path] = _read(path)
+            self.by_path[path] = motion_of(path, open_take(path).collect())
         return self.by_path[path]
-
-
-def _read(path: Path) -> CharacterMotion:
-    return motion_of(path, open_take(path).collect())
 
 
 def motion_of(path: Path, take: Take) -> CharacterMotion:
@@ -246,16 +242,14 @@ class CharacterRecorder:
         stream = self._stream
         if stream is None:
             return None
-        motion = self._complete(stream)
+        if self._blocks:
+            motion = Motion.concatenate(self._blocks)
+        else:
+            assert stream.curve is not None
+            times = time_codes(stream.first_frame, stream.step, stream.count)
+            motion = _joints_and_shapes(stream.curve(times))
         clock = Clock(stream.fps, stream.first_frame, stream.step, motion.frames)
         return motion_of(path, Take(stream.rig, clock, motion))
-
-    def _complete(self, stream: TakeStream) -> Motion:
-        if self._blocks:
-            return Motion.concatenate(self._blocks)
-        assert stream.curve is not None
-        times = time_codes(stream.first_frame, stream.step, stream.count)
-        return _joints_and_shapes(stream.curve(times))
 
     def _record_blocks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:

@@ -366,15 +366,8 @@ def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
 # Keys whose values are compared with sizes, and keys of the sizes.
 COMPARED_KEYS = {"stretch", "bodies", "viscosity"}
 SIZE_KEYS = {
-    "radius",
-    "self_contact",
-    "springs",
-    "mass",
-    "density",
-    "start",
-    "end",
-    "across",
-    "up",
+    *("radius", "self_contact", "springs", "mass", "density"),
+    *("start", "end", "across", "up"),
 }
 
 

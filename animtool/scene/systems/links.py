@@ -113,13 +113,13 @@ def check_links(
     valid_systems = len(systems) == len(names)
     for system in systems:
         setup = system.setup
-        named_systems = [
-            *((*entry, "weldable") for entry in setup.joined),
-            *((*entry, "surface") for entry in setup.around.needs),
-        ]
-        for name, location, capability in named_systems:
+        for name, location in setup.joined:
             valid_systems &= _check_name(
-                document, system, systems, names, name, location, capability
+                document, system, systems, names, name, location, "weldable"
+            )
+        for name, location in setup.around.needs:
+            valid_systems &= _check_name(
+                document, system, systems, names, name, location, "surface"
             )
         for name, location in setup.around.pushes if valid_systems else ():
             valid_systems &= _check_name(

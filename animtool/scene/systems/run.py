@@ -180,7 +180,9 @@ class SystemRun:
         times = [float((code - first) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
         self._run_tear_pre_pass(times)
-        show_progress = None if self._phases is None else self._phases.last()
+        show_progress = (
+            None if self._phases is None else self._phases.phase(is_last=True)
+        )
         self._frames = show_progress
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
             try:
@@ -218,10 +220,8 @@ class SystemRun:
                 and times[0] < resume_time - STEP_TOLERANCE * run.step_length
             ):
                 frame = float(codes[0]) + (resume_time - times[0]) * float(fps)
-                message = f"its state is from frame {frame:g}, but "
-                message += (
-                    _between_frames_text(frame, run.step_length, fps) + "and frame "
-                )
+                reason = _between_frames_text(frame, run.step_length, fps)
+                message = f"its state is from frame {frame:g}, but {reason}and frame "
                 message += f"{float(codes[0]):g} is requested"
                 frames = f"{math.ceil(frame - STEP_TOLERANCE)}-{float(codes[-1]):g}"
                 hint = argument("frame_range", frames)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, refuse
@@ -106,20 +106,12 @@ class Surroundings:
     @staticmethod
     def of(all_surroundings: Sequence[Surroundings]) -> Surroundings:
         """Return the combined colliders of jointly simulated entries."""
-        (combined, *other_surroundings) = all_surroundings
-        return replace(
-            combined,
-            **{
-                name: sum(
-                    (
-                        getattr(surroundings, name)
-                        for surroundings in other_surroundings
-                    ),
-                    getattr(combined, name),
-                )
-                for name in (*COLLISION_KEYS, "tied")
-            },
-        )
+        first, *others = all_surroundings
+        combined_colliders = {
+            name: sum((getattr(other, name) for other in others), getattr(first, name))
+            for name in (*COLLISION_KEYS, "tied")
+        }
+        return replace(first, **combined_colliders)
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
@@ -214,23 +206,15 @@ class Surroundings:
             system_run = run_by_name[surface_entry.system]
             if system_run.is_rigid:
                 material = record_of(Material, surface_entry)
-                bodies_of_system = system_run.body_colliders(
-                    material.restitution,
-                    material.friction,
-                    two_way=surface_entry.two_way,
+                coefficients = material.restitution, material.friction
+                is_coupled = surface_entry.two_way
+                bodies.append(
+                    system_run.body_colliders(*coefficients, two_way=is_coupled)
                 )
-                bodies.append(bodies_of_system)
                 continue
             surface = system_run.surface()
-            sheet_options = {"radius": surface.radius, "closed": surface.closed}
-            sheets.append(
-                record_of(
-                    Sheet,
-                    surface_entry,
-                    motion=surface,
-                    name=surface_entry.system,
-                    **sheet_options,
-                )
-            )
+            values: dict[str, Any] = {"motion": surface, "name": surface_entry.system}
+            values |= {"radius": surface.radius, "closed": surface.closed}
+            sheets.append(record_of(Sheet, surface_entry, **values))
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

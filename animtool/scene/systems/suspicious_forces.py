@@ -183,12 +183,8 @@ def _speeds(
     for i, emitter in enumerate(values.get("emitters") or ()):
         # Charges move in fields, as fast as those make them.
         if isinstance(emitter.get("speed"), int | float) and not emitter.get("charge"):
-            yield (
-                (*entry_path, "emitters", i, "speed"),
-                abs(emitter["speed"]),
-                MAX_SPEED,
-                flying_bodies,
-            )
+            location = (*entry_path, "emitters", i, "speed")
+            yield location, abs(emitter["speed"]), MAX_SPEED, flying_bodies
     for i, fill in enumerate(values.get("fills") or ()):
         velocity = _vector(fill.get("velocity"))
         if velocity is not None:
@@ -199,12 +195,8 @@ def _speeds(
         if velocity is not None:
             is_bullet = volume(body.get("shape") or {}) <= MAX_BULLET_VOLUME
             limit = MAX_BULLET_SPEED if is_bullet else MAX_SPEED
-            yield (
-                (*entry_path, "bodies", i, "velocity"),
-                math.hypot(*velocity),
-                limit,
-                flying_bodies,
-            )
+            location = (*entry_path, "bodies", i, "velocity")
+            yield location, math.hypot(*velocity), limit, flying_bodies
     for key, limit, reference in (
         ("species", MAX_SPEED, flying_bodies),
         ("populations", MAX_RUN_SPEED, "any runner"),

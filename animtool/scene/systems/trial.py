@@ -101,13 +101,11 @@ def _trial(
     def run(setting: Setting) -> TrialOutcome:
         nonlocal max_points
         is_other_method = setting.method != settings_to_try.chosen.method
-        budget = (
-            None
-            if spec.tried
-            else _evaluation_limit(
+        budget = None
+        if not spec.tried:
+            budget = _evaluation_limit(
                 setting.method, max_points, is_other_method=is_other_method
             )
-        )
         entry_runs = run_entries(
             members, rebuild(), settings_to_try.changes(setting), budget
         )

@@ -117,23 +117,21 @@ def _write_pass(
 
 
 def _write(scene: Scene, output: Path) -> None:
-    # Chunks are separate files.
+    run_stage(_plan(scene, output, BakeOptions(overwrite=True)))
+
+
+def _plan(scene: Scene, output: Path, options: BakeOptions) -> BakePlan:
+    """Return the plan of a scene's first output without chunks, which need files."""
     first = scene.outputs[0]
     without_chunks = replace(first, bake=replace(first.bake, chunk=None))
-    plan = plan_stage(
-        replace(scene, outputs=(without_chunks,)), output, BakeOptions(overwrite=True)
-    )
-    run_stage(plan)
+    return plan_stage(replace(scene, outputs=(without_chunks,)), output, options)
 
 
 def _compared_times(
     scene: Scene, options: BakeOptions
 ) -> tuple[FloatArray, CharacterMotion | None]:
     """Return the times at which systems are compared [s], and the scene's character."""
-    # Nothing is written, and chunks would need a file.
-    first = scene.outputs[0]
-    without_chunks = replace(first, bake=replace(first.bake, chunk=None))
-    plan = plan_stage(replace(scene, outputs=(without_chunks,)), STDOUT, options)
+    plan = _plan(scene, STDOUT, options)
     if plan.takes:
         character = motion_of(scene.path, plan.takes[0].stream.collect())
         return _times_in_range(character.times, plan), character
@@ -155,7 +153,11 @@ def _times_in_range(times: FloatArray, plan: BakePlan) -> FloatArray:
 def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial]]:
     """Return the trials of the spring and IK passes of a scene, with their entries."""
     full_scene = scene
-    measured_passes = [i for i, entry in enumerate(scene.passes) if _is_measured(entry)]
+    measured_passes = [
+        i
+        for i, entry in enumerate(scene.passes)
+        if _is_ik_pass(entry) or _is_spring_pass(entry)
+    ]
     scene = replace(scene, passes=scene.passes[: max(measured_passes, default=-1) + 1])
     trials = []
     steps = zip(scene.passes, scene.steps(), strict=False)
@@ -179,10 +181,6 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
             write = partial(_write_pass, full_scene, pass_index, name="rate")
             trials.append((entry.location, replace(trial, write=write)))
     return trials
-
-
-def _is_measured(entry: ScenePass) -> bool:
-    return _is_spring_pass(entry) or _is_ik_pass(entry)
 
 
 def _is_ik_pass(entry: ScenePass) -> bool:

@@ -60,9 +60,8 @@ class AttachmentActor:
         start_path = interpolate_poses(rig, pose, pose, 1)
         scale = _joint_scale(start_path.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
-        self._springs = AttachedSprings(
-            network, settings, -up_direction(rig), frame_duration
-        )
+        down = -up_direction(rig)
+        self._springs = AttachedSprings(network, settings, down, frame_duration)
         self.steps = self._springs.cells * self._springs.substeps
         self.teleport_count = 0
         self.seconds = 0.0
@@ -78,16 +77,9 @@ class AttachmentActor:
             network.is_pinned,
             network.triangles if can_pierce else network.triangles[:0],
         )
+        margin = skin_margin(median_edge_length(network), settings.radius)
         self._colliders = CharacterColliders(
-            rig,
-            body,
-            settings,
-            start_path,
-            scale,
-            skin_margin(median_edge_length(network), settings.radius),
-            skins,
-            world,
-            layers,
+            rig, body, settings, start_path, scale, margin, skins, world, layers
         )
         self.target = body.targets(start_path)[0]
         self._joint_transforms, self._time = start_path.world, 0.0
@@ -162,14 +154,10 @@ class AttachmentActor:
         self, frame: float, points: FloatArray, surroundings: CollisionSurroundings
     ) -> None:
         """Measure contact and strain of points ``(N, 3)`` [m] at a time code."""
-        self.meter.measure(
-            frame,
-            points,
-            self._measured_surface,
-            surroundings.solids,
-            self._colliders.depths(surroundings, points),
-            surroundings.layers,
-        )
+        depths = self._colliders.depths(surroundings, points)
+        solids, layers = surroundings.solids, surroundings.layers
+        surface = self._measured_surface
+        self.meter.measure(frame, points, surface, solids, depths, layers)
 
     def follow_animation(self, paths: PosePaths) -> None:
         """Follow the animation for a frame, without simulation."""

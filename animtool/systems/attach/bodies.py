@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Refusals, listed
+from animtool.core.errors import Fault, OptionError, Refusals, listed, refuse
 from animtool.core.record import dataclass
 from animtool.maths.faces import edges, triangulate
 from animtool.rig.kinematics import bind_matrices, bind_world
@@ -77,20 +77,17 @@ def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
     by_name = {entry.name: entry for entry in rig.attach}
     kinds = [str(kind) for kind in AttachKind]
     faults = []
+    hint = "it has none; write its cloth, hair or chains under attach of the rig"
+    if by_name:
+        hint = f"the rig has {', '.join(by_name)}"
     for name in names:
-        hint = (
-            f"the rig has {', '.join(by_name)}"
-            if by_name
-            else "it has none; write its cloth, hair or chains under attach of the rig"
-        )
         if name not in by_name:
             message = f"unknown attachment {name!r} of {rig.name!r}"
             faults.append(Fault("SIM030", message, hint=hint))
         elif by_name[name].kind not in kinds:
-            message = (
-                f"{name!r} is of kind {by_name[name].kind!r}, which cannot be simulated"
-            )
-            faults.append(Fault("SIM030", message, hint=f"kinds: {', '.join(kinds)}"))
+            kind, allowed = by_name[name].kind, f"kinds: {', '.join(kinds)}"
+            message = f"{name!r} is of kind {kind!r}, which cannot be simulated"
+            faults.append(Fault("SIM030", message, hint=allowed))
     if faults:
         raise OptionError(faults)
     return [by_name[name] for name in names]
@@ -113,10 +110,8 @@ def _build_chain(rig: Rig, entry: Attachment) -> AttachedBody:
     for parent, child in pairwise(joints):
         if rig.joints[child].parent != parent:
             names = rig.joints[parent].name, rig.joints[child].name
-            message = (
-                f"joints of {entry.name!r} are not a chain: {names[1]!r} is not a child"
-            )
-            raise OptionError(Fault("SIM033", f"{message} of {names[0]!r}"))
+            message = f"joints of {entry.name!r} are not a chain: {names[1]!r} is not "
+            refuse("SIM033", f"{message}a child of {names[0]!r}")
     tip = _bone_end(rig, joints)
     bind = bind_world(rig)
     end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
@@ -125,10 +120,9 @@ def _build_chain(rig: Rig, entry: Attachment) -> AttachedBody:
     network = Network(points, np.array([0]), ends, strands=1)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
-    has_free_tip = _has_free_tip(rig, joints[-1])
-    return ChainBody(
-        entry.name, entry.kind, network, carrier, np.array(joints), tip, has_free_tip
-    )
+    is_free = _has_free_tip(rig, joints[-1])
+    rows = np.array(joints)
+    return ChainBody(entry.name, entry.kind, network, carrier, rows, tip, is_free)
 
 
 def _has_free_tip(rig: Rig, joint: int) -> bool:
@@ -184,21 +178,16 @@ def _build_cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     faces = surface.counts, surface.indices
     ends = edges(*faces)
     if not len(ends):
-        message = f"the mesh of {entry.name!r} has no faces"
-        raise OptionError(Fault("SIM033", message))
+        refuse("SIM033", f"the mesh of {entry.name!r} has no faces")
     isolated_points = np.setdiff1d(np.arange(len(surface.points)), ends)
     if len(isolated_points):
-        message = (
-            f"points of {entry.name!r} are in no face: "
-            f"{listed(isolated_points.tolist())}"
-        )
-        raise OptionError(Fault("SIM033", message))
+        points = listed(isolated_points.tolist())
+        refuse("SIM033", f"points of {entry.name!r} are in no face: {points}")
     pins = np.zeros(0, np.int64)
     if entry.pins is not None:
         pins = np.unique(entry.pins.load()).astype(np.int64)
-    bind_points = (
-        surface.points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
-    )
+    bind = surface.geom_bind
+    bind_points = surface.points @ bind[:3, :3].T + bind[:3, 3]
     # Larger faces have no diagonals.
     is_quad = surface.counts == 4
     is_quad_corner = np.repeat(is_quad, surface.counts)

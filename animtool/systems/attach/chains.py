@@ -23,9 +23,7 @@ def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     >>> shortest_rotations(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
-    lengths = [
-        np.linalg.norm(vectors, axis=-1, keepdims=True) for vectors in (before, after)
-    ]
+    lengths = [np.linalg.norm(v, axis=-1, keepdims=True) for v in (before, after)]
     has_length = (lengths[0] > MIN_BONE_LENGTH) & (lengths[1] > MIN_BONE_LENGTH)
     a = before / np.where(has_length, lengths[0], 1.0)
     b = after / np.where(has_length, lengths[1], 1.0)
@@ -37,9 +35,8 @@ def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
         smallest_axes = np.eye(3)[np.abs(a[is_opposite]).argmin(axis=-1)]
         axes = np.cross(a[is_opposite], smallest_axes)
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        rotations[is_opposite] = np.concatenate(
-            [axes, np.zeros((len(axes), 1))], axis=-1
-        )
+        no_scalars = np.zeros((len(axes), 1))
+        rotations[is_opposite] = np.concatenate([axes, no_scalars], axis=-1)
     return np.where(has_length, rotations, so3.IDENTITY)
 
 
@@ -58,7 +55,10 @@ def chain_rotations(
     approximate. Rotations of all animated joints are ``(F, J, 4)``; bone ends are
     ``(F, C + 1, 3)`` [m].
     """
-    world = _parent_rotations(rig, int(joints[0]), rotations)
+    # World rotations of the parent of the first joint.
+    world = np.tile(so3.IDENTITY, (len(rotations), 1))
+    for ancestor in rig.upwards(int(joints[0]))[1:]:
+        world = so3.multiply(rotations[:, ancestor], world)
     relative_rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     result = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):
@@ -74,20 +74,9 @@ def chain_rotations(
         result[:, k] = _clamp_to_limits(rig.joints[joint], local, animated_local)
         world = so3.multiply(world, animated_local)
         # World rotation of the joints so far relative to the animation.
-        relative_rotation = so3.multiply(
-            so3.multiply(parent, result[:, k]), so3.conjugate(world)
-        )
+        simulated_world = so3.multiply(parent, result[:, k])
+        relative_rotation = so3.multiply(simulated_world, so3.conjugate(world))
     return result
-
-
-def _parent_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
-    """Return the world rotations of a joint's parent ``(F, 4)``."""
-    rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
-    parent = rig.joints[joint].parent
-    while parent >= 0:
-        rotation = so3.multiply(rotations[:, parent], rotation)
-        parent = rig.joints[parent].parent
-    return rotation
 
 
 def _clamp_to_limits(

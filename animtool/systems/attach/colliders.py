@@ -130,6 +130,7 @@ class CharacterColliders:
         [m] in addition to the radius. Layers are cloth of other attachments.
         """
         options, radius = settings.options, settings.radius
+        friction = options.friction
         capsules = JointCapsules.of(rig) if options.capsules else JointCapsules.empty()
         if skins:
             # Joints with a skin collide with that instead of their capsules.
@@ -137,25 +138,20 @@ class CharacterColliders:
             capsules = capsules.select(~has_skin[capsules.joints])
         self._capsules, self._radius, self._world = capsules, radius, world
         capsule_collider = Collider(
-            Capsule(1.0, 0.0),
-            friction=options.friction,
-            depenetration=DEPENETRATION_SPEED,
+            Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION_SPEED
         )
-        self._colliders = Colliders(
-            [*world, *([capsule_collider] * len(capsules))],
-            [*world.sheets, *layers],
-            world.bodies,
-        )
+        rigid_colliders = [*world, *([capsule_collider] * len(capsules))]
+        sheets = [*world.sheets, *layers]
+        self._colliders = Colliders(rigid_colliders, sheets, world.bodies)
         # First index and count of the character's rigid colliders.
         self.character_range = len(world), len(capsules)
         capsule_rows = slice(len(world), len(self._colliders))
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][capsule_rows].copy()
         self._sizes[:, 6] = capsules.world_radii(start.world)
         points = body.network.points
+        depths = bind_depths(capsules, rig, points, radius / scale)
         # Allowed signed distances from capsules, at most 0 ``(C, N)`` [m].
-        self._allowed_depths = scale * bind_depths(
-            capsules, rig, points, radius / scale
-        )
+        self._allowed_depths = scale * depths
         rigid_depths = np.zeros((self._colliders.rigid, len(points)))
         rigid_depths[capsule_rows] = self._allowed_depths
         targets = body.targets(start)[0]
@@ -168,17 +164,9 @@ class CharacterColliders:
             )
             for skin in skins
         ]
-        self._depths = np.concatenate(
-            [rigid_depths, *(distances[None] for distances in skin_depths)]
-        )
+        self._depths = np.vstack([rigid_depths, *skin_depths])
         self._skins = skins
-        self._skin_material = (
-            0.0,
-            options.friction,
-            margin,
-            DEPENETRATION_SPEED,
-            SPEED_LIMIT,
-        )
+        self._skin_material = (0.0, friction, margin, DEPENETRATION_SPEED, SPEED_LIMIT)
         self._skin_kernels: list[Any] = []
         # Whether no two points of a skin coincide.
         self._has_distinct_points: list[bool] = []
@@ -231,17 +219,13 @@ class CharacterColliders:
             self._has_distinct_points = [
                 len(np.unique(rows[0], axis=0)) == rows.shape[1] for rows in points
             ]
+        kernels, distinct = self._skin_kernels, self._has_distinct_points
+        skins = zip(self._skins, points, kernels, distinct, strict=True)
         self._skin_solids = [
             ClosedSurface(rows[-1], skin.triangles, kernel if is_distinct else None)
-            for skin, rows, kernel, is_distinct in zip(
-                self._skins,
-                points,
-                self._skin_kernels,
-                self._has_distinct_points,
-                strict=True,
-            )
+            for skin, rows, kernel, is_distinct in skins
         ]
         return [
             (kernel, rows, self._skin_material, 1, 0)
-            for kernel, rows in zip(self._skin_kernels, points, strict=True)
+            for kernel, rows in zip(kernels, points, strict=True)
         ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import field
 
 import numpy as np
@@ -110,20 +109,15 @@ def max_pin_hops(network: Network) -> int:
     >>> max_pin_hops(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
     2
     """
-    neighbours: list[list[int]] = [[] for _ in range(network.count)]
-    for i, j in network.sides.tolist():
-        neighbours[i].append(j)
-        neighbours[j].append(i)
-    start_points = network.pinned.tolist() or [0]
-    hops = dict.fromkeys(start_points, 0)
-    queue = deque(start_points)
-    while queue:
-        point = queue.popleft()
-        for neighbour in neighbours[point]:
-            if neighbour not in hops:
-                hops[neighbour] = hops[point] + 1
-                queue.append(neighbour)
-    return max(hops.values(), default=0)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    count, starts = network.count, network.pinned if len(network.pinned) else [0]
+    graph = coo_array((np.ones(len(network.sides)), network.sides.T), (count, count))
+    hops = dijkstra(
+        graph, directed=False, indices=starts, unweighted=True, min_only=True
+    )
+    return int(hops[np.isfinite(hops)].max(initial=0.0))
 
 
 def median_edge_length(network: Network) -> float:
@@ -163,13 +157,13 @@ def surface_defects(network: Network) -> list[str]:
     degenerate_count = int((~np.cross(b - a, c - a).any(axis=1)).sum())
     face_counts = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
     nonmanifold_count = int((face_counts > 2).sum())
-    defects = {
-        f"{counted(degenerate_count, 'triangle')} without area": degenerate_count,
-        f"{counted(nonmanifold_count, 'edge')} of more than two triangles": (
-            nonmanifold_count
-        ),
-    }
-    return [text for text, count in defects.items() if count]
+    defects = []
+    if degenerate_count:
+        defects.append(f"{counted(degenerate_count, 'triangle')} without area")
+    if nonmanifold_count:
+        edges = counted(nonmanifold_count, "edge")
+        defects.append(f"{edges} of more than two triangles")
+    return defects
 
 
 def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
@@ -181,9 +175,8 @@ def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
     >>> fold_pairs(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]
     """
-    first_corners, sizes = np.repeat(
-        [np.cumsum(counts) - counts, counts], counts, axis=1
-    )
+    starts = np.cumsum(counts) - counts
+    first_corners, sizes = np.repeat([starts, counts], counts, axis=1)
     corner_offsets = np.arange(len(indices)) - first_corners
     edge_corners = directed_edges(counts, indices)
     # Neighbours of the first end of a side, and of the second.

@@ -69,17 +69,14 @@ def interpolate_poses(
     blur.
     """
     fractions = np.arange(steps + 1) / steps
-    world = forward_kinematics(
-        rig,
-        _lerp(before.translations, after.translations, fractions),
-        _slerp(before.rotations, after.rotations, fractions),
-        None
-        if before.scales is None or after.scales is None
-        else _lerp(before.scales, after.scales, fractions),
-    )
-    weights = None
+    translations = _lerp(before.translations, after.translations, fractions)
+    rotations = _slerp(before.rotations, after.rotations, fractions)
+    scales, weights = None, None
+    if before.scales is not None and after.scales is not None:
+        scales = _lerp(before.scales, after.scales, fractions)
     if before.weights is not None and after.weights is not None:
         weights = _lerp(before.weights, after.weights, fractions)
+    world = forward_kinematics(rig, translations, rotations, scales)
     return PosePath(world, weights)
 
 
@@ -144,9 +141,8 @@ def advance_cycle(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
     """Return a pose transformed by the travel of one cycle."""
     translations, rotations = pose.translations.copy(), pose.rotations.copy()
     roots = np.array(rig.roots)
-    translations[roots] = (
-        so3.rotate(travel.rotation, translations[roots]) + travel.shift
-    )
+    rotated = so3.rotate(travel.rotation, translations[roots])
+    translations[roots] = rotated + travel.shift
     rotations[roots] = so3.multiply(travel.rotation, rotations[roots])
     return replace(pose, translations=translations, rotations=rotations)
 
@@ -159,7 +155,6 @@ def seam_weights(frames: int, seam_fraction: float = SEAM_FRACTION) -> FloatArra
     >>> seam_weights(8).round(3).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     """
-    fractions = np.clip(
-        (np.arange(frames) / frames - 1 + seam_fraction) / seam_fraction, 0.0, 1.0
-    )
+    fractions = (np.arange(frames) / frames - 1 + seam_fraction) / seam_fraction
+    fractions = np.clip(fractions, 0.0, 1.0)
     return np.asarray(fractions * fractions * (3 - 2 * fractions))

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, refuse
 from animtool.core.options import MAX_NUMBER, between, range_faults, ranges_of
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
@@ -195,11 +195,10 @@ def _check_names(options: SimulateOptions) -> None:
     """Raise SIM030 if no attachment is named, or any is named twice."""
     if not options.what:
         message = "what names no attachment of the rig"
-        raise OptionError(Fault("SIM030", message, hint="write what: [cape]"))
+        refuse("SIM030", message, hint="write what: [cape]")
     duplicates = sorted({name for name in options.what if options.what.count(name) > 1})
     if duplicates:
-        message = f"what names {duplicates[0]!r} more than once"
-        raise OptionError(Fault("SIM030", message))
+        refuse("SIM030", f"what names {duplicates[0]!r} more than once")
 
 
 def _check_range(options: SimulateOptions, name: str) -> None:
@@ -212,8 +211,7 @@ def _check_range(options: SimulateOptions, name: str) -> None:
 def _check_finite(values: tuple[float, ...], name: str) -> None:
     """Raise SIM004 if any value is not finite."""
     if not all(map(math.isfinite, values)):
-        message = f"{name} contains a number that is not finite"
-        raise OptionError(Fault("SIM004", message))
+        refuse("SIM004", f"{name} contains a number that is not finite")
 
 
 def _check_length(options: SimulateOptions, name: str) -> None:
@@ -232,24 +230,20 @@ def _check_thickness(options: SimulateOptions) -> None:
     if not length_in_metres(options.thickness) > 0:
         message = f"thickness is {options.thickness!r}; it must be more than 0"
         hint = "remove it where cloth may pass through itself"
-        raise OptionError(Fault("SIM004", message, hint=hint))
+        refuse("SIM004", message, hint=hint)
 
 
 def _check_save(options: SimulateOptions) -> None:
     """Raise SIM032 if only one of ``save`` and ``save_at`` is set, or no npz file."""
     if bool(options.save) != bool(options.save_at):
-        message = "save and save_at belong together: a file, and frames"
-        raise OptionError(Fault("SIM032", message))
+        refuse("SIM032", "save and save_at belong together: a file, and frames")
     if options.save and not options.save.endswith(".npz"):
         message = f"save is {options.save!r}, but its name must end with .npz"
-        raise OptionError(Fault("SIM032", message))
+        refuse("SIM032", message)
 
 
 def _check_loop(options: SimulateOptions) -> None:
     """Raise SIM032 if a cycle is saved or resumed."""
-    conflicting_options = [
-        name for name in ("save", "resume") if getattr(options, name)
-    ]
-    if options.loop and conflicting_options:
-        message = f"a cycle has no {conflicting_options[0]}: it ends where it began"
-        raise OptionError(Fault("SIM032", message))
+    for name in ("save", "resume"):
+        if options.loop and getattr(options, name):
+            refuse("SIM032", f"a cycle has no {name}: it ends where it began")

@@ -157,21 +157,19 @@ class AttachSimulation:
             return ()
         if not isinstance(body, ChainBody):
             return self._skins
-        chain_joints = set(body.joints.tolist())
-        for index, joint in enumerate(self.rig.joints):
-            if joint.parent in chain_joints:
-                chain_joints.add(index)
-        return build_skins(self.rig, sorted(chain_joints))
+        joints = range(len(self.rig.joints))
+        return build_skins(
+            self.rig,
+            [j for j in joints if np.isin(self.rig.upwards(j), body.joints).any()],
+        )
 
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield blocks of the motion with simulated attachments."""
         if self.options.loop:
             motion = Motion.concatenate(list(motions))
-            prepended_frames = self._prepended_frames
-            cycle = self._close_cycle(motion.select(slice(prepended_frames, None)))
-            yield cycle.select(
-                np.maximum(np.arange(-prepended_frames, cycle.frames), 0)
-            )
+            first = self._prepended_frames
+            cycle = self._close_cycle(motion.select(slice(first, None)))
+            yield cycle.select(np.maximum(np.arange(-first, cycle.frames), 0))
             return
         values = 3 * sum(body.network.count for body in self.bodies)
         block_frames = max(BLOCK_VALUES // max(values, 1), 2)
@@ -213,22 +211,17 @@ class AttachSimulation:
         if extrapolates:
             start_pose = extrapolate_roots(self.rig, pose, next_pose, preroll_frames)
         self.actors = []
+        world = self._world
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
             is_skinned = isinstance(body, SurfaceBody)
             sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
-            self.actors.append(
-                AttachmentActor(
-                    self.rig,
-                    body,
-                    settings_for(options, body.kind),
-                    1 / rate,
-                    start_pose,
-                    self._skins_of(body),
-                    self._world,
-                    sheets if is_skinned else (),
-                )
+            layers = sheets if is_skinned else ()
+            settings, skins = settings_for(options, body.kind), self._skins_of(body)
+            actor = AttachmentActor(
+                self.rig, body, settings, 1 / rate, start_pose, skins, world, layers
             )
+            self.actors.append(actor)
         if self.resumed is not None:
             return
         static_paths = PosePaths(self.rig, start_pose, start_pose)
@@ -299,8 +292,9 @@ class AttachSimulation:
         if code in self.options.save_at:
             for actor in self.actors:
                 name, clock = state_name_and_clock(actor.body, code)
-                spring_state = actor.grid.state
-                state = AttachState(*spring_state.motion, spring_state.passages)
+                positions, velocities = actor.grid.state.motion
+                passages = actor.grid.state.passages
+                state = AttachState(positions, velocities, passages)
                 self.saved[name] = clock, ReachedState(actor.steps, state)
 
     def _close_cycle(self, motion: Motion) -> Motion:
@@ -321,18 +315,13 @@ class AttachSimulation:
         rows: list[_AttachmentFrames] = []
         for repeat in range(1, max_repeats + 1):
             start_positions = [actor.positions for actor in self.actors]
-            is_steered = bool(rows) and (
-                repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
-            )
+            gives_up = repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
+            is_steered = bool(rows) and gives_up
             rows = self._simulate_cycle(poses, rows if is_steered else [])
-            end_states = [
-                _moved_to_start(actor.grid.state.motion, travel)
-                for actor in self.actors
-            ]
-            gaps = [
-                first - end[0]
-                for first, end in zip(start_positions, end_states, strict=True)
-            ]
+            motions = [actor.grid.state.motion for actor in self.actors]
+            end_states = [_moved_to_start(state, travel) for state in motions]
+            pairs = zip(start_positions, end_states, strict=True)
+            gaps = [first - end[0] for first, end in pairs]
             residual = max(float(np.abs(gap).max(initial=0.0)) for gap in gaps)
             self.loop_closure = LoopClosure(repeat, residual, tolerance, is_steered)
             if residual <= tolerance or is_steered:
@@ -347,15 +336,12 @@ class AttachSimulation:
             # blended, its edges would be strained by that.
             if not (is_steered and len(actor.body.network.triangles)):
                 offset = so3.rotate(travel.rotation, gap)
-                row.simulated = [
-                    points + weight * offset
-                    for points, weight in zip(
-                        row.simulated, weights.tolist(), strict=True
-                    )
-                ]
+                frames = zip(row.simulated, weights.tolist(), strict=True)
+                row.simulated = [points + weight * offset for points, weight in frames]
             actor.meter = ContactMeter()
-            frames = zip(self.codes, row.simulated, row.surroundings, strict=True)
-            for code, points, surroundings in frames:
+            for code, points, surroundings in zip(
+                self.codes, row.simulated, row.surroundings, strict=True
+            ):
                 actor.measure(code, points, surroundings)
         return self._blend(motion, self._codes(self._prepended_frames, count), rows)
 
@@ -429,14 +415,10 @@ class AttachSimulation:
         reference = self._last_rotations.get(first, animated[0])
         aligned = so3.align_signs(blended, reference)
         self._last_rotations[first] = aligned[-1]
-        last_angles = so3.angle_between(animated[:, -1], aligned[:, -1]) * (
-            weights != 0
-        )
-        largest = max(
-            self.last_joint_angles.get(body.name, 0.0),
-            float(last_angles.max(initial=0.0)),
-        )
-        self.last_joint_angles[body.name] = largest
+        angles = so3.angle_between(animated[:, -1], aligned[:, -1])
+        largest = float((angles * (weights != 0)).max(initial=0.0))
+        earlier = self.last_joint_angles.get(body.name, 0.0)
+        self.last_joint_angles[body.name] = max(earlier, largest)
         # With weight 0 keep the animation bit for bit.
         return np.where((weights == 0)[:, None, None], animated, aligned)
 

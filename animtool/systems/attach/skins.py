@@ -98,9 +98,8 @@ def _build_skin(
     skin, vertices = surface.skin, surface.points
     assert skin is not None
     joint_indices = np.array([rig.index(name) for name in skin.joints], np.int64)
-    has_moving_weight = (skin.weights > 0) & np.isin(
-        joint_indices[skin.indices], moving_joints
-    )
+    is_moving = np.isin(joint_indices[skin.indices], moving_joints)
+    has_moving_weight = (skin.weights > 0) & is_moving
     corners = np.asarray(has_moving_weight.any(axis=1))[surface.indices]
     face_of_corner = np.repeat(np.arange(len(surface.counts)), surface.counts)
     is_used = np.bincount(face_of_corner, corners, len(surface.counts)) == 0
@@ -142,15 +141,12 @@ def triangulate_capped(
     triangles = triangulate(counts, indices)
     edge_corners = directed_edges(counts, indices)
     edge_keys = np.sort(edge_corners, axis=1) @ [point_count, 1]
-    _, edge_numbers, face_counts = np.unique(
-        edge_keys, return_inverse=True, return_counts=True
-    )
-    border_edges = edge_corners[face_counts[edge_numbers.reshape(-1)] == 1]
+    _, numbers, uses = np.unique(edge_keys, return_inverse=True, return_counts=True)
+    border_edges = edge_corners[uses[numbers.reshape(-1)] == 1]
     points, edge_points = np.unique(border_edges, return_inverse=True)
     edge_points = edge_points.reshape(-1, 2)
-    graph = coo_array(
-        (np.ones(len(edge_points)), edge_points.T), (len(points), len(points))
-    )
+    count = len(points)
+    graph = coo_array((np.ones(len(edge_points)), edge_points.T), (count, count))
     borders = np.zeros(0, np.int64)
     if len(points):
         borders = connected_components(graph, directed=False)[1].astype(np.int64)
@@ -178,9 +174,8 @@ def contact_offsets(
     Offsets are at most 0: points that start closer keep their initial distance. With
     ``inside``, points that start inside may stay as deep.
     """
-    collider = Colliders(
-        [Collider(Mesh(surface.points, surface.triangles, closed=True))]
-    )
-    distances = collider.sample(points, 0.0, 1.0).distances[0]
+    mesh = Mesh(surface.points, surface.triangles, closed=True)
+    samples = Colliders([Collider(mesh)]).sample(points, 0.0, 1.0)
+    distances = samples.distances[0]
     min_distance = -np.inf if inside else 0.0
     return np.asarray(np.clip(distances, min_distance, distance) - distance)

@@ -74,9 +74,8 @@ def check_motion(motion: FloatArray) -> None:
     if np.abs(motion).max(initial=0.0) <= MAX_VALUE:
         return
     magnitudes = np.abs(motion[0])
-    particle = int(
-        np.argmax(np.where(np.isnan(magnitudes), np.inf, magnitudes).max(axis=-1))
-    )
+    magnitudes = np.where(np.isnan(magnitudes), np.inf, magnitudes)
+    particle = int(np.argmax(magnitudes.max(axis=-1)))
     message = f"the simulation blew up: particle {particle} is at "
     message += f"{np.array2string(motion[0, particle], precision=3)} m"
     hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
@@ -165,11 +164,10 @@ class AttachedSprings:
             frequency=frequency,
             options=replace(options, ratio=damping / frequency),
         )
-        springs = AttachedSprings(
-            self._network, steered, self._down, self._frame_duration
-        )
+        duration = self._frame_duration
+        springs = AttachedSprings(self._network, steered, self._down, duration)
         goal, free = path.copy(), self._network.free
-        motion = steering.path(len(path) - 1, self._frame_duration)
+        motion = steering.path(len(path) - 1, duration)
         fraction = steering_frequency**2 / stiffness
         goal[:, free] += fraction * (motion[:, free] - goal[:, free])
         return springs, goal
@@ -245,9 +243,8 @@ def self_contact_distance(network: Network, settings: AttachSettings) -> float:
         return settings.thickness
     if not len(network.triangles):
         return 0.0
-    return min(
-        settings.radius or math.inf, THICKNESS_RATIO * median_edge_length(network)
-    )
+    distance = THICKNESS_RATIO * median_edge_length(network)
+    return min(settings.radius or math.inf, distance)
 
 
 def _build_system(

@@ -161,9 +161,8 @@ def _start_notices(actor: AttachmentActor) -> list[Fault]:
         springs = counted(actor.coincident_links, "spring")
         if actor.coincident_links == len(network.sides):
             springs = "every spring"
-        message = (
-            f"{name}: the ends of {springs} are at the same position in the first pose"
-        )
+        message = f"{name}: the ends of {springs} are at the same position in the "
+        message += "first pose"
         hint = "without a direction they have no effect until something separates them"
         notices.append(warning("SIM140", message, hint))
     return notices + actor.tangle_warnings
@@ -202,9 +201,8 @@ def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
 
 def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
     """Return a note or warning with the remaining gap of a cycle (SIM130, SIM133)."""
-    message = (
-        f"{names}: the cycle was simulated {counted(loop_closure.repeats, 'time')}; "
-    )
+    times = counted(loop_closure.repeats, "time")
+    message = f"{names}: the cycle was simulated {times}; "
     if loop_closure.is_steered:
         message += "it did not close by itself and was steered to the cycle before; "
     message += f"its ends differ by {plain_number(1000 * loop_closure.residual)} mm"
@@ -255,12 +253,10 @@ def simulate(
     bodies = build_bodies(stream.rig, options.what)
     frame_duration = float(stream.step / stream.fps)
     world = Colliders(options.colliders)
-    if build_colliders is not None and (
-        options.characters or options.systems or options.meshes
-    ):
-        stream, world = build_colliders(
-            stream, options, prepended_frames * frame_duration
-        )
+    names_colliders = options.characters or options.systems or options.meshes
+    if build_colliders is not None and names_colliders:
+        lead = prepended_frames * frame_duration
+        stream, world = build_colliders(stream, options, lead)
     start = stream.first_frame
     simulation = AttachSimulation(
         stream.rig,

@@ -134,11 +134,9 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     if points is None or not entry.can_build:
         return None
     count, length = points.shape[:2]
-    particle_mass = entry.mass / (count * length)
     structural, bend = entry.families["structural"], entry.families["bend"]
-    body = join(
-        [strand(row, structural, mass=particle_mass, bend=bend) for row in points]
-    )
+    mass = entry.mass / (count * length)
+    body = join([strand(row, structural, mass=mass, bend=bend) for row in points])
     particle_indices = np.arange(count * length).reshape(count, length)
     regions = {"roots": particle_indices[:, 0], "tips": particle_indices[:, -1]}
     shape = CurveShape(np.full(count, length), 2 * model.radius, body.springs)
@@ -148,10 +146,9 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
 def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
     """Build a sheet or mesh of cloth; return None if the keys have faults."""
     if model.mesh is not None:
+        keys = {"corner", "across", "up", "resolution"}
         reason = "applies to a sheet, but this is a mesh"
-        _report_unused_keys(
-            entry, model, {"corner", "across", "up", "resolution"}, reason
-        )
+        _report_unused_keys(entry, model, keys, reason)
         return _mesh_cloth(entry, model.mesh.prim)
     columns, rows = model.resolution
     _check_grid(entry, "cloth", model.resolution)
@@ -160,9 +157,8 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
         entry.report_fault("SIM050", message, "across")
     if not entry.can_build:
         return None
-    has_both_diagonals = (
-        model.springs.diagonals is None or model.springs.diagonals.ways == "both"
-    )
+    diagonals = model.springs.diagonals
+    has_both_diagonals = diagonals is None or diagonals.ways == "both"
     diagonal_family = entry.families["diagonals"]
     body = sheet(
         columns,
@@ -177,9 +173,8 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
         up=model.up,
     )
     grid = np.arange(rows * columns).reshape(rows, columns)
-    quads = np.stack(
-        [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=-1
-    )
+    corners = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    quads = np.stack(corners, axis=-1)
     counts = np.full((rows - 1) * (columns - 1), 4)
     regions = {
         "bottom_left": grid[0, :1],
@@ -200,9 +195,8 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
     fractions, flat_faces = _area_fractions(mesh.points, *faces)
     massless = np.flatnonzero(fractions == 0)
     if len(massless):
-        message = (
-            f"points of {prim} are in no face with an area: {excerpt_numbers(massless)}"
-        )
+        points = excerpt_numbers(massless)
+        message = f"points of {prim} are in no face with an area: {points}"
         entry.report_fault("SIM051", message, "mesh", "prim")
     if not entry.can_build:
         return None
@@ -211,9 +205,8 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
     edge_table = edge_counts(*faces)
     border_points = np.unique(edge_table[0][edge_table[1] == 1])
     notices = _mesh_warnings(prim, mesh.points, flat_faces, edge_table)
-    return SpringBody(
-        body, {"border": border_points}, FaceShape(*faces, body.springs), notices
-    )
+    shape = FaceShape(*faces, body.springs)
+    return SpringBody(body, {"border": border_points}, shape, notices)
 
 
 def _area_fractions(
@@ -231,9 +224,8 @@ def _area_fractions(
     areas = np.linalg.norm(np.add.reduceat(cross_products, starts), axis=1) / 2
     size = np.ptp(points, axis=0).max()
     areas[areas <= 1e-12 * size * size] = 0.0
-    return _corner_fractions(areas, counts, indices, len(points)), np.flatnonzero(
-        areas == 0
-    )
+    fractions = _corner_fractions(areas, counts, indices, len(points))
+    return fractions, np.flatnonzero(areas == 0)
 
 
 def _mesh_warnings(
@@ -249,9 +241,8 @@ def _mesh_warnings(
     duplicates = np.flatnonzero(counts[unique_indices.reshape(-1)] > 1)
     hints = {}
     if len(flat_faces):
-        hints[f"faces without an area: {excerpt_numbers(flat_faces)}"] = (
-            "the air does not act on them"
-        )
+        text = f"faces without an area: {excerpt_numbers(flat_faces)}"
+        hints[text] = "the air does not act on them"
     if len(duplicates):
         text = "points at the same position that nothing connects: "
         text += excerpt_numbers(duplicates)
@@ -259,9 +250,8 @@ def _mesh_warnings(
     nonmanifold = edge_table[0][edge_table[1] > 2]
     if len(nonmanifold):
         text = f"{counted(len(nonmanifold), 'edge')} of more than two faces, such as "
-        hints[text + f"{nonmanifold[0, 0]} to {nonmanifold[0, 1]}"] = (
-            "it bends less there"
-        )
+        text += f"{nonmanifold[0, 0]} to {nonmanifold[0, 1]}"
+        hints[text] = "it bends less there"
     return tuple(
         warning("SIM153", f"{prim} has {text}", hint) for text, hint in hints.items()
     )
@@ -276,20 +266,15 @@ def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
     x, y, z = model.resolution
     _check_grid(entry, "a volume", model.resolution)
     if min(model.size) <= 0:
-        message = (
-            f"its size must be above 0 in each direction, not {listed(model.size)}"
-        )
+        size = listed(model.size)
+        message = f"its size must be above 0 in each direction, not {size}"
         entry.report_fault("SIM050", message, "size")
     if not entry.can_build:
         return None
-    body = block(
-        (x, y, z),
-        model.size,
-        mass=entry.mass / (x * y * z),
-        corner=model.corner,
-        **entry.families,
-    )
-    grid = np.arange(x * y * z).reshape(z, y, x)
+    count, families = x * y * z, entry.families
+    mass = entry.mass / count
+    body = block((x, y, z), model.size, mass=mass, corner=model.corner, **families)
+    grid = np.arange(count).reshape(z, y, x)
     names = ("back", "front"), ("bottom", "top"), ("left", "right")
     return SpringBody(body, _grid_sides(grid, *names), _skin_shape(body))
 
@@ -328,9 +313,8 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
         return f"a corner is outside the {len(points)} points"
     massless = np.flatnonzero(_volume_fractions(points, cells.astype(np.int64)) == 0)
     if len(massless):
-        return (
-            f"points are in no tetrahedron with a volume: {excerpt_numbers(massless)}"
-        )
+        numbers = excerpt_numbers(massless)
+        return f"points are in no tetrahedron with a volume: {numbers}"
     return ""
 
 

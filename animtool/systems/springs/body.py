@@ -121,9 +121,7 @@ def build_body(
 ) -> Body:
     """Return a body with springs of all given families; None families are skipped."""
     points = as_floats(positions, ("N", 3), "positions")
-    particle_masses = np.broadcast_to(
-        np.asarray(masses, np.float64), len(points)
-    ).copy()
+    particle_masses = np.full(len(points), masses, np.float64)
     springs = [
         springs_between(ends, family, points, particle_masses)
         for ends, family in families
@@ -145,9 +143,8 @@ def join(bodies: Sequence[Body]) -> Body:
     offsets = np.cumsum([0, *(len(body.positions) for body in bodies)])
     springs = Springs.concatenate([Springs.none(), *(body.springs for body in bodies)])
     shifts = np.repeat(offsets[:-1], [len(body.springs.rest) for body in bodies])
-    faces = [
-        body.triangles + offset for body, offset in zip(bodies, offsets, strict=False)
-    ]
+    rows = zip(bodies, offsets, strict=False)
+    faces = [body.triangles + offset for body, offset in rows]
     return Body(
         np.concatenate([np.zeros((0, 3)), *(body.positions for body in bodies)]),
         np.concatenate([np.zeros(0), *(body.masses for body in bodies)]),
@@ -193,9 +190,8 @@ def weld(body: Body, pairs: ArrayLike) -> Welded:
         replacements[replacements == replacements[removed]] = replacements[replacement]
     remaining, rows = np.unique(replacements, return_inverse=True)
     rows = rows.reshape(-1)
-    gaps: FloatArray = np.linalg.norm(
-        body.positions - body.positions[replacements], axis=1
-    )
+    offsets = body.positions - body.positions[replacements]
+    gaps: FloatArray = np.linalg.norm(offsets, axis=1)
     masses = np.zeros(len(remaining))
     np.add.at(masses, rows, body.masses)
     springs = replace(body.springs, ends=rows[body.springs.ends])

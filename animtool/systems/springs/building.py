@@ -75,17 +75,13 @@ class _SystemBuilder:
         views: list[SpringView] = []
         for member, rows in zip(context.members, self._rows, strict=True):
             entry: SpringEntry = member.record
-            spring_rows = slice(
-                spring_count, spring_count + len(entry.body.body.springs.rest)
-            )
-            spring_count = spring_rows.stop
+            first_spring = spring_count
+            spring_count += len(entry.body.body.springs.rest)
+            springs = slice(first_spring, spring_count)
             notices = (*entry.body.notices, *(() if views else self._notices))
-            views.append(
-                SpringView(
-                    simulation, member, rows, spring_rows, notices, is_first=not views
-                )
-            )
-
+            is_first = not views
+            view = SpringView(simulation, member, rows, springs, notices, is_first)
+            views.append(view)
         simulation.views = views
         return simulation
 
@@ -132,11 +128,8 @@ class _SystemBuilder:
                 points = welded.body.positions[rows]
                 particle_constraints.append(wind_targets(wind, points, drags, span))
             for constraint in particle_constraints:
-                all_constraints.append(
-                    replace(
-                        constraint, particles=rows[np.asarray(constraint.particles)]
-                    )
-                )
+                particles = rows[np.asarray(constraint.particles)]
+                all_constraints.append(replace(constraint, particles=particles))
             contact = entry.spec.contact or contact
         system = SpringSystem(
             welded.body,
@@ -166,11 +159,10 @@ class _SystemBuilder:
                 points = system.body.positions[pinned]
                 self._warn_distant_pins(entry.spec.name, pin.carrier, bodies, points)
                 frame = bodies.start(pin.carrier).rows[0]
+                columns = [column_of_particle[n] for n in pinned.tolist()]
                 ties.append(
                     Tie(
-                        np.array(
-                            [column_of_particle[n] for n in pinned.tolist()], np.int64
-                        ),
+                        np.array(columns, np.int64),
                         names.index(pin.carrier.system),
                         bodies.body_index(pin.carrier),
                         so3.rotate(so3.conjugate(frame[3:]), points - frame[:3]),
@@ -188,18 +180,15 @@ class _SystemBuilder:
         gap, size = bodies.surface_distance(carrier, points)
         if gap > size:
             message = f"pins of {name} start {length_text(gap)} from the surface of "
-            message += (
-                f"{carrier.body!r}, which has a size of {length_text(size)}: it is "
-            )
-            message += "moved as by a rigid arm"
+            message += f"{carrier.body!r}, which has a size of {length_text(size)}: "
+            message += "it is moved as by a rigid arm"
             hint = "place the particles at the body, or give the pin an offset"
             self._notices.append(warning("SIM160", message, hint, carrier.where))
 
     def _settle(self, system: SpringSystem) -> SpringSystem:
         """Return the system starting in static equilibrium; warn if it has none."""
-        equilibrium = find_rest(
-            system, self._context.begin, progress=self._context.phase()
-        )
+        progress = self._context.phase()
+        equilibrium = find_rest(system, self._context.begin, progress=progress)
         if not equilibrium.solved:
             message = "no rest state was found: forces of "
             message += f"{equilibrium.residual:.2g} N remain"
@@ -213,11 +202,10 @@ class _SystemBuilder:
     def _warn_gap(self, subject: str, gap: float) -> None:
         """Warn about merged or pinned particles that start a gap [m] apart."""
         if gap > MAX_GAP:
-            message = (
-                f"{subject} {length_text(gap)} from where they are built: springs "
-            )
+            distance = length_text(gap)
+            message = f"{subject} {distance} from where they are built: springs pull"
             hint = "place them to match, or give pins an offset"
-            self._notices.append(warning("SIM150", f"{message}pull", hint, "pins"))
+            self._notices.append(warning("SIM150", message, hint, "pins"))
 
 
 def _stands_on_pins(system: SpringSystem) -> bool:

@@ -6,7 +6,14 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, counted, warning
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    counted,
+    refuse,
+    refuse_all,
+    warning,
+)
 from animtool.core.options import range_faults
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
@@ -25,15 +32,12 @@ def excerpt_numbers(numbers: IntArray) -> str:
 def check_body(body: Body, pinned: IntArray, target_particles: IntArray) -> None:
     """Raise OptionError for invalid particles, springs, pins or targets."""
     count = len(body.positions)
-    nonfinite_particles = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
-    faults = _faults_by_particle(
-        "SIM041", "its position is not finite", nonfinite_particles
-    )
+    nonfinite = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
+    faults = _faults_by_particle("SIM041", "its position is not finite", nonfinite)
     faults += _particle_faults(pinned, "pins", count)
     pinned_particles, counts = np.unique(pinned, return_counts=True)
-    faults += _faults_by_particle(
-        "SIM043", "it is pinned twice", pinned_particles[counts > 1]
-    )
+    pinned_twice = pinned_particles[counts > 1]
+    faults += _faults_by_particle("SIM043", "it is pinned twice", pinned_twice)
     faults += _particle_faults(target_particles, "targets", count)
     is_free = np.ones(count, bool)
     is_free[pinned[(pinned >= 0) & (pinned < count)]] = False
@@ -47,9 +51,8 @@ def check_body(body: Body, pinned: IntArray, target_particles: IntArray) -> None
     )
     faults += _spring_faults(body.springs, count)
     has_unknown_corner = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
-    faults += _faults_by_row(
-        "triangle {} has a corner that does not exist", has_unknown_corner
-    )
+    message = "triangle {} has a corner that does not exist"
+    faults += _faults_by_row(message, has_unknown_corner)
     if faults:
         raise OptionError(faults)
 
@@ -74,7 +77,7 @@ def check_path(
         row = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
         message = f"positions at {knots[row]:g} s are not finite"
     if message:
-        raise OptionError(Fault("SIM044", message, where=name))
+        refuse("SIM044", message, name)
     return knots, path
 
 
@@ -90,11 +93,8 @@ def start_notices(body: Body) -> list[Fault]:
         if coincident_count == len(gaps)
         else f"{coincident_count} of {len(gaps)} springs"
     )
-    message = (
-        f"the ends of {subject} are at the same position: without a direction they "
-        "have "
-    )
-    message += "no effect until something separates them"
+    message = f"the ends of {subject} are at the same position: without a direction "
+    message += "they have no effect until something separates them"
     return [warning("SIM140", message, None, "body")]
 
 
@@ -133,9 +133,8 @@ def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]
 def _spring_faults(springs: Springs, count: int) -> list[Fault]:
     """Return faults of springs with unknown ends or invalid properties (SIM042)."""
     has_unknown_end = ((springs.ends < 0) | (springs.ends >= count)).any(axis=1)
-    faults = _faults_by_row(
-        "spring {} joins a particle that does not exist", has_unknown_end
-    )
+    message = "spring {} joins a particle that does not exist"
+    faults = _faults_by_row(message, has_unknown_end)
     joins_itself = springs.ends[:, 0] == springs.ends[:, 1]
     faults += _faults_by_row("spring {} joins a particle to itself", joins_itself)
     with np.errstate(invalid="ignore"):
@@ -145,13 +144,11 @@ def _spring_faults(springs: Springs, count: int) -> list[Fault]:
             (springs.damping, "damping"),
         ):
             is_invalid = ~((values >= 0) & np.isfinite(values))
-            faults += _faults_by_row(
-                f"spring {{}} has a {name} below 0 or not finite", is_invalid
-            )
+            message = f"spring {{}} has a {name} below 0 or not finite"
+            faults += _faults_by_row(message, is_invalid)
         has_invalid_limit = ~(springs.limit >= springs.rest)
-    return faults + _faults_by_row(
-        "spring {} tears before it is stretched", has_invalid_limit
-    )
+    message = "spring {} tears before it is stretched"
+    return faults + _faults_by_row(message, has_invalid_limit)
 
 
 def check_self_contact(contact: SelfContact, body: Body) -> None:
@@ -166,10 +163,7 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
             messages.append(f"rest must have shape {shape}, not {rest.shape}")
         elif not np.isfinite(rest).all():
             messages.append("rest must be finite")
-    if messages:
-        raise OptionError(
-            [Fault("SIM045", message, where="self_contact") for message in messages]
-        )
+    refuse_all("SIM045", [(message, "self_contact", None) for message in messages])
 
 
 def tangle_notices(
@@ -214,5 +208,4 @@ def check_supports_self_contact(solver: Solver) -> None:
     """Raise if a solver does not support self-contact (SIM046)."""
     if solver not in {Solver.AUTO, Solver.XPBD}:
         message = f"{solver} has no self-contact"
-        hint = "use xpbd or auto"
-        raise OptionError(Fault("SIM046", message, where="solver", hint=hint))
+        refuse("SIM046", message, "solver", "use xpbd or auto")

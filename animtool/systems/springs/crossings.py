@@ -130,18 +130,12 @@ def thin_notices(
     names = ", ".join(label for _, label in thin[:MAX_NAMED])
     extra_count = len(thin) - MAX_NAMED
     names += f" and {extra_count} more" if extra_count > 0 else ""
-    message = (
-        f"{names}: a collider {length_text(thinnest)} thick is thinner than the gap "
-    )
-    message += (
-        f"between particles of {name}, up to {length_text(stretched_gap)} when "
-        "stretched:"
-    )
+    message = f"{names}: a collider {length_text(thinnest)} thick is thinner than the "
+    message += f"gap between particles of {name}, up to {length_text(stretched_gap)} "
+    message += "when stretched:"
     if has_faces:
-        message += (
-            " its faces are stopped, and what is attached on either side of them may "
-        )
-        message += "have passed through itself, as its self_contact is off"
+        message += " its faces are stopped, and what is attached on either side of "
+        message += "them may have passed through itself, as its self_contact is off"
         return [warning("SIM195", message, "set self_contact with a thickness")]
     message += " it may pass through between them"
     hint = "use more particles, a thicker collider, or a larger radius"

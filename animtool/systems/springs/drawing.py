@@ -42,10 +42,9 @@ class CurveShape:
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> CurvesFrame:
         """Return curves at points ``(N, 3)`` [m], split at torn springs ``(S,)``."""
+        width = self.width
         if not torn.any():
-            return CurvesFrame(
-                points, velocities, self.counts, self.width, self.can_tear
-            )
+            return CurvesFrame(points, velocities, self.counts, width, self.can_tear)
         is_last = np.zeros(len(points), bool)
         is_last[np.cumsum(self.counts) - 1] = True
         is_torn = torn[self._next_springs] & (self._next_springs >= 0)
@@ -54,9 +53,7 @@ class CurveShape:
         sizes = np.bincount(curve_of_particle)
         is_drawn = sizes[curve_of_particle] > 1
         counts = sizes[sizes > 1]
-        return CurvesFrame(
-            points[is_drawn], velocities[is_drawn], counts, self.width, True
-        )
+        return CurvesFrame(points[is_drawn], velocities[is_drawn], counts, width, True)
 
     @cached_property
     def _next_springs(self) -> IntArray:
@@ -91,15 +88,11 @@ class FaceShape:
 
     def torn_shape(self, torn: BoolArray, positions: FloatArray) -> Tearing | FaceShape:
         """Return the surface split at torn side springs; mask ``(S,)``."""
-        if not (torn[self._spring_of_side] & (self._spring_of_side >= 0)).any():
+        sides = self._spring_of_side
+        if not (torn[sides] & (sides >= 0)).any():
             return self
         return tear_surface(
-            self.counts,
-            self.indices,
-            self._spring_of_side,
-            self.springs,
-            torn,
-            positions,
+            self.counts, self.indices, sides, self.springs, torn, positions
         )
 
     def intact_faces(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
@@ -172,11 +165,12 @@ class Tearing:
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> MeshFrame:
         """Return the mesh frame, as `FaceShape.row` does."""
-        point_motion = (
+        return MeshFrame(
             self.points(points, torn),
             self.velocities(points, velocities, torn),
+            self.counts,
+            self.indices,
         )
-        return MeshFrame(*point_motion, self.counts, self.indices)
 
     def points(self, particles: FloatArray, torn: BoolArray) -> FloatArray:
         """Return all points ``(size, 3)`` [m].
@@ -189,14 +183,12 @@ class Tearing:
         first, second = (particles[self.ends[:, k]] for k in (0, 1))
         halves = np.stack([(first + second) / 2] * 2, axis=1)
         neighbour_rotations = self.rotations.sample(particles)
+        half_edges = self.half_edges[is_torn]
         for k, sign in ((0, 1.0), (1, -1.0)):
-            end_rotations = neighbour_rotations[
-                self.rotations.rows(self.ends[is_torn, k])
-            ]
-            half_edges = sign * np.einsum(
-                "eij,ej->ei", end_rotations, self.half_edges[is_torn]
-            )
-            halves[is_torn, k] = particles[self.ends[is_torn, k]] + half_edges
+            ends = self.ends[is_torn, k]
+            rotations = neighbour_rotations[self.rotations.rows(ends)]
+            rotated = np.einsum("eij,ej->ei", rotations, half_edges)
+            halves[is_torn, k] = particles[ends] + sign * rotated
         middles = [
             middle.positions(particles, torn, self.rotations, neighbour_rotations)
             for middle in self.middles
@@ -235,15 +227,11 @@ class _NeighbourRotations:
 
     def sample(self, particles: FloatArray) -> FloatArray:
         """Return rotations ``(P, 3, 3)`` fitted to current positions ``(N, 3)``."""
-        neighbour_offsets = (
-            particles[self.neighbours] - particles[self.particles[self.owners]]
-        )
+        owners = self.particles[self.owners]
+        offsets = particles[self.neighbours] - particles[owners]
+        products = offsets[:, :, None] * self.rest_offsets[:, None, :]
         covariances = np.zeros((len(self.particles), 3, 3))
-        np.add.at(
-            covariances,
-            self.owners,
-            neighbour_offsets[:, :, None] * self.rest_offsets[:, None, :],
-        )
+        np.add.at(covariances, self.owners, products)
         scales = np.abs(covariances).max(axis=(1, 2), initial=0.0)
         scales[scales == 0] = 1.0
         return polar_rotations(covariances, scales)
@@ -274,15 +262,13 @@ class _Middle:
         # The runs after the last torn side join those before the first.
         group_of_run = np.mod(np.cumsum(is_torn) - is_torn, group_count)
         corner_rotations = rotations[neighbours.rows(self.corners)]
-        predicted = particles[self.corners] + np.einsum(
-            "cij,cj->ci", corner_rotations, self.rest_offsets
-        )
+        offsets = np.einsum("cij,cj->ci", corner_rotations, self.rest_offsets)
+        predicted = particles[self.corners] + offsets
         group_of_corner = group_of_run[self.run_of_corner]
         sums = np.zeros((group_count, 3))
         np.add.at(sums, group_of_corner, predicted)
-        centres: FloatArray = (
-            sums[group_of_run] / np.bincount(group_of_corner)[group_of_run][:, None]
-        )
+        counts = np.bincount(group_of_corner)
+        centres: FloatArray = sums[group_of_run] / counts[group_of_run][:, None]
         return centres
 
 
@@ -348,9 +334,8 @@ def tear_surface(
         size += len(runs)
     edge_vectors = positions[ends[:, 1]] - positions[ends[:, 0]]
     lengths = np.linalg.norm(edge_vectors, axis=1)
-    half_fractions = (
-        springs.rest[torn_springs] / np.where(lengths > 0, lengths, 1.0) / 2
-    )
+    divisors = np.where(lengths > 0, lengths, 1.0)
+    half_fractions = springs.rest[torn_springs] / divisors / 2
     rotated_particles = [ends.ravel(), *(middle.corners for middle in middles)]
     intact_springs = sides[~is_cut & (sides >= 0)]
     return Tearing(
@@ -383,9 +368,7 @@ def _runs(corners: Sequence[int], torn_springs: Sequence[int]) -> Iterator[_Run]
     """
     count = len(corners)
     cut_sides = [i for i in range(count) if torn_springs[i] >= 0]
-    for start, end in zip(
-        cut_sides, [*cut_sides[1:], cut_sides[0] + count], strict=True
-    ):
+    for start, end in pairwise([*cut_sides, cut_sides[0] + count]):
         run = [corners[i % count] for i in range(start + 1, end + 1)]
         yield torn_springs[start], run, torn_springs[end % count]
 
@@ -397,9 +380,8 @@ def _build_middle(
     corners = np.array([corner for _, run, _ in runs for corner in run])
     run_of_corner = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
     next_springs = np.array([next_springs for _, _, next_springs in runs])
-    return _Middle(
-        corners, run_of_corner, next_springs, rest_position - positions[corners]
-    )
+    rest_offsets = rest_position - positions[corners]
+    return _Middle(corners, run_of_corner, next_springs, rest_offsets)
 
 
 def polar_rotations(covariances: FloatArray, scales: FloatArray) -> FloatArray:

@@ -138,10 +138,9 @@ def join_pairs(members: Sequence[Member], starts: IntArray) -> IntArray:
     for member, start in zip(members, starts, strict=False):
         for join in member.record.joins:
             k = names.index(join.to.system)
-            kept_indices = np.array(
-                particle_indices(join.to.particles, members[k].record.body)[0]
-            )
-            rows = np.broadcast_arrays(join.particles + start, kept_indices + starts[k])
+            body = members[k].record.body
+            kept = np.array(particle_indices(join.to.particles, body)[0])
+            rows = np.broadcast_arrays(join.particles + start, kept + starts[k])
             pairs.append(np.stack(rows, axis=1))
     return np.concatenate(pairs)
 
@@ -184,9 +183,8 @@ def _check_tied(entry: BodyEntry) -> None:
         entry.report_fault("SIM063", message, "error", hint="set a step")
     if spec.solver not in TIED_SOLVERS:
         message = f"{spec.solver} does not compute the force of pins on a body"
-        entry.report_fault(
-            "SIM163", message, "solver", hint="use auto, bdf2 or implicit_euler"
-        )
+        hint = "use auto, bdf2 or implicit_euler"
+        entry.report_fault("SIM163", message, "solver", hint=hint)
     if spec.contact is not None:
         message = "a surface with self-contact is simulated by xpbd, which "
         message += "does not compute the force of pins on a body"
@@ -202,10 +200,8 @@ def _families(entry: BodyEntry) -> dict[str, Family | None]:
     }
     if not any(families.values()):
         message = "it has no springs, so its particles fall separately"
-        hint = f"add some of {', '.join(models)}"
-        entry.add_fault(
-            Fault("SIM050", message, hint=hint), "springs", recoverable=True
-        )
+        fault = Fault("SIM050", message, hint=f"add some of {', '.join(models)}")
+        entry.add_fault(fault, "springs", recoverable=True)
     return families
 
 

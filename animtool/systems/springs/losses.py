@@ -49,11 +49,9 @@ class EnergyLoss:
         """Return a warning if a solver dissipates much energy (SIM196)."""
         if not self.fraction >= MIN_REPORTED_FRACTION:
             return []
-        message = (
-            f"{solver} damps the motion: it dissipated "
-            f"{percent_text(self.fraction)} of its "
-        )
-        message += f"energy within {plain_number(self._duration)} s, but no drag or "
+        loss = percent_text(self.fraction)
+        message = f"{solver} damps the motion: it dissipated {loss} of its energy "
+        message += f"within {plain_number(self._duration)} s, but no drag or "
         message += "damping is given"
         hint = "use auto or bdf2, which conserve it, or a shorter step"
         return [warning("SIM196", message, hint)]

@@ -151,9 +151,8 @@ def piercing_notices(piercing: Piercing, subject: str = "the surface") -> list[F
         message = f"{pairs} of edges cut through each other in {subject}"
         notices.append(warning("SIM167", message, thickness_hint))
     if piercing.rate:
-        message = (
-            f"parts of {subject} moved past each other by many thicknesses in a step"
-        )
+        message = f"parts of {subject} moved past each other by many thicknesses in a "
+        message += "step"
         hint = "use a shorter step"
         if MAX_RATE < piercing.rate < math.inf:
             hint = "no step resolves it: check speeds, lengths and their units"

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, warning
 from animtool.core.quantities import floor_to_two_digits, length_text, plain_number
 from animtool.sim.trajectory import Stats, Status
-from animtool.systems.springs.motion import piercing_notices
-from animtool.systems.springs.records import Solver
-from animtool.systems.springs.solvers import find_solvable_step
-
-if TYPE_CHECKING:
-    from animtool.systems.springs.simulation import SpringSimulation
+from animtool.systems.springs.motion import TimeGrid, piercing_notices
+from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.solvers import SolverChoice, find_solvable_step
+from animtool.systems.springs.system import SpringSystem
 
 # Multiple of the xpbd strain limit above which compliance is reported: it is then at
 # least three quarters of the strain.
@@ -21,7 +19,26 @@ COMPLIANCE_FACTOR = 2
 MIN_MASS_RATIO = 0.01
 
 
-def motion_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
+class _Simulation(Protocol):
+    """Springs in motion, with the counts that warnings report."""
+
+    system: SpringSystem
+    options: SpringOptions
+    choice: SolverChoice
+    grid: TimeGrid
+    unsolved_grid: TimeGrid | None
+    min_applied_fraction: float
+    longest: float
+
+    @property
+    def is_auto(self) -> bool: ...
+    @property
+    def is_overstrained(self) -> bool: ...
+    @property
+    def shortest_step(self) -> float: ...
+
+
+def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     """Return warnings about the motion so far, with the reason of a stop last."""
     notices = [
         *simulation.system.colliders.surfaces.notices(),
@@ -36,24 +53,22 @@ def motion_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
         hint += "several sides"
         notices.append(warning("SIM123", message, hint))
     if simulation.min_applied_fraction < 1:
+        fraction = f"{simulation.min_applied_fraction:.0%}"
         message = "what presses on a rigid body is heavier than the body: only "
-        message += (
-            f"{simulation.min_applied_fraction:.0%} of the push acts, to keep it stable"
-        )
+        message += f"{fraction} of the push acts, to keep it stable"
         hint = "give the body more mass, or less to what rests on it"
         notices.append(warning("SIM135", message, hint))
     return notices + piercing_notices(simulation.grid.piercing)
 
 
-def _step_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
+def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     """Return warnings about unstable steps, and the reason of a stop."""
     notices, choice = [], simulation.choice
     limit, h = choice.limit, choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
         message = f"{choice.solver} is not stable with steps of {plain_number(h)} s"
-        notices.append(
-            warning("SIM101", message, f"it is stable up to {plain_number(limit)} s")
-        )
+        hint = f"it is stable up to {plain_number(limit)} s"
+        notices.append(warning("SIM101", message, hint))
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
         hint = f"semi-implicit Euler is stable with steps up to {plain_number(limit)} s"
@@ -68,7 +83,7 @@ def _step_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
     return notices
 
 
-def _strain_notices(simulation: SpringSimulation) -> list[Fault]:
+def _strain_notices(simulation: _Simulation) -> list[Fault]:
     """Return warnings about springs that xpbd strains too far."""
     options = simulation.options
     if simulation.is_overstrained and not simulation.is_auto:
@@ -87,7 +102,7 @@ def _strain_notices(simulation: SpringSimulation) -> list[Fault]:
     return []
 
 
-def _convergence_hint(simulation: SpringSimulation) -> str:
+def _convergence_hint(simulation: _Simulation) -> str:
     """Return a hint on what to change when Newton's method does not converge."""
     system, unsolved = simulation.system, simulation.unsolved_grid
     step = None if unsolved is None else find_solvable_step(system, unsolved)
@@ -102,23 +117,20 @@ def _convergence_hint(simulation: SpringSimulation) -> str:
     spring_mass = float(system.free_masses.sum())
     if lightest is not None and lightest[1] < MIN_MASS_RATIO * spring_mass:
         name, mass = lightest
-        advice = (
-            f"more mass than {plain_number(mass)} kg for {excerpt(name)}, which the "
-        )
-        advice += f"springs of {plain_number(spring_mass)} kg make unstable"
+        advice = f"more mass than {plain_number(mass)} kg for {excerpt(name)}, which "
+        advice += f"the springs of {plain_number(spring_mass)} kg make unstable"
         hint = advice if step is None else f"{hint}, or {advice}"
     return hint
 
 
-def _no_solver_warning(simulation: SpringSimulation, stats: Stats) -> Fault:
+def _no_solver_warning(simulation: _Simulation, stats: Stats) -> Fault:
     """Return a warning that no solver suits ``auto``, with alternatives (SIM178)."""
     choice, strain = simulation.choice, simulation.grid.stretch
     message = f"auto finds no solver for it: {choice.solver}, chosen because "
     message += f"{choice.reason}, leaves a spring strained by {strain:.2%} "
     message += f"at {stats.time:.6g} s, in steps of "
-    message += (
-        f"{plain_number(simulation.shortest_step)} s; {simulation.options.stretch:.2%} "
-    )
+    message += f"{plain_number(simulation.shortest_step)} s; "
+    message += f"{simulation.options.stretch:.2%} "
     hint = "use less stiffness or more uniform masses, a larger "
     hint += f"stretch, or solver: {choice.solver}, which continues"
     return warning("SIM178", message + "is allowed", hint)

@@ -84,9 +84,8 @@ def resample_to_shared_times(
     for times, path in paths:
         is_constant = len(times) == 1
         is_aligned = is_constant or np.array_equal(times, knots)
-        resampled.append(
-            np.ascontiguousarray(path if is_aligned else _resample(times, path, knots))
-        )
+        positions = path if is_aligned else _resample(times, path, knots)
+        resampled.append(np.ascontiguousarray(positions))
     return knots, resampled
 
 
@@ -99,12 +98,9 @@ def merge_constraints(
         return None
     names = {field.name for field in fields(kind)} - {"positions", "times"}
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(constraint, name) for constraint in merged])
-        for name in names
+        name: np.concatenate([getattr(row, name) for row in merged]) for name in names
     }
-    paths: list[Any] = [
-        (constraint.times, constraint.positions) for constraint in merged
-    ]
+    paths: list[Any] = [(row.times, row.positions) for row in merged]
     times, positions = _merge_paths(paths)
     return kind(positions=positions, times=times, **columns)
 
@@ -132,9 +128,8 @@ def max_speed_and_travel(path: Path) -> tuple[float, float]:
     times, positions = path
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
-    return speed, float(
-        np.linalg.norm(positions - positions[:1], axis=2).max(initial=0.0)
-    )
+    distances = np.linalg.norm(positions - positions[:1], axis=2)
+    return speed, float(distances.max(initial=0.0))
 
 
 def _resample(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
@@ -170,9 +165,8 @@ class Teleports:
         self._group_of_particle = np.zeros(len(body.positions), np.int64)
         if is_too_fast.any():
             self._group_of_particle = _connected_groups(body)
-        self._teleporting = _teleports_by_group(
-            is_too_fast, self._group_of_particle[driven_particles]
-        )
+        groups = self._group_of_particle[driven_particles]
+        self._teleporting = _teleports_by_group(is_too_fast, groups)
         self._teleport_knots: IntArray = np.flatnonzero(self._teleporting.any(axis=1))
         # Times of the teleports ``(J,)`` [s].
         self.times: FloatArray = self._knots[self._teleport_knots + 1]
@@ -187,10 +181,8 @@ class Teleports:
 
     def _cells_until_teleports(self, grid: TimeGrid) -> list[int]:
         """Return the number of cells from the grid's current cell to each teleport."""
-        cells = [
-            (t - TIME_TOLERANCE - grid.origin) / grid.cell for t in self.times.tolist()
-        ]
-        return [math.ceil(cell) - 1 - grid.index for cell in cells]
+        times = (self.times - TIME_TOLERANCE - grid.origin) / grid.cell
+        return [math.ceil(cell) - 1 - grid.index for cell in times.tolist()]
 
     def cell_stage(self, grid: TimeGrid) -> int:
         """Return the stage of the next cell of a grid."""
@@ -198,9 +190,8 @@ class Teleports:
 
     def cells_until_next(self, grid: TimeGrid) -> float:
         """Return the number of cells from the current cell to the next teleport."""
-        return min(
-            (c for c in self._cells_until_teleports(grid) if c > 0), default=math.inf
-        )
+        cells = (cell for cell in self._cells_until_teleports(grid) if cell > 0)
+        return min(cells, default=math.inf)
 
     def paths(self, stage: int) -> list[Path]:
         """Return times and positions of pins, and of targets, in a stage."""
@@ -221,9 +212,8 @@ class Teleports:
         """Return a state ``(2, N, 3)`` after the teleports between two stages."""
         result = state.copy() if end > begin else state
         for row in self._teleport_knots[begin:end].tolist():
-            for group in np.unique(
-                self._group_of_particle[self._driven_particles[self._teleporting[row]]]
-            ):
+            particles = self._driven_particles[self._teleporting[row]]
+            for group in np.unique(self._group_of_particle[particles]):
                 self._move_group(result, row, int(group))
         return result
 

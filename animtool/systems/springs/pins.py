@@ -48,9 +48,8 @@ class Pin:
     def offset(self) -> list[float] | None:
         """Position in the frame of the carrier [m]; None keeps that at 0 s."""
         carriers = (getattr(self.model, key) for key in CARRIER_KEYS)
-        return next(
-            (carrier.offset for carrier in carriers if carrier is not None), None
-        )
+        offsets = (carrier.offset for carrier in carriers if carrier is not None)
+        return next(offsets, None)
 
     def poses(self, poses_of: Callable[[Any], Poses]) -> Poses:
         """Return the poses of the carrier over time."""
@@ -73,9 +72,8 @@ class Pin:
         if self.carrier is None:
             return built_points
         bound_pose = poses.at(BIND_TIME)
-        return np.asarray(
-            so3.rotate(so3.conjugate(bound_pose[3:]), built_points - bound_pose[:3])
-        )
+        inverse_rotation = so3.conjugate(bound_pose[3:])
+        return so3.rotate(inverse_rotation, built_points - bound_pose[:3])
 
     def start(self, poses: Poses, points: FloatArray, begin: float) -> FloatArray:
         """Return world positions at the start time [s] ``(P, 3)`` [m]."""
@@ -105,9 +103,8 @@ def read_pins(
     models: Sequence[PinModel] = entry.spec.pins
     for i, (model, parts) in enumerate(zip(models, entry.parts["pins"], strict=True)):
         location: Location = ("pins", i)
-        particles = _particles_of(
-            entry, (*location, "particles"), parts["particles"], body
-        )
+        groups = parts["particles"]
+        particles = _particles_of(entry, (*location, "particles"), groups, body)
         if model.to is not None:
             _check_exclusive_keys(entry, location, model, "to")
             joins.append(Join(particles, model.to, f"pins[{i}].to"))
@@ -175,10 +172,8 @@ def _particles_of(
         if not any(isinstance(name, str) for name in group):
             explicit_indices += indices
     if len(set(explicit_indices)) < len(explicit_indices):
-        duplicates = sorted(
-            {n for n in explicit_indices if explicit_indices.count(n) > 1}
-        )
-        message = f"particles that appear twice: {listed(duplicates)}"
+        duplicates = {n for n in explicit_indices if explicit_indices.count(n) > 1}
+        message = f"particles that appear twice: {listed(sorted(duplicates))}"
         entry.report_fault("SIM052", message, *location)
     return np.array(list(dict.fromkeys(particles)), np.int64)
 
@@ -194,10 +189,8 @@ def particle_indices(
         if isinstance(name, str) and name in body.regions:
             indices += [int(n) for n in body.regions[name]]
         elif isinstance(name, str):
-            hint = (
-                nearest(name, region_names)
-                or f"use one of {listed(region_names)}, or numbers"
-            )
+            hint = nearest(name, region_names)
+            hint = hint or f"use one of {listed(region_names)}, or numbers"
             message = f"unknown particles {name!r}"
             faults.append((i, Fault("SIM052", message, hint=hint)))
         elif -count <= name < count:
@@ -248,13 +241,10 @@ def constraints_of(pins: PinPoses, points: FloatArray) -> list[Pins | PointTarge
         if model.stiffness is None:
             constraints.append(Pins(pin.particles, positions, poses.sample_times))
             continue
-        ones = np.ones(len(pin.particles))
+        ones, times = np.ones(len(pin.particles)), poses.sample_times
         stiffness, damping = model.stiffness * ones, model.damping * ones
-        constraints.append(
-            PointTargets(
-                pin.particles, positions, stiffness, damping, poses.sample_times
-            )
-        )
+        targets = PointTargets(pin.particles, positions, stiffness, damping, times)
+        constraints.append(targets)
     return constraints
 
 
@@ -266,9 +256,8 @@ def align_to_pins(pins: PinPoses, points: FloatArray, begin: float) -> FloatArra
     offset_pins = [(pin, poses) for pin, poses in pins if pin.offset is not None]
     if not offset_pins:
         return points
-    goal_points = np.concatenate(
-        [pin.start(poses, points, begin) for pin, poses in offset_pins]
-    )
+    starts = [pin.start(poses, points, begin) for pin, poses in offset_pins]
+    goal_points = np.concatenate(starts)
     pin_points = np.concatenate([points[pin.particles] for pin, _ in offset_pins])
     goal_centre, pin_centre = goal_points.mean(axis=0), pin_points.mean(axis=0)
     covariance = (goal_points - goal_centre).T @ (pin_points - pin_centre)
@@ -303,17 +292,13 @@ def wind_targets(
     if len(gusts):
         inner_times = gusts[(gusts[:, 0] > times[0]) & (gusts[:, 0] < times[1]), 0]
         interval_ends = np.unique(np.concatenate([times, inner_times]))
-        fractions = np.arange(GUST_STEPS) / GUST_STEPS
-        fine_times = (
-            interval_ends[:-1, None] + np.diff(interval_ends)[:, None] * fractions
-        )
+        steps = np.diff(interval_ends)[:, None] * (np.arange(GUST_STEPS) / GUST_STEPS)
+        fine_times = interval_ends[:-1, None] + steps
         times = np.append(fine_times.ravel(), interval_ends[-1])
     speeds = np.tile(np.array(wind.velocity), (len(times) - 1, 1))
     if len(gusts):
-        interval_middles = (times[:-1] + times[1:]) / 2
-        gust_speeds = [
-            np.interp(interval_middles, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)
-        ]
+        middles = (times[:-1] + times[1:]) / 2
+        gust_speeds = [np.interp(middles, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)]
         speeds = speeds + np.stack(gust_speeds, axis=1)
     displacements = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
     displacements = np.concatenate([np.zeros((1, 3)), displacements])

@@ -161,9 +161,8 @@ class _Configuration:
         self._free = np.flatnonzero(~system.fixed)
         self._masses = system.free_masses
         self.energy = system.energy(0.0, np.array((x, self._zero_velocities))).potential
-        self._forces = (
-            system.acceleration(0.0, x, self._zero_velocities) * self._masses[:, None]
-        )
+        accelerations = system.acceleration(0.0, x, self._zero_velocities)
+        self._forces = accelerations * self._masses[:, None]
         self.residual = float(np.abs(self._forces).max(initial=0.0))
         weights = self._masses * np.linalg.norm(system.gravity)
         max_weight = float(weights.max(initial=0.0))
@@ -172,9 +171,8 @@ class _Configuration:
         # Progress from the weight of a particle down to rounding level [1].
         self.progress = float(np.clip(decades / np.log10(RESIDUAL_TOLERANCE), 0.0, 1.0))
         self.rounding = ENERGY_ROUNDING * max(abs(self.energy), 1e-300)
-        stiffnesses = np.append(
-            system.body.springs.stiffness, system.target_springs.stiffness
-        )
+        families = system.body.springs, system.target_springs
+        stiffnesses = np.concatenate([springs.stiffness for springs in families])
         self.typical_stiffness = float(stiffnesses.max(initial=1.0))
 
     def newton_step(self, regularization: float) -> _Configuration | None:
@@ -230,9 +228,8 @@ def find_xpbd_rest(
         t: Time at which pins are sampled [s].
     """
     frozen = system.frozen_at(t, system.body)
-    tolerance = MAX_RELATIVE_GAP * float(
-        np.linalg.norm(np.ptp(system.state[0], axis=0))
-    )
+    size = float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
+    tolerance = MAX_RELATIVE_GAP * size
     substeps, work, is_auto = choice.substeps, 0, options.solver == Solver.AUTO
     previous: _Descent | None = None
     while True:

@@ -187,11 +187,8 @@ def _hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:
     opposite_corners = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
     first, second = coincident_edges(triangle_edges)
     is_mesh_edge = _contains_pairs(np.sort(triangle_edges[first], axis=1), mesh_edges)
-    return unique_pairs(
-        np.stack([opposite_corners[first], opposite_corners[second]], axis=1)[
-            is_mesh_edge
-        ]
-    )
+    pairs = np.stack([opposite_corners[first], opposite_corners[second]], axis=1)
+    return unique_pairs(pairs[is_mesh_edge])
 
 
 def _contains_pairs(pairs: IntArray, allowed: IntArray) -> BoolArray:
@@ -229,10 +226,9 @@ def block(
     grid = np.arange(np.prod(counts)).reshape(counts[::-1])
     z, y, x = np.indices(grid.shape)
     steps = np.maximum(np.array(counts) - 1, 1)
+    origin, lengths = (np.asarray(vector, np.float64) for vector in (corner, size))
     fractions = np.stack([x, y, z], axis=-1).reshape(-1, 3) / steps
-    positions = np.asarray(corner, np.float64) + fractions * np.asarray(
-        size, np.float64
-    )
+    positions = origin + fractions * lengths
     offsets = [offset for offset in product((-1, 0, 1), repeat=3) if offset > (0, 0, 0)]
     families = [
         (_grid_pairs(grid, *offset), family)
@@ -259,9 +255,8 @@ def tetrahedra(
     (6, 4)
     """
     corners = np.asarray(cells, np.int64).reshape(-1, 4)
-    cell_edges = np.concatenate(
-        [corners[:, list(ends)] for ends in combinations(range(4), 2)]
-    )
+    corner_pairs = map(list, combinations(range(4), 2))
+    cell_edges = np.concatenate([corners[:, ends] for ends in corner_pairs])
     faces = np.concatenate(
         [corners[:, side] for side in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])]
     )

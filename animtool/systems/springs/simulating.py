@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.core.errors import Fault, OptionError, warning
+from animtool.core.errors import Fault, refuse, warning
 from animtool.core.quantities import length_text
 from animtool.sim.checks import check_times
 from animtool.sim.trajectory import Checkpoint, Status
@@ -81,9 +81,8 @@ def simulate_springs(
         plan = SpringPlan(system, options, choice)
         return _run_plan(plan, start_grid, sample_times, progress)
     t = float(sample_times[0])
-    state = np.ascontiguousarray(
-        system.state if checkpoint is None else checkpoint.state
-    )
+    start = system.state if checkpoint is None else checkpoint.state
+    state = np.ascontiguousarray(start)
     _check_start(system, state)
     choice = choose_solver(system, options, solver, t, state)
 
@@ -105,7 +104,7 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
         particle = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
         message = f"particle {particle} is not finite at the start"
     if message:
-        raise OptionError(Fault("SIM003", message, where="state"))
+        refuse("SIM003", message, "state")
 
 
 def _refine_until(
@@ -129,10 +128,8 @@ def _refine_until(
     error_text = length_text(estimate) if math.isfinite(estimate) else "not known"
     message = f"the position error is {error_text}, but the limit is "
     message += length_text(error)
-    hint = (
-        "use bdf2, or raise the limit: motion after a fold or a contact is not smooth"
-    )
-    notice = warning("SIM142", message, hint)
+    hint = "use bdf2, or raise the limit: motion after a fold or a contact is not "
+    notice = warning("SIM142", message, hint + "smooth")
     return replace(coarse, notices=(*coarse.notices, notice))
 
 

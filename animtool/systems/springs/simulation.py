@@ -122,9 +122,8 @@ class SpringSimulation:
         """
         solver, has_colliders = self.choice.solver, self.system.colliders.active
         implicit_contacts = solver is not Solver.SYMPLECTIC_EULER and has_colliders
-        ignores_growth = (
-            implicit_contacts or solver is Solver.XPBD or self.system.ties is not None
-        )
+        is_tied = self.system.ties is not None
+        ignores_growth = implicit_contacts or solver is Solver.XPBD or is_tied
         growth = np.inf if ignores_growth else self.options.growth
         return IntegrateOptions(growth=growth, stretch=self.options.longest)
 
@@ -141,10 +140,9 @@ class SpringSimulation:
         self.grid = self._grid_at(state, t)
         start_grid, fraction = self._after_teleports(), dt / self.step_length
         with np.errstate(all="ignore"):
-            end_motion = advance(self.system, self.options, start_grid, 1).state.motion
-            motion = _interpolate(
-                start_grid.state.motion, end_motion, start_grid.cell, fraction
-            )
+            end = advance(self.system, self.options, start_grid, 1).state.motion
+            begin, cell = start_grid.state.motion, start_grid.cell
+            motion = _interpolate(begin, end, cell, fraction)
         if not np.isfinite(motion).all():
             self._stop(Status.UNSTABLE, "its state is not finite")
         return replace(state, motion=motion)
@@ -259,12 +257,10 @@ class SpringSimulation:
             body_pushes = np.zeros((bodies.count, 7))
             is_dynamic = bodies.owners >= 0
             np.add.at(body_pushes, bodies.owners[is_dynamic], pushes[is_dynamic])
-            fraction = np.minimum(
-                1.0, bodies.masses / np.maximum(body_pushes[:, 6], bodies.masses)
-            )
-            self.min_applied_fraction = min(
-                self.min_applied_fraction, float(fraction.min(initial=1.0))
-            )
+            pushing_masses = np.maximum(body_pushes[:, 6], bodies.masses)
+            fraction = np.minimum(1.0, bodies.masses / pushing_masses)
+            smallest = float(fraction.min(initial=1.0))
+            self.min_applied_fraction = min(self.min_applied_fraction, smallest)
             impulses = body_pushes[:, :6] * fraction[:, None]
             # A constant force over a cell moves bodies as an impulse at its middle.
             wrenches.append(Wrenches(impulses, self.grid.cell / 2 * impulses))

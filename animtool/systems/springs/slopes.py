@@ -26,14 +26,11 @@ def mode_bounds(forces: SpringForces) -> FloatArray | None:
     sum, with all springs of a particle taken as parallel; likewise for the damping. The
     first mode has all of the damping, the second only the drag.
     """
-    max_stiffness = _largest_row_sum(
-        forces, forces.springs.stiffness, forces.target_springs.stiffness
-    )
+    springs, targets = forces.springs, forces.target_springs
+    max_stiffness = _largest_row_sum(forces, springs.stiffness, targets.stiffness)
     if max_stiffness == 0:
         return None
-    damping = _largest_row_sum(
-        forces, forces.springs.damping, forces.target_springs.damping
-    )
+    damping = _largest_row_sum(forces, springs.damping, targets.damping)
     damping += float(forces.drags.max(initial=0.0))
     omega = float(np.sqrt(max_stiffness))
     min_drag = float(forces.drags.min(initial=0.0))
@@ -127,18 +124,12 @@ def _air_blocks(
     """Yield Jacobian blocks of air forces, by finite differences."""
     triangles, no_paths = forces.triangles, np.zeros((1, 0, 3))
     unit_masses, no_drags = np.ones(triangles.size), np.zeros(triangles.size)
-    faces = np.arange(triangles.size).reshape(-1, 3)
+    faces, air = np.arange(triangles.size).reshape(-1, 3), forces.air_coefficients
     separate_forces = SpringForces(
-        unit_masses,
-        no_drags,
-        Springs.none(),
-        faces,
-        np.zeros(3),
-        forces.air_coefficients,
+        unit_masses, no_drags, Springs.none(), faces, np.zeros(3), air
     )
-    network = separate_forces.network(
-        Paths(np.zeros(1), no_paths, no_paths, wind[None])
-    )
+    paths = Paths(np.zeros(1), no_paths, no_paths, wind[None])
+    network = separate_forces.network(paths)
     state = np.stack([x[triangles.ravel()], v[triangles.ravel()]])
     for column in range(3):
         derivatives = [
@@ -158,9 +149,8 @@ def _finite_differences(
     ``(T, 3, 3, 3)``: triangle, corner, force component, position component.
     """
     untorn_flags = np.zeros(0, np.uint8)
-    increment = DIFFERENCE_STEP * max(
-        float(np.abs(state[variable]).max(initial=0.0)), 1e-3
-    )
+    magnitude = float(np.abs(state[variable]).max(initial=0.0))
+    increment = DIFFERENCE_STEP * max(magnitude, 1e-3)
     columns = []
     for k in range(3):
         values = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import refuse
 from animtool.core.record import dataclass
 from animtool.sim.integrators.table import find_integrator
 from animtool.sim.modes import allowed_step
@@ -115,13 +115,10 @@ def choose_solver(
     if solver is Solver.SYMPLECTIC_EULER:
         max_rate = MAX_SUBSTEPS / CELL
         if rate > max_rate:
-            message = (
-                f"{solver} needs {rate:.3g} steps per second, but the limit is "
-                f"{max_rate:.3g}"
-            )
+            message = f"{solver} needs {rate:.3g} steps per second, but the limit is "
+            message += f"{max_rate:.3g} at most"
             hint = "use bdf2 or auto, less stiffness or damping, or more mass"
-            fault = Fault("SIM004", f"{message} at most", where="solver", hint=hint)
-            raise OptionError(fault)
+            refuse("SIM004", message, "solver", hint)
         steps = max(1, math.ceil(CELL * rate))
         return SolverChoice(solver, CELL, steps, reason, limit)
     return SolverChoice(solver, CELL, INITIAL_SUBSTEPS[solver], reason, limit)
@@ -141,9 +138,8 @@ def choose_tied_solver(
     lengths = sorted({carrier.step for carrier in ties.carriers})
     max_length = lengths[-1]
     cell = max_length
-    substeps = max(
-        INITIAL_SUBSTEPS[solver], math.ceil(cell / CELL * INITIAL_SUBSTEPS[solver])
-    )
+    min_substeps = INITIAL_SUBSTEPS[solver]
+    substeps = max(min_substeps, math.ceil(cell / CELL * min_substeps))
     if options.step is not None:
         cell = max(options.step, max_length)
         substeps = max(1, round(cell / options.step))
@@ -154,13 +150,12 @@ def choose_tied_solver(
         message = f"steps of {options.step or cell:g} s and those of the bodies that "
         message += f"hold its pins, of {lengths_text} s, do not end together"
         hint = f"use step: {max_length:g}, a multiple of it, or a fraction"
-        raise OptionError(Fault("SIM164", message, where="step", hint=hint))
+        refuse("SIM164", message, "step", hint)
     for carrier in ties.carriers:
         if carrier.begin > begin or not _is_integer((begin - carrier.begin) / cell):
             message = f"it starts at {begin:g} s, but the bodies of its pins "
             message += f"at {carrier.begin:g} s"
-            hint = "give both the same preroll"
-            raise OptionError(Fault("SIM164", message, where="preroll", hint=hint))
+            refuse("SIM164", message, "preroll", "give both the same preroll")
     return SolverChoice(solver, cell, substeps, reason, limit)
 
 
@@ -207,9 +202,8 @@ def _choose_cheapest(
     elif explicit_cost <= implicit_cost:
         cost_text = f"less time than {alternative}"
     else:
-        comparison = (
-            f"{alternative} takes {implicit_cost / explicit_cost:.0%} of their time"
-        )
+        fraction = f"{implicit_cost / explicit_cost:.0%}"
+        comparison = f"{alternative} takes {fraction} of their time"
         return Solver.BDF2, f"{stability_text}, and {comparison}"
     return Solver.SYMPLECTIC_EULER, f"{stability_text}, which take {cost_text}"
 
@@ -233,18 +227,12 @@ def advance(
     if grid.solver is Solver.XPBD:
         shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
         max_steps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
+        layers = system.kernel_self_contact
         return advance_xpbd(
-            network,
-            grid,
-            cells,
-            colliders,
-            system.kernel_self_contact,
-            options.stretch,
-            max_steps,
+            network, grid, cells, colliders, layers, options.stretch, max_steps
         )
-    return _advance_implicit(
-        network, grid, cells, colliders, NEWTON_TOLERANCE * system.spacing
-    ).grid
+    tolerance = NEWTON_TOLERANCE * system.spacing
+    return _advance_implicit(network, grid, cells, colliders, tolerance).grid
 
 
 def _advance_explicit(
@@ -360,23 +348,19 @@ def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
     if ties is not None:
         t1 = grid.origin + (grid.index + 1) * grid.cell
         steps = [carrier.step_over(grid.time, t1) for carrier in ties.carriers]
+        min_step = min(carrier.step for carrier in ties.carriers)
         for k in REFINEMENTS:
-            if not _advance_in_subcells(
-                system, grid, ties, steps, k * MAX_SUBCELLS
-            ).lost:
-                return min(carrier.step for carrier in ties.carriers) / (
-                    STEP_SAFETY * k
-                )
+            subcells = k * MAX_SUBCELLS
+            if not _advance_in_subcells(system, grid, ties, steps, subcells).lost:
+                return min_step / (STEP_SAFETY * k)
         return None
     colliders = _cell_colliders(system, grid, 1)
-    network, spacing = system.network(system.teleports.cell_stage(grid)), system.spacing
+    network = system.network(system.teleports.cell_stage(grid))
+    tolerance = NEWTON_TOLERANCE * system.spacing
     for k in REFINEMENTS:
         fine_state = replace(state, substeps=k * state.substeps, before=None)
         trial = replace(grid, state=fine_state)
-        solved = _advance_implicit(
-            network, trial, 1, colliders, NEWTON_TOLERANCE * spacing
-        )
-        if not solved.grid.lost:
+        if not _advance_implicit(network, trial, 1, colliders, tolerance).grid.lost:
             return grid.cell / (STEP_SAFETY * fine_state.substeps)
     return None
 
@@ -408,17 +392,14 @@ def _advance_in_subcells(
         pushes.append(current.pushes)
         if current.lost:
             break
-    body_results = [
-        step.push_to(state) for step, state in zip(steps, bodies, strict=True)
-    ]
+    ends = zip(steps, bodies, strict=True)
+    body_pushes = tuple(step.push_to(state) for step, state in ends)
     total_push = np.sum(pushes, axis=0)
     total_push[:, 6] = np.max(pushes, axis=0)[:, 6]
     end_state = replace(current.state, substeps=grid.state.substeps)
     if substeps * subcells != end_state.substeps:
         end_state = replace(end_state, before=None)
-    return replace(
-        current, state=end_state, tied=tuple(body_results), pushes=total_push
-    )
+    return replace(current, state=end_state, tied=body_pushes, pushes=total_push)
 
 
 def _advance_subcell(
@@ -436,10 +417,8 @@ def _advance_subcell(
     def solve_springs(begins: FloatArray, ends: FloatArray) -> PulledSprings:
         pinned[:, columns] = begins + fraction * (ends - begins)
         network.set_paths(pinned, paths.target_positions)
-        tolerance = TIED_TOLERANCE * ties.spring_length
-        return _advance_implicit(
-            network, grid, 1, colliders, tolerance, grid.state.pulls
-        )
+        tolerance, pulls = TIED_TOLERANCE * ties.spring_length, grid.state.pulls
+        return _advance_implicit(network, grid, 1, colliders, tolerance, pulls)
 
     solution = TiedCell(ties, steps).solve(solve_springs, grid.state.known)
     end_grid = solution.grid

@@ -55,10 +55,7 @@ class SelfContactModel(FileModel):
 
 SelfContactField = Annotated[
     SelfContactModel | None,
-    shared_key(
-        "Self-contact. Default: off.",
-        {"thickness": 0.01},
-    ),
+    shared_key("Self-contact. Default: off.", {"thickness": 0.01}),
 ]
 
 
@@ -257,9 +254,7 @@ class SpringsModel(SolvedModel):
         default=200.0,
     )
     settle: bool = key(
-        "Start in static equilibrium, without air and colliders.",
-        True,
-        default=False,
+        "Start in static equilibrium, without air and colliders.", True, default=False
     )
 
     def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:
@@ -272,9 +267,8 @@ class SpringsModel(SolvedModel):
     def shared(self, *, has_colliders: bool = True) -> Mapping[str, Any]:
         """Return the keys that apply to all joined systems."""
         wind = ("wind",) if isinstance(self.air, FaceWindModel) else ()
-        specified_keys = self.model_fields_set - (
-            set() if has_colliders else {"radius"}
-        )
+        unused_keys = set() if has_colliders else {"radius"}
+        specified_keys = self.model_fields_set - unused_keys
         names = [name for name in (*_SHARED_KEYS, *wind) if name in specified_keys]
         return {name: getattr(self, name) for name in names}
 

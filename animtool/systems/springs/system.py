@@ -18,7 +18,7 @@ from animtool.core.array_types import (
     IntArray,
     as_floats,
 )
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, refuse
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
 from animtool.sim.contact import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
@@ -58,7 +58,7 @@ MAX_STEPS_PER_CALL = 1 << 20
 class _Stage(NamedTuple):
     """Paths of pins and targets between two teleports, and the kernel network."""
 
-    index: int  # number of teleports before it
+    number: int  # number of teleports before it
     pins: Path
     targets: Path
     network: _kernels.SpringNetwork
@@ -128,7 +128,7 @@ class SpringSystem(SecondOrder):
         check_body(body, self.pinned, target_particles)
         if not speed_limit > 0:
             message = f"speed_limit must be above 0, not {speed_limit:g}"
-            raise OptionError(Fault("SIM004", message, where="speed_limit"))
+            refuse("SIM004", message, "speed_limit")
         if self_contact is not None:
             check_self_contact(self_contact, body)
         count = len(body.positions)
@@ -172,13 +172,11 @@ class SpringSystem(SecondOrder):
         rest_positions = body.positions if requested_rest is None else requested_rest
         self._rest = np.ascontiguousarray(rest_positions, np.float64)
         self._has_contacts = self.colliders.active or self_contact is not None
-        self.settles = (
-            self._has_moving_pins or self._has_contacts or len(self.teleports) > 0
-        )
+        has_teleports = len(self.teleports) > 0
+        self.settles = self._has_moving_pins or self._has_contacts or has_teleports
         speeds = np.zeros((count, 3)) if velocities is None else velocities
-        self._state = np.stack(
-            [body.positions, as_floats(speeds, (count, 3), "velocities")]
-        )
+        speeds = as_floats(speeds, (count, 3), "velocities")
+        self._state = np.stack([body.positions, speeds])
         self._state[1, self.pinned] = 0.0
 
     @property
@@ -202,26 +200,24 @@ class SpringSystem(SecondOrder):
             (knots, np.ascontiguousarray(path[:, particles]))
             for particles in (self.pinned, self.target_springs.particles)
         )
-        previous_paths, self._paths = self._paths, (pins, targets)
-        if self._cached_stage is None or not np.array_equal(
-            previous_paths[0][0], knots
-        ):
-            self._cached_stage = None
-            return
-        network = self._cached_stage.network
-        network.set_paths(pins[1], targets[1])
-        self._cached_stage = _Stage(0, pins, targets, network)
+        has_same_knots = np.array_equal(self._paths[0][0], knots)
+        self._paths, stage = (pins, targets), self._cached_stage
+        self._cached_stage = None
+        if stage is not None and has_same_knots:
+            stage.network.set_paths(pins[1], targets[1])
+            self._cached_stage = _Stage(0, pins, targets, stage.network)
 
-    def _stage(self, index: int) -> _Stage:
+    def _stage(self, number: int) -> _Stage:
         """Return the paths and the kernel network of a stage, cached."""
         stage = self._cached_stage
-        if stage is None or stage.index != index:
+        if stage is None or stage.number != number:
+            has_teleports = len(self.teleports) > 0
             pins, targets = (
-                self.teleports.paths(index) if len(self.teleports) else self._paths
+                self.teleports.paths(number) if has_teleports else self._paths
             )
             knots, paths = resample_to_shared_times([pins, targets, self._wind_path])
             network = self._network(Paths(knots, *paths))
-            stage = self._cached_stage = _Stage(index, pins, targets, network)
+            stage = self._cached_stage = _Stage(number, pins, targets, network)
         return stage
 
     def _network(self, paths: Paths) -> _kernels.SpringNetwork:
@@ -241,9 +237,8 @@ class SpringSystem(SecondOrder):
         all_knots = np.unique(np.concatenate([times for times, _ in paths]))
         inner = all_knots[(all_knots > t0) & (all_knots < t1)]
         knots = np.concatenate([[t0], inner, [t1]])
-        positions = (
-            np.array([position_at(path, t) for t in knots.tolist()]) for path in paths
-        )
+        times = knots.tolist()
+        positions = (np.array([position_at(path, t) for t in times]) for path in paths)
         cell_paths = Paths(knots, *positions)
         return self._network(cell_paths), cell_paths
 
@@ -317,9 +312,8 @@ class SpringSystem(SecondOrder):
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
         """Return Jacobians of acceleration with respect to positions and velocities."""
-        by_x, by_v = acceleration_jacobians(
-            self.forces, self.free_masses, self.wind(t), x, v
-        )
+        masses, wind = self.free_masses, self.wind(t)
+        by_x, by_v = acceleration_jacobians(self.forces, masses, wind, x, v)
         return by_x, by_v
 
     def stiffness(self, t: float, x: FloatArray) -> Matrix:
@@ -402,16 +396,11 @@ class SpringSystem(SecondOrder):
         """Moving mass, squared speed from wind and gravity, and speed of paths."""
         mass = float(self.body.masses[~self.fixed].sum())
         wind_speed = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
-        max_speed, max_travel = map(
-            max, zip(*map(max_speed_and_travel, self._paths), strict=True)
-        )
+        speeds, travels = zip(*map(max_speed_and_travel, self._paths), strict=True)
         gravity = float(np.linalg.norm(self.gravity))
+        supplied = wind_speed**2 + gravity * max(travels)
         # Teleports supply no speed.
-        return (
-            mass,
-            wind_speed**2 + gravity * max_travel,
-            min(max_speed, self.speed_limit),
-        )
+        return mass, supplied, min(max(speeds), self.speed_limit)
 
     def wind(self, t: float) -> FloatArray:
         """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
@@ -435,11 +424,10 @@ class SpringSystem(SecondOrder):
         if not self.settles:
             return after
         result = after.copy()
-        if self.kernel_self_contact is not None:
+        layers = self.kernel_self_contact
+        if layers is not None:
             network = self.network(self.teleports.stage(t))
-            result = _kernels.part_springs(
-                network, self.kernel_self_contact, before[0], result, h
-            )
+            result = _kernels.part_springs(network, layers, before[0], result, h)
         if self.colliders.active:
             collision = collide(
                 result[0], result[1], before, self.colliders, t - h, t, self.radius

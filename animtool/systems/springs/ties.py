@@ -119,10 +119,9 @@ class TiedCell:
 
     def __init__(self, ties: BodyTies, steps: Sequence[TiedStep]) -> None:
         self._ties, self._steps, self._h = ties, steps, steps[0].duration
+        poses = [step.start_poses for step in steps]
         self._positions = [
-            local_to_world(
-                self._steps[tie.carrier].start_poses[tie.body], tie.local_points
-            )
+            local_to_world(poses[tie.carrier][tie.body], tie.local_points)
             for tie in ties.ties
         ]
         self._solved_bodies = list(self._bodies())
@@ -214,9 +213,8 @@ class TiedCell:
         grid = current.springs.grid
         is_lost = grid.lost or not displacement <= MAX_RESIDUAL * spring_length
         next_warm_start = None if jacobian is None else np.column_stack([jacobian, y])
-        return TiedSolution(
-            replace(grid, lost=is_lost), tuple(current.wrenches), next_warm_start
-        )
+        grid = replace(grid, lost=is_lost)
+        return TiedSolution(grid, tuple(current.wrenches), next_warm_start)
 
     def _jacobian(
         self,
@@ -230,10 +228,8 @@ class TiedCell:
         for k, step in enumerate(steps.tolist()):
             shifted = y.copy()
             shifted[k] += step
-            columns.append(
-                (self._trial(shifted, solve_springs).residuals - current.residuals)
-                / step
-            )
+            residuals = self._trial(shifted, solve_springs).residuals
+            columns.append((residuals - current.residuals) / step)
         return np.stack(columns, axis=1)
 
     def _line_search(
@@ -253,12 +249,10 @@ class TiedCell:
         for _ in range(MAX_HALVINGS):
             trial = self._trial(y + fraction * change, solve_springs)
             if not trial.springs.grid.lost and np.isfinite(trial.residuals).all():
-                next_size = float(
-                    np.abs(_newton_correction(jacobian, trial) * scale).max()
-                )
-                if next_size <= max(
-                    (1 - fraction / 4) * displacement, CONVERGED * spring_length
-                ):
+                next_change = _newton_correction(jacobian, trial)
+                next_size = float(np.abs(next_change * scale).max())
+                limit = (1 - fraction / 4) * displacement
+                if next_size <= max(limit, CONVERGED * spring_length):
                     return fraction, next_size, trial
             fraction /= 2
         return fraction, np.inf, None
@@ -277,9 +271,8 @@ class TiedCell:
             local_to_world(ends[tie.carrier][1][tie.body], tie.local_points)
             for tie in self._ties.ties
         ]
-        springs = solve_springs(
-            np.concatenate(self._positions), np.concatenate(end_points)
-        )
+        begins = np.concatenate(self._positions)
+        springs = solve_springs(begins, np.concatenate(end_points))
         totals = [np.zeros_like(rows) for rows in pulls]
         residuals = []
         for i, velocity in enumerate(y.reshape(-1, 6)):
@@ -290,9 +283,8 @@ class TiedCell:
             velocity_change = [pull[:3] / body.mass, body.inverse_inertia @ moment]
             residuals.append(np.concatenate(velocity_change) - velocity)
             totals[body.carrier][body.dynamic_index] = *pull[:3], *moment
-        wrenches = [
-            step.wrenches(rows) for step, rows in zip(self._steps, totals, strict=True)
-        ]
+        pulled_steps = zip(self._steps, totals, strict=True)
+        wrenches = [step.wrenches(total) for step, total in pulled_steps]
         return _TrialPull(springs, np.array(residuals).reshape(-1), wrenches)
 
     def _pull(

@@ -88,22 +88,17 @@ class SpringView:
         """Measure depth, piercing and strain of a surface in contact."""
         system, body, shape = self.simulation.system, self.body.body, self.body.shape
         colliders, has_self_contact = system.colliders, system.self_contact is not None
-        if not isinstance(shape, FaceShape) or not (
-            colliders.active or has_self_contact
-        ):
+        has_contact = colliders.active or has_self_contact
+        if not isinstance(shape, FaceShape) or not has_contact:
             return
         torn = self.torn(state)
         if self._measured_surface is None or torn.any():
             self._measured_surface = _surface_to_measure(
                 shape, system.fixed[self.rows], body, torn, has_self_contact
             )
-        self._meter.measure(
-            t,
-            points,
-            self._measured_surface,
-            closed_surfaces(colliders, t),
-            collider_depths(colliders, points, t),
-        )
+        solids = closed_surfaces(colliders, t)
+        depths = collider_depths(colliders, points, t)
+        self._meter.measure(t, points, self._measured_surface, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings of self-intersection and thin colliders (SIM194, SIM195)."""
@@ -168,10 +163,9 @@ class SpringView:
             "torn": int(self.torn(state).sum()),
             "unresolved": simulation.grid.unresolved,
         }
-        if simulation.error is not None:
-            values["error"] = (
-                simulation.error if math.isfinite(simulation.error) else None
-            )
+        error = simulation.error
+        if error is not None:
+            values["error"] = error if math.isfinite(error) else None
         if self._measured_surface is not None:
             values |= self._meter.values
         notices = [

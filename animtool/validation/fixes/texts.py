@@ -88,7 +88,9 @@ def normalize_weights(checked: CheckedFile, fault: Fault) -> FixEdits:
     name, _ = split_reference(weights.text, weights.key)
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
-    arrays = {path: {weights.key: _normalized_weights(weights)}}
+    values = weights.load()
+    normalized = np.asarray(values / values.sum(axis=1, keepdims=True), np.float32)
+    arrays = {path: {weights.key: normalized}}
     return FixEdits(remedy, (Replace(pointer, text),), arrays)
 
 
@@ -102,11 +104,6 @@ def _unused_path(path: Path, key: str) -> Path:
         candidate = path.with_name(f"{path.stem}_{key}_{number}.npz")
         number += 1
     return candidate
-
-
-def _normalized_weights(weights: ArrayRef) -> npt.NDArray[np.float32]:
-    values = weights.load()
-    return np.asarray(values / values.sum(axis=1, keepdims=True), np.float32)
 
 
 @dataclass(frozen=True, eq=False)

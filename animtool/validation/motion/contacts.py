@@ -152,11 +152,9 @@ def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
     second_fraction *= len(other_heights) / len(heights)
     if second_fraction < EACH_HEIGHT_FRACTION:
         return first_height if fraction > ONE_HEIGHT_FRACTION else np.inf
-    return (
-        min(first_height, second_height)
-        if fraction + second_fraction > TWO_HEIGHTS_FRACTION
-        else np.inf
-    )
+    if fraction + second_fraction > TWO_HEIGHTS_FRACTION:
+        return min(first_height, second_height)
+    return np.inf
 
 
 def _is_lying(subject: MotionSubject, feet: IntArray) -> BoolArray:

@@ -154,11 +154,9 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     joint = int(
         contacts.feet[int(speeds[first_frame : last_frame + 1].mean(axis=0).argmin())]
     )
-    repeat_text = (
-        f"; feet slide {len(long_slides) - 1} more times"
-        if len(long_slides) > 1
-        else ""
-    )
+    repeat_text = ""
+    if len(long_slides) > 1:
+        repeat_text = f"; feet slide {len(long_slides) - 1} more times"
     message = (
         f"planted foot {subject.take.rig.joints[joint].name!r} slides {length:.3g} m "
         f"from frame {subject.time_text(first_frame)} to "

@@ -388,11 +388,9 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
         return
     frozen_runs = runs(is_repeat)
     first_frame, end_frame = max(frozen_runs, key=lambda run: run[1] - run[0])
-    repeat_text = (
-        f"; it freezes {len(frozen_runs) - 1} more times"
-        if len(frozen_runs) > 1
-        else ""
-    )
+    repeat_text = ""
+    if len(frozen_runs) > 1:
+        repeat_text = f"; it freezes {len(frozen_runs) - 1} more times"
     message = (
         f"nothing moves from frame {subject.time_text(first_frame)} to "
         f"{subject.time_text(end_frame)}, between frames that do{repeat_text}"

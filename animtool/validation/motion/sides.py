@@ -341,11 +341,9 @@ def _side_swaps(
         f"{subject.take.rig.names[pairs[i][1]]!r}"
         for i in np.flatnonzero(is_swapped[step]).tolist()
     ]
-    until_text = (
-        f", until frame {subject.time_text(int(swap_steps[1]))}"
-        if len(swap_steps) > 1
-        else ""
-    )
+    until_text = ""
+    if len(swap_steps) > 1:
+        until_text = f", until frame {subject.time_text(int(swap_steps[1]))}"
     message = f"{listed(names)} swap at frame {subject.time_text(step + 1)}{until_text}"
     hint = "swap their channels there; markers of the two sides were mixed up"
     joint = pairs[int(np.flatnonzero(is_swapped[step])[0])][0]

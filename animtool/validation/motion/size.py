@@ -296,11 +296,9 @@ def body_axis(subject: MotionSubject) -> Stance | None:
     body_stance = measure_stance(
         find_anatomy(rig).roles, subject.positions, rig.up, rest_positions
     )
-    return (
-        None
-        if body_stance.axis is None and not body_stance.upside_down
-        else body_stance
-    )
+    if body_stance.axis is None and not body_stance.upside_down:
+        return None
+    return body_stance
 
 
 def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:

@@ -247,11 +247,9 @@ class MotionSubject:
     def cuts(self) -> BoolArray:
         """Return a mask of the steps that are intended cuts ``(F - 1,)``."""
         steps = max(self.frames - 1, 0)
-        return (
-            np.zeros(steps, bool)
-            if self.intended_cuts is None
-            else self.intended_cuts.copy()
-        )
+        if self.intended_cuts is None:
+            return np.zeros(steps, bool)
+        return self.intended_cuts.copy()
 
     def time_text(self, frame: int) -> str:
         """Return the time code of a frame for a message."""

@@ -306,11 +306,9 @@ def _nearer_angles(
     )
     steps = np.abs(second - first)
     is_twisted = steps[[0, 2]].min() > MIN_FAR_ANGLE
-    return (
-        equivalent_angles
-        if is_twisted and _value_distance(first, equivalent_angles) < WRAP_SHORT_PATH
-        else None
-    )
+    if is_twisted and _value_distance(first, equivalent_angles) < WRAP_SHORT_PATH:
+        return equivalent_angles
+    return None
 
 
 def _shortest_rotation(channel: ClipChannel, key: int) -> float:

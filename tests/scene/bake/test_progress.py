@@ -137,14 +137,14 @@ def test_blocks_share_what_was_read() -> None:
 def test_phases_take_half_of_what_is_left() -> None:
     told: list[float] = []
     phases = ProgressPhases(told.append)
-    for tell in (phases.phase(), phases.phase(), phases.last()):
+    for tell in (phases.phase(), phases.phase(), phases.phase(is_last=True)):
         tell(1.0)
         tell(0.5)
     assert told == [0.5, 1.0]
     phases = ProgressPhases(told.append)
     told.clear()
-    for begin in (phases.phase, phases.phase, phases.last):
-        begin()(1.0)
+    for is_last in (False, False, True):
+        phases.phase(is_last=is_last)(1.0)
     assert told == [0.5, 0.75, 1.0]
 
 
