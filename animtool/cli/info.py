@@ -28,7 +28,7 @@ from animtool.report.text import Each, Line, Template
 
 if TYPE_CHECKING:
     from animtool.report.describe_characters import Extreme
-    from animtool.usd.caches.info import PointPrim
+    from animtool.usd.caches.info import PointPrimSummary
 
 
 # Number of prims of a set that are listed one by one.
@@ -172,14 +172,14 @@ def _range_text(bounds: tuple[int, int], noun: str, plural: str = "") -> str:
     return text if bounds[0] == bounds[1] else f"{bounds[0]} to {text}"
 
 
-def _pieces_text(prim: PointPrim) -> str:
+def _pieces_text(prim: PointPrimSummary) -> str:
     if not prim.pieces:
         return ""
     noun = "mesh" if prim.pieces == "meshes" else prim.pieces.removesuffix("s")
     return _range_text(prim.piece_count, noun, prim.pieces)
 
 
-def _content_text(prim: PointPrim) -> str:
+def _content_text(prim: PointPrimSummary) -> str:
     props = ("velocities", "orientations", "widths", "ids", "normals")
     return ", ".join([name for name in props if getattr(prim, name)] + prim.primvars)
 

@@ -219,6 +219,6 @@ def _moving_targets(
             targets.add(("weights", shapes[name]))
             continue
         joint, part = split_part(name, KEYED_PARTS)
-        kind = {"angle": "rotation", "slide": "translation"}.get(part, part)
-        targets.add((f"{kind.removeprefix('local_')}s", rig.index(joint)))
+        component = {"angle": "rotation", "slide": "translation"}.get(part, part)
+        targets.add((f"{component.removeprefix('local_')}s", rig.index(joint)))
     return targets

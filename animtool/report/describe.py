@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle
     from animtool.report.describe_characters import CharactersFacts
     from animtool.report.describe_gltf import GltfContents
-    from animtool.usd.caches.info import PointPrim
+    from animtool.usd.caches.info import PointPrimSummary
 
 
 FRAMES_AT_ONCE = 1024
@@ -55,7 +55,7 @@ class TakeDescription:
     # Names of the takes in a clip library; empty for other files.
     takes: list[str]
     take: str  # name of the described take
-    points: list[PointPrim]  # other prims of a USD file with animated points
+    points: list[PointPrimSummary]  # other prims of a USD file with animated points
     notices: list[Fault]  # warnings and notes
     # The shot recorded in a USD layer, as in bake reports; None without one.
     shot: dict[str, object] | None = None
@@ -182,7 +182,7 @@ def _shot(path: Path) -> dict[str, object] | None:
     return layer_shot(find_layer(path))
 
 
-def _points(path: Path) -> list[PointPrim]:
+def _points(path: Path) -> list[PointPrimSummary]:
     """Return the description of a USD file's animated points."""
     if not is_usd(path):
         return []

@@ -23,12 +23,12 @@ from animtool.report.describe_scene import (
     SceneDescription,
     SystemDescription,
 )
-from animtool.usd.caches.info import ChunkSet, PointPrim, PointsDescription
+from animtool.usd.caches.info import ChunkSet, PointPrimSummary, PointsDescription
 
 TABLES = {
     "A take:": TakeDescription,
     "A USD file without a character:": PointsDescription,
-    "and each of `prims`, as of `points` of a take:": PointPrim,
+    "and each of `prims`, as of `points` of a take:": PointPrimSummary,
     "A scene:": SceneDescription,
     "each of its `systems`:": SystemDescription,
     "and each of its `outputs`:": OutputDescription,

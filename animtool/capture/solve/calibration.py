@@ -247,7 +247,7 @@ class _CalibrationState:
         targets = pack_for_chain(problem, model.targets(self.positions, self.noise))
         chain = problem.chain
         count, degrees = len(poses), problem.degrees
-        _, residuals, slopes, _ = _kernels.linearize_ik(
+        _, residuals, jacobian, _ = _kernels.linearize_ik(
             *chain.kernel_arrays,
             starts=chain.from_rig(poses),
             targets=targets,
@@ -257,26 +257,28 @@ class _CalibrationState:
         distances = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
         weight = np.repeat(1 / (1 + (distances / ROBUST_DEVIATIONS) ** 2), 3, axis=1)
         residuals = residuals * weight
-        slopes = slopes * weight[:, :, None]
+        jacobian = jacobian * weight[:, :, None]
         columns = columns * weight[:, :, None]
-        normal = np.swapaxes(slopes, 1, 2) @ slopes
+        normal = np.swapaxes(jacobian, 1, 2) @ jacobian
         pose_precision = np.full((count, degrees), MOTION_POSE_DEVIATION**-2.0)
         pose_precision[: self.static_frames] = STATIC_POSE_DEVIATION**-2.0
         normal += np.eye(degrees) * pose_precision[:, :, None]
-        transposed_slopes = np.swapaxes(slopes, 1, 2)
+        transposed_jacobian = np.swapaxes(jacobian, 1, 2)
         # Parameters and residuals with the poses eliminated.
-        eliminated_columns = np.linalg.solve(normal, transposed_slopes @ columns)
+        eliminated_columns = np.linalg.solve(normal, transposed_jacobian @ columns)
         pose_prior_gradient = pose_precision * self._deviation_from_rest(poses)
         pose_step = np.linalg.solve(
             normal,
-            (transposed_slopes @ residuals[:, :, None])[:, :, 0][:, :, None]
+            (transposed_jacobian @ residuals[:, :, None])[:, :, 0][:, :, None]
             - pose_prior_gradient[:, :, None],
         )[:, :, 0]
-        mixed_slopes = columns.reshape(-1, columns.shape[2])
-        mixed_terms = (transposed_slopes @ columns).reshape(-1, columns.shape[2])
+        shared_jacobian = columns.reshape(-1, columns.shape[2])
+        mixed_terms = (transposed_jacobian @ columns).reshape(-1, columns.shape[2])
         eliminated_columns = eliminated_columns.reshape(mixed_terms.shape)
-        matrix = mixed_slopes.T @ mixed_slopes - mixed_terms.T @ eliminated_columns
-        gradient = mixed_slopes.T @ residuals.ravel()
+        matrix = (
+            shared_jacobian.T @ shared_jacobian - mixed_terms.T @ eliminated_columns
+        )
+        gradient = shared_jacobian.T @ residuals.ravel()
         gradient = gradient - mixed_terms.T @ pose_step.ravel()
         prior, prior_gradient = self._prior_equations()
         bone_precision = np.diag(matrix)[: len(self.bones)]

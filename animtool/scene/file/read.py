@@ -45,7 +45,7 @@ from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, supports_option
 from animtool.scene.systems.links import check_colliders, check_links
-from animtool.scene.systems.suspicions import warn_of_rotations, warn_of_sizes
+from animtool.scene.systems.suspicions import warn_of_rotations, warn_of_suspect_units
 from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.scene.systems.suspicious_times import SceneTimes, warn_of_times
 from animtool.systems.framework.conversion import SceneUnits
@@ -419,7 +419,7 @@ class _PassReader:
         if faults:
             return None
         if name in {"simulate", "ragdoll"}:
-            warn_of_sizes(document, location, converted_values)
+            warn_of_suspect_units(document, location, converted_values)
             warn_of_forces(document, location, converted_values)
             warn_of_rotations(document, location, converted_values)
         return ScenePass(pass_, options, entry_location(document, location), files)

@@ -27,7 +27,7 @@ from animtool.scene.systems.suspicions import (
     shape_volume,
     warn_of_radians,
     warn_of_rotations,
-    warn_of_sizes,
+    warn_of_suspect_units,
 )
 from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.systems.framework.conversion import METRES, SceneUnits
@@ -397,7 +397,7 @@ def read_spec(
     reader.note_ranges(location, spec)
     if not COMPARED_KEYS.isdisjoint(type(spec).model_fields):
         sizes = spec.model_dump(include=COMPARED_KEYS | SIZE_KEYS)
-        warn_of_sizes(document, location, sizes, units.length)
+        warn_of_suspect_units(document, location, sizes, units.length)
     stated_values = spec.model_dump(exclude_unset=True, by_alias=True)
     warn_of_forces(document, location, stated_values, units.length, shape_volume)
     warn_of_rotations(document, location, stated_values)

@@ -49,7 +49,7 @@ LIQUIDS = 500.0, 20000.0
 MIN_ROPE, CHAIN = 0.15, 5.0
 
 
-def warn_of_sizes(
+def warn_of_suspect_units(
     document: Document, location: Location, values: Mapping[str, Any], unit: float = 1.0
 ) -> None:
     """Warn of lengths, masses, densities and accelerations in other units (SIM200).

@@ -133,7 +133,7 @@ class ContactMeter:
             depth = float(max_depths[deepest])
             self.depth = self._larger_peak(self.depth, depth, frame, points, deepest)
         if len(surface.triangles):
-            pairs = pierced_pairs(points, surface.triangles, [*solids, *layers])
+            pairs = count_pierced_pairs(points, surface.triangles, [*solids, *layers])
             first = int(surface.triangles[0, 0])
             count = float(pairs)
             self.pierced = self._larger_peak(self.pierced, count, frame, points, first)
@@ -249,7 +249,7 @@ def surface_depths(surface: ClosedSurface, points: FloatArray) -> FloatArray:
     return depths
 
 
-def pierced_pairs(
+def count_pierced_pairs(
     points: FloatArray, triangles: IntArray, solids: Sequence[ClosedSurface] = ()
 ) -> int:
     """Return the number of intersecting pairs of an edge and a triangle.

@@ -45,7 +45,7 @@ _ELEMENT_COUNTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class PointPrim:
+class PointPrimSummary:
     """Summary of the animated points of one prim."""
 
     path: str  # path of the prim
@@ -94,7 +94,7 @@ class PointsDescription:
     end: Fraction  # time code of the last frame
     duration: Fraction  # from the first to the last frame [s]
     types: dict[str, int]  # number of prims by type
-    prims: list[PointPrim]  # prims with points
+    prims: list[PointPrimSummary]  # prims with points
     chunks: list[ChunkSet]  # clip files in time order
     units: str  # unit of the file
     up: str  # up axis of the file
@@ -138,7 +138,7 @@ def describe_points(path: Path) -> PointsDescription | None:
         )
 
 
-def animated_point_prims(path: Path) -> list[PointPrim]:
+def animated_point_prims(path: Path) -> list[PointPrimSummary]:
     """Return the prims of a stage whose points have samples."""
     with usd_errors(path):
         stage = open_stage(path)
@@ -146,7 +146,7 @@ def animated_point_prims(path: Path) -> list[PointPrim]:
         return [_summarize_prim(prim) for prim in animated]
 
 
-def _summarize_prim(prim: Any) -> PointPrim:
+def _summarize_prim(prim: Any) -> PointPrimSummary:
     reader = PointReader(prim)
     times = reader.times
     is_instancer = reader.is_instancer
@@ -168,7 +168,7 @@ def _summarize_prim(prim: Any) -> PointPrim:
     if is_instancer:
         element_counts = [len(prototype_paths(prim))]
     primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
-    return PointPrim(
+    return PointPrimSummary(
         str(prim.GetPath()),
         kind,
         _min_max(point_counts),

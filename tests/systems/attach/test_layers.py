@@ -15,7 +15,7 @@ from animtool.rig.skeleton import Rig
 from animtool.systems.attach.colliders import ClothMotion
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import simulate
-from animtool.systems.framework.meter import ClosedSurface, pierced_pairs
+from animtool.systems.framework.meter import ClosedSurface, count_pierced_pairs
 
 SIZE = 10
 # Distance between both sheets at rest, beyond what they keep from each other [m].
@@ -43,8 +43,8 @@ def crossings(what: Sequence[str], **options: object) -> tuple[int, list[float]]
     faces = np.array(take.rig.meshes[0].faces.load(), np.int64)
     triangles = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
     pairs = [
-        pierced_pairs(outer, triangles, [ClosedSurface(inner, triangles)])
-        - pierced_pairs(outer, triangles)
+        count_pierced_pairs(outer, triangles, [ClosedSurface(inner, triangles)])
+        - count_pierced_pairs(outer, triangles)
         for inner, outer in zip(flag, cape, strict=True)
     ]
     return max(pairs), [one["pierced"]["value"] for one in stream.simulated]

@@ -10,7 +10,7 @@ from animtool.systems.framework.meter import (
     ClosedSurface,
     ContactMeter,
     MeasuredSurface,
-    pierced_pairs,
+    count_pierced_pairs,
     surface_depths,
 )
 
@@ -85,14 +85,14 @@ def test_what_is_held_may_be_inside() -> None:
 def test_edges_through_a_solid_are_counted_and_its_own_are_not() -> None:
     triangle = np.array([[0, 1, 2]])
     # Two sides through its face, and the diagonal of that through the sheet.
-    assert pierced_pairs(SHEET, triangle, [CUBE]) == 3
-    assert pierced_pairs(SHEET + ALONG, triangle, [CUBE]) == 0
+    assert count_pierced_pairs(SHEET, triangle, [CUBE]) == 3
+    assert count_pierced_pairs(SHEET + ALONG, triangle, [CUBE]) == 0
     # One side of a second cube is in the first: together they are one solid.
     both = ClosedSurface(
         np.concatenate([CORNERS, CORNERS + 0.5]), np.concatenate([FACES, FACES + 8])
     )
     away = SHEET + ALONG
-    assert pierced_pairs(away, triangle, [both]) == 0
+    assert count_pierced_pairs(away, triangle, [both]) == 0
 
 
 def test_strain_is_of_longer_and_shorter_sides() -> None:
