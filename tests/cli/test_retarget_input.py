@@ -258,7 +258,8 @@ def test_a_take_that_fits_worse_than_asked_for_fails_under_strict(
     drift = jump["scores"][0]["scores"][0]
     assert drift["value"] <= 2 * drift["usual"]
     odd = animtool(*command, "-o", f"{tmp_path}/{{stem}}.usdc", "--set", "times=-1")
-    assert "CAP001 passes[0].retarget.warn_above" in odd.stderr
+    assert "CAP001 --set: warn_above must be" in odd.stderr
+    assert "passes[0].retarget.warn_above of " in odd.stderr
 
 
 @pytest.mark.slow

@@ -238,6 +238,20 @@ def test_a_loop_whose_lengths_are_in_frames(
     assert line.endswith(hint)
 
 
+def test_rays_of_focal_lengths_in_millimetres(tmp_path: Path) -> None:
+    """One error, at the focal length: not one at the file, after a warning."""
+    source = Path(__file__).parents[2] / "samples/capture"
+    text = (source / "stage.cameras.yaml").read_text("utf-8")
+    cameras = tmp_path / "mm.cameras.yaml"
+    cameras.write_text(re.sub(r"focal: \[[^]]*\]", "focal: [24, 24]", text), "utf-8")
+    (line,) = warnings(
+        "mocap", "triangulate", source / "take.npz", "--cameras", cameras,
+        "-o", tmp_path / "a.npz", code=2,
+    )  # fmt: skip
+    assert "CAM014 views[0].focal: " in line
+    assert "24 * 1920 / 36 = 1280" in line
+
+
 def test_a_skeleton_in_decimetres(tmp_path: Path) -> None:
     """In no unit of --units is it a person."""
     for factor, words in (

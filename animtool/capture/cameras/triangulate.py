@@ -328,7 +328,7 @@ class _TriangulationRun:
         """Raise because cameras and observations may not belong together."""
         for notice in self.cameras.notices:
             if notice.code == "CAM114":
-                message = f"{message}: {notice.message}"
+                message = f"{notice.message}; {message}"
                 raise OptionError(
                     replace(
                         notice,

@@ -69,13 +69,14 @@ def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, 
     pulls = []
     points, masses = [np.zeros((0, 3))], [np.zeros(0)]
     for body, data in zip(spec.bodies, parts.get("bodies") or (), strict=False):
-        body_points, stated = ((data or {}).get(key) for key in ("points", "masses"))
-        if body_points is None or np.shape(body_points)[1:] != (3,):
-            continue
-        body_masses = np.full(len(body_points), body.mass)
-        if stated is not None and np.shape(stated) == np.shape(body_masses):
+        body_points = np.asarray((data or {}).get("points", ()), np.float64)
+        if body_points.shape[1:] != (3,):
+            continue  # refused when the system is built
+        body_masses = np.full(len(body_points), float(body.mass))
+        stated = (data or {}).get("masses")
+        if stated is not None and np.shape(stated) == body_masses.shape:
             body_masses = np.asarray(stated, np.float64)
-        points.append(np.asarray(body_points, np.float64))
+        points.append(body_points)
         masses.append(body_masses)
     for galaxy in spec.galaxies:
         points.append(np.array([galaxy.at], np.float64))

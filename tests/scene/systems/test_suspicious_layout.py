@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from animtool.core.errors import Fault
@@ -237,3 +238,20 @@ def test_gravity_that_moves_nothing(
     if hint is not None:
         assert hint in (said[0].hint or "")
         assert said[0].where == "systems[0].nbody.gravity_constant"
+
+
+@pytest.mark.parametrize(
+    ("constant", "mass", "found"),
+    [("6.674e-11", "1", True), ("6.674e-11", "1e12", False), ("1", "1", False)],
+)
+def test_gravity_of_bodies_from_a_file(
+    tmp_path: Path, constant: str, mass: str, found: bool
+) -> None:
+    np.savez(tmp_path / "p.npz", points=np.array([[0.0, 0, 0], [3, 0, 0], [0, 4, 0]]))
+    text = f"- nbody:\n    name: three\n    gravity_constant: {constant}\n"
+    text += f"    bodies: [{{points: 'p.npz#points', mass: {mass}}}]\n"
+    said = notices(tmp_path, text)
+    assert [one.code for one in said] == ["SIM200"] * found
+    assert all(
+        "masses of 3 kg in all and distances of 5 m" in one.message for one in said
+    )
