@@ -55,7 +55,7 @@ MAX_FAULTS = 50
 def sample_source(
     spec: BatchSpec, item_task: ItemTask, shot: Cut, variables: Mapping[str, str]
 ) -> Source:
-    """Return the source of the first item that uses an input.
+    """Return the source of the item of an input's first variant.
 
     variables: Overridden variables of the input.
     """
@@ -63,7 +63,7 @@ def sample_source(
 
 
 def _sample_item(spec: BatchSpec, shot: Cut, variables: Mapping[str, str]) -> Item:
-    """Return the first item that uses an input, with its overridden variables."""
+    """Return the item of an input's first variant; ``variables`` are its overrides."""
     names, file = {**shot.names, **spec.rows[0]}, shot.media
     return Item(1, file, file.path, names, variables=variables, shot=shot.shot)
 

@@ -196,7 +196,7 @@ class _BatchRun:
         )
 
     def _executor(self) -> tuple[Executor, str]:
-        """Return the executor of the run and the argument for it."""
+        """Return the executor of the run, and the text after its name and ``=``."""
         name, _, argument = self.options.executor.partition("=")
         return find_executor(name), argument
 

@@ -125,8 +125,8 @@ class Terrain:
         a, b, c = self.triangles[..., [0, 2]].swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = np.abs(to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0])
-        size = np.abs(to_b).sum(axis=1) * np.abs(to_c).sum(axis=1)
-        return np.asarray(self.triangles[area > EDGE_TOLERANCE * size])
+        area_scale = np.abs(to_b).sum(axis=1) * np.abs(to_c).sum(axis=1)
+        return np.asarray(self.triangles[area > EDGE_TOLERANCE * area_scale])
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:

@@ -102,7 +102,11 @@ class RigidBodies:
 
     @cached_property
     def releases(self) -> FloatArray:
-        """Release times of kinematic bodies ``(B,)`` [s]; -infinity without one."""
+        """Time at which each body is released ``(B,)`` [s]; -infinity without one.
+
+        Without a release, dynamic bodies move freely from the start, and kinematic
+        bodies never do.
+        """
         times = [kind.model.release for kind in self.kinds]
         times_by_kind = [-np.inf if time is None else time for time in times]
         return np.array(times_by_kind, np.float64)[self.kind_of_body]

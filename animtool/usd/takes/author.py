@@ -417,11 +417,11 @@ def _layer_job(
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
     from animtool.usd.rigs.joint_map import map_joints
     from animtool.usd.rigs.target import open_target
-    from animtool.usd.takes.over_rig import convert_over_rig
+    from animtool.usd.takes.rig_space import convert_to_rig_space
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    converted_take = convert_over_rig(
+    converted_take = convert_to_rig_space(
         stream, target.placement, None, str(layer), target.skeleton.rig
     )
     take = converted_take.stream.collect()
