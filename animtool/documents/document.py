@@ -229,6 +229,7 @@ class Document:
         message: str,
         hint: str | None,
     ) -> None:
+        """Add a warning or a note, unless the location is a placeholder."""
         if not self.is_placeholder(location):
             fault = self.fault(code, location, message, hint)
             self.notices.append(replace(fault, severity=severity))

@@ -49,9 +49,8 @@ class SkeletonTree:
     positions: FloatArray
     last_bones: FloatArray  # world vectors of last bones at rest, or 0 (J, 3) [m]
     kinds: tuple[str, ...]  # kind of each joint's name, such as twist (J,)
-    votes: tuple[
-        dict[str, float], ...
-    ]  # weights of the roles that each name suggests (J,)
+    # Weights of the roles that each name suggests (J,).
+    votes: tuple[dict[str, float], ...]
 
     @classmethod
     def of(

@@ -409,6 +409,7 @@ class BakedTake:
             yield block
 
     def _record_blocks(self, blocks: TimedBlocks) -> TimedBlocks:
+        """Yield blocks; count their samples and record their codes and props."""
         for codes, motion in blocks:
             self.samples += len(codes)
             if self._recorder is not None:

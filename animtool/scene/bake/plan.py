@@ -351,6 +351,7 @@ def _check_props(plan: BakePlan) -> None:
 
 
 def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
+    """Return how a take is written: as joints or as deformed points."""
     if not take.options.deform:
         from animtool.scene.bake.joint_prims import JointPrims
 
@@ -411,6 +412,7 @@ def _joint_map(
     options: BakeOptions,
     notices: list[Fault],
 ) -> RigJointMap:
+    """Return the map from a take to the joints of a rig layer; add its notices."""
     from animtool.usd.rigs.joint_map import map_joints
 
     joint_map = map_joints(
@@ -452,6 +454,7 @@ def _namespace_warning(streams: list[TakeStream], options: BakeOptions) -> list[
 
 
 def _rate_warning(target: RigTarget | None, fps: Fraction) -> list[Fault]:
+    """Return a warning if the output and its rig layer differ in rate (USD106)."""
     if target is None or fps == target.fps:
         return []
     rig_layer_rate = rate_label(target.fps)

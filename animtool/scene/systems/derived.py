@@ -81,6 +81,7 @@ class Prototype:
         )
 
     def _stage_sampler(self) -> _FrameSampler:
+        """Return a function from time code to mesh, of a prim, and its span."""
         from animtool.usd.caches.reader import open_mesh
 
         assert self.prim is not None
@@ -93,6 +94,7 @@ class Prototype:
         return frame_at_code, source.span
 
     def _rig_sampler(self) -> _FrameSampler:
+        """Return a function from time to mesh, of a character's skin, and its span."""
         from animtool.scene.systems.character_motion import CharacterMotions, SkinMotion
 
         assert self.mesh is not None

@@ -317,6 +317,7 @@ def _cones(
 
 
 def _look_like_radians(angles: Sequence[float]) -> bool:
+    """Return whether angles [deg] look like radians: simple fractions of pi."""
     largest = max(map(abs, angles))
     quarter = math.pi / 2
     quarters = [round(angle / quarter) * quarter for angle in angles]
@@ -328,6 +329,7 @@ def _look_like_radians(angles: Sequence[float]) -> bool:
 
 
 def _text(numbers: float | Sequence[float], factor: float) -> str:
+    """Return numbers times a factor as text."""
     if isinstance(numbers, int | float):
         return f"{numbers * factor:.3g}"
     return f"[{', '.join(f'{number * factor:.3g}' for number in numbers)}]"

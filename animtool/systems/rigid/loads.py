@@ -19,10 +19,10 @@ MAX_SUBSTEP_ANGLE = 0.5
 MAX_SUBSTEPS = 256
 # Constrained bodies with a larger mass factor from drag take shorter substeps, so that
 # they bounce correctly and keep their mass ratio.
-MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS = 2.0, 64
+MAX_SUBSTEP_MASS_FACTOR, MAX_CONSTRAINED_SUBSTEPS = 2.0, 64
 # Constrained bodies with larger mass factors, in the most substeps, would drift from
 # contacts.
-MAX_INERTIA_FACTOR = 64.0
+MAX_MASS_FACTOR = 64.0
 # Smaller relative changes of mass are ignored.
 MIN_FACTOR_CHANGE = 1e-3
 # Bodies with a larger factor collide at the velocity of their free flight.
@@ -71,9 +71,11 @@ class StepForces:
 def substeps_for_mass_factors(substeps: int, mass_factors: FloatArray) -> int:
     """Return the substep count that the mass factors need, at least ``substeps``."""
     max_factor = float(mass_factors.max(initial=1.0))
-    if not max_factor > MAX_INERTIA_RATIO:
+    if not max_factor > MAX_SUBSTEP_MASS_FACTOR:
         return substeps
-    count = min(substeps * max_factor / MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS)
+    count = min(
+        substeps * max_factor / MAX_SUBSTEP_MASS_FACTOR, MAX_CONSTRAINED_SUBSTEPS
+    )
     return max(substeps, math.ceil(count))
 
 
@@ -198,11 +200,11 @@ class StepForceSolver:
         assert flight is not None
         mass_factors = np.where(is_constrained, flight.mass_factors, 1.0)
         max_factor = float(mass_factors.max()) * substeps
-        if max_factor > MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
+        if max_factor > MAX_MASS_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
             body = int(np.argmax(mass_factors))
             message = f"drag on {self._body(body)}, which is in "
             message += f"contact, is too strong for a step of {plain_number(dt)} s"
-            factor = MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS
+            factor = MAX_MASS_FACTOR * MAX_CONSTRAINED_SUBSTEPS
             step = plain_number(floor_to_two_digits(dt * factor / max_factor))
             self._stop(t, message, f"use step: {step}, or less drag, or more mass")
         return substeps_for_mass_factors(substeps, mass_factors)

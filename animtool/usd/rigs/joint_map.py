@@ -78,6 +78,7 @@ class RigJointMap:
         )
 
     def _map_channel(self, channel: Channel, rest: FloatArray) -> Channel:
+        """Return a channel of the take's joints as one of the rig's joints."""
         is_mapped = self.source_joints >= 0
         rest_values = rest.copy()
         rest_values[is_mapped] = channel.rest[self.source_joints[is_mapped]]

@@ -230,6 +230,7 @@ def _sweep_controls(rig: RigSubject) -> _ControlSweep:
 
 
 def _sampled_values(control: Control) -> FloatArray:
+    """Return the values of a control to test; none if its range is open."""
     if control.low is None or control.high is None:
         return np.zeros(0)
     corners = [corner for drive in control.drives for corner, _ in drive.curve]
