@@ -261,7 +261,7 @@ class _CutReader:
             if media_range is not None:
                 media_start = seconds_of(media_range.start_time)
                 media_fps = exact_rate(media_range.start_time.rate)
-            first_time = context.first_timecode(
+            first_timecode = context.first_timecode(
                 media_start, span.rate, drop=self.is_drop_frame
             )
             transitions = self.overlaps(entry, span)
@@ -281,7 +281,7 @@ class _CutReader:
             span,
             self.fps,
             context,
-            first_time,
+            first_timecode,
             transitions,
             drop=self.is_drop_frame,
         )
@@ -341,14 +341,14 @@ class _CutReader:
 
     def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
         """Return the numbers of frames that transitions add before and after a cut."""
-        sides_and_ends = zip(
+        transitions_and_ends = zip(
             transition_sides(entry), (span.shows_begin, span.shows_end), strict=True
         )
         frames_before, frames_after = (
             ceil(seconds_of(transition) / entry.speed * self.fps - FRAME_TOLERANCE)
-            if transition is not None and is_shown
+            if transition is not None and is_end_visible
             else 0
-            for transition, is_shown in sides_and_ends
+            for transition, is_end_visible in transitions_and_ends
         )
         if frames_before or frames_after:
             overlap_text = (

@@ -55,7 +55,7 @@ MAX_FAULTS = 50
 def sample_source(
     spec: BatchSpec, item_task: ItemTask, shot: Cut, variables: Mapping[str, str]
 ) -> Source:
-    """Return the source of the first item that uses an input.
+    """Return the source of the first item of an input.
 
     variables: Overridden variables of the input.
     """
@@ -63,7 +63,7 @@ def sample_source(
 
 
 def _sample_item(spec: BatchSpec, shot: Cut, variables: Mapping[str, str]) -> Item:
-    """Return the first item that uses an input, with its overridden variables."""
+    """Return the first item of an input, with ``variables`` as its overrides."""
     names, file = {**shot.names, **spec.rows[0]}, shot.media
     return Item(1, file, file.path, names, variables=variables, shot=shot.shot)
 
@@ -264,6 +264,7 @@ def _with_scene_input(spec: BatchSpec) -> BatchSpec:
 
 
 def _check_pattern(spec: BatchSpec, pattern: str) -> None:
+    """Raise an error for an output pattern with unknown names or suffix."""
     known_names = {**spec.variables, **spec.rows[0]}
     if spec.cuts is not None:
         known_names |= dict.fromkeys(SHOT_NAMES, "")
@@ -279,6 +280,7 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
 
 
 def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:
+    """Return the settings by which the items of a batch are built."""
     paths = [file.path for file in files]
     kinds = {
         (path.suffix.lower(), has_kind_suffix(path, "scene")): path for path in paths
@@ -349,6 +351,7 @@ class _ItemListBuilder:
         row: Mapping[str, str],
         outputs: OutputPattern | None,
     ) -> Item:
+        """Return the item of an input and a row of variants."""
         spec, file, row_values = self.spec, shot.media, {**shot.names, **row}
         variables = self.overrides.values.get(file.path, {})
         file_name_parts = {name: file_name(value) for name, value in row.items()}

@@ -120,6 +120,7 @@ def run_batch(
 
 
 def _selected_items(batch: Batch, options: RunOptions) -> Sequence[Item]:
+    """Return the items in the requested range of numbers, else all."""
     if options.numbers is None:
         return batch.items
     first_number, last_number = options.numbers
@@ -196,7 +197,7 @@ class _BatchRun:
         )
 
     def _executor(self) -> tuple[Executor, str]:
-        """Return the executor of the run and the argument for it."""
+        """Return the executor of the run, and the text after its name and ``=``."""
         name, _, argument = self.options.executor.partition("=")
         return find_executor(name), argument
 
@@ -276,6 +277,7 @@ class _BatchRun:
             yield item
 
     def _record_outcome(self, outcome: ItemOutcome) -> None:
+        """Add an outcome to the reports, and to the ledger if the item is built."""
         if (
             outcome.number not in self.started_numbers
             or outcome.number in self.reports_by_number

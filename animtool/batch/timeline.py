@@ -93,7 +93,7 @@ FRAME_TOLERANCE = Fraction(1, 1_000_000)
 # Largest denominator of frame fractions; common rates share a smaller one.
 MAX_DENOMINATOR = 100_000
 # Generous limits of media: frames per second, and seconds since 1970.
-LOWEST_RATE, HIGHEST_RATE = 0.001, 1e6
+MIN_MEDIA_RATE, MAX_MEDIA_RATE = 0.001, 1e6
 MAX_MEDIA_SECONDS = 10**12
 MAX_SPEED = 10**6
 # Hosts of URLs that mean this machine.
@@ -176,7 +176,7 @@ def is_remote(clip: Any) -> bool:
 
 def exact_rate(rate: float) -> Fraction:
     """Return the exact frame rate of a float in a timeline."""
-    if not LOWEST_RATE <= rate <= HIGHEST_RATE:
+    if not MIN_MEDIA_RATE <= rate <= MAX_MEDIA_RATE:
         raise ValueError(f"{rate!r} is not a frame rate")
     return rate_from_float(rate)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.batch.edl import Edl
-from animtool.batch.timeline import HIGHEST_RATE, LOWEST_RATE, exact_rate
+from animtool.batch.timeline import MAX_MEDIA_RATE, MIN_MEDIA_RATE, exact_rate
 from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import Fault, FormatError, OptionError, Severity
@@ -126,5 +126,8 @@ def picture_rates(composition: Any) -> Iterator[Fraction]:
         if span is None:
             media = getattr(child, "media_reference", None)
             span = getattr(media, "available_range", None)
-        if span is not None and LOWEST_RATE <= span.start_time.rate <= HIGHEST_RATE:
+        if (
+            span is not None
+            and MIN_MEDIA_RATE <= span.start_time.rate <= MAX_MEDIA_RATE
+        ):
             yield rate_from_float(span.start_time.rate)

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def _miss_text(miss: Misses, figure: str) -> str:
     """Format a figure of missed goals as a length or an angle."""
     value = getattr(miss, figure)
-    if miss.metric and not math.isfinite(value):
+    if miss.is_length and not math.isfinite(value):
         return f"over {OVERFLOW_DISTANCE:g} m"
-    return length_text(value) if miss.metric else angle_text(math.degrees(value))
+    return length_text(value) if miss.is_length else angle_text(math.degrees(value))
 
 
 def _limit_texts(counts: dict[str, int]) -> list[str]:

@@ -71,7 +71,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
 
     output, report_format = params["output"], params["report_format"]
     show_options = ShowOptions(**read_values(ShowOptions, params))
-    file_options = read_values(PreviewOptions, params)
+    preview_values = read_values(PreviewOptions, params)
     pictures = PictureOptions(**read_values(PictureOptions, params))
     is_picture = output is not None and picture_kind(output) is not None
     if not is_picture and (picture_flags := changed_options(pictures)):
@@ -86,7 +86,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     options = PreviewOptions(
         source=source_options_record(params, *_SOURCE_OPTIONS),
         variables=dict(params["variables"]),
-        **{name: value for name, value in file_options.items() if value is not None},
+        **{name: value for name, value in preview_values.items() if value is not None},
     )
     if show_options.plan:
         preview_page.print_plan(console, files, output, options, report_format)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, MeshReport, TakeReport
     from animtool.scene.bake.steps import PlanStep
+    from animtool.usd.caches.writer import CachedMesh, CharactersReport
     from animtool.usd.takes.splines import CurveReport
 
 # Channel errors below this are not listed, in their units.
@@ -143,6 +144,7 @@ def _file_names_text(files: Sequence[Path]) -> str:
 
 
 def _beyond_limits_text(notices: Sequence[Fault]) -> str:
+    """Format that values beyond float32 are not in the error, if there are any."""
     has_beyond = any(notice.code == "BVH104" for notice in notices)
     return " (without values beyond it)" if has_beyond else ""
 
@@ -155,6 +157,7 @@ def _curve_error_text(curves: Sequence[CurveReport]) -> str:
 
 
 def _precision_text(take: TakeReport) -> str:
+    """Return the number formats that the take is rounded to."""
     if take.written.rounding.has_rounded_scales:
         return "float32 and half scales"
     return "float32"
@@ -171,6 +174,7 @@ def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
 
 
 def _deformed_text(meshes: list[MeshReport]) -> str:
+    """Format the counts of deformed meshes and strands, as a title."""
     strands = sum(mesh.kind == "strands" for mesh in meshes)
     meshes_text = counted(len(meshes) - strands, "mesh", "meshes")
     if strands:
@@ -179,6 +183,7 @@ def _deformed_text(meshes: list[MeshReport]) -> str:
 
 
 def _simulated_text(meshes: list[MeshReport]) -> str:
+    """Format the count of simulated systems, as a title."""
     return f"{counted(len(meshes), 'system')} of {meshes[0].of}, simulated"
 
 
@@ -187,6 +192,7 @@ _NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 
 
 def _point_count_text(mesh: MeshReport) -> str:
+    """Format the count of a mesh's vertices, particles, bodies or agents."""
     vertex_count = mesh.written.vertices
     if not mesh.simulated:
         return counted(vertex_count, "vertex", "vertices")
@@ -194,14 +200,16 @@ def _point_count_text(mesh: MeshReport) -> str:
     return f"up to {text}" if mesh.kind == "particles" else text
 
 
-def _worst_point(cached_mesh: Any) -> str:
+def _worst_point_text(cached_mesh: CachedMesh) -> str:
+    """Format the point with the largest rounding error: a body or a vertex."""
     point = cached_mesh.error_vertex
     if cached_mesh.names:
         return f"body {excerpt(cached_mesh.names[point])}"
     return f"vertex {point}"
 
 
-def _kept_text(characters: Any) -> str:
+def _kept_samples_text(characters: CharactersReport) -> str:
+    """Format the fraction of the characters' poses that are written, in percent."""
     frames = characters.frames
     return f"{characters.samples / frames:.0%}" if frames else "none"
 
@@ -246,8 +254,8 @@ BAKE_TEMPLATE = Template(
         "groups": mesh_groups,
         "ms": lambda milliseconds: duration_text(milliseconds / 1e3),
         "points": _point_count_text,
-        "worst_point": _worst_point,
-        "kept": _kept_text,
+        "worst_point": _worst_point_text,
+        "kept": _kept_samples_text,
         "speed": lambda bake: size_text(bake.source_bytes / bake.seconds["total"]),
         "rounded": _precision_text,
         "beyond": _beyond_limits_text,

@@ -231,15 +231,15 @@ def joint_tracks(
         joint_to_key = _KeyedJoint(
             joint, j, motions[j], control_values, fitted_values, tolerances
         )
-        mimic_value = joint_to_key.driven_values(COORDINATE_PARTS.get(joint.type, ""))
+        driven_value = joint_to_key.driven_values(COORDINATE_PARTS.get(joint.type, ""))
         if joint.mimic is not None:
             mimic = joint.mimic
             leader = coordinates.get(mimic.joint, np.zeros(1))
-            followed_value = mimic.gain * leader + mimic.offset
-            mimic_value = followed_value if followed_value.any() else mimic_value
-        tracks[j] = list(joint_to_key.key_tracks(mimic_value))
+            mimic_value = mimic.gain * leader + mimic.offset
+            driven_value = mimic_value if mimic_value.any() else driven_value
+        tracks[j] = list(joint_to_key.key_tracks(driven_value))
         keyed_parts = {track.part for track in tracks[j]}
-        coordinates[joint.name] = mimic_value
+        coordinates[joint.name] = driven_value
         if keyed_parts & {"angle", "slide"}:
             coordinates[joint.name] = motions[j].coordinate
         if keyed_parts & {"local_rotation", "local_translation"}:

@@ -59,32 +59,36 @@ def channel_errors(
             weights = [motion.weights for motion in motions]
             return _value_errors(weights, shapes[name], 0.0), None
         joint, part = split_part(name, KEYED_PARTS)
-        row = np.array([rig.index(joint)])
+        joint_indices = np.array([rig.index(joint)])
         if part in {"angle", "rotation", "local_rotation"}:
-            rotations = [motion.rotations.gather(row)[:, 0] for motion in motions]
+            rotations = [
+                motion.rotations.gather(joint_indices)[:, 0] for motion in motions
+            ]
             return so3.angle_between(*rotations) / units.angle, units.angle_name
         if part == "scale":
             scales = [motion.scales for motion in motions]
             return _value_errors(scales, rig.index(joint), 1.0), None
-        positions = [motion.translations.gather(row)[:, 0] for motion in motions]
-        channel_error = np.linalg.norm(positions[0] - positions[1], axis=1)
-        return channel_error / units.length, unit_name(units.length)
+        positions = [
+            motion.translations.gather(joint_indices)[:, 0] for motion in motions
+        ]
+        distances = np.linalg.norm(positions[0] - positions[1], axis=1)
+        return distances / units.length, unit_name(units.length)
 
     reports = []
     for channel in clip.channels:
-        channel_error, unit = errors(channel.target)
-        frame = int(np.argmax(channel_error))
-        error, code = float(channel_error[frame]), float(take.clock.times[frame])
+        frame_errors, unit = errors(channel.target)
+        frame = int(np.argmax(frame_errors))
+        error, code = float(frame_errors[frame]), float(take.clock.times[frame])
         reports.append(ChannelError(channel.target, error, unit, code))
     return tuple(reports)
 
 
 def _value_errors(
-    channels: Sequence[Channel | None], row: int, default: float
+    channels: Sequence[Channel | None], index: int, default: float
 ) -> FloatArray:
-    """Return the difference of a row of two channels; a missing one is constant."""
+    """Return the difference of an element of two channels; ``default`` if missing."""
     take_values, keyed_values = (
-        np.full((1, 1, 1), default) if c is None else c.gather(np.array([row]))
+        np.full((1, 1, 1), default) if c is None else c.gather(np.array([index]))
         for c in channels
     )
     return np.asarray(np.abs(take_values - keyed_values).max(axis=(1, 2)))

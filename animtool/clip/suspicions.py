@@ -45,7 +45,7 @@ from animtool.rig.suspicious_shape import HINGE_NAMES
 
 # Channels that move by less are noise in any unit [file's angle].
 MIN_SPAN = 0.3
-# In degrees, a character with this many rotating channels exceeds `HALF_CIRCLE`
+# In degrees, a character with this many rotating channels exceeds `HALF_REVOLUTION`
 # somewhere.
 MIN_CHANNELS = 5
 # So many joints of a body, a knee among them, do not all rotate several times.
@@ -238,11 +238,15 @@ def warn_of_angle_keys(
         _look_like_radians(named) if in_degrees else _look_like_degrees(named, rig)
     )
     if not are_all:
-        suspects = [row for row in angles if _are_integer_degrees_in_radians(row[1])]
+        suspects = [
+            (curve, values)
+            for curve, values in angles
+            if _are_integer_degrees_in_radians(values)
+        ]
         angles = suspects if in_degrees else []
     if not angles:
         return
-    curve, values = max(angles, key=lambda row: np.abs(row[1]).max())
+    worst_curve, values = max(angles, key=lambda angle: np.abs(angle[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
     largest = values[k][np.abs(values[k]).argmax()]
     file_unit = "deg" if in_degrees else "rad"
@@ -254,7 +258,7 @@ def warn_of_angle_keys(
     hint = f"this key in {ANGLE_NAMES[file_unit]}: {largest * factor:.4g}"
     unit_hint = f"write 'units: {{angle: {likely_unit}}}', or {hint}"
     hint = unit_hint if are_all else f"write {hint}"
-    document.warn("CLIP107", (*curve.location, "keys", k, "v"), message, hint)
+    document.warn("CLIP107", (*worst_curve.location, "keys", k, "v"), message, hint)
 
 
 def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:

@@ -22,9 +22,11 @@ NEAREST_RATE_TOLERANCE = Fraction(25, 100_000)
 METADATA_TOLERANCE = Fraction(5, 1_000_000)
 # Powers of ten that limit a valid frame time [s].
 FRAME_TIME_EXPONENTS = (-9, 6)
-LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
-HIGHEST_RATE = 1000
-# Captures and displays are slower; a larger number is probably not a frame rate.
+# Range of rates that options and files may state [frame/s].
+MIN_STATED_RATE, MAX_STATED_RATE = Fraction(1, 1000), Fraction(100_000)
+# Largest integer rate that an inexact frame time is matched with [frame/s].
+MAX_INTEGER_RATE = 1000
+# Captures and displays are slower; a larger number is probably no rate [frame/s].
 MAX_PLAUSIBLE_RATE = 2000
 # Maximum number of digits of a frame time.
 MAX_DIGITS = 100
@@ -135,7 +137,8 @@ def rate_from_frame_time(text: str) -> RateChoice:
 
 
 def _adjacent_integers(rate: Fraction) -> list[int]:
-    return [n for n in (int(rate), int(rate) + 1) if 1 <= n <= HIGHEST_RATE]
+    """Return the integer rates just below and above a rate."""
+    return [n for n in (int(rate), int(rate) + 1) if 1 <= n <= MAX_INTEGER_RATE]
 
 
 def _integers_that_print(printed_time: Fraction, digits: int) -> list[int]:
@@ -143,10 +146,10 @@ def _integers_that_print(printed_time: Fraction, digits: int) -> list[int]:
     half_digit = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
     lower, upper = printed_time - half_digit, printed_time + half_digit
     smallest = int(1 / upper)
-    largest = int(1 / lower) + 1 if lower > 0 else HIGHEST_RATE
+    largest = int(1 / lower) + 1 if lower > 0 else MAX_INTEGER_RATE
     return [
         n
-        for n in range(max(1, smallest), min(HIGHEST_RATE, largest) + 1)
+        for n in range(max(1, smallest), min(MAX_INTEGER_RATE, largest) + 1)
         if lower <= Fraction(1, n) < upper
     ]
 
@@ -222,7 +225,7 @@ def parse_rate(text: FractionLike) -> Fraction:
         raise RateError(
             f"{excerpt(text)} is not a frame rate such as 24, 23.976 or 24000/1001"
         ) from error
-    if not LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
+    if not MIN_STATED_RATE <= rate <= MAX_STATED_RATE:
         quoted = excerpt(text).strip("'")
         raise RateError(
             f"a frame rate is between 0.001 and 100000, such as 24, not {quoted}"
@@ -302,7 +305,7 @@ def rate_warning(fps: Fraction, name: str | None = "fps") -> list[Fault]:
         f"{rate_text} is implausible; film has 24 frames a second, captures up to 1000"
     )
     hint = "use the number of frames in one second, not their total or a frame time"
-    if LOWEST_WRITTEN_RATE <= fps < 1:
+    if MIN_STATED_RATE <= fps < 1:
         inverse = rate_from_frame_time(f"{float(fps):.12g}").fps
         if is_common_rate(inverse):
             hint = f"it looks like the frame time of {rate_label(inverse)}; "

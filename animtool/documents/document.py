@@ -10,7 +10,7 @@ from typing import Any
 
 from animtool.core.errors import Fault, FormatError, Severity, first_faults
 from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
-from animtool.core.files.signatures import DOCUMENT, expects_format
+from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, expects_format
 from animtool.core.names import FILE_KINDS
 from animtool.core.record import dataclass
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
@@ -229,6 +229,7 @@ class Document:
         message: str,
         hint: str | None,
     ) -> None:
+        """Add a warning or a note, unless the location is a placeholder."""
         if not self.is_placeholder(location):
             fault = self.fault(code, location, message, hint)
             self.notices.append(replace(fault, severity=severity))
@@ -285,7 +286,7 @@ def with_position(fault: Fault) -> Fault:
 
 @expects_format(
     "DOC007",
-    DOCUMENT,
+    DOCUMENT_DESCRIPTION,
     "a file that ends in .yaml or .json is needed; animtool bake and "
     "animtool.open_source read takes of other formats",
 )

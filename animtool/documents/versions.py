@@ -8,7 +8,7 @@ from typing import Any
 
 from animtool.core.arguments import flag
 from animtool.core.errors import FormatError, excerpt
-from animtool.core.files.signatures import DOCUMENT, format_mismatch
+from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, format_mismatch
 from animtool.core.names import FILE_KINDS
 from animtool.documents.document import Document, Location, kind_of_name
 
@@ -105,7 +105,7 @@ def version_of(
     if named_kind not in kinds_in_file or _is_other_kind(
         document, named_kind, kinds_in_file[0]
     ):
-        format_fault = format_mismatch("DOC009", document.path, DOCUMENT)
+        format_fault = format_mismatch("DOC009", document.path, DOCUMENT_DESCRIPTION)
         if format_fault is not None:
             raise FormatError(format_fault)
         message = "the first line is missing"

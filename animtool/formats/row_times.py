@@ -8,8 +8,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.rates import (
-    HIGHEST_WRITTEN_RATE,
-    LOWEST_WRITTEN_RATE,
+    MAX_STATED_RATE,
+    MIN_STATED_RATE,
     rate_from_float,
 )
 from animtool.core.record import dataclass
@@ -90,7 +90,7 @@ def rate_of_step(step: float, rounding: float, frames: int) -> Fraction | None:
     ``frames`` is the number of steps between the two times it was measured from.
     """
     rate = 1.0 / step if step > 0 else np.inf
-    if not float(LOWEST_WRITTEN_RATE) <= rate <= float(HIGHEST_WRITTEN_RATE):
+    if not float(MIN_STATED_RATE) <= rate <= float(MAX_STATED_RATE):
         return None
     # Prefer the nearest integer rate within the rounding of the printed times.
     integer_rate = round(rate)

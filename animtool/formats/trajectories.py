@@ -21,8 +21,8 @@ from animtool.core.errors import (
 )
 from animtool.core.names import numbered_names
 from animtool.core.rates import (
-    HIGHEST_WRITTEN_RATE,
-    LOWEST_WRITTEN_RATE,
+    MAX_STATED_RATE,
+    MIN_STATED_RATE,
     FractionLike,
     rate_from_float,
     rate_option,
@@ -71,7 +71,7 @@ class MarkerFile:
         if fps is not None:
             return rate_option(fps)
         rate = stated_rate or 0.0
-        if LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
+        if MIN_STATED_RATE <= rate <= MAX_STATED_RATE:
             return rate_from_float(rate)
         message = "the file states no frame rate"
         if stated_rate:

@@ -11,7 +11,13 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.ik.chain import BALL, PIN, REVOLUTION_TOLERANCE, SLIDE, Chain
-from animtool.ik.driver_programs import FOLLOWS_PROGRAM, CoordinateSource, Programs
+from animtool.ik.driver_programs import (
+    FOLLOWS_LEADER,
+    FOLLOWS_PROGRAM,
+    UNDRIVEN,
+    CoordinateSource,
+    Programs,
+)
 from animtool.ik.goals import Goal
 from animtool.ik.limbs import limb_joints
 from animtool.maths import so3
@@ -92,7 +98,7 @@ class _ChainBuilder:
         rotation: FloatArray,
         coordinate: int,
         *,
-        driver_kind: int = 0,
+        driver_kind: int = UNDRIVEN,
         gain: tuple[float, float] = (1.0, 0.0),
         limit: tuple[float, float, float, float] = (-np.inf, np.inf, 0.0, 0.0),
     ) -> _Frame:
@@ -126,7 +132,12 @@ class _ChainBuilder:
         if leader in self.leader_columns:
             column = self.leader_columns[leader]
             return self._add_node(
-                kind, frame, rotation, column, driver_kind=1, gain=(gain, shift)
+                kind,
+                frame,
+                rotation,
+                column,
+                driver_kind=FOLLOWS_LEADER,
+                gain=(gain, shift),
             )
         low, high = self.ranges.get(leader, UNLIMITED)
         is_length = self.rig.joints[leader].type is JointType.PRISMATIC
@@ -309,8 +320,8 @@ def _build_chain(
         tuple(builder.ball_rotations),
         sum(
             3 if kind == BALL else 1
-            for kind, _, _, follows in builder.nodes
-            if not follows
+            for kind, _, _, driver_kind in builder.nodes
+            if driver_kind == UNDRIVEN
         ),
         length,
     )
@@ -325,10 +336,10 @@ def _node_rows(
     """
     nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
     node_scales = np.where(nodes[:, 0] == SLIDE, length, 1.0)
-    programs = nodes[:, 3] == FOLLOWS_PROGRAM
+    is_program = nodes[:, 3] == FOLLOWS_PROGRAM
     # Programs return metres and radians.
-    columns = np.where(programs, 0, nodes[:, 2])
-    coordinate_scales = np.where(programs, 1.0, scales[columns])
+    columns = np.where(is_program, 0, nodes[:, 2])
+    coordinate_scales = np.where(is_program, 1.0, scales[columns])
     gains = np.array(builder.gains)
     limits = np.array(builder.limits)
     single_columns = nodes[:, 0] != BALL
@@ -346,7 +357,7 @@ def _node_rows(
     if builder.programs is not None:
         sources = builder.sources()
         requested, program_rows, values = builder.programs.rows(sources, scales)
-        nodes[programs, 2] = np.array(requested, np.int64)[nodes[programs, 2]]
+        nodes[is_program, 2] = np.array(requested, np.int64)[nodes[is_program, 2]]
         padding = np.zeros((len(program_rows), node_numbers.shape[1]))
         padding[:, :6] = np.array(values).reshape(-1, 6)
         nodes = np.concatenate([nodes, np.array(program_rows, np.int64).reshape(-1, 4)])

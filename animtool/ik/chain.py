@@ -8,6 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
+from animtool.ik.driver_programs import FOLLOWS_PROGRAM
 from animtool.maths import so3
 
 PIN, SLIDE, BALL = 0, 1, 2
@@ -145,9 +146,9 @@ def with_periods(chain: Chain) -> FloatArray:
     angle that crosses one continues at the other.
     """
     numbers = chain.numbers.copy()
-    for row, (kind, _, column, follows) in zip(numbers, chain.nodes, strict=True):
+    for row, (kind, _, column, driver_kind) in zip(numbers, chain.nodes, strict=True):
         # Driven joints have no limits here.
-        if kind != PIN or follows > 1:
+        if kind != PIN or driver_kind == FOLLOWS_PROGRAM:
             continue
         low, high = chain.periods[column]
         if high - low > 2 * np.pi + REVOLUTION_EXCESS and np.isfinite(low):

@@ -27,8 +27,10 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
-# Node kind of an instruction row, and the mimic flag of a joint driven by a program.
-INSTRUCTION, FOLLOWS_PROGRAM = 3, 2
+# Kind of a row of nodes that is an instruction.
+INSTRUCTION = 3
+# Driver kinds of a node: its own coordinate, that of a leader, or a program's result.
+UNDRIVEN, FOLLOWS_LEADER, FOLLOWS_PROGRAM = 0, 1, 2
 # Operations, in the kernel's order.
 _OPERATIONS = (
     *("number", "coordinate", "ball", "result", "point", "curve"),

@@ -62,14 +62,14 @@ class Misses:
     json_keys: ClassVar[str] = "unit frames mean p95 max frame"
 
     @property
-    def metric(self) -> bool:
+    def is_length(self) -> bool:
         """Whether the miss is a length [m], not an angle [rad]."""
         return bool(IS_LENGTH[PARTS.index(self.part)])
 
     @property
     def unit(self) -> str:
         """The unit of the numbers."""
-        return "m" if self.metric else "rad"
+        return "m" if self.is_length else "rad"
 
 
 @dataclass(frozen=True, slots=True)

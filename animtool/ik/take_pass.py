@@ -80,7 +80,7 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
         for e, track in enumerate(solved_take.tracks.goals)
     )
     misses = [miss for goal in goals for miss in goal.misses]
-    context.errors.extend(miss.max for miss in misses if miss.metric)
+    context.errors.extend(miss.max for miss in misses if miss.is_length)
     return replace(solved_take.take, rig=rig)
 
 

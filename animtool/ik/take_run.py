@@ -303,7 +303,7 @@ class TakeSolver:
     def _find_steadier_smoothing(
         self, result: IkResult, targets: Targets, start: FloatArray | None
     ) -> Smoothing | None:
-        """Return the trial smoothing that leaves the smallest jumps, or None."""
+        """Return the trial smoothing with the smallest jumps; None if none helps."""
         angles = [jump.size for jump in result.jumps if not jump.slides]
         if not angles or self.options.smooth > 0:
             return None

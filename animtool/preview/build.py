@@ -204,19 +204,24 @@ def _collect_contents(
     """Read files into a draft on one timeline; return it with notices."""
     notices = [file.at_scene(notice) for file in files for notice in file.notices]
     fps = next((rate for file in files if (rate := file.fps)), Fraction(24))
-    timed_takes = [
+    timeline_takes = [
         fit_to_page(number, file, take, fps, options, notices)
         for number, file in enumerate(files)
         for take in file.takes
     ]
-    notices += align_takes(timed_takes)
-    timeline = timeline_of(files, timed_takes, fps, options)
+    notices += align_takes(timeline_takes)
+    timeline = timeline_of(files, timeline_takes, fps, options)
     draft = PageDraft(timeline)
-    page_takes = [(timed, _add_timed_take(draft, timed)) for timed in timed_takes]
-    for timed, page_take in page_takes:
-        add_character(draft, timed.take, page_take)
-        add_visibility(draft, files[timed.file_index], timed, page_take)
-        add_channels(draft, page_take, timed.take.clip, timed.clip_origin)
+    page_takes = [
+        (timeline_take, _add_timeline_take(draft, timeline_take))
+        for timeline_take in timeline_takes
+    ]
+    for timeline_take, page_take in page_takes:
+        add_character(draft, timeline_take.take, page_take)
+        add_visibility(draft, files[timeline_take.file_index], timeline_take, page_take)
+        add_channels(
+            draft, page_take, timeline_take.take.clip, timeline_take.clip_origin
+        )
     for file in files:
         if file.contents is not None:
             from animtool.preview.stage import add_stage
@@ -235,13 +240,17 @@ def _collect_contents(
     return draft, notices
 
 
-def _add_timed_take(draft: PageDraft, timed_take: TimelineTake) -> PageTake:
+def _add_timeline_take(draft: PageDraft, timeline_take: TimelineTake) -> PageTake:
     """Add a take with its meshes, visibility and curves; return it as stored."""
-    first = draft.timeline.index(timed_take.first_frame)
+    first = draft.timeline.index(timeline_take.first_frame)
     page_take = add_take(
-        draft, timed_take.take.name, timed_take.stream, timed_take.motion, first
+        draft,
+        timeline_take.take.name,
+        timeline_take.stream,
+        timeline_take.motion,
+        first,
     )
-    page_take.entry["file"] = timed_take.file_index
+    page_take.entry["file"] = timeline_take.file_index
     return page_take
 
 

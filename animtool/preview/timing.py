@@ -112,35 +112,40 @@ def fit_to_page(
     return TimelineTake(number, take, stream, motion, start, origin)
 
 
-def align_takes(timed_takes: list[TimelineTake]) -> list[Fault]:
+def align_takes(timeline_takes: list[TimelineTake]) -> list[Fault]:
     """Move takes that do not overlap the first take to its start; return notices."""
     notices = []
-    for timed in timed_takes[1:]:
-        first_take = timed_takes[0]
-        if timed.first_frame > first_take.last or timed.last < first_take.first_frame:
+    for timeline_take in timeline_takes[1:]:
+        first_take = timeline_takes[0]
+        if (
+            timeline_take.first_frame > first_take.last
+            or timeline_take.last < first_take.first_frame
+        ):
             message = (
-                f"take {timed.take.name!r} begins at frame "
-                f"{frame_label(timed.first_frame)}, "
+                f"take {timeline_take.take.name!r} begins at frame "
+                f"{frame_label(timeline_take.first_frame)}, "
                 f"but is shown from frame {frame_label(first_take.first_frame)}"
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
-            timed.shift = first_take.first_frame - timed.first_frame
-            timed.clip_origin += timed.shift
-            timed.first_frame = first_take.first_frame
+            timeline_take.shift = first_take.first_frame - timeline_take.first_frame
+            timeline_take.clip_origin += timeline_take.shift
+            timeline_take.first_frame = first_take.first_frame
     return notices
 
 
 def timeline_of(
     files: Sequence[OpenFile],
-    timed_takes: Sequence[TimelineTake],
+    timeline_takes: Sequence[TimelineTake],
     fps: Fraction,
     options: PreviewOptions,
 ) -> Timeline:
     """Return the timeline that covers all files."""
     spans = [
-        _range_in_stage(timed, _authored_range(files[timed.file_index], fps))
-        for timed in timed_takes
-        if timed.motion.frames > 1
+        _range_in_stage(
+            timeline_take, _authored_range(files[timeline_take.file_index], fps)
+        )
+        for timeline_take in timeline_takes
+        if timeline_take.motion.frames > 1
     ]
     step = Fraction(1)
     for file in files:
@@ -152,14 +157,14 @@ def timeline_of(
             ratio = fps / span.fps
             spans.append((span.first * ratio, span.last * ratio))
         if file.targets is not None and all(
-            timed.motion.frames < 2 for timed in timed_takes
+            timeline_take.motion.frames < 2 for timeline_take in timeline_takes
         ):
             span = file.targets.clock.span
             ratio = Fraction(1) if file.targets.fps is None else fps / span.fps
             spans.append((span.first * ratio, span.last * ratio))
     first = min(
         (span_start for span_start, _ in spans),
-        default=timed_takes[0].first_frame if timed_takes else Fraction(1),
+        default=timeline_takes[0].first_frame if timeline_takes else Fraction(1),
     )
     last = max((span_end for _, span_end in spans), default=first)
     frames = options.frame_range
@@ -177,14 +182,18 @@ def timeline_of(
 
 
 def _range_in_stage(
-    timed: TimelineTake, stage_range: tuple[Fraction, Fraction] | None
+    timeline_take: TimelineTake, stage_range: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the first and last frame of a take within its stage's range, if any."""
-    if stage_range is None or timed.shift:
-        return timed.first_frame, timed.last
-    first = max(timed.first_frame, stage_range[0])
-    last = min(timed.last, stage_range[1])
-    return (first, last) if first <= last else (timed.first_frame, timed.last)
+    if stage_range is None or timeline_take.shift:
+        return timeline_take.first_frame, timeline_take.last
+    first = max(timeline_take.first_frame, stage_range[0])
+    last = min(timeline_take.last, stage_range[1])
+    return (
+        (first, last)
+        if first <= last
+        else (timeline_take.first_frame, timeline_take.last)
+    )
 
 
 def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:

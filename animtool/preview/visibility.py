@@ -14,22 +14,22 @@ from animtool.preview.timing import TimelineTake
 
 
 def add_visibility(
-    draft: PageDraft, file: OpenFile, timed_take: TimelineTake, page_take: PageTake
+    draft: PageDraft, file: OpenFile, timeline_take: TimelineTake, page_take: PageTake
 ) -> None:
     """Add the visible frames of a take and its meshes.
 
     Args:
         draft: The page, with the take and its meshes.
         file: The file of the take.
-        timed_take: The take on the timeline.
+        timeline_take: The take on the timeline.
         page_take: The take on the page.
     """
-    contents, prim = file.contents, timed_take.take.prim
+    contents, prim = file.contents, timeline_take.take.prim
     if contents is None or not prim:
         return
     codes = time_codes(
-        timed_take.first_frame - timed_take.shift,
-        timed_take.stream.step,
+        timeline_take.first_frame - timeline_take.shift,
+        timeline_take.stream.step,
         page_take.frames,
     )
     codes = codes * float(contents.fps / draft.timeline.fps)
@@ -37,7 +37,7 @@ def add_visibility(
     page_take.entry["visible"] = visibility_stream(draft, prim_visible)
     if not prim_visible.any():
         draft.add_notice(
-            f"{timed_take.take.name!r} is hidden in every frame: it is not drawn"
+            f"{timeline_take.take.name!r} is hidden in every frame: it is not drawn"
         )
     meshes = [mesh for mesh in draft.meshes if mesh["take"] == page_take.index]
     visible_by_mesh = contents.mesh_visibility(prim, codes) if meshes else {}

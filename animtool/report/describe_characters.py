@@ -44,12 +44,13 @@ class CharactersFacts:
 class _CharacterSummary:
     """Summary of one character."""
 
-    low: list[float]
-    high: list[float]
-    mean: float | None = None
-    speed: Extreme | None = None
-    lowest: Extreme | None = None
-    rise: Extreme | None = None
+    # Lowest and highest joint position, axis by axis, over all frames [m].
+    bounds_low: list[float]
+    bounds_high: list[float]
+    mean_speed: float | None = None  # mean horizontal speed of the hips [m/s]
+    speed: Extreme | None = None  # largest horizontal speed of the hips [m/s]
+    lowest: Extreme | None = None  # smallest height of the hips [m]
+    rise: Extreme | None = None  # largest vertical step of the hips in a frame [m]
 
 
 def describe_characters(path: Path | str) -> CharactersFacts | None:
@@ -63,7 +64,7 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
     readers = read_characters(Path(path))
     if len(readers) < 2:
         return None
-    extents, joints, unreadable_count = [], 0, 0
+    summaries, joints, unreadable_count = [], 0, 0
     for name, open_take in readers.items():
         try:
             take = open_take().collect()
@@ -72,25 +73,32 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
             continue
         joints += len(take.rig.joints)
         if take.rig.joints:
-            extents.append(_summarize(name, take))
-    means = [extent.mean for extent in extents if extent.mean is not None]
-    speeds, lows, rises = (
-        [value for extent in extents if (value := getattr(extent, name)) is not None]
+            summaries.append(_summarize(name, take))
+    mean_speeds = [
+        summary.mean_speed for summary in summaries if summary.mean_speed is not None
+    ]
+    speeds, heights, rises = (
+        [
+            value
+            for summary in summaries
+            if (value := getattr(summary, name)) is not None
+        ]
         for name in ("speed", "lowest", "rise")
     )
     value_of = attrgetter("value")
     bounds = None
-    if extents:
-        low = np.min([extent.low for extent in extents], axis=0).tolist()
-        bounds = low, np.max([extent.high for extent in extents], axis=0).tolist()
+    if summaries:
+        bounds_low = np.min([summary.bounds_low for summary in summaries], axis=0)
+        bounds_high = np.max([summary.bounds_high for summary in summaries], axis=0)
+        bounds = bounds_low.tolist(), bounds_high.tolist()
     return CharactersFacts(
         len(readers),
         joints,
         unreadable_count,
         bounds,
-        float(np.mean(means)) if means else None,
+        float(np.mean(mean_speeds)) if mean_speeds else None,
         max(speeds, key=value_of, default=None),
-        min(lows, key=value_of, default=None),
+        min(heights, key=value_of, default=None),
         max(rises, key=value_of, default=None),
     )
 
@@ -100,9 +108,9 @@ def _summarize(name: str, take: Take) -> _CharacterSummary:
     roles = RoledSkeleton.of(take.rig, find_anatomy(take.rig).roles)
     hips, positions = joint_positions(take, roles, range(len(take.rig.joints)))
     points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
-    lower, upper = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    bounds_low, bounds_high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     if roles.leg("l") is None or roles.leg("r") is None or len(hips) < 2:
-        return _CharacterSummary(lower, upper)
+        return _CharacterSummary(bounds_low, bounds_high)
     up, times = 1 if take.rig.up is UpAxis.Y else 2, take.clock.times
     speeds = ground_speeds(take, hips)
     heights = hips[:, up]
@@ -115,8 +123,8 @@ def _summarize(name: str, take: Take) -> _CharacterSummary:
         int(index) for index in (speeds.argmax(), heights.argmin(), steps.argmax())
     )
     return _CharacterSummary(
-        lower,
-        upper,
+        bounds_low,
+        bounds_high,
         float(speeds.mean()),
         extreme_at(float(speeds[fastest]), fastest + 1),
         extreme_at(float(heights[lowest]), lowest),

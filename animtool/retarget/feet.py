@@ -75,7 +75,7 @@ class PlacedFeet:
     ankles: Sequence[FloatArray]  # ankle positions of each foot (F, 3) [m]
     rotations: Sequence[FloatArray]  # world rotations of each foot (F, 4)
     is_locked: Sequence[BoolArray]  # frames in which each foot is planted (F,)
-    toe_rolls: Sequence[FloatArray]  # weight of standing on the toe only, 0 to 1 (F,)
+    toe_rolls: Sequence[FloatArray]  # weight of pinning the toe, 0 to 1 (F,)
     # Planted height of each toe, or of the ankle without a toe [m].
     sole_heights: Sequence[float]
     max_lowering: float  # largest distance that the hips sank so that legs reach [m]
@@ -153,10 +153,10 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
     return so3.align_signs(so3.multiply(so3.exp(correction), foot.rotation))
 
 
-def _toe_roll(toe: BoolArray, fps: float) -> FloatArray:
-    """Return a weight: 1 while only the toe is planted, with a smooth fade ``(F,)``."""
-    rolls = toe[:, None].astype(np.float64)
-    fill_between(rolls, toe, fps)
+def _toe_roll(is_toe_planted: BoolArray, fps: float) -> FloatArray:
+    """Return a weight: 1 while the toe is planted, with a smooth fade to 0 ``(F,)``."""
+    rolls = is_toe_planted[:, None].astype(np.float64)
+    fill_between(rolls, is_toe_planted, fps)
     return np.asarray(np.clip(rolls[:, 0], 0.0, 1.0))
 
 
@@ -178,8 +178,8 @@ def _ankle_to_toe(foot: Foot, rotation: FloatArray) -> FloatArray:
 
 def _ankle_rise(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
     """Return the ankle's rise above a level foot while on the toe only ``(F,)`` [m]."""
-    toe_only = foot.contacts.toe & ~foot.contacts.ankle
-    return np.where(toe_only, _level_bone(foot, up) - bone[:, up], 0.0)
+    is_only_toe_planted = foot.contacts.toe & ~foot.contacts.ankle
+    return np.where(is_only_toe_planted, _level_bone(foot, up) - bone[:, up], 0.0)
 
 
 def _hip_lift(
@@ -334,7 +334,7 @@ def _raise_above_ground(
 def fill_between(
     values: FloatArray, is_fixed: BoolArray, fps: float, fade: float = FADE_SECONDS
 ) -> None:
-    """Fill the rows ``(F, K)`` that are not fixed with a smooth fade to 0 [s]."""
+    """Fill rows ``(F, K)`` that are not fixed with a smooth fade to 0 in a time [s]."""
     if is_fixed.all() or not is_fixed.any():
         return
     weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)

@@ -37,19 +37,20 @@ _MIN_TWIST_COSINE = 0.97
 
 
 # Two similar subtrees below one joint.
-JointIndices = tuple[int, int]
+SubtreePair = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class SkeletonTree:
-    """A skeleton's tree with bone lengths and role votes, for the anatomy search."""
+    """A skeleton's tree and bone lengths, with the roles that joint names suggest."""
 
     rig: Rig
-    # Joint positions in the searched pose ``(J, 3)`` [m], world.
+    # World positions of joints in the searched pose (J, 3) [m].
     positions: FloatArray
-    last_bones: FloatArray  # rest vectors of last bones, or zero ``(J, 3)`` [m], world
-    kinds: tuple[str, ...]  # kind of each joint's name, such as twist ``(J,)``
-    votes: tuple[dict[str, float], ...]  # weights of roles by names ``(J,)``
+    last_bones: FloatArray  # world vectors of last bones at rest, or 0 (J, 3) [m]
+    kinds: tuple[str, ...]  # kind of each joint's name, such as twist (J,)
+    # Weights of the roles that each name suggests (J,).
+    votes: tuple[dict[str, float], ...]
 
     @classmethod
     def of(
@@ -199,9 +200,9 @@ class SkeletonTree:
 
 def find_limb_pairs(
     body: SkeletonTree,
-) -> tuple[JointIndices | None, JointIndices | None]:
+) -> tuple[SubtreePair | None, SubtreePair | None]:
     """Return the pairs of legs and of arms, as far as the tree shows them."""
-    outer_pairs: list[JointIndices] = []
+    outer_pairs: list[SubtreePair] = []
     for pair in sorted(
         _similar_subtrees(body), key=lambda pair: -body.length_through_joint(pair[0])
     ):
@@ -222,7 +223,7 @@ def find_limb_pairs(
     return None, None
 
 
-def _similar_subtrees(body: SkeletonTree) -> list[JointIndices]:
+def _similar_subtrees(body: SkeletonTree) -> list[SubtreePair]:
     """Return pairs of sibling joints with subtrees of similar length and size."""
     pairs = []
     for children in body.children:
@@ -240,14 +241,14 @@ def _similar_subtrees(body: SkeletonTree) -> list[JointIndices]:
             has_similar_length = longer - shorter <= _PAIR_TOLERANCE * longer
             if has_similar_length and more_joints <= 1.2 * fewer_joints + 2:
                 pairs.append((more_joints - fewer_joints, longer - shorter, (a, b)))
-    best_pairs: list[JointIndices] = []
+    best_pairs: list[SubtreePair] = []
     for _, _, pair in sorted(pairs):
         if not any(set(pair) & set(accepted) for accepted in best_pairs):
             best_pairs.append(pair)
     return best_pairs
 
 
-def _leg_score(body: SkeletonTree, legs: JointIndices, arms: JointIndices) -> float:
+def _leg_score(body: SkeletonTree, legs: SubtreePair, arms: SubtreePair) -> float:
     """Return a score of how well two pairs of limbs fit as legs and arms."""
     hips, chest = (body.rig.joints[pair[0]].parent for pair in (legs, arms))
     paths = [body.rig.upwards(hips), body.rig.upwards(chest)]

@@ -508,9 +508,14 @@ def test_what_targets_leave_out_is_what_carries_chains_or_does_not_stretch() -> 
 def test_misses_and_their_spans() -> None:
     times = np.array([10.0, 11, 12, 13, 14])
     found = _misses("aim", times, np.array([0.1, 0.5, 0.2, 0.5, 0.0]))
-    assert (found.frames, found.max, found.frame, found.metric) == (5, 0.5, 11, False)
+    assert (found.frames, found.max, found.frame, found.is_length) == (
+        5,
+        0.5,
+        11,
+        False,
+    )
     assert found.mean == pytest.approx(0.26)
-    assert _misses("position", times[:1], np.ones(1)).metric
+    assert _misses("position", times[:1], np.ones(1)).is_length
     rows = np.zeros((5, 4))
     rows[:, 0] = [0.3, 0.1, 0, 0, 0.2]
     rows[:, 1] = [0.0, 0.5, 0, 0, 0.1]

@@ -147,10 +147,11 @@ def predict_from_parent_joint(
     distance_deviations: FloatArray,
     rate: float,
 ) -> Prediction | None:
-    """Predict a marker in the frame of its parent joint; None if that is unknown.
+    """Return a marker's positions in a gap, predicted from its parent joint.
 
-    The marker is expressed in the frame of the parent joint, and in frames rotated
-    towards each marker on the same joint. Its motion in these frames is learnt as in
+    None if the marker has no parent joint or too few frames to learn from. The marker
+    is expressed in the frame of the parent joint, and in frames rotated towards each
+    marker on the same joint. Its motion in these frames is learnt as in
     `predict_from_markers`, with the same arguments.
     """
     neighbours = _nearest_markers(visible, marker, gap, distance_deviations)

@@ -16,8 +16,8 @@ from animtool.core.record import dataclass
 # All of these formats are recognisable within their first bytes.
 HEAD_BYTES = 65_536
 _ReaderT = TypeVar("_ReaderT", bound=Callable[..., Any])
-# YAML or JSON that states its kind and version.
-DOCUMENT = "an animtool file (YAML or JSON)"
+# What messages call a file that states its kind and version.
+DOCUMENT_DESCRIPTION = "an animtool file (YAML or JSON)"
 _EXPORT_HINT = "export FBX, glTF or USD from {}, then use that file"
 
 
@@ -64,7 +64,7 @@ SIGNATURES = (
     _signature("a Live Link Face recording", rb"timecode,blendshapecount", ".csv"),
     _signature("a glTF file", rb'\{(?=.*"asset").*"(?:nodes|accessors)"', ".gltf .vrm"),
     _signature(
-        DOCUMENT,
+        DOCUMENT_DESCRIPTION,
         rb'[{"\s]*(?:' + "|".join(FILE_KINDS).encode() + rb')"?\s*:\s*"?animtool/',
         ".yaml .yml .json",
     ),
@@ -165,7 +165,11 @@ def expects_format(
             try:
                 return read(path, *args, **options)
             except FormatError as error:
-                if error.code != "IO001" and expected != DOCUMENT and _is_empty(path):
+                if (
+                    error.code != "IO001"
+                    and expected != DOCUMENT_DESCRIPTION
+                    and _is_empty(path)
+                ):
                     raise empty_error(error.code, path) from None
                 fault = format_mismatch(code, path, expected, hint)
                 if fault is None:

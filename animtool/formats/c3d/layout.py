@@ -374,7 +374,8 @@ def _choose_by_evidence(
 
 
 def _is_noise(layout: Layout, evidence: Evidence) -> bool:
-    """Return whether numbers look like noise; roughness needs more than one point."""
+    """Return whether the numbers of a layout look like noise, not like positions."""
+    # A single point may be rough: its spread can be small.
     return evidence.outlier_fraction > MAX_OUTLIER_FRACTION or (
         layout.points > 1 and evidence.roughness > NOISE_ROUGHNESS
     )

@@ -75,7 +75,7 @@ def read_table(path: Path) -> MotionTable:
     _check_data_type(path, header, lines)
     notices: list[Fault] = []
     rows = read_rows(path, lines, header, len(names) + 1, notices)
-    decimals, numbers = rows.decimals(0), rows.line_numbers
+    decimals, line_numbers = rows.decimals(0), rows.line_numbers
     values = parse_numbers(path, rows, len(names) + 1)
     counts = {"rows": len(values), "columns": len(names) + 1}
     for noun, count in counts.items():
@@ -85,18 +85,18 @@ def read_table(path: Path) -> MotionTable:
             hint = f"all {noun} are read; correct the header"
             notices.append(Fault("MOF101", message, str(path), (), hint, warning))
     times = values[:, 0].copy()
-    check_times(path, times, numbers)
+    check_times(path, times, line_numbers)
     cells = values[:, 1:].copy()
     with np.errstate(invalid="ignore"):
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
-    notices += _missing_values_warning(path, names, cells, numbers)
+    notices += _missing_values_warning(path, names, cells, line_numbers)
     return MotionTable(
         path,
         names,
         cells,
         times,
         decimals,
-        numbers,
+        line_numbers,
         degrees,
         header.in_degrees,
         tuple(notices),
@@ -106,6 +106,7 @@ def read_table(path: Path) -> MotionTable:
 def _table_error(
     code: str, path: Path, message: str, line: int | None = None
 ) -> FormatError:
+    """Return the error of a file, or of one of its lines."""
     lines = () if line is None else (line,)
     return FormatError(Fault(code, message, str(path), lines))
 
@@ -153,6 +154,7 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
 
 
 def _find_header_end(path: Path, lines: list[bytes]) -> int:
+    """Return the index of the line that ends the header; raise MOF001 without one."""
     for i, line in enumerate(lines[:MAX_HEADER_LINES]):
         if line.strip(BLANK_CHARACTERS).lower() == b"endheader":
             return i
@@ -199,23 +201,24 @@ def _parse_header(
 
 
 def _column_names(
-    path: Path, line: bytes, separator: bytes, number: int
+    path: Path, line: bytes, separator: bytes, line_number: int
 ) -> tuple[str, ...]:
+    """Return the names of a line's columns, without the time (MOF002, MOF004)."""
     text = line.strip(BLANK_CHARACTERS if separator == b" " else b" " + separator)
     cells = split_cells(text, separator)
     if cells[0].lower() != "time":
         message = f"the first column is {excerpt(cells[0])}, not time"
-        raise _table_error("MOF002", path, message, number)
+        raise _table_error("MOF002", path, message, line_number)
     if len(cells) < 2 or not all(cells):
         problem = "has an unnamed column"
         if len(cells) < 2:
             problem = "has no column besides the time"
-        raise _table_error("MOF002", path, problem, number)
+        raise _table_error("MOF002", path, problem, line_number)
     if len(cells) - 1 > MAX_COLUMNS:
         message = f"has {len(cells) - 1} columns; the limit is {MAX_COLUMNS}"
-        raise _table_error("MOF002", path, message, number)
+        raise _table_error("MOF002", path, message, line_number)
     names = tuple(cells[1:])
-    check_duplicates(path, names, names, number)
+    check_duplicates(path, names, names, line_number)
     return names
 
 

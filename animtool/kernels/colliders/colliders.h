@@ -100,7 +100,7 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
 // crossed a two-sided mesh in between, it is inside.
 inline Sample sample_after_crossing(const Collider& c, Vec earlier, const Pose& pose, Vec point,
                                     double radius, double max_distance) {
-  if (!c.is_two_sided || !crosses_mesh(c.mesh, c.root, earlier, pose.to_local(point)))
+  if (!c.is_two_sided || !changes_side(c.mesh, c.root, earlier, pose.to_local(point)))
     return sample(c, pose, point, radius, max_distance);
   const Sample nearest_hit = sample(c, pose, point, radius, FAR);
   const double clearance = contact_distance(c, radius);
@@ -252,7 +252,7 @@ class ParticleContacts {
   }
 
   bool crosses_between(const Collider& c, double from, double to) const {
-    return crosses_mesh(c.mesh, c.root, local_at(c, from), local_at(c, to));
+    return changes_side(c.mesh, c.root, local_at(c, from), local_at(c, to));
   }
 
   // The last time before the path crosses a mesh, in an interval in which it does.

@@ -299,14 +299,15 @@ void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, V
   }
 }
 
-// Whether a segment crosses the triangles below a node an odd number of times.
-inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
+// Whether a segment ends on the other side of a mesh: it crosses the triangles below a node an odd
+// number of times.
+inline bool changes_side(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
   const Vec low{std::min(from.x, to.x), std::min(from.y, to.y), std::min(from.z, to.z)};
   const Vec high{std::max(from.x, to.x), std::max(from.y, to.y), std::max(from.z, to.z)};
-  bool is_inside = false;
+  bool is_changed = false;
   visit_overlapping(mesh, root, low, high,
-                    [&](std::int32_t t) { is_inside ^= crosses_triangle(mesh, t, from, to); });
-  return is_inside;
+                    [&](std::int32_t t) { is_changed ^= crosses_triangle(mesh, t, from, to); });
+  return is_changed;
 }
 
 }  // namespace animtool::collide

@@ -549,7 +549,7 @@ class SixPins : public Arm {
     set_pose(best, target);
     const double* errors = state_.errors.data();
     for (int component = 0; component < COMPONENTS; ++component)
-      if (!(errors[component] <= tolerances_[METRIC[component] ? 0 : 1])) return false;
+      if (!(errors[component] <= tolerances_[IS_LENGTH[component] ? 0 : 1])) return false;
     return true;
   }
 

@@ -66,7 +66,7 @@ struct Settings {
   bool separate_starts;  // each frame of a clip has its start
 
   double tolerance(int component) const {
-    return METRIC[component] ? length_tolerance : angle_tolerance;
+    return IS_LENGTH[component] ? length_tolerance : angle_tolerance;
   }
 };
 

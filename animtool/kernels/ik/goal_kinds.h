@@ -68,8 +68,8 @@ struct RotationTarget {
 
 // Each kind has, besides its name as in Python:
 // ROWS: number of residuals
-// METRIC: the error is a length, else an angle
-// LIMB: it needs the nodes of a limb
+// IS_LENGTH: whether the error is a length, else an angle
+// NEEDS_LIMB: whether it needs the nodes of a limb
 // measure: computes the weighted residuals and returns the error
 // target_from_pose: computes the target that the current pose reaches
 // Slopes: built once per pose; `add` adds the effect of a motion to a column of the Jacobian;
@@ -79,7 +79,7 @@ struct RotationTarget {
 struct Position : PointTarget {
   static constexpr const char* NAME = "position";
   static constexpr int ROWS = 3;
-  static constexpr bool METRIC = true, LIMB = false;
+  static constexpr bool IS_LENGTH = true, NEEDS_LIMB = false;
 
   static double measure(double weight, const GoalView& view, const double* target, double* r) {
     for (int i = 0; i < 3; ++i) r[i] = target[i] - view.point[i];
@@ -110,7 +110,7 @@ struct Position : PointTarget {
 struct Orientation : RotationTarget {
   static constexpr const char* NAME = "orientation";
   static constexpr int ROWS = 3;
-  static constexpr bool METRIC = false, LIMB = false;
+  static constexpr bool IS_LENGTH = false, NEEDS_LIMB = false;
 
   // The rotation from the current to the target orientation.
   static void remaining_rotation(const GoalView& view, const double* target, double* out) {
@@ -153,7 +153,7 @@ struct Orientation : RotationTarget {
 struct Aim : PointTarget {
   static constexpr const char* NAME = "aim";
   static constexpr int ROWS = 2;
-  static constexpr bool METRIC = false, LIMB = false;
+  static constexpr bool IS_LENGTH = false, NEEDS_LIMB = false;
 
   // The rotation that takes the aim axis to its target: its angle and unit axis.
   struct AimRotation {
@@ -226,7 +226,7 @@ struct Aim : PointTarget {
 struct Pole : PointTarget {
   static constexpr const char* NAME = "pole";
   static constexpr int ROWS = 1;
-  static constexpr bool METRIC = false, LIMB = true;
+  static constexpr bool IS_LENGTH = false, NEEDS_LIMB = true;
 
   // The half planes of a limb and of its pole, projected along the limb.
   struct Bend {
@@ -343,10 +343,11 @@ constexpr int WEIGHTS = COLUMNS[COMPONENTS];
 constexpr int TARGET_WIDTH = WEIGHTS + COMPONENTS;
 // Number of rows of a goal with all kinds.
 constexpr int MAX_GOAL_ROWS = cumulative_sums([]<class Kind>() { return Kind::ROWS; })[COMPONENTS];
-constexpr std::array<bool, COMPONENTS> METRIC = [] {
-  std::array<bool, COMPONENTS> metric{};
-  for_each_kind([&]<class Kind>(int component) { metric[component] = Kind::METRIC; });
-  return metric;
+// Whether the error of each kind is a length, else an angle.
+constexpr std::array<bool, COMPONENTS> IS_LENGTH = [] {
+  std::array<bool, COMPONENTS> is_length{};
+  for_each_kind([&]<class Kind>(int component) { is_length[component] = Kind::IS_LENGTH; });
+  return is_length;
 }();
 
 template <class Kind>

@@ -29,7 +29,7 @@ void check_node_numbers(const Node& node, const double* values) {
 // operation, and 1 plus the index of the coordinate or program, or plus the count, that the
 // operation needs.
 constexpr std::int64_t INSTRUCTION = 3;
-// Value of a node's `follows` column if its value is that of a program.
+// Driver kind of a node, in its last column, if its value is that of a program.
 constexpr std::int64_t FOLLOWS_PROGRAM = 2;
 // Number of collected degrees of freedom above which duplicates are removed.
 constexpr std::size_t MAX_COLLECTED_DOFS = 4 * MAX_SLOPES;
@@ -222,7 +222,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     goal.level = static_cast<int>(row[3]);
     task.levels = std::max(task.levels, goal.level + 1);
     for_each_kind([&]<class Kind>(int component) {
-      if (Kind::LIMB && goal.weights[component] > 0 && (row[1] < 0 || row[2] < 0))
+      if (Kind::NEEDS_LIMB && goal.weights[component] > 0 && (row[1] < 0 || row[2] < 0))
         check::refuse("goals", "goal " + check::text(e) + " has a " + Kind::NAME + " and no limb");
     });
     goal.row = task.rows;

@@ -270,7 +270,7 @@ RigSolveResult RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
       all_reached = all_reached && is_goal_reached;
       all_softened = all_softened && (is_goal_reached || softened[e]);
       for (int component = 0; component < COMPONENTS; ++component)
-        if (METRIC[component]) error[COMPONENTS * e + component] *= problem.length;
+        if (IS_LENGTH[component]) error[COMPONENTS * e + component] *= problem.length;
     }
     // A target that was softened may have been too far away.
     if (report[0] == static_cast<std::int64_t>(Status::REACHED) && !all_reached)

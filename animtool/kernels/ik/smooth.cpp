@@ -168,7 +168,7 @@ class PathSmoother {
       double* reached_target = target(t) + TARGET_WIDTH * e;
       const GoalView view = view_of(goal, state_, &state_.points[3 * e]);
       for_each_kind([&]<class Kind>(int component) {
-        if (!Kind::LIMB || goal.middle >= 0)
+        if (!Kind::NEEDS_LIMB || goal.middle >= 0)
           Kind::target_from_pose(view, reached_target + COLUMNS[component]);
       });
     }
@@ -275,7 +275,7 @@ class PathSmoother {
   double advance(double cost) {
     evaluate(current_path_, &gradient_);
     for (int i = 0; i < MAX_ATTEMPTS; ++i) {
-      const double stiffness = solve_step();
+      const double curvature = solve_step();
       if (max_component() < MAX_ROTATION && apply_step(i + 1 < MAX_ATTEMPTS)) {
         const double next_cost = evaluate(next_);
         if (next_cost < cost) {
@@ -284,12 +284,13 @@ class PathSmoother {
           return next_cost;
         }
       }
-      damping_ = DAMPING_FACTOR * std::max(damping_, stiffness);
+      damping_ = DAMPING_FACTOR * std::max(damping_, curvature);
     }
     return cost;
   }
 
-  // Computes step_, the best step within the limits; returns the stiffness of the path along it.
+  // Computes step_, the best step within the limits; returns the curvature of the damped cost
+  // along it.
   double solve_step() {
     band_.set_damping(damping_);
     step_.assign(gradient_.size(), 0.0);
@@ -304,10 +305,10 @@ class PathSmoother {
       is_tight = true;
     }
     band_.multiply(step_, width_, product_);
-    double curvature = 0, squared_length = 1e-300;
+    double quadratic_form = 0, squared_length = 1e-300;
     for (std::size_t i = begin(); i < end(); ++i)
-      curvature += step_[i] * product_[i], squared_length += step_[i] * step_[i];
-    return curvature / squared_length;
+      quadratic_form += step_[i] * product_[i], squared_length += step_[i] * step_[i];
+    return quadratic_form / squared_length;
   }
 
   double max_component() const {

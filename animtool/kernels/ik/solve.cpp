@@ -75,7 +75,7 @@ void to_chain_targets(Filled<double, 3> targets, In<double, 2> frames, double le
 std::vector<IkGoalKind> ik_goal_kinds() {
   std::vector<IkGoalKind> kinds;
   for_each_kind([&]<class Kind>(int) {
-    kinds.emplace_back(Kind::NAME, Kind::ROWS, Kind::WIDTH, Kind::METRIC, Alignable<Kind>);
+    kinds.emplace_back(Kind::NAME, Kind::ROWS, Kind::WIDTH, Kind::IS_LENGTH, Alignable<Kind>);
   });
   return kinds;
 }

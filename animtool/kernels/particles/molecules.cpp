@@ -129,7 +129,8 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
                               damping};
   const MoleculeFunction quad_function = molecules_in_quads();
   if (count)
-    virial = (quad_function ? quad_function : MoleculeLoops<Portable>::run)(system, out.get());
+    virial =
+        (quad_function ? quad_function : MoleculeLoops<Portable>::add_forces)(system, out.get());
   for (std::size_t i = 0; i < count; ++i) {
     const std::size_t molecule = static_cast<std::size_t>(order.data()[i]);
     for (std::size_t k = 0; k < 3; ++k) result.get()[3 * molecule + k] = out[4 * i + k];

@@ -134,7 +134,8 @@ struct MoleculeLoops {
                             : add_pairs<is_switched, false, false>(system, out);
   }
 
-  static double run(const MoleculeSystem& system, double* out) {
+  // Adds forces and half the pair energies to rows of four numbers; returns the virial.
+  static double add_forces(const MoleculeSystem& system, double* out) {
     return system.squared_onset < system.squared_cutoff ? add_for_kinds<true>(system, out)
                                                         : add_for_kinds<false>(system, out);
   }

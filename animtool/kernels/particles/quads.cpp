@@ -10,7 +10,9 @@ const GravityFunctions* gravity_in_quads() {
   return has_quads() ? &GravityLoops<Quads>::functions : nullptr;
 }
 
-MoleculeFunction molecules_in_quads() { return has_quads() ? MoleculeLoops<Quads>::run : nullptr; }
+MoleculeFunction molecules_in_quads() {
+  return has_quads() ? MoleculeLoops<Quads>::add_forces : nullptr;
+}
 
 #ifdef ANIMTOOL_QUADS
 

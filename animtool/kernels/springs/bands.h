@@ -86,18 +86,18 @@ void add_start_forces(const BandChunks& springs, const BandChunk& chunk, const B
   const std::size_t height = planes.height, count = chunk.offset_count, end = chunk.end;
   const std::size_t* offsets = springs.offsets + chunk.first_offset;
   const double* coefficients = springs.coefficients + chunk.first_coefficient;
-  const auto column = [height](const double* plane) {
+  const auto load_vectors = [height](const double* plane) {
     return Vector3<N>{N::load(plane), N::load(plane + height), N::load(plane + 2 * height)};
   };
   for (std::size_t n = chunk.begin; n < end; n += SIMD_WIDTH) {
     const double *x = planes.x + n, *v = planes.v + n;
     double *f = planes.f + n, *spring_forces = planes.spring_forces + PADDING + (n - chunk.begin);
-    const Vector3<N> position = column(x), velocity = column(v);
-    Vector3<N> sum = column(f);
+    const Vector3<N> position = load_vectors(x), velocity = load_vectors(v);
+    Vector3<N> sum = load_vectors(f);
     for (std::size_t b = 0; b < count;
          ++b, coefficients += 3 * SIMD_WIDTH, spring_forces += 3 * FORCE_COLUMN) {
-      const Vector3<N> d = position - column(x + offsets[b]),
-                       relative_velocity = velocity - column(v + offsets[b]);
+      const Vector3<N> d = position - load_vectors(x + offsets[b]),
+                       relative_velocity = velocity - load_vectors(v + offsets[b]);
       const Vector3<N> force =
           d * force_over_length(N::load(coefficients), N::load(coefficients + SIMD_WIDTH),
                                 N::load(coefficients + 2 * SIMD_WIDTH), dot(d, d),

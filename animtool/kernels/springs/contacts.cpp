@@ -526,7 +526,7 @@ void SpringContacts::flip_if_crossed(const StepCollider& c, Vec from, Vec to, Sa
   const double clearance = collide::contact_distance(c.collider, colliders_.radius());
   const Vec before = c.begin.to_local(from), after = c.end.to_local(to);
   if (hit.distance + clearance > length(after - before)) return;
-  if (!collide::crosses_mesh(c.collider.mesh, c.collider.root, before, after)) return;
+  if (!collide::changes_side(c.collider.mesh, c.collider.root, before, after)) return;
   hit = {-(hit.distance + clearance) - clearance, -hit.normal};
 }
 

@@ -155,7 +155,7 @@ void FaceContacts::add(const Collider& c) {
   has_features_ |= is_deferred || features_.back().any();
   if (!has_features_ || !slots_.empty()) return;
   slots_.assign(network_.particles(), -1);
-  is_marked_.assign(network_.particles(), 0);
+  is_candidate_.assign(network_.particles(), 0);
 }
 
 bool FaceContacts::resolve(std::size_t index, const StepCollider& c, double h,
@@ -227,26 +227,26 @@ bool FaceContacts::collect_elements(const FineFeatures& features, const StepColl
   particles_.clear();
   inverse_masses_.clear();
   elements_.clear();
-  std::vector<std::int32_t> marked_particles;
+  std::vector<std::int32_t> candidates;
   for (const std::int32_t n : near_particles) {
     const Vec from = c.begin.to_local(row_of(rows.before.data(), n));
     const Vec to = c.end.to_local(row_of(rows.x.data(), n));
     if (!may_touch(features, c.collider, to,
                    search_distance_ + features.radius + length(to - from)))
       continue;
-    marked_particles.push_back(n);
-    is_marked_[static_cast<std::size_t>(n)] = 1;
+    candidates.push_back(n);
+    is_candidate_[static_cast<std::size_t>(n)] = 1;
   }
-  if (marked_particles.empty()) return false;
+  if (candidates.empty()) return false;
   const auto add_all = [&](const std::vector<std::int32_t>& corners, int count) {
     for (std::size_t k = 0; k < corners.size(); k += static_cast<std::size_t>(count))
       if (std::any_of(&corners[k], &corners[k] + count,
-                      [&](std::int32_t n) { return is_marked_[static_cast<std::size_t>(n)]; }))
+                      [&](std::int32_t n) { return is_candidate_[static_cast<std::size_t>(n)]; }))
         add_element(&corners[k], count, c, rows);
   };
   add_all(network_.edges, 2);
   add_all(network_.triangles, 3);
-  for (const std::int32_t n : marked_particles) is_marked_[static_cast<std::size_t>(n)] = 0;
+  for (const std::int32_t n : candidates) is_candidate_[static_cast<std::size_t>(n)] = 0;
   for (const Vec p : features.points) {
     const double row[ROW] = {p.x, p.y, p.z, 0};
     from_.insert(from_.end(), row, row + ROW);

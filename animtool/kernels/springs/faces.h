@@ -95,7 +95,7 @@ class FaceContacts {
   // In this step: the slot of each particle, or -1 for none, and the particle of each slot, or -1
   // for points of the collider, which come first or last.
   std::vector<std::int32_t> slots_, particles_;
-  std::vector<std::uint8_t> is_marked_;
+  std::vector<std::uint8_t> is_candidate_;  // particles that may touch features of the collider
   std::vector<double> from_, to_, start_, end_, inverse_masses_;
   std::vector<Element> elements_;
   std::vector<LayerHit> edges_, corners_;

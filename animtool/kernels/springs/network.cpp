@@ -179,15 +179,15 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
     // Twice the area, along the normal.
     const double n[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
                          a[0] * b[1] - a[1] * b[0]};
-    const double area = std::sqrt(dot3(n, n)), speed = std::sqrt(dot3(flow, flow));
-    if (!(area > 0) || !(speed > 0)) continue;
-    const double normal_speed = dot3(flow, n) / area;
+    const double doubled_area = std::sqrt(dot3(n, n)), speed = std::sqrt(dot3(flow, flow));
+    if (!(doubled_area > 0) || !(speed > 0)) continue;
+    const double normal_speed = dot3(flow, n) / doubled_area;
     const double drag_scale =
         air_drag * std::abs(normal_speed) - air_lift * normal_speed * normal_speed / speed;
-    const double lift_scale = air_lift * normal_speed * speed / area;
+    const double lift_scale = air_lift * normal_speed * speed / doubled_area;
     for (std::size_t k = 0; k < 3; ++k) {
-      // n is twice the area; each corner gets a third of the force.
-      const double force = (drag_scale * flow[k] + lift_scale * n[k]) * (area / 6);
+      // Each corner gets a third of the force.
+      const double force = (drag_scale * flow[k] + lift_scale * n[k]) * (doubled_area / 6);
       for (const std::size_t corner : corners) forces[corner + k] += force;
     }
   }

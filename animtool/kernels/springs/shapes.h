@@ -99,10 +99,10 @@ struct CornerPair {
   bool is_projected_inside() const {
     const Vec ab = triangle.b - triangle.a, ac = triangle.c - triangle.a, ap = p - triangle.a;
     const double bb = dot(ab, ab), bc = dot(ab, ac), cc = dot(ac, ac);
-    const double area = bb * cc - bc * bc;
-    if (!(area > 0)) return false;
-    const double b = (cc * dot(ap, ab) - bc * dot(ap, ac)) / area;
-    const double c = (bb * dot(ap, ac) - bc * dot(ap, ab)) / area;
+    const double squared_area = bb * cc - bc * bc;
+    if (!(squared_area > 0)) return false;
+    const double b = (cc * dot(ap, ab) - bc * dot(ap, ac)) / squared_area;
+    const double c = (bb * dot(ap, ac) - bc * dot(ap, ab)) / squared_area;
     return b >= -BOUNDARY_MARGIN && c >= -BOUNDARY_MARGIN && b + c <= 1 + BOUNDARY_MARGIN;
   }
 };
@@ -119,10 +119,10 @@ struct EdgePair {
   Nearest nearest() const {
     const Vec d = first.vector(), e = second.vector(), r = first.a - second.a;
     const double dd = dot(d, d), ee = dot(e, e), de = dot(d, e), dr = dot(d, r), er = dot(e, r);
-    const double area = dd * ee - de * de;
+    const double squared_area = dd * ee - de * de;
     double s = 0, t = 0;
-    bool is_interior = area > PARALLEL_SINE_SQUARED * dd * ee;
-    if (is_interior) s = (de * er - ee * dr) / area;
+    bool is_interior = squared_area > PARALLEL_SINE_SQUARED * dd * ee;
+    if (is_interior) s = (de * er - ee * dr) / squared_area;
     is_interior = is_interior && s > 0 && s < 1;
     s = std::clamp(s, 0.0, 1.0);
     if (ee > 0) t = (de * s + er) / ee;
@@ -154,10 +154,10 @@ struct EdgePair {
   bool is_projected_inside() const {
     const Vec d = first.vector(), e = second.vector(), r = first.a - second.a;
     const double dd = dot(d, d), ee = dot(e, e), de = dot(d, e);
-    const double area = dd * ee - de * de;
-    if (!(area > PARALLEL_SINE_SQUARED * dd * ee)) return false;
-    const double s = (de * dot(e, r) - ee * dot(d, r)) / area;
-    const double t = (dd * dot(e, r) - de * dot(d, r)) / area;
+    const double squared_area = dd * ee - de * de;
+    if (!(squared_area > PARALLEL_SINE_SQUARED * dd * ee)) return false;
+    const double s = (de * dot(e, r) - ee * dot(d, r)) / squared_area;
+    const double t = (dd * dot(e, r) - de * dot(d, r)) / squared_area;
     return s >= -BOUNDARY_MARGIN && s <= 1 + BOUNDARY_MARGIN && t >= -BOUNDARY_MARGIN &&
            t <= 1 + BOUNDARY_MARGIN;
   }

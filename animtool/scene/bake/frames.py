@@ -61,7 +61,7 @@ class TakePlan:
 
 
 @dataclass(frozen=True, slots=True)
-class TimedTake:
+class SampledTake:
     """A take sampled at the times of an output."""
 
     blocks: TimedBlocks
@@ -75,7 +75,7 @@ class TimedTake:
         return None if self.times is None else (self.times.first, self.times.last)
 
 
-def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
+def sample_take(plan: TakePlan, stream: TakeStream) -> SampledTake:
     """Return a take sampled at the times of the output.
 
     If each sample of the source is a sample of the output, its blocks are passed
@@ -92,7 +92,7 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
         and options.rest_frame is None
     )
     if is_unchanged:
-        return TimedTake(_stream_blocks(plan, stream), stream.rig)
+        return SampledTake(_stream_blocks(plan, stream), stream.rig)
     curve = None if stream.is_altered else stream.curve
     if curve is not None and options.rest_frame is None:
         return _sample_curve(plan, stream, curve)
@@ -102,7 +102,7 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     if options.rest_frame is not None:
         rig = _with_rest(plan, interpolation, options.rest_frame)
     plan.notices.extend(_interpolation_notices(plan, interpolation, times))
-    return TimedTake(sample_blocks(interpolation, times), rig, times)
+    return SampledTake(sample_blocks(interpolation, times), rig, times)
 
 
 def _interpolation_notices(
@@ -241,7 +241,7 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
 
 def _sample_curve(
     plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
-) -> TimedTake:
+) -> SampledTake:
     """Evaluate a source that is a function of time at the output's sample times."""
     first = stream.first_frame
     clock = Clock(stream.fps, first, stream.step, stream.count)
@@ -260,7 +260,7 @@ def _sample_curve(
         if isinstance(curve, KeyedCurve)
         else iter([curve(sample_codes)])
     )
-    return TimedTake(_with_codes(times.codes, motions), stream.rig, times)
+    return SampledTake(_with_codes(times.codes, motions), stream.rig, times)
 
 
 def _with_codes(codes: FloatArray, motions: Iterator[Motion]) -> TimedBlocks:
@@ -378,23 +378,25 @@ class BakedTake:
         self.frames = self.samples = 0
         self.props: PropSamples | None = None
         self._recorder = recorder
-        self._timed: TimedTake | None = None
+        self._sampled_take: SampledTake | None = None
 
-    def open(self) -> TimedTake:
+    def open(self) -> SampledTake:
         """Return the take at the output's times; its frames are counted when read."""
-        if self._timed is not None:
-            return self._timed
+        if self._sampled_take is not None:
+            return self._sampled_take
         stream = self.plan.stream
         stream = replace(stream, blocks=self._count_frames(stream.blocks))
         if self._recorder is not None:
             stream = self._recorder.read(stream)
-        timed_take = timed_blocks(self.plan, stream)
+        sampled_take = sample_take(self.plan, stream)
         if stream.tracks:
             from animtool.usd.props.writer import PropSamples
 
             self.props = PropSamples(stream.tracks)
-        self._timed = replace(timed_take, blocks=self._record_blocks(timed_take.blocks))
-        return self._timed
+        self._sampled_take = replace(
+            sampled_take, blocks=self._record_blocks(sampled_take.blocks)
+        )
+        return self._sampled_take
 
     @property
     def rig(self) -> Rig:
@@ -407,6 +409,7 @@ class BakedTake:
             yield block
 
     def _record_blocks(self, blocks: TimedBlocks) -> TimedBlocks:
+        """Yield blocks; count their samples and record their codes and props."""
         for codes, motion in blocks:
             self.samples += len(codes)
             if self._recorder is not None:
@@ -426,16 +429,16 @@ def in_frames(plan: TakePlan) -> TakeStream:
     frame_options = BakeOptions(
         fps=options.fps, frame_range=options.frame_range, shot=options.shot
     )
-    timed_take = timed_blocks(replace(plan, options=frame_options), plan.stream)
-    if timed_take.times is None:
+    sampled_take = sample_take(replace(plan, options=frame_options), plan.stream)
+    if sampled_take.times is None:
         return replace(plan.stream, start=plan.start)
     step = 1 if options.frame_range is None else options.frame_range.step
     return replace(
         plan.stream,
         fps=plan.fps,
-        start=timed_take.times.first,
+        start=sampled_take.times.first,
         step=Fraction(step),
-        blocks=(motion for _, motion in timed_take.blocks),
+        blocks=(motion for _, motion in sampled_take.blocks),
         curve=None,
         count=0,
         control_curves={},

@@ -148,8 +148,8 @@ class _JointTake:
 
         ``rig`` is the written rig: that of the rig layer, or of the first take.
         """
-        timed_take = self._run.open()
-        blocks, frames = timed_take.blocks, timed_take.frames
+        sampled_take = self._run.open()
+        blocks, frames = sampled_take.blocks, sampled_take.frames
         plan, options, joint_map = self.plan, self.plan.options, self.plan.mapping
         joint_mask = None
         if joint_map is not None:

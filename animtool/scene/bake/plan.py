@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
     from animtool.usd.rigs.joint_map import RigJointMap
     from animtool.usd.rigs.target import RigTarget
-    from animtool.usd.takes.over_rig import OverRig
+    from animtool.usd.takes.rig_space import RigSpaceTake
 
 # An output that is ready to be written.
 OutputPlan: TypeAlias = "BakePlan | FilePlan"
@@ -351,6 +351,7 @@ def _check_props(plan: BakePlan) -> None:
 
 
 def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
+    """Return how a take is written: as joints or as deformed points."""
     if not take.options.deform:
         from animtool.scene.bake.joint_prims import JointPrims
 
@@ -388,37 +389,42 @@ def _map_to_rig_layer(
     notices: list[Fault],
 ) -> tuple[list[TakeStream], list[RigJointMap]]:
     """Return the takes in the space of a rig layer, and the joint map of each."""
-    from animtool.usd.takes.over_rig import convert_over_rig
+    from animtool.usd.takes.rig_space import convert_to_rig_space
 
     notices += target.notices
     rig, layer = target.skeleton.rig, str(target.path)
-    over_rigs = [
-        convert_over_rig(
+    rig_space_takes = [
+        convert_to_rig_space(
             reorient(stream, rig.up), target.placement, options.placement, layer, rig
         )
         for stream in streams
     ]
     mappings = [
-        _joint_map(over_rig, target, options, notices) for over_rig in over_rigs
+        _joint_map(rig_space_take, target, options, notices)
+        for rig_space_take in rig_space_takes
     ]
-    return [over_rig.stream for over_rig in over_rigs], mappings
+    return [rig_space_take.stream for rig_space_take in rig_space_takes], mappings
 
 
 def _joint_map(
-    over_rig: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
+    rig_space_take: RigSpaceTake,
+    target: RigTarget,
+    options: BakeOptions,
+    notices: list[Fault],
 ) -> RigJointMap:
+    """Return the map from a take to the joints of a rig layer; add its notices."""
     from animtool.usd.rigs.joint_map import map_joints
 
     joint_map = map_joints(
-        over_rig.stream.rig,
+        rig_space_take.stream.rig,
         target,
         options.strip_namespace,
         force_fit=options.force_fit,
-        converted_take=over_rig,
+        converted_take=rig_space_take,
     )
     if joint_map.fit is not None:
-        over_rig.stream.details["fit"] = round(joint_map.fit.score, 4)
-    notices += [*over_rig.notices, *joint_map.notices]
+        rig_space_take.stream.details["fit"] = round(joint_map.fit.score, 4)
+    notices += [*rig_space_take.notices, *joint_map.notices]
     return joint_map
 
 
@@ -448,6 +454,7 @@ def _namespace_warning(streams: list[TakeStream], options: BakeOptions) -> list[
 
 
 def _rate_warning(target: RigTarget | None, fps: Fraction) -> list[Fault]:
+    """Return a warning if the output and its rig layer differ in rate (USD106)."""
     if target is None or fps == target.fps:
         return []
     rig_layer_rate = rate_label(target.fps)

@@ -195,8 +195,8 @@ class PointPrims:
     def author(self, draft: BakeState) -> None:
         """Author the prims; if chunks are requested, also write the chunk files."""
         plan, (run,) = draft.plan, draft.runs
-        stream, timed_take = run.plan.stream, run.open()
-        job, character, spaces = _job(plan, self.character, timed_take.frames)
+        stream, sampled_take = run.plan.stream, run.open()
+        job, character, spaces = _job(plan, self.character, sampled_take.frames)
         point_stream = PointStream(
             character,
             job.meters_per_unit,
@@ -204,7 +204,7 @@ class PointPrims:
             spaces,
             plan.options.velocities,
         )
-        with closing(prefetch(point_stream.blocks(timed_take.blocks))) as blocks:
+        with closing(prefetch(point_stream.blocks(sampled_take.blocks))) as blocks:
             if plan.options.chunk is None:
                 layer, meshes = author_cache(job, blocks)
                 result = _result(layer, meshes, run)

@@ -81,6 +81,7 @@ class Prototype:
         )
 
     def _stage_sampler(self) -> _FrameSampler:
+        """Return a function from time code to mesh, of a prim, and its span."""
         from animtool.usd.caches.reader import open_mesh
 
         assert self.prim is not None
@@ -93,6 +94,7 @@ class Prototype:
         return frame_at_code, source.span
 
     def _rig_sampler(self) -> _FrameSampler:
+        """Return a function from time to mesh, of a character's skin, and its span."""
         from animtool.scene.systems.character_motion import CharacterMotions, SkinMotion
 
         assert self.mesh is not None
@@ -386,15 +388,18 @@ def read_spec(
     the spec has them; other keys are read as their types say.
     """
     spec = units.convert(spec)
-    collider_reader, reader = (SpecPartReader(document, roots, units) for _ in range(2))
+    # One for the keys of colliders, one for the other keys, which make the record.
+    collider_reader, record_reader = (
+        SpecPartReader(document, roots, units) for _ in range(2)
+    )
     collider_parts = collider_reader.entry_values(location, spec, COLLISION_KEYS[:1])
     # Named systems are looked up even if other keys are invalid.
     is_valid = collider_reader.sound
     collider_parts |= collider_reader.entry_values(location, spec, COLLISION_KEYS[1:])
-    parts = reader.entry_values(
+    parts = record_reader.entry_values(
         location, spec, type(spec).model_fields.keys() - {*COLLISION_KEYS}
     )
-    reader.note_ranges(location, spec)
+    record_reader.note_ranges(location, spec)
     if not COMPARED_KEYS.isdisjoint(type(spec).model_fields):
         sizes = spec.model_dump(include=COMPARED_KEYS | SIZE_KEYS)
         warn_of_suspect_units(document, location, sizes, units.length)
@@ -407,16 +412,16 @@ def read_spec(
     for fault in faults:
         key_location = (*location, *parse_location(fault.where or ""))
         document.add(fault.code, key_location, fault.message, fault.hint)
-    if reader.sound:
-        reader.note_entry(location, spec, spec.faults(parts))
+    if record_reader.sound:
+        record_reader.note_entry(location, spec, spec.faults(parts))
     resume = None
     if spec.resume is not None:
-        resume = reader.input((*location, "resume"), spec.resume)
+        resume = record_reader.input((*location, "resume"), spec.resume)
     if spec.save is not None:
-        reader.output((*location, "save"), spec.save)
-    if record is None and (faults or not (is_valid and reader.sound)):
+        record_reader.output((*location, "save"), spec.save)
+    if record is None and (faults or not (is_valid and record_reader.sound)):
         return None
-    followed_files = (*collider_reader.files, *reader.files)
+    followed_files = (*collider_reader.files, *record_reader.files)
     collider_arguments = {key: tuple(parts) for key, parts in collider_parts.items()}
     tied_bodies = tuple(getattr(record, "tied_bodies", ()))
     surroundings = Surroundings(
@@ -425,5 +430,5 @@ def read_spec(
         followed=followed_files,
         location=location,
     )
-    carriers = tuple(reader.carriers)
+    carriers = tuple(record_reader.carriers)
     return SystemSetup(spec, surroundings, parts, record, location, carriers, resume)

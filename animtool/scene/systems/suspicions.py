@@ -26,13 +26,13 @@ MAX_THICKNESS = 0.5
 # Only rubber stretches to twice its length [1].
 MAX_STRETCH = 1.0
 # Critical damping is 1; a percentage of it is rarely below 4 [1].
-MAX_RATIO = 3.0
+MAX_DAMPING_RATIO = 3.0
 # A longer rope is implausible [m], unless it weighs as much as a 5 mm cord [kg/m].
 MAX_CORD_LENGTH, MIN_CABLE_LINE_MASS = 20.0, 0.02
 # Longer than any rope [m], and heavier than a chain of 5 cm [kg/m].
-MAX_LENGTH, MAX_LINE_MASS = 200.0, 50.0
+MAX_ROPE_LENGTH, MAX_LINE_MASS = 200.0, 50.0
 # Cloth heavier than a sheet of rubber of 2 cm [kg/m²].
-MAX_SHEET = 25.0
+MAX_AREA_MASS = 25.0
 # Denser than the densest metal, 22 600 [kg/m³].
 MAX_DENSITY = 30000.0
 # Lighter than foam, so grams per cm³ are meant [kg/m³].
@@ -41,12 +41,12 @@ MIN_DENSITY = 10.0
 MAX_FRICTION = 5.0
 GRAMS_PER_KILOGRAM = 1000.0
 # Pitch has 2e5, but hardly flows; lava has up to 10, and water 1e-6 [m²/s].
-MAX_VISCOSITY, WATER = 100.0, 1e-6
+MAX_VISCOSITY, WATER_VISCOSITY = 100.0, 1e-6
 # Densities of liquids, which may be in the wrong key [kg/m³].
-LIQUIDS = 500.0, 20000.0
+LIQUID_DENSITIES = 500.0, 20000.0
 # A scene in centimetres or less has metres if a rope is shorter [m], and heavier than
 # a steel chain of its length [kg/m].
-MIN_ROPE, CHAIN = 0.15, 5.0
+MIN_ROPE_LENGTH, CHAIN_LINE_MASS = 0.15, 5.0
 
 
 def warn_of_suspect_units(
@@ -62,7 +62,7 @@ def warn_of_suspect_units(
     """
     if unit < 1 and _warn_of_metres(document, location, values):
         return  # all its lengths are in another unit
-    _warn_of_matter(document, location, values)
+    _warn_of_density_and_viscosity(document, location, values)
     _warn_of_ratio(document, location, values)
     _warn_of_forces(document, location, values)
     for i, body in enumerate(values.get("bodies") or ()):
@@ -87,6 +87,7 @@ def warn_of_suspect_units(
 def _warn_of_length(
     document: Document, location: Location, key: str, values: Mapping[str, Any]
 ) -> None:
+    """Warn of a thickness or radius that seems to be in millimetres (SIM200)."""
     length = values.get(key)
     # Lengths with a unit are texts.
     if not isinstance(length, int | float) or length < MAX_THICKNESS:
@@ -98,20 +99,20 @@ def _warn_of_length(
     document.warn("SIM200", (*location, key), message, hint)
 
 
-def _warn_of_matter(
+def _warn_of_density_and_viscosity(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn of a density in g/cm³, and of a viscosity in mm²/s or given as a density."""
+    """Warn of a density in g/cm³, and of a viscosity that is in mm²/s or a density."""
     density, viscosity = values.get("density"), values.get("viscosity")
     if isinstance(density, int | float) and 0 < density < MIN_DENSITY:
         message = f"density {density:g} is {density:g} kg/m³, lighter than foam"
         hint = f"for {density:g} g/cm³ write {density * GRAMS_PER_KILOGRAM:g}"
         document.warn("SIM200", (*location, "density"), message, hint)
     if isinstance(viscosity, int | float) and viscosity >= MAX_VISCOSITY:
-        ratio = f"{plain_number(viscosity / WATER)} times that of water"
+        ratio = f"{plain_number(viscosity / WATER_VISCOSITY)} times that of water"
         message = f"viscosity {viscosity:g} is {viscosity:g} m²/s, {ratio}"
-        hint = f"for {viscosity:g} mm²/s write {viscosity * WATER:g}"
-        if LIQUIDS[0] <= viscosity <= LIQUIDS[1]:
+        hint = f"for {viscosity:g} mm²/s write {viscosity * WATER_VISCOSITY:g}"
+        if LIQUID_DENSITIES[0] <= viscosity <= LIQUID_DENSITIES[1]:
             hint += f"; a density is 'density: {viscosity:g}'"
         document.warn("SIM200", (*location, "viscosity"), message, hint)
 
@@ -123,12 +124,12 @@ def _warn_of_metres(
     mass = values.get("mass") or 0.0
     if values.get("start") and values.get("end"):
         length = math.dist(values["start"], values["end"])
-        is_heavy = 0 < length < MIN_ROPE and mass > CHAIN * length
+        is_heavy = 0 < length < MIN_ROPE_LENGTH and mass > CHAIN_LINE_MASS * length
         key, message = "to", f"the rope is {length_text(length)} long"
     elif values.get("across") and values.get("up"):
         sides = math.hypot(*values["across"]), math.hypot(*values["up"])
         area = math.prod(sides)
-        is_heavy = 0 < max(sides) < MIN_ROPE and mass > MAX_SHEET * area
+        is_heavy = 0 < max(sides) < MIN_ROPE_LENGTH and mass > MAX_AREA_MASS * area
         key, message = "across", f"the cloth has sides of {length_text(sides[0])} and "
         message += length_text(sides[1])
     else:
@@ -144,6 +145,7 @@ def _warn_of_metres(
 def _warn_of_ratio(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
+    """Warn of a damping ratio that seems to be in percent (SIM200)."""
     families = {
         name: family_values
         for name, family_values in (values.get("springs") or {}).items()
@@ -151,7 +153,7 @@ def _warn_of_ratio(
     }
     for key, family in {"": values, **families}.items():
         ratio = family.get("ratio")
-        if isinstance(ratio, int | float) and ratio > MAX_RATIO:
+        if isinstance(ratio, int | float) and ratio > MAX_DAMPING_RATIO:
             message = f"ratio {ratio:g} is {ratio:g} times critical damping"
             hint = percent_hint(ratio)
             inner = ("springs", key) if key else ()
@@ -180,11 +182,11 @@ def _warn_of_rope(
     length, mass = math.dist(values["start"], values["end"]), values.get("mass") or 0.0
     if not length > 0:
         return False
-    if length > MAX_LENGTH or (
+    if length > MAX_ROPE_LENGTH or (
         length > MAX_CORD_LENGTH and mass < MIN_CABLE_LINE_MASS * length
     ):
         message = f"the rope is {length_text(length)} long"
-        message += f" and weighs {mass:g} kg" if length <= MAX_LENGTH else ""
+        message += f" and weighs {mass:g} kg" if length <= MAX_ROPE_LENGTH else ""
         hint = "lengths are in metres; for centimetres write "
         hint += "'units: {length: cm}' in the scene"
         document.warn("SIM200", (*location, "to"), message, hint)
@@ -202,7 +204,7 @@ def _warn_of_sheet(
     """Warn about cloth that is too heavy for its area (SIM200)."""
     area = math.hypot(*values["across"]) * math.hypot(*values["up"])
     mass = values.get("mass") or 0.0
-    if area > 0 and mass > MAX_SHEET * area:
+    if area > 0 and mass > MAX_AREA_MASS * area:
         mass_text = f"the cloth has {area:.3g} m², {plain_number(mass / area)} kg/m²"
         _warn_of_grams(document, location, mass, mass_text)
 
@@ -212,7 +214,7 @@ def _warn_of_body(
 ) -> None:
     """Warn about a body's density in g/cm³, mass in grams or friction in percent."""
     friction = body.get("friction")
-    _warn_of_matter(document, location, body)
+    _warn_of_density_and_viscosity(document, location, body)
     if isinstance(friction, int | float) and friction > MAX_FRICTION:
         message = f"friction {friction:g} is {friction:g} times the normal force"
         hint = percent_hint(friction)
@@ -226,6 +228,7 @@ def _warn_of_body(
 def _warn_of_grams(
     document: Document, location: Location, mass: float, mass_text: str
 ) -> None:
+    """Warn of a mass that seems to be in grams (SIM200)."""
     message = f"mass {mass:g} is {mass:g} kg; {mass_text}"
     hint = f"for {mass:g} g write {mass / GRAMS_PER_KILOGRAM:g}"
     document.warn("SIM200", (*location, "mass"), message, hint)
@@ -314,6 +317,7 @@ def _cones(
 
 
 def _look_like_radians(angles: Sequence[float]) -> bool:
+    """Return whether angles [deg] look like radians: simple fractions of pi."""
     largest = max(map(abs, angles))
     quarter = math.pi / 2
     quarters = [round(angle / quarter) * quarter for angle in angles]
@@ -325,6 +329,7 @@ def _look_like_radians(angles: Sequence[float]) -> bool:
 
 
 def _text(numbers: float | Sequence[float], factor: float) -> str:
+    """Return numbers times a factor as text."""
     if isinstance(numbers, int | float):
         return f"{numbers * factor:.3g}"
     return f"[{', '.join(f'{number * factor:.3g}' for number in numbers)}]"

@@ -142,14 +142,15 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
 
 @dataclass(frozen=True, slots=True)
 class _ReferencePoints:
-    """Reference points of a take at given times [s]."""
+    """Points attached to the joints of a take at some times, compared with trials."""
 
     rig: Rig
-    seconds: FloatArray
-    snapshots: list[Snapshot]
+    seconds: FloatArray  # times since the first frame (T,) [s]
+    snapshots: list[Snapshot]  # the points at each time
 
     @staticmethod
     def of(take: Take, rate: Fraction, *, is_curved: bool) -> _ReferencePoints:
+        """Return the points of a take compared at up to a rate [frame/s]."""
         clock = take.clock
         curve = take.curve if is_curved else None
         # For a curve there are also instants between two samples at the highest rate.
@@ -165,20 +166,19 @@ class _ReferencePoints:
             motion = take.motion.select(frame_indices)
         else:
             motion = curve(float(clock.start) + frames * float(clock.step))
-        snapshots = _snapshots(take.rig, motion.world(take.rig))
+        snapshots = _attached_snapshots(take.rig, motion.world(take.rig))
         return _ReferencePoints(take.rig, frames / float(clock.rate), snapshots)
 
-    def where(self, shot: int, point: int) -> str:
+    def where(self, snapshot: int, point: int) -> str:
         """Return the joint of a point and the time of a snapshot, as text."""
-        points_per_joint = len(self.snapshots[shot].points) // max(
+        points_per_joint = len(self.snapshots[snapshot].points) // max(
             1, len(self.rig.joints)
         )
-        return (
-            f"{self.rig.names[point // points_per_joint]} at {self.seconds[shot]:.2f} s"
-        )
+        joint_name = self.rig.names[point // points_per_joint]
+        return f"{joint_name} at {self.seconds[snapshot]:.2f} s"
 
 
-def _snapshots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
+def _attached_snapshots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
     """Return, for each time, the points rigidly attached to the joints."""
     attached_offsets = attached_points(rig, SHELL_DISTANCE)
     return [
@@ -192,6 +192,7 @@ def _snapshots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
 
 
 def _tolerances(rig: Rig) -> list[float]:
+    """Return tolerances for reduction that suit the rig's size [m]."""
     size = rest_size(rig) or 1.0
     scale = 10.0 ** math.floor(math.log10(size))
     return [float(f"{fraction * scale:.12g}") for fraction in TOLERANCES]
@@ -232,7 +233,7 @@ def _sample_trial(
             seconds = time.perf_counter() - start_time
             codes = float(report.start) + reference.seconds * float(report.fps)
             world = usdskel_world(output, codes)
-        snapshots = _snapshots(reference.rig, world)
+        snapshots = _attached_snapshots(reference.rig, world)
         return TrialOutcome(seconds, report.samples, snapshots, bytes=report.bytes)
 
     def write(setting: Setting, output: Path) -> None:

@@ -83,12 +83,12 @@ class Terrain:
             return np.zeros(count), normals
         heights = np.full(count, -np.inf)
         rows, faces = self._candidates(points)
-        (a, edges_b, edges_c), inverse_areas, normal_table = self._planes
+        (a, edges_b, edges_c), inverse_doubled_areas, normal_table = self._planes
         offsets = points[rows] - a[faces][:, [0, 2]]
         b, c = edges_b[faces], edges_c[faces]
         x, z = offsets.T
-        weight_b = (x * c[:, 2] - z * c[:, 0]) * inverse_areas[faces]
-        weight_c = (b[:, 0] * z - b[:, 2] * x) * inverse_areas[faces]
+        weight_b = (x * c[:, 2] - z * c[:, 0]) * inverse_doubled_areas[faces]
+        weight_c = (b[:, 0] * z - b[:, 2] * x) * inverse_doubled_areas[faces]
         weights = np.stack([weight_b, weight_c, 1 - weight_b - weight_c])
         is_inside = weights.min(axis=0) >= -EDGE_TOLERANCE
         rows, faces = rows[is_inside], faces[is_inside]
@@ -111,22 +111,26 @@ class Terrain:
 
     @cached_property
     def _planes(self) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
-        """First corner, both edges from it, 1 / area, and normal of each triangle."""
+        """First corner, edges from it, 1 / (2 area), and normal of each triangle."""
         a, b, c = self._nonvertical_triangles.swapaxes(0, 1)
         to_b, to_c = b - a, c - a
-        area = to_b[:, 0] * to_c[:, 2] - to_b[:, 2] * to_c[:, 0]
+        doubled_area = to_b[:, 0] * to_c[:, 2] - to_b[:, 2] * to_c[:, 0]
         face_normals = np.cross(to_c, to_b)
         face_normals = face_normals / np.linalg.norm(face_normals, axis=1)[:, None]
-        return (a, to_b, to_c), 1 / area, face_normals * np.sign(face_normals[:, 1:2])
+        return (
+            (a, to_b, to_c),
+            1 / doubled_area,
+            face_normals * np.sign(face_normals[:, 1:2]),
+        )
 
     @cached_property
     def _nonvertical_triangles(self) -> FloatArray:
         """Triangles that are not vertical ``(S, 3, 3)``."""
         a, b, c = self.triangles[..., [0, 2]].swapaxes(0, 1)
         to_b, to_c = b - a, c - a
-        area = np.abs(to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0])
-        size = np.abs(to_b).sum(axis=1) * np.abs(to_c).sum(axis=1)
-        return np.asarray(self.triangles[area > EDGE_TOLERANCE * size])
+        doubled_area = np.abs(to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0])
+        area_scale = np.abs(to_b).sum(axis=1) * np.abs(to_c).sum(axis=1)
+        return np.asarray(self.triangles[doubled_area > EDGE_TOLERANCE * area_scale])
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:

@@ -64,7 +64,7 @@ class RigidBodies:
     ) -> RigidBodies:
         """Return the bodies described by the models of a spec, copies included."""
         kinds: list[BodyKind] = []
-        names, of, is_dynamic, poses = [], [], [], []
+        names, entry_indices, is_dynamic, poses = [], [], [], []
         used_names: set[str] = set()
         refusals = Refusals()
         for entry_index, (model, entry_data) in enumerate(
@@ -89,7 +89,7 @@ class RigidBodies:
             for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
                 is_numbered = len(points) > 1 or model.grid is not None
                 names.append(f"{model.name}[{k}]" if is_numbered else model.name)
-                of.append(entry_index)
+                entry_indices.append(entry_index)
                 is_dynamic.append(not model.kinematic or model.release is not None)
                 poses.append(offset_poses(carrier, point, rotation))
         refusals.check()
@@ -97,12 +97,21 @@ class RigidBodies:
             message = f"there are {len(names)} bodies; the limit is {MAX_BODIES}"
             refuse("SIM061", message, "bodies")
         return RigidBodies(
-            kinds, names, np.array(of), np.array(is_dynamic, np.bool_), poses, begin
+            kinds,
+            names,
+            np.array(entry_indices),
+            np.array(is_dynamic, np.bool_),
+            poses,
+            begin,
         )
 
     @cached_property
     def releases(self) -> FloatArray:
-        """Release times of kinematic bodies ``(B,)`` [s]; -infinity without one."""
+        """Time at which each body is released ``(B,)`` [s]; -infinity without one.
+
+        Without a release, dynamic bodies move freely from the start, and kinematic
+        bodies never do.
+        """
         times = [kind.model.release for kind in self.kinds]
         times_by_kind = [-np.inf if time is None else time for time in times]
         return np.array(times_by_kind, np.float64)[self.kind_of_body]
@@ -239,12 +248,12 @@ class RigidBodies:
     def collision_shapes(self) -> CollisionShapes:
         """Collision shapes of all bodies; mesh shapes are convex hulls."""
         rows = [
-            (Collider(collider_shape(shape), name=self.names[i]), i, at, rotation)
+            (Collider(collider_shape(shape), name=self.names[i]), i, origin, rotation)
             for i in range(len(self.names))
-            for shape, at, rotation in self.kind_of(i).shapes
+            for shape, origin, rotation in self.kind_of(i).shapes
         ]
-        colliders, of, at, rotations = zip(*rows, strict=True)
-        arrays = np.array(of), np.array(at), np.array(rotations)
+        colliders, body_indices, origins, rotations = zip(*rows, strict=True)
+        arrays = np.array(body_indices), np.array(origins), np.array(rotations)
         return CollisionShapes(colliders, *arrays)
 
     @cached_property
@@ -255,9 +264,9 @@ class RigidBodies:
         cores_by_kind = [
             [k.core_at_centre(core) for core in k.cores] for k in self.kinds
         ]
-        for number, i in enumerate(self.dynamic.tolist()):
+        for dynamic_index, i in enumerate(self.dynamic.tolist()):
             cores += cores_by_kind[self.kind_of_body[i]]
-            body_indices += [number] * len(cores_by_kind[self.kind_of_body[i]])
+            body_indices += [dynamic_index] * len(cores_by_kind[self.kind_of_body[i]])
         return cores, np.array(body_indices, np.int64)
 
     def kernel(
@@ -279,6 +288,7 @@ class RigidBodies:
 
     @cached_property
     def _shape_arrays(self) -> tuple[Any, ...]:
+        """Shapes of dynamic bodies, in the layout of the kernel."""
         cores, owners = self.shapes
         faces = [face for core in cores for face in core.faces]
         models = [self.kind_of(self.dynamic[i]).model for i in owners]

@@ -91,10 +91,10 @@ def free_flight(
             jacobians = jacobians_at(time, *next_state)
             next_step = step * min(SAFETY / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE)
             step = min(max(next_step, min_step), end - time)
-    inertias = _inertia_factors(
+    mass_factors = _mass_factors(
         start_acceleration, start_jacobians[1], velocities - v, dt, v
     )
-    return Flight(points, velocities, inertias, is_unresolved)
+    return Flight(points, velocities, mass_factors, is_unresolved)
 
 
 def _substep(
@@ -139,7 +139,7 @@ def _multiply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
-def _inertia_factors(
+def _mass_factors(
     start_acceleration: FloatArray,
     jacobians: FloatArray,
     velocity_change: FloatArray,

@@ -19,10 +19,10 @@ MAX_SUBSTEP_ANGLE = 0.5
 MAX_SUBSTEPS = 256
 # Constrained bodies with a larger mass factor from drag take shorter substeps, so that
 # they bounce correctly and keep their mass ratio.
-MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS = 2.0, 64
+MAX_SUBSTEP_MASS_FACTOR, MAX_CONSTRAINED_SUBSTEPS = 2.0, 64
 # Constrained bodies with larger mass factors, in the most substeps, would drift from
 # contacts.
-MAX_INERTIA_FACTOR = 64.0
+MAX_MASS_FACTOR = 64.0
 # Smaller relative changes of mass are ignored.
 MIN_FACTOR_CHANGE = 1e-3
 # Bodies with a larger factor collide at the velocity of their free flight.
@@ -63,15 +63,19 @@ class StepForces:
     def required_substeps(self, substeps: int, is_constrained: BoolArray) -> int:
         """Return the number of substeps with which to repeat a step."""
         assert self.flight is not None
-        return substeps_for_inertias(substeps, self.flight.mass_factors[is_constrained])
+        return substeps_for_mass_factors(
+            substeps, self.flight.mass_factors[is_constrained]
+        )
 
 
-def substeps_for_inertias(substeps: int, inertias: FloatArray) -> int:
+def substeps_for_mass_factors(substeps: int, mass_factors: FloatArray) -> int:
     """Return the substep count that the mass factors need, at least ``substeps``."""
-    max_factor = float(inertias.max(initial=1.0))
-    if not max_factor > MAX_INERTIA_RATIO:
+    max_factor = float(mass_factors.max(initial=1.0))
+    if not max_factor > MAX_SUBSTEP_MASS_FACTOR:
         return substeps
-    count = min(substeps * max_factor / MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS)
+    count = min(
+        substeps * max_factor / MAX_SUBSTEP_MASS_FACTOR, MAX_CONSTRAINED_SUBSTEPS
+    )
     return max(substeps, math.ceil(count))
 
 
@@ -105,11 +109,11 @@ class StepForceSolver:
         is_constrained: BoolArray,
         flight: Flight | None,
     ) -> StepForces:
-        """Return the mean forces of a step.
+        """Return the forces, start velocities and mass factors for a step.
 
-        Bodies constrained by contacts or joints ``(N,)`` get the initial force and a
-        larger mass, as the force would decrease with their velocity. All other bodies
-        get the mean force of their free flight.
+        ``is_constrained`` is the mask of bodies with contacts or joints ``(N,)``. They
+        get the force at the start of the step; a mass factor represents the drag that
+        grows as they accelerate. Other bodies get the mean force of their free flight.
         """
         if flight is None:
             with np.errstate(all="ignore"):
@@ -132,16 +136,20 @@ class StepForceSolver:
         """Return the mean forces of a step that reproduce the free flight."""
         x, v = body_states[:, :3], body_states[:, 7:10]
         is_heavier = is_constrained & (flight.mass_factors > 1 + MIN_FACTOR_CHANGE)
-        inertias = np.where(is_heavier, flight.mass_factors, 1.0)
+        mass_factors = np.where(is_heavier, flight.mass_factors, 1.0)
         forces = self._forces.push_wrenches(t, dt, body_states)
         with np.errstate(all="ignore"):
             # The kernel moves bodies by the mean of both velocities.
             start_velocities = 2 * (flight.points - x) / dt - flight.velocities
             start_velocities = np.where(is_constrained[:, None], v, start_velocities)
-            masses = (self._bodies.masses * inertias)[:, None]
+            masses = (self._bodies.masses * mass_factors)[:, None]
             forces[:, :3] = masses * (flight.velocities - start_velocities) / dt
-        mass_factors = inertias if is_heavier.any() else None
-        return StepForces(forces, start_velocities, mass_factors, flight)
+        return StepForces(
+            forces,
+            start_velocities,
+            mass_factors if is_heavier.any() else None,
+            flight,
+        )
 
     def _check(self, step_forces: StepForces, t: float) -> None:
         """Raise SIM102 if forces are not finite, or not resolved."""
@@ -190,15 +198,16 @@ class StepForceSolver:
         substep = dt / substeps
         flight = self.free_flight(t, substep, body_states)
         assert flight is not None
-        inertias = np.where(is_constrained, flight.mass_factors, 1.0)
-        max_factor = float(inertias.max()) * substeps
-        if max_factor > MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
-            message = f"drag on {self._body(int(np.argmax(inertias)))}, which is in "
+        mass_factors = np.where(is_constrained, flight.mass_factors, 1.0)
+        max_factor = float(mass_factors.max()) * substeps
+        if max_factor > MAX_MASS_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
+            body = int(np.argmax(mass_factors))
+            message = f"drag on {self._body(body)}, which is in "
             message += f"contact, is too strong for a step of {plain_number(dt)} s"
-            factor = MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS
+            factor = MAX_MASS_FACTOR * MAX_CONSTRAINED_SUBSTEPS
             step = plain_number(floor_to_two_digits(dt * factor / max_factor))
             self._stop(t, message, f"use step: {step}, or less drag, or more mass")
-        return substeps_for_inertias(substeps, inertias)
+        return substeps_for_mass_factors(substeps, mass_factors)
 
     def _rates(self, t: float, dt: float, body_states: FloatArray) -> FloatArray:
         """Return rates of oscillation, and of spin under pushes ``(2, N)`` [rad/s]."""

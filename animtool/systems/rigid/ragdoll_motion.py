@@ -91,45 +91,56 @@ def ragdoll_velocities(
 
 def ragdoll_transforms(
     ragdoll: Ragdoll,
-    origins: FloatArray,
+    body_origins: FloatArray,
     body_rotations: FloatArray,
-    translations: FloatArray,
-    rotations: FloatArray,
+    local_translations: FloatArray,
+    local_rotations: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return local transforms of all joints, with constant bone lengths.
+    """Return local translations and rotations of all joints, with constant lengths.
 
     Joints between two bodies keep their initial transform; joints below the last body
     follow the take.
+
+    Args:
+        ragdoll: The ragdoll.
+        body_origins: World positions of the bodies ``(F, N, 3)`` [m].
+        body_rotations: World rotations of the bodies ``(F, N, 4)``.
+        local_translations: Translations of the take's joints ``(F, J, 3)`` [m].
+        local_rotations: Rotations of the take's joints ``(F, J, 4)``.
     """
     rig = ragdoll.rig
     body_of_joint = {int(j): i for i, j in enumerate(ragdoll.joints)}
     rigid_joints = {k for j in body_of_joint for k in rig.upwards(j)[1:]}
     rigid_joints -= body_of_joint.keys()
-    new_translations, new_rotations = translations.copy(), rotations.copy()
+    new_translations, new_rotations = local_translations.copy(), local_rotations.copy()
     root_bodies = np.flatnonzero(ragdoll.parent_bodies < 0).tolist()
     root_joints = {movable_root(rig, int(ragdoll.joints[i])): i for i in root_bodies}
     body_of_joint |= root_joints
-    frame_count, joints = len(origins), len(rig.joints)
+    frame_count, joints = len(body_origins), len(rig.joints)
     positions = np.zeros((frame_count, joints, 3))
     world_rotations = np.zeros((frame_count, joints, 4))
     for j, joint in enumerate(rig.joints):
         if j in rigid_joints:
-            new_translations[:, j] = translations[0, j]
-            new_rotations[:, j] = rotations[0, j]
+            new_translations[:, j] = local_translations[0, j]
+            new_rotations[:, j] = local_rotations[0, j]
         parent = joint.parent
         if j in body_of_joint:
             i = body_of_joint[j]
             body = int(ragdoll.joints[i])
-            frame = _frame_on_body(rig, body, j, translations[0], rotations[0])
+            frame = _frame_on_body(
+                rig, body, j, local_translations[0], local_rotations[0]
+            )
             joint_rotations = so3.multiply(body_rotations[:, i], frame[3:])
             if parent < 0:
                 world_to_parent = so3.IDENTITY
             else:
                 world_to_parent = so3.conjugate(world_rotations[:, parent])
             new_rotations[:, j] = so3.multiply(world_to_parent, joint_rotations)
-            new_translations[:, j] = translations[0, j]
+            new_translations[:, j] = local_translations[0, j]
             if j in root_joints or joint.type is JointType.PRISMATIC:
-                origin = origins[:, i] + so3.rotate(body_rotations[:, i], frame[:3])
+                origin = body_origins[:, i] + so3.rotate(
+                    body_rotations[:, i], frame[:3]
+                )
                 offset = origin - (0 if parent < 0 else positions[:, parent])
                 new_translations[:, j] = so3.rotate(world_to_parent, offset)
         if parent < 0:
@@ -144,7 +155,11 @@ def ragdoll_transforms(
 
 
 def _frame_on_body(
-    rig: Rig, body: int, joint: int, translations: FloatArray, rotations: FloatArray
+    rig: Rig,
+    body: int,
+    joint: int,
+    local_translations: FloatArray,
+    local_rotations: FloatArray,
 ) -> FloatArray:
     """Return the frame of a joint relative to a descendant body ``(7,)``.
 
@@ -154,7 +169,7 @@ def _frame_on_body(
     for k in rig.upwards(body):
         if k == joint:
             break
-        position = translations[k] + so3.rotate(rotations[k], position)
-        rotation = so3.multiply(rotations[k], rotation)
+        position = local_translations[k] + so3.rotate(local_rotations[k], position)
+        rotation = so3.multiply(local_rotations[k], rotation)
     inverse = so3.conjugate(rotation)
     return np.concatenate([-so3.rotate(inverse, position), inverse])

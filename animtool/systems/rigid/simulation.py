@@ -282,13 +282,13 @@ class RigidSimulation(RigidStates):
         self, phase: BodyPhase, step_forces: StepForces, t: float
     ) -> Any:
         """Return the kernel object with current drives and mass factors."""
-        joints, inertias = self.joints, step_forces.mass_factors
+        joints, mass_factors = self.joints, step_forces.mass_factors
         parameters_at = joints.parameters_at
-        if parameters_at is None and inertias is None:
+        if parameters_at is None and mass_factors is None:
             return phase.kernel
         numbers = joints.numbers if parameters_at is None else parameters_at(t)
-        mass_factors = 1.0 if inertias is None else inertias[phase.is_free]
-        return phase.with_parameters(numbers, mass_factors)
+        free_factors = 1.0 if mass_factors is None else mass_factors[phase.is_free]
+        return phase.with_parameters(numbers, free_factors)
 
     def _break_joints(
         self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float

@@ -24,7 +24,7 @@ from animtool.usd.layers.names import joint_names, legal_name
 from animtool.usd.rigs.prims import array_value
 from animtool.usd.rigs.skinned import is_rig_mesh
 from animtool.usd.rigs.target import RigTarget
-from animtool.usd.takes.over_rig import OverRig
+from animtool.usd.takes.rig_space import RigSpaceTake
 
 _NO_JOINTS: IntArray = np.zeros(0, np.int64)
 
@@ -78,6 +78,7 @@ class RigJointMap:
         )
 
     def _map_channel(self, channel: Channel, rest: FloatArray) -> Channel:
+        """Return a channel of the take's joints as one of the rig's joints."""
         is_mapped = self.source_joints >= 0
         rest_values = rest.copy()
         rest_values[is_mapped] = channel.rest[self.source_joints[is_mapped]]
@@ -101,7 +102,7 @@ def map_joints(
     strip_namespaces: int,
     *,
     force_fit: bool = False,
-    converted_take: OverRig | None = None,
+    converted_take: RigSpaceTake | None = None,
 ) -> RigJointMap:
     """Match a take's joints to a rig by path, else by legal or original name.
 

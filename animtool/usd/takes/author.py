@@ -216,6 +216,7 @@ def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> N
 
 
 def _take_report(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
+    """Return the report of a take after its samples are written."""
     samples = sum(map(len, writer.codes))
     first_code, last_code = take.frames or (
         take.start,
@@ -290,6 +291,7 @@ def _without_usd_messages(result: UsdResult) -> AbstractContextManager[None]:
 
 
 def _stage_metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
+    """Return the metadata of a stage that spans all takes."""
     default_prim = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.rig.up
     if job.target is not None:
@@ -377,6 +379,7 @@ def _stage_job(
     unit: LengthUnit | str | None,
     show_bones: bool,
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
+    """Return settings, take and notices to write a take with its rig."""
     rig, clock = take.rig, take.clock
     if prim_path is not None:
         check_prim_path(prim_path)
@@ -415,13 +418,14 @@ def _unit_meters(name: LengthUnit | str) -> LengthUnit:
 def _layer_job(
     take: Take, path: Path, layer: Path, prim_path: str | None, *, force_fit: bool
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
+    """Return settings, take and notices to write a take over a rig layer."""
     from animtool.usd.rigs.joint_map import map_joints
     from animtool.usd.rigs.target import open_target
-    from animtool.usd.takes.over_rig import convert_over_rig
+    from animtool.usd.takes.rig_space import convert_to_rig_space
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    converted_take = convert_over_rig(
+    converted_take = convert_to_rig_space(
         stream, target.placement, None, str(layer), target.skeleton.rig
     )
     take = converted_take.stream.collect()

@@ -46,7 +46,7 @@ class _PopSteps:
 
 
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield non-root joints that pop in one frame (MOT202)."""
+    """Yield a fault if joints other than roots jump in one frame (MOT202)."""
     hint = CORRECT_HINT
     if subject.intended_cuts is not None:
         hint = "correct the frames around it; for an intended cut, write interp: step"
@@ -55,7 +55,7 @@ def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield roots that pop in one frame, moving the complete character (MOT203)."""
+    """Yield a fault if a root, and all below it, jumps in one frame (MOT203)."""
     hint = CORRECT_HINT
     pops = _find_pops(subject, MIN_ROOT_SHIFT, roots=True)
     yield from _pop_fault(subject, "MOT203", pops, hint)

@@ -261,7 +261,7 @@ def _length_text(meters: float) -> str:
 
 
 def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a skeleton of implausible size (MOT215)."""
+    """Yield a fault if the size of the skeleton is implausible (MOT215)."""
     smallest, largest = SKELETON_SIZE
     if not subject.has_units:
         return
@@ -309,7 +309,7 @@ def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a body that is upright along another axis than the up axis (MOT214)."""
+    """Yield a fault if the body is upright along an axis that is not up (MOT214)."""
     rig, axis = subject.take.rig, body_axis(subject)
     if axis is None:
         return

@@ -25,8 +25,8 @@ from animtool.validation.subjects.rig import RigSubject
 SWEEP_SAMPLES = 17
 # Number of sampled poses of all controls, some of which must activate a corrective.
 MAX_POSES = 2048
-# Fraction of the poses in which a control is at an end of its range.
-END_FRACTION = 0.8
+# Probability that a control is at an end of its range in a sampled pose.
+END_PROBABILITY = 0.8
 # Tolerance for degrees rounded in a file [rad], [m]; of a range [1].
 LIMIT_TOLERANCE = 1e-6
 _ZERO: FloatArray = np.zeros(1)
@@ -230,6 +230,7 @@ def _sweep_controls(rig: RigSubject) -> _ControlSweep:
 
 
 def _sampled_values(control: Control) -> FloatArray:
+    """Return the values of a control to test; none if its range is open."""
     if control.low is None or control.high is None:
         return np.zeros(0)
     corners = [corner for drive in control.drives for corner, _ in drive.curve]
@@ -292,7 +293,7 @@ def _shape_weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatAr
         end_values = np.where(rng.random(MAX_POSES) < 0.5, range_low, range_high)
         inner_values = rng.uniform(range_low, range_high, MAX_POSES)
         keyed_values[control.name] = np.where(
-            rng.random(MAX_POSES) < END_FRACTION, end_values, inner_values
+            rng.random(MAX_POSES) < END_PROBABILITY, end_values, inner_values
         )
     with np.errstate(all="ignore"):
         targets = evaluate_controls(rig.rig.controls, keyed_values).targets

@@ -14,7 +14,7 @@ from animtool.core.clock import Clock
 from animtool.core.shot import Shot
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Joint
-from animtool.scene.bake.frames import TakePlan, moving_joints, timed_blocks
+from animtool.scene.bake.frames import TakePlan, moving_joints, sample_take
 from animtool.scene.bake.options import BakeOptions
 
 
@@ -36,9 +36,9 @@ def test_the_last_frame_of_a_take_lasts_until_the_next_would_come(
     take = replace(small(5), clock=Clock(12, Fraction(1), Fraction(1), 5))
     shot = Shot(1001, last, fps=Fraction(24))
     plan = planned(take, BakeOptions(shot=shot))
-    timed = timed_blocks(plan, plan.stream)
-    assert timed.frames == (1001, last)
-    codes = np.concatenate([codes for codes, _ in timed.blocks])
+    sampled = sample_take(plan, plan.stream)
+    assert sampled.frames == (1001, last)
+    codes = np.concatenate([codes for codes, _ in sampled.blocks])
     assert codes.tolist() == list(range(1001, last + 1))
     notices = [notice for notice in plan.notices if notice.code != "TAKE007"]
     assert all(missing in notice.message for notice in notices)

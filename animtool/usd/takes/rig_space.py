@@ -28,7 +28,7 @@ from animtool.usd.rigs.placement import (
 
 
 @dataclass(frozen=True, slots=True)
-class OverRig:
+class RigSpaceTake:
     """A take converted to the space of a rig layer."""
 
     stream: TakeStream  # the take, without its placement if dropped
@@ -39,13 +39,13 @@ class OverRig:
     notices: list[Fault]  # notices about kept and dropped placements
 
 
-def convert_over_rig(
+def convert_to_rig_space(
     stream: TakeStream,
     placement_at: Callable[[FloatArray | None], SkeletonPlacement],
     choice: str | None,
     where: str,
     local_rig: Rig,
-) -> OverRig:
+) -> RigSpaceTake:
     """Return a take in the space of a rig that a stage places.
 
     The layer gives the character the size and up axis of the take. The take's placement
@@ -112,10 +112,10 @@ def convert_over_rig(
         stream = remove_placement(stream)
     if is_in_rig_space:
         identity = Placement.from_rotation(so3.IDENTITY)
-        return OverRig(stream, identity, None, notices)
+        return RigSpaceTake(stream, identity, None, notices)
     upright_scale = rig_placement.upright_scale
     if keep_placement and rig_placement.is_animated:
-        return OverRig(
+        return RigSpaceTake(
             stream,
             upright_scale,
             lambda codes: placement_at(codes).fixed.inverse(),
@@ -123,7 +123,7 @@ def convert_over_rig(
         )
     inverse = (rig_placement.fixed if keep_placement else upright_scale).inverse()
     is_needed = keep_placement or not inverse.is_identity
-    return OverRig(
+    return RigSpaceTake(
         stream, upright_scale, (lambda _: inverse) if is_needed else None, notices
     )
 
