@@ -252,6 +252,13 @@ def find_standing_axis(
     """
     if not _other_is_longer(rig, motion):
         return None
+    return _standing_axis(rig, motion, roles, downwards=downwards)
+
+
+def _standing_axis(
+    rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
+) -> UpAxis | None:
+    """Return the same as `find_standing_axis`, also if the body is taller along up."""
     frame_step = max(motion.frames // MAX_SAMPLES, 1)
     frames = motion.select(slice(0, motion.frames, frame_step))
     world = forward_kinematics(
@@ -293,15 +300,16 @@ def lying_body_notices(
 
     up: The axis that the user chose.
     """
-    if not _other_is_longer(rig, motion):
+    # An axis that the user chose is always checked: four-legged bodies are long.
+    if up is None and not _other_is_longer(rig, motion):
         return []
     from animtool.retarget.anatomy import find_anatomy
 
     roles, sign = find_anatomy(rig).roles, ""
-    axis = find_standing_axis(rig, motion, roles)
+    axis = _standing_axis(rig, motion, roles)
     suggested_axis = axis
     if axis is None and up is not None:
-        axis = find_standing_axis(rig, motion, roles, downwards=True)
+        axis = _standing_axis(rig, motion, roles, downwards=True)
         suggested_axis, sign = _other_axis(up), "-"
     if axis is None:
         return []

@@ -86,6 +86,15 @@ def test_an_up_axis_that_the_body_contradicts(
     assert "MOT214" not in "".join(warnings(*words, "--up", right, *again))
 
 
+@pytest.mark.parametrize(("up", "found"), [("z", True), ("y", False)])
+def test_an_up_axis_of_a_body_on_four_legs(
+    up: str, found: bool, tmp_path: Path
+) -> None:
+    fox = SAMPLE.parent / "fox/fox.glb"
+    lines = warnings("bake", fox, "-o", tmp_path / "a.usdc", "--up", up)
+    assert ("MOT214" in "".join(lines)) is found
+
+
 @pytest.mark.parametrize("right", ["Y", "Z"])
 def test_an_up_axis_of_a_scene_that_the_body_contradicts(
     right: str, tmp_path: Path

@@ -67,7 +67,11 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
     first_index = _frame_index(options.start, codes, "start", 0)
     last_index = _frame_index(options.end, codes, "end", clock.count - 1)
     if first_index == clock.count - 1 and options.end is None:
-        return take
+        if options.start is None:
+            return take
+        message = f"start is frame {codes[-1]:g}, the last: nothing falls"
+        hint = _start_hint(codes)
+        raise OptionError(Fault("SIM062", message, hint=hint, where="start"))
     if last_index <= first_index:
         message = f"end is frame {codes[last_index]:g}, which is not after start, "
         message += f"{codes[first_index]:g}"
@@ -182,8 +186,17 @@ def _frame_index(
     matches = np.flatnonzero(np.abs(codes - frame) < 1e-6)
     if not len(matches):
         message = f"{option} is frame {frame:g}, but the take has {codes[0]:g} to "
-        raise OptionError(Fault("SIM062", f"{message}{codes[-1]:g}", where=option))
+        message += f"{codes[-1]:g}"
+        hint = _start_hint(codes) if option == "start" else None
+        raise OptionError(Fault("SIM062", message, hint=hint, where=option))
     return int(matches[0])
+
+
+def _start_hint(codes: FloatArray) -> str | None:
+    """Return a hint with the frames at which a fall may start."""
+    if len(codes) < 2:
+        return None
+    return f"write a frame from {codes[0]:g} to {codes[-2]:g}"
 
 
 def _start_notices(
