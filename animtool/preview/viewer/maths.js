@@ -1,7 +1,7 @@
 /** Vectors, quaternions and 4×4 matrices, column by column, in flat arrays. */
 
 /** @typedef {import('./types.js').Vec} Vec */
-/** @typedef {Vec|Float32Array} Numbers */
+/** @typedef {Vec|import('./data.js').Values} Numbers */
 
 /** @returns {Float32Array} */
 export const identity = () => new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
