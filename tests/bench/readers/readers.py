@@ -74,6 +74,12 @@ def animtool(folder: Path, *arguments: str | Path) -> None:
         raise SystemExit(f"{' '.join(command)}\n{done.stderr}")
 
 
+def label(sample: Path) -> str:
+    """Return the name of a sample's file, with its folder if that has another name."""
+    name, folder = sample.name.split(".")[0], sample.parent.name
+    return name if name == folder else f"{folder} {name}"
+
+
 def written(folder: Path) -> list[Sample]:
     """Write every rig and sample in every form; return the files to open.
 
@@ -96,7 +102,7 @@ def written(folder: Path) -> list[Sample]:
         made.append(Sample(f"physics {name}", folder / f"{name}.physics.usda"))
     clips = [*folder.glob("samples/*/*.clip.yaml"), *folder.glob("samples/*/*.bvh")]
     for sample in sorted(clips):
-        bake(f"stage {sample.name.split('.')[0]}", sample)
+        bake(f"stage {label(sample)}", sample)
     walk = folder / "samples/walk/walk.bvh"
     stride = folder / "samples/stride/stride.clip.yaml"
     bake("bones walk", walk, "--bones")
@@ -111,7 +117,7 @@ def written(folder: Path) -> list[Sample]:
     bake("deform stride", stride, "--deform")
     bake("chunks stride", stride, "--deform", "--chunk", "10")
     for scene in sorted(folder.glob("samples/*/*.scene.yaml")):
-        name = f"scene {scene.name.split('.')[0]}"
+        name = f"scene {label(scene)}"
         if scene.parent.name != "shot":
             bake(name, scene)
     animtool(folder, "bake", "samples/shot/shot.scene.yaml", "-q")
