@@ -315,3 +315,9 @@ def _as_quaternions(channel: ClipChannel, values: FloatArray) -> FloatArray:
     if not channel.euler:
         return values
     return euler.to_quaternion(np.degrees(values), channel.euler)
+
+
+def values_at(channel: ClipChannel, times: FloatArray) -> FloatArray:
+    """Return the values of a channel at times ``(F, D)``, rotations as quaternions."""
+    values = evaluate_channels([channel], times)[channel.target]
+    return np.broadcast_to(values, (len(times), values.shape[1]))

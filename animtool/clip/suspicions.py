@@ -52,8 +52,9 @@ MIN_CHANNELS = 5
 MIN_WOUND = 3
 # In radians, some joint of a moving character exceeds this angle [rad].
 MIN_LARGEST = 1.0
-# Knees and elbows that a few keys pose bend by more than a few degrees.
-MAX_POSES = 12
+# Knees and elbows that a few keys bend by this much bend far in radians; in degrees, an
+# idle bends them by less.
+MAX_POSES, MIN_HINGE_SPAN = 12, 2.0
 # Fraction of keys at multiples of 15 degrees in radians that is more than chance.
 MIN_EXACT = 0.2
 # Radians with three decimals are that near to a whole degree by chance in 6 % [deg], so
@@ -274,7 +275,7 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     if any(
         HINGE_NAMES.search(name)
         and len(channel_values) <= MAX_POSES
-        and np.ptp(channel_values, axis=0).max() >= MIN_LARGEST
+        and np.ptp(channel_values, axis=0).max() >= MIN_HINGE_SPAN
         for name, channel_values in angles
     ):
         return True

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool.clip.channels import ClipChannel, evaluate_channels
+from animtool.clip.channels import ClipChannel, values_at
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, listed
 from animtool.core.rates import rate_warning
@@ -170,9 +170,3 @@ def _is_closed(channel: ClipChannel) -> bool:
     return (
         float(np.abs(last_value - first_value).max()) <= CYCLE_TOLERANCE * value_range
     )
-
-
-def values_at(channel: ClipChannel, times: FloatArray) -> FloatArray:
-    """Return the values of a channel at times ``(F, D)``, rotations as quaternions."""
-    values = evaluate_channels([channel], times)[channel.target]
-    return np.broadcast_to(values, (len(times), values.shape[1]))

@@ -102,9 +102,12 @@ def find_page(topic: str) -> PageEntry:
         message = f"{topic!r} names several pages"
         hint = f"write one of {', '.join(page.name for page in matches)}"
         raise OptionError(Fault("CLI009", message, hint=hint))
-    mentioning_pages = _pages_about(name) if name.strip() else []
-    if len(mentioning_pages) == 1:
-        return mentioning_pages[0]
+    defining_pages = _defining_pages(name) if name.strip() else []
+    if len(defining_pages) == 1:
+        return defining_pages[0]
+    mentioning_pages = defining_pages or (
+        _most_mentioning(name) if name.strip() else []
+    )
     names = ", ".join(page.name for page in mentioning_pages[:MAX_MENTIONED])
     hint = f"it is a subject of {names}"
     if not names:
@@ -114,18 +117,26 @@ def find_page(topic: str) -> PageEntry:
     raise OptionError(Fault("CLI009", f"unknown page {topic!r}", hint=hint))
 
 
-def _pages_about(topic: str) -> list[PageEntry]:
-    """Return the pages with a topic in a heading, or that which has it most often."""
-    pages = [page for page in all_pages() if page.name != "changelog"]
-    counts = {page.name: _count_mentions(page, topic) for page in pages}
-    mentioning_pages = [
+def _defining_pages(topic: str) -> list[PageEntry]:
+    """Return the pages with a topic in a heading, or at the start of a table's row."""
+    row = re.compile(rf"^\| `{re.escape(topic)}`", re.MULTILINE | re.IGNORECASE)
+    return [
         page
-        for page in pages
-        if counts[page.name]
-        and any(topic in heading.lower() for heading in _headings(page))
+        for page in all_pages()
+        if page.name != "changelog"
+        and _count_mentions(page, topic)
+        and (
+            any(topic in heading.lower() for heading in _headings(page))
+            or row.search(page_markdown(page))
+        )
     ]
-    best_page = max(pages, key=lambda page: counts[page.name])
-    return mentioning_pages or ([best_page] if counts[best_page.name] else [])
+
+
+def _most_mentioning(topic: str) -> list[PageEntry]:
+    """Return the page that has a topic most often; empty if none has it."""
+    pages = [page for page in all_pages() if page.name != "changelog"]
+    best_page = max(pages, key=lambda page: _count_mentions(page, topic))
+    return [best_page] if _count_mentions(best_page, topic) else []
 
 
 def _count_mentions(page: PageEntry, word: str) -> int:

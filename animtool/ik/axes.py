@@ -129,6 +129,7 @@ def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
         if track.values.get("position") is not None
     }
     crossed: list[tuple[int, int]] = []
+    world_positions: FloatArray | None = None
     for left in pairs.left:
         right = int(pairs.partners[left])
         if left not in goal_of_joint or right not in goal_of_joint:
@@ -137,7 +138,9 @@ def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
         paired = [j for j in rig.upwards(left) if pairs.partners[j] != j]
         roots = paired[-1], int(pairs.partners[paired[-1]])
         frames = solved_take.active[:, goals, 0].all(axis=1)
-        positions = solved_take.take.world().positions[frames]
+        if world_positions is None:
+            world_positions = solved_take.take.world().positions
+        positions = world_positions[frames]
         across = positions[:, roots[0]] - positions[:, roots[1]]
         tips = positions[:, left] - positions[:, right]
         crossings = -(tips * across).sum(axis=1)

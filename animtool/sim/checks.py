@@ -39,7 +39,7 @@ def step_warnings(
     times: FloatArray,
     state: FloatArray,
 ) -> list[Fault]:
-    """Return a warning if fixed steps exceed the whole run or the stability limit.
+    """Return warnings if fixed steps exceed the whole run or the stability limit.
 
     The limit is known for systems that report their fastest modes
     (`System.frequencies`).
@@ -49,19 +49,20 @@ def step_warnings(
         return []
     intervals = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
     max_step = max((step_grid(*gap, step).h for gap in intervals), default=0.0)
+    notices = []
     duration = float(times[-1] - times[0])
     if step > max(duration, MIN_LONG_STEP) > 0 and len(intervals) > 1:
         message = f"a step of {plain_number(step)} s is longer than the whole run of "
         message += f"{plain_number(duration)} s; steps of {plain_number(max_step)} s "
         message += "are taken"
         hint = f"step is in seconds: for {plain_number(step)} a second write "
-        return [warning("SIM109", message, f"{hint}{plain_number(1 / step)}")]
+        notices.append(warning("SIM109", message, f"{hint}{plain_number(1 / step)}"))
     limit = None if modes is None else allowed_step(integrator, modes)
     if limit is None or max_step <= limit:
-        return []
+        return notices
     message = f"{integrator.name} is not stable with steps of {plain_number(max_step)} "
     message += "s"
-    return [warning("SIM101", message, _stable_step_advice(limit))]
+    return [*notices, warning("SIM101", message, _stable_step_advice(limit))]
 
 
 def stop_warning(

@@ -181,6 +181,8 @@ CAUSES = {
     "MOT213": {"USD126"},
     "RIG204": {"RIG115"},
 }
+# Those of them that only a cause at their location or below explains.
+LOCAL_CODES = {"RIG204"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -382,16 +384,25 @@ def findings_in(checked: CheckedFile) -> list[Fault]:
     for rule in rules.values():
         if rule.check and checked.kind in rule.kinds:
             faults += _run_rule(rule, checked)
-    codes = {fault.code for fault in faults}
-    faults = [
-        fault for fault in faults if CAUSES.get(fault.code, set()).isdisjoint(codes)
-    ]
+    faults = [fault for fault in faults if not _is_explained(fault, faults)]
     if checked.document is None:
         return faults
     ignores = IgnoreEntries.from_document(checked.document)
     faults = ignores.hide(faults)
     # Refused parts may hide findings that an entry is meant for.
     return [*faults, *(ignores.entry_faults() if checked.subject is not None else ())]
+
+
+def _is_explained(fault: Fault, faults: Sequence[Fault]) -> bool:
+    """Return whether another finding states the cause of a finding."""
+    return any(
+        other.code in CAUSES.get(fault.code, ())
+        and (
+            fault.code not in LOCAL_CODES
+            or (other.where or "").startswith(fault.where or "")
+        )
+        for other in faults
+    )
 
 
 def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:

@@ -40,6 +40,11 @@ def test_no_page_has_that_name(topic: str) -> None:
 def test_a_word_of_a_heading_leads_to_its_page() -> None:
     assert find_page("slurm").name == "howto/farm"
     assert find_page("root_motion").name == "reference/passes"
+    with pytest.raises(OptionError) as caught:
+        find_page("mirror")  # a pass, and a key of rigs
+    hint = str(caught.value.faults[0].hint)
+    assert "reference/passes" in hint
+    assert "reference/rig-files" in hint
 
 
 def test_words_of_users_lead_to_pages() -> None:

@@ -160,6 +160,12 @@ def test_a_step_that_is_a_rate(step: float, codes: list[str]) -> None:
     assert [notice.code for notice in found.notices] == codes
 
 
+def test_a_step_that_is_a_rate_hides_no_instability() -> None:
+    spring = oscillator(100.0, 0.1).system
+    found = integrate(spring, np.arange(25) / 24, IntegrateOptions("euler", step=24.0))
+    assert [notice.code for notice in found.notices] == ["SIM109", "SIM101", "SIM102"]
+
+
 def test_the_stable_step_is_found_where_the_system_says_nothing() -> None:
     spring = ForceSystem(
         lambda _t, x, v: -1e4 * x - 20 * v,

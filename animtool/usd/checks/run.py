@@ -41,7 +41,6 @@ from animtool.usd.checks.subject import StageSubject
 from animtool.usd.checks.takes import AnimationTake, animation_takes
 from animtool.usd.checks.value_clips import check_value_clips
 from animtool.usd.layers.dependencies import open_composed
-from animtool.usd.layers.faults import matrix_array
 from animtool.usd.layers.sdf import find_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.prims import skeleton_rig, stored_data
@@ -176,21 +175,13 @@ def _resized_rigs(subject: StageSubject, path: Path) -> list[Fault]:
     """Return warnings about Skeletons in another unit than they were written in."""
     notices: list[Fault] = []
     for skeleton in subject.of_type(UsdSkel.Skeleton):
-        custom_data = stored_data(skeleton.GetPrim())
-        if not custom_data.get("rig"):
+        if not stored_data(skeleton.GetPrim()).get("rig"):
             continue
         from animtool.usd.rigs.stored import merge_rig
 
         try:
-            usd_skeleton = skeleton_rig(skeleton, path, is_animated=False)
-            _, rig_notices = merge_rig(
-                usd_skeleton.rig,
-                custom_data,
-                usd_skeleton.tokens,
-                matrix_array(skeleton.GetRestTransformsAttr()),
-                matrix_array(skeleton.GetBindTransformsAttr()),
-                path,
-            )
+            usd_rig = skeleton_rig(skeleton, path, is_animated=False)
+            _, rig_notices = merge_rig(usd_rig.rig, skeleton, usd_rig.tokens, path)
         except AnimtoolError:  # the findings contain the reason
             continue
         notices += [notice for notice in rig_notices if notice.code == "USD126"]

@@ -100,20 +100,16 @@ UNIT_TOLERANCE = 1e-3
 
 
 def merge_rig(
-    usd_rig: Rig,
-    custom_data: dict[str, Any],
-    tokens: list[str],
-    rest: Any,
-    bind: Any,
-    path: Path,
+    usd_rig: Rig, skeleton: Any, tokens: list[str], path: Path
 ) -> tuple[Rig, list[Fault]]:
-    """Merge a rig read from USD with the rig stored in customData.
+    """Merge a rig read from a Skeleton with the rig stored in its customData.
 
     If the Skeleton is unchanged since it was written, joints equal those of the stored
     rig. Otherwise USD's hierarchy, rest and bind replace them, and references to
     removed joints are dropped with a warning (USD117). Cloth and strands get their
     arrays in `merge_usd_attachments`.
     """
+    custom_data = stored_data(skeleton.GetPrim())
     text = custom_data.get("rig")
     if not text:
         return usd_rig, []
@@ -135,6 +131,8 @@ def merge_rig(
     )
     notices: list[Fault] = []
     resized = _resized_notice(stored_rig, usd_rig, path)
+    rest = matrix_array(skeleton.GetRestTransformsAttr())
+    bind = matrix_array(skeleton.GetBindTransformsAttr())
     if custom_data.get("hash") != skeleton_hash(tokens, rest, bind):
         merged_rig, notices = _merge_skeleton(merged_rig, usd_rig, str(path))
     elif resized is not None:
@@ -370,17 +368,9 @@ def read_rig_with_data(
             shapes=shapes,
             attach=read_strands(skeleton, usd_skeleton, str(path)),
         )
-        custom_data = stored_data(skeleton.GetPrim())
-        merged_rig, edit_notices = merge_rig(
-            rig,
-            custom_data,
-            usd_skeleton.tokens,
-            matrix_array(skeleton.GetRestTransformsAttr()),
-            matrix_array(skeleton.GetBindTransformsAttr()),
-            path,
-        )
+        merged_rig, edit_notices = merge_rig(rig, skeleton, usd_skeleton.tokens, path)
         full_rig, dropped_notices = merge_usd_attachments(
-            merged_rig, rig, custom_data, path
+            merged_rig, rig, stored_data(skeleton.GetPrim()), path
         )
         placement = local_placement(skeleton.GetPrim(), usd_skeleton.rig)
         notices += unsupported_notice(placement, where)

@@ -30,7 +30,6 @@ from animtool.rig.skeleton import Rig
 from animtool.usd.layers.composition import unresolved_hint
 from animtool.usd.layers.faults import (
     PrimLocation,
-    matrix_array,
 )
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -267,19 +266,11 @@ def _merge_stored_rig(
     stream: TakeStream, skeleton: Any, rig: SkeletonRig, path: Path
 ) -> None:
     """Merge the rig stored in a Skeleton's customData into a take."""
-    custom_data = stored_data(skeleton.GetPrim())
-    if not custom_data.get("rig"):
+    if not stored_data(skeleton.GetPrim()).get("rig"):
         return
     from animtool.usd.rigs.stored import merge_rig
 
-    merged_rig, notices = merge_rig(
-        stream.rig,
-        custom_data,
-        rig.tokens,
-        matrix_array(skeleton.GetRestTransformsAttr()),
-        matrix_array(skeleton.GetBindTransformsAttr()),
-        path,
-    )
+    merged_rig, notices = merge_rig(stream.rig, skeleton, rig.tokens, path)
     names = [shape.name for shape in merged_rig.shapes]
     columns = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
     stream.blocks = _remap_weights(stream.blocks, columns, len(names))

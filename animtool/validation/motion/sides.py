@@ -17,8 +17,6 @@ from animtool.rig.body_size import feet_of
 from animtool.validation.motion.body import body_carriers
 from animtool.validation.motion.subject import MotionSubject
 
-# Shorter takes only show a pose, in which a foot may be static [frame].
-POSE_FRAMES = 2
 # Files of a bind pose often have two equal frames, since players need two, and some
 # last two seconds: from a longer take the recording is missing [frame], [s].
 BIND_FRAMES, MAX_BIND_SECONDS = 2, 2.0

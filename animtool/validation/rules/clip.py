@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.clip.channels import ClipChannel
-from animtool.clip.suspicious_times import CYCLE_TOLERANCE, values_at
+from animtool.clip.channels import ClipChannel, values_at
+from animtool.clip.suspicious_times import CYCLE_TOLERANCE
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.maths import so3

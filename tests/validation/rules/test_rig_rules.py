@@ -52,6 +52,14 @@ CASES: dict[str, tuple[str, list[str]]] = {
         "- {name: knee_r, parent: hip_r, type: ball, translate: [-0.1, -0.4, 0]}\n",
         ["RIG212"],
     ),
+    "a sine in degrees, and another control that goes too far": (
+        "- {name: a, type: pin, axis: [1, 0, 0], limits: [-90, 90]}\n"
+        "- {name: b, type: pin, axis: [1, 0, 0], limits: [-90, 90]}\n"
+        "controls:\n"
+        "- {name: x, range: [0, 360], drives: [{joint: a.angle, expr: sin(x) * 99}]}\n"
+        "- {name: y, range: [0, 1], drives: [{joint: b.angle, expr: y * 99}]}\n",
+        ["RIG115", "RIG204"],
+    ),
     "a follower that rests outside": (
         TWO.replace("LIMITS", "[0, 90]").replace("MIMIC", "{joint: a, offset: 95}"),
         ["RIG201", "RIG205"],
