@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -111,11 +111,12 @@ def test_threads_make_no_difference() -> None:
 
 @settings(deadline=None)
 @given(SEEDS, st.integers(2, 12))
+@example(149423888, 2)  # all are shorter than at rest, by less than 1e-10
 def test_lengths_are_kept(seed: int, points: int) -> None:
     places = strands(3, points, seed)
     state, _, _, stretch = run(places, way=np.array([0.02, 0.0, 0.01]), substeps=10)
     lengths = np.linalg.norm(np.diff(state[0], axis=1), axis=-1) / LENGTH
-    assert stretch == pytest.approx(lengths.max() - 1, abs=1e-12)
+    assert stretch == pytest.approx(max(lengths.max() - 1, 0.0), abs=1e-12)
     assert_allclose(lengths, 1, atol=0.02)
 
 
