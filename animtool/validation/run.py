@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from animtool.core.arguments import ArgumentNamer
 from animtool.core.errors import (
@@ -20,12 +19,11 @@ from animtool.core.errors import (
     excerpt,
 )
 from animtool.core.files.reading import matching_files, nearest_file, unreadable_error
-from animtool.core.names import nearest
 from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import follow_parent, has_crashed, without_main
 from animtool.core.record import dataclass
-from animtool.core.rules import Rule, all_rules, current_codes
-from animtool.documents.document import Document
+from animtool.core.rules import Rule, all_rules
+from animtool.documents.ignore import IgnoreEntries
 from animtool.validation.options import ValidateOptions, check_codes, settings_of
 from animtool.validation.subjects.open import (
     INPUT_SUFFIXES,
@@ -72,101 +70,6 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
         hint = f"{suggestion}; {hint}" if suggestion else hint
         raise NoMatchError(Fault("VAL006", message, hint=hint))
     return list(files), unmatched_patterns
-
-
-_LOCATION_STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
-# Keys that identify an entry of a list.
-_NAME_KEYS = ("name", "target", "joint", "effector")
-
-
-@dataclass(slots=True)
-class IgnoreEntries:
-    """The ``ignore`` entries of a file, and the number of matches of each."""
-
-    document: Document  # the file
-    match_counts: list[int]  # number of findings hidden by each entry
-
-    @classmethod
-    def from_document(cls, document: Document) -> IgnoreEntries:
-        """Return the entries of a document; its reader refuses malformed ones."""
-        return cls(document, [0] * len(_entries(document)))
-
-    def hide(self, faults: list[Fault]) -> list[Fault]:
-        """Return the findings that no entry matches."""
-        return [fault for fault in faults if not self._is_hidden(fault)]
-
-    def entry_faults(self) -> Iterator[Fault]:
-        """Yield faults of the entries; call this after all findings were matched."""
-        rules, _ = all_rules()
-        for i, entry in enumerate(_entries(self.document)):
-            code = entry["code"]
-            if current_codes(code)[0] not in rules:
-                message = f"unknown code {code!r}"
-                hint = nearest(code, sorted(rules))
-                yield self.document.fault(
-                    "VAL002", ("ignore", i, "code"), message, hint
-                )
-            elif not self.match_counts[i]:
-                location_text = f" at {entry['where']}" if entry.get("where") else ""
-                message = f"nothing here has {code}{location_text}"
-                hint = "remove it"
-                fault = self.document.fault("VAL001", ("ignore", i), message, hint)
-                yield replace(fault, severity=Severity.WARNING)
-
-    def _is_hidden(self, fault: Fault) -> bool:
-        if fault.path != str(self.document.path):
-            return False
-        location_variants = self._location_variants(fault.where or "")
-        is_hidden = False
-        for i, entry in enumerate(_entries(self.document)):
-            pattern = entry.get("where")
-            if fault.code in current_codes(entry["code"]) and (
-                not pattern
-                or any(
-                    _matches_location(pattern, location)
-                    for location in location_variants
-                )
-            ):
-                self.match_counts[i] += 1
-                is_hidden = True
-        return is_hidden
-
-    def _location_variants(self, where: str) -> list[str]:
-        """Return a location with list entries by number, and by name."""
-        node: Any = self.document.value
-        text = ""
-        for key, index in _LOCATION_STEP.findall(where):
-            if index.isdigit() and isinstance(node, list) and int(index) < len(node):
-                node = node[int(index)]
-                entry_names = (
-                    [node[n] for n in _NAME_KEYS if n in node] if _is_map(node) else []
-                )
-                text += f"[{entry_names[0] if entry_names else index}]"
-            else:
-                text += f".{key}" if key else f"[{index}]"
-                node = node.get(key) if _is_map(node) else None
-        return [where, text.removeprefix(".")]
-
-
-def _entries(document: Document) -> list[dict[str, Any]]:
-    value = document.value.get("ignore")
-    entries = value if isinstance(value, list) else []
-    return [e for e in entries if _is_map(e) and isinstance(e.get("code"), str)]
-
-
-def _is_map(node: Any) -> bool:
-    return isinstance(node, dict)
-
-
-def _matches_location(pattern: str, location: str) -> bool:
-    """Return whether a pattern equals a location, or contains it.
-
-    >>> location = "joints[knee_l].limits"
-    >>> _matches_location("joints[*_l]", location), _matches_location("joint", location)
-    (True, False)
-    """
-    words = ".*".join(map(re.escape, pattern.split("*")))
-    return re.fullmatch(rf"{words}(?:[.\[].*)?", location) is not None
 
 
 Finding = Fault

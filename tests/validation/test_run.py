@@ -9,16 +9,14 @@ import pytest
 import animtool
 from animtool.core.errors import (
     ExitCode,
-    Fault,
     FormatError,
     NoMatchError,
     OptionError,
     Severity,
 )
 from animtool.core.rules import Rule, builtin_rules
-from animtool.documents.document import read_document
 from animtool.validation.options import ValidateOptions
-from animtool.validation.run import IgnoreEntries, find_files, validate, validate_files
+from animtool.validation.run import find_files, validate, validate_files
 from animtool.validation.testing import check_rule
 
 KNEE = """\
@@ -197,15 +195,6 @@ def test_an_entry_that_hides_nothing_is_a_warning(leg: Path) -> None:
     leg.write_text(f"{KNEE}ignore:\n- {{code: RIG2, why: no}}\n", "utf-8")
     (unknown,) = validate(leg, ValidateOptions(select=("VAL002",)))
     assert unknown.severity is Severity.ERROR
-
-
-def test_an_entry_may_have_the_code_of_an_earlier_version(tmp_path: Path) -> None:
-    path = tmp_path / "a.clip.yaml"
-    path.write_text("clip: animtool/1\nignore: [{code: CLIP203, why: a cut}]\n")
-    faults = [Fault(code, "odd", str(path)) for code in ("MOT202", "MOT203", "MOT208")]
-    ignores = IgnoreEntries.from_document(read_document(path))
-    assert ignores.hide(faults) == faults[2:]
-    assert list(ignores.entry_faults()) == []
 
 
 def test_strict_takes_no_notes_for_errors(leg: Path) -> None:

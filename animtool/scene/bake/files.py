@@ -19,6 +19,7 @@ from animtool.core.shot import Shot
 from animtool.core.units import up_from_up
 from animtool.core.values import VERSION
 from animtool.core.writers import Writer, take_writer
+from animtool.documents.ignore import without_accepted
 from animtool.motion.driving import combine_missing_weights
 from animtool.motion.motion import Channel
 from animtool.motion.reorient import rotate_rig
@@ -140,7 +141,7 @@ class FilePlan:
         for other_stream in other_streams:
             notices += other_stream.notices
         notices += [*take.notices, *mesh_notices, *outputs.notices]
-        notices = list(dict.fromkeys(notices))
+        notices = without_accepted(list(dict.fromkeys(notices)))
         refuse_warnings(notices, strict=options.strict)
         files, inputs = list(outputs.contents), [plan.source, *([base] if base else [])]
         check_outputs(files, inputs, overwrite=options.overwrite)

@@ -15,6 +15,7 @@ from animtool.core.files.output import STDOUT
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis, unit_name
+from animtool.documents.ignore import without_accepted
 from animtool.motion.scores import PassScores
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
@@ -337,7 +338,7 @@ class BakePlan:
             meters_per_unit,
             up.value,
             size,
-            notices,
+            without_accepted(notices),
             shot=self.options.shot,
         )
 

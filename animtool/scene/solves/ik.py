@@ -29,6 +29,7 @@ from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
+from animtool.documents.ignore import without_accepted
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
@@ -297,6 +298,7 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
         *crossed_notices(solution),
         *jump_notices(solution),
     ]
+    notices = without_accepted(notices)
     report = IkReport(solution, goals, [*notices, *missed_goals], seconds)
     if job.bake.strict and missed_goals:
         raise MissedGoalsError(missed_goals, report)

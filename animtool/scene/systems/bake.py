@@ -18,6 +18,7 @@ from animtool.core.options import refused_options
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
+from animtool.documents.ignore import without_accepted
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.prims import BakePlan, BakeState, OneFile, TakeReport
 from animtool.scene.scene import DEFAULT_FPS, Scene
@@ -145,6 +146,7 @@ class SystemFrames:
     files: list[Path] = field(default_factory=list)
     written: list[CachedMesh] = field(default_factory=list)
     ended_layer: Any = None
+    notices: list[Fault] = field(default_factory=list)  # of the simulation
 
     def chunk(self, layer: Any, output: Path, size: int) -> None:
         """Simulate into files of ``size`` samples each, joined by a layer."""
@@ -172,14 +174,15 @@ class SystemFrames:
             author_metadata(layer, replace(metadata, span=span))
             self.ended_layer = layer
         run.add_notices(self.written)
-        refuse_warnings(run.notices, strict=self.strict)
+        self.notices = without_accepted(run.notices)
+        refuse_warnings(self.notices, strict=self.strict)
         run.save_states(prims.scene.path.resolve().parent)
 
     def complete(self, draft: BakeState) -> None:
         """Add the simulated frames to the report."""
         report, run, written_meshes = draft.report, self.run, self.written
         assert report is not None
-        report.notices += run.notices
+        report.notices += self.notices
         report.stopped = run.stopped
         report.result.outputs[:0] = self.files
         report.result.bytes += sum(map(written_size, self.files))

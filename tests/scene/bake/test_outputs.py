@@ -11,7 +11,7 @@ import pytest
 from support.cli import animtool
 
 from animtool import bake, open_source
-from animtool.core.errors import AnimtoolError, FormatError, OptionError, StrictError
+from animtool.core.errors import AnimtoolError, FormatError, OptionError, Severity, StrictError
 from animtool.motion.passes import PASSES, FrameScope, Pass, PassContext
 from animtool.motion.take import Take
 from animtool.scene.bake.bake import bake_outputs
@@ -109,6 +109,22 @@ def test_warnings_under_strict_leave_none(shot: Path) -> None:
     with pytest.raises(StrictError):
         bake_outputs(load_scene(shot), None, BakeOptions(strict=True))
     assert made(shot) == []
+
+
+def test_accepted_warnings_are_no_warnings_under_strict(shot: Path) -> None:
+    text = SCENE.replace("mirror:", "loop: {first: 1, last: 17}")
+    shot.write_text(text, "utf-8")
+    codes = {
+        notice.code
+        for report in bake_outputs(load_scene(shot), None, BakeOptions(overwrite=True))
+        for notice in report.notices
+        if notice.severity is Severity.WARNING
+    }
+    accepted = ", ".join(f"{{code: {code}, why: known}}" for code in sorted(codes))
+    assert codes
+    shot.write_text(f"{text}ignore: [{accepted}]\n", "utf-8")
+    bake_outputs(load_scene(shot), None, BakeOptions(strict=True, overwrite=True))
+    assert made(shot) == FILES
 
 
 def test_every_output_is_checked_before(shot: Path) -> None:

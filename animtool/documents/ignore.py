@@ -1,0 +1,144 @@
+"""Findings of a file that its ``ignore`` entries accept."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animtool.core.errors import AnimtoolError, Fault, Severity
+from animtool.core.names import nearest
+from animtool.core.record import dataclass
+from animtool.core.rules import all_rules, current_codes
+
+if TYPE_CHECKING:
+    from animtool.documents.document import Document
+
+# Suffixes of files that may have ``ignore`` entries.
+DOCUMENT_SUFFIXES = (".yaml", ".yml", ".json")
+
+
+_LOCATION_STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
+# Keys that identify an entry of a list.
+_NAME_KEYS = ("name", "target", "joint", "effector")
+
+
+@dataclass(slots=True)
+class IgnoreEntries:
+    """The ``ignore`` entries of a file, and the number of matches of each."""
+
+    document: Document  # the file
+    match_counts: list[int]  # number of findings hidden by each entry
+
+    @classmethod
+    def from_document(cls, document: Document) -> IgnoreEntries:
+        """Return the entries of a document; its reader refuses malformed ones."""
+        return cls(document, [0] * len(_entries(document)))
+
+    def hide(self, faults: list[Fault]) -> list[Fault]:
+        """Return the findings that no entry matches."""
+        return [fault for fault in faults if not self._is_hidden(fault)]
+
+    def entry_faults(self) -> Iterator[Fault]:
+        """Yield faults of the entries; call this after all findings were matched."""
+        rules, _ = all_rules()
+        for i, entry in enumerate(_entries(self.document)):
+            code = entry["code"]
+            if current_codes(code)[0] not in rules:
+                message = f"unknown code {code!r}"
+                hint = nearest(code, sorted(rules))
+                yield self.document.fault(
+                    "VAL002", ("ignore", i, "code"), message, hint
+                )
+            elif not self.match_counts[i]:
+                location_text = f" at {entry['where']}" if entry.get("where") else ""
+                message = f"nothing here has {code}{location_text}"
+                hint = "remove it"
+                fault = self.document.fault("VAL001", ("ignore", i), message, hint)
+                yield replace(fault, severity=Severity.WARNING)
+
+    def _is_hidden(self, fault: Fault) -> bool:
+        if fault.path != str(self.document.path):
+            return False
+        location_variants = self._location_variants(fault.where or "")
+        is_hidden = False
+        for i, entry in enumerate(_entries(self.document)):
+            pattern = entry.get("where")
+            if fault.code in current_codes(entry["code"]) and (
+                not pattern
+                or any(
+                    _matches_location(pattern, location)
+                    for location in location_variants
+                )
+            ):
+                self.match_counts[i] += 1
+                is_hidden = True
+        return is_hidden
+
+    def _location_variants(self, where: str) -> list[str]:
+        """Return a location with list entries by number, and by name."""
+        node: Any = self.document.value
+        text = ""
+        for key, index in _LOCATION_STEP.findall(where):
+            if index.isdigit() and isinstance(node, list) and int(index) < len(node):
+                node = node[int(index)]
+                entry_names = (
+                    [node[n] for n in _NAME_KEYS if n in node] if _is_map(node) else []
+                )
+                text += f"[{entry_names[0] if entry_names else index}]"
+            else:
+                text += f".{key}" if key else f"[{index}]"
+                node = node.get(key) if _is_map(node) else None
+        return [where, text.removeprefix(".")]
+
+
+def _entries(document: Document) -> list[dict[str, Any]]:
+    value = document.value.get("ignore")
+    entries = value if isinstance(value, list) else []
+    return [e for e in entries if _is_map(e) and isinstance(e.get("code"), str)]
+
+
+def _is_map(node: Any) -> bool:
+    return isinstance(node, dict)
+
+
+def _matches_location(pattern: str, location: str) -> bool:
+    """Return whether a pattern equals a location, or contains it.
+
+    >>> location = "joints[knee_l].limits"
+    >>> _matches_location("joints[*_l]", location), _matches_location("joint", location)
+    (True, False)
+    """
+    words = ".*".join(map(re.escape, pattern.split("*")))
+    return re.fullmatch(rf"{words}(?:[.\[].*)?", location) is not None
+
+
+def without_accepted(notices: Sequence[Fault]) -> list[Fault]:
+    """Return notices without the warnings that their files accept.
+
+    Notes report results, so they stay.
+    """
+    warnings = [one for one in notices if one.severity is Severity.WARNING]
+    accepted: set[Fault] = set()
+    for path in dict.fromkeys(warning.path for warning in warnings):
+        entries = _entries_of_file(path)
+        if entries is not None:
+            accepted.update(set(warnings).difference(entries.hide(warnings)))
+    return [notice for notice in notices if notice not in accepted]
+
+
+def _entries_of_file(path: str | None) -> IgnoreEntries | None:
+    """Return the entries of a YAML or JSON file; None if it has none."""
+    if path is None or not path.endswith(DOCUMENT_SUFFIXES):
+        return None
+    # Only files with warnings are read again.
+    from animtool.documents.document import document_of, read_text
+
+    try:
+        text = read_text(Path(path))
+        document = document_of(text, Path(path)) if "ignore" in text else None
+    except AnimtoolError:
+        return None
+    return IgnoreEntries.from_document(document) if document else None
