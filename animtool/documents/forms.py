@@ -14,6 +14,7 @@ from animtool.documents.document import Location
 from animtool.documents.placeholders import (
     annotation_of,
     field_at,
+    fields_at,
     fields_of,
     inner_annotation,
     models_of,
@@ -83,6 +84,60 @@ def form_hint(
     text = flow_text(key, example)
     word = "write" if _example_contains(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
+
+
+def named_options_hint(
+    model: type[BaseModel], value: Any, location: Location
+) -> str | None:
+    """Return a hint that writes a mapping of options below the name they belong to.
+
+    Names have `EntryExamples`, as the shapes of an emitter do. Keys of the mapping's
+    parent move there. None if the mapping has no such form.
+    """
+    match = field_at(model, value, location)
+    forms = _entry_examples(annotation_of(match[1])) if match else None
+    if match is None or forms is None or match[0] != len(location):
+        return None
+    entry = value_at(value, location)
+    parent_keys = fields_at(model, value, location[:-1])
+    option_keys = {key for form in forms.options.values() for key in form}
+    moved = {
+        key: item
+        for key, item in entry.items()
+        if key in parent_keys and key not in option_keys
+    }
+    names = [key for key in entry if key in forms.options]
+    options = {key: entry[key] for key in entry if key not in {*moved, *names}}
+    if not names and options:
+        names = [
+            name
+            for name, form in forms.options.items()
+            if form.keys() >= options.keys()
+        ]
+    if len(names) == 1 and (options or moved):
+        stated_options = entry.get(names[0]) or {}
+        if not isinstance(stated_options, dict):
+            return None
+        form = {names[0]: {**stated_options, **options}}
+    elif not names and moved:
+        form = (match[1].examples or [{}])[0]
+    else:
+        return None
+    texts = [flow_text(str(location[-1]), form)]
+    texts += [flow_text(key, item) for key, item in moved.items()]
+    return f"write {', '.join(texts)}"
+
+
+def key_named_by(
+    model: type[BaseModel], value: Any, mapping: Location, name: str
+) -> str | None:
+    """Return the key whose options a name starts: ``shape`` for ``box``; else None."""
+    for key in fields_at(model, value, mapping):
+        match = field_at(model, value, (*mapping, key))
+        forms = _entry_examples(annotation_of(match[1])) if match else None
+        if forms is not None and name in forms.options:
+            return key
+    return None
 
 
 def _shortened_flow(key: str, entries: Sequence[Any]) -> str:

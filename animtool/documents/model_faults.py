@@ -15,7 +15,9 @@ from animtool.documents.document import Document, Location, location_text
 from animtool.documents.forms import (
     example_hint,
     form_hint,
+    key_named_by,
     missing_key_hint,
+    named_options_hint,
     paired_entries,
     vector_components,
 )
@@ -106,7 +108,9 @@ class ModelFaults:
     def replace_faulty(self, error: ValidationError) -> None:
         """Record the faults of a failed validation and replace the faulty values."""
         faults_by_location = _group_by_location(self.value, error)
-        for location in self._record_unindented_options(faults_by_location.values()):
+        groups = faults_by_location.values()
+        misplaced = self._record_unindented_options(groups)
+        for location in misplaced or self._record_options_without_name(groups):
             faults_by_location = {
                 key: faults
                 for key, faults in faults_by_location.items()
@@ -167,6 +171,10 @@ class ModelFaults:
             return
         message = f"unknown key {excerpt(str(key))}"
         hint, meant_key = intended_key_hint(str(key), names)
+        owner = key_named_by(self.model, self.value, mapping, str(key))
+        if owner is not None and owner not in node:
+            meant_key, value = owner, {key: value}
+            hint = f"write {flow_text(owner, value)}"
         if hint.startswith("allowed"):
             hint = self._key_elsewhere(mapping, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
@@ -252,6 +260,34 @@ class ModelFaults:
             hint = f"indent them further, or write {text}"
             key_location = (*location, options[0])
             self.document.add("DOC022", key_location, message, hint, at_key=True)
+        for location in locations:
+            self._insert_placeholder(location)
+        return locations
+
+    def _record_options_without_name(
+        self, groups: Iterable[list[Any]]
+    ) -> list[Location]:
+        """Record a fault for each value whose options are not below a name.
+
+        Returns the locations of these values, which get placeholders.
+        """
+        locations: list[Location] = []
+        for faults in groups:
+            location = _fault_location(self.value, faults[0])
+            if faults[0]["type"] == "dict_type":
+                location = location[:-1]  # of an option, which is read as a name
+            elif faults[0]["type"] != "too_long":
+                continue
+            value = value_at(self.value, location)
+            if location in locations or not location or not isinstance(value, dict):
+                continue
+            hint = named_options_hint(self.model, self.value, location)
+            if hint is None:
+                continue
+            locations.append(location)
+            keys = listed([excerpt(str(key)) for key in value])
+            message = f"one name with its options is needed, not {keys}"
+            self.document.add("DOC022", location, message, hint)
         for location in locations:
             self._insert_placeholder(location)
         return locations

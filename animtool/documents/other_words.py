@@ -66,6 +66,8 @@ OTHER_KEYS = {
     "rotateorder": ("euler", "channels"),
     "rotationorder": ("euler", "channels"),
     "framerate": ("fps",),
+    "obstacles": ("colliders",),
+    "obstacle": ("colliders",),
     "rate": ("fps",),
     "integrator": ("solver",),
     "timestep": ("step",),

@@ -240,6 +240,13 @@ def test_faults_are_mended_up_to_a_bound(tmp_path: Path) -> None:
         ("items: {type: square, side: 1}", "items: [{type: square, side: 1}]"),
         ("crate: {box: [1, 1, 1]}", "crate: {box: {size: [1, 1, 1]}}"),
         ("crate: box", "crate: {box: {size: [1, 1, 1]}}"),
+        ("crate: {size: [1, 2, 3]}", "crate: {box: {size: [1, 2, 3]}}"),
+        ("crate: {ball: {}, radius: 2}", "crate: {ball: {radius: 2}}"),
+        (
+            "crate: {ball: {radius: 2}, span: 3}",
+            "crate: {ball: {radius: 2}}, span: 3",
+        ),
+        ("crate: {radius: 2, span: 3}", "crate: {ball: {radius: 2}}, span: 3"),
         ("crate: {ball: 0.1}", "crate: {ball: {radius: 0.5}}"),
         ("crate: {cone: 0.1}", "crate: {box: {size: [2, 2, 2]}}"),
         ("take: walk.bvh", "take: {file: walk.bvh}"),
@@ -254,3 +261,11 @@ def test_a_wrong_form_shows_the_right_one(tmp_path: Path, text: str, form: str) 
     (fault,) = read.faults
     assert fault.code == "DOC022"
     assert str(fault.hint).removeprefix("for example ").removeprefix("write ") == form
+
+
+def test_a_name_without_the_key_of_its_options(tmp_path: Path) -> None:
+    read = document(tmp_path, "items: []\nball: {radius: 2}")
+    shown = validate_document(read, Shown)
+    (fault,) = read.faults
+    assert (fault.code, fault.hint) == ("DOC020", "write crate: {ball: {radius: 2}}")
+    assert shown.crate == {"ball": {"radius": 2}}

@@ -60,7 +60,19 @@ SHAPE_FORMS = EntryExamples(
         "sphere": {"radius": 0.1},
     }
 )
-EmitterShapeEntry = Annotated[NamedOptions, FieldKind.EMITTER_SHAPE]
+# Syntax of emitter shapes.
+EMITTER_SHAPE_FORMS = EntryExamples(
+    {
+        "box": {"size": [1, 0, 1]},
+        "disc": {"radius": 0.2},
+        "mesh": {"points": "stairs.npz", "triangles": "stairs.npz"},
+        "point": {},
+        "sphere": {"radius": 0.5},
+    }
+)
+EmitterShapeEntry = Annotated[
+    NamedOptions, FieldKind.EMITTER_SHAPE, EMITTER_SHAPE_FORMS
+]
 ShapeEntry = Annotated[NamedOptions, FieldKind.SHAPE, SHAPE_FORMS]
 
 # Row of seconds from the first frame, and a vector.
