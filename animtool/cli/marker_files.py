@@ -107,7 +107,12 @@ def run_on_markers(
         marker_sets = [read_marker_file(path, params) for path in sources]
         markers, report = process(*marker_sets)
         notices = [
-            notice for result in (*marker_sets, report) for notice in result.notices
+            notice.in_file(path)
+            for path, result in (
+                *zip(sources, marker_sets, strict=True),
+                (sources[0], report),
+            )
+            for notice in result.notices
         ]
         refuse_warnings(notices, strict=params["strict"])
         notices += write_markers(markers, output, overwrite=params["overwrite"])

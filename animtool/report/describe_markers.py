@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.spikes import find_spikes
 from animtool.core.errors import Fault
 from animtool.core.readers import find_reader
@@ -77,5 +78,8 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
         0 if markers.filled is None else int(markers.filled.sum()),
         bounds,
         [name for name in markers.names if not name.startswith("*")],
-        list(markers.notices),
+        [
+            notice.in_file(path)
+            for notice in (*markers.notices, *plausibility_warnings(markers))
+        ],
     )
