@@ -22,6 +22,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
 from animtool.motion.quaternion_order import order_warning
 from animtool.motion.take import TakeStream
+from animtool.retarget.root_position import root_warning
 from animtool.rig.body_size import fitting_unit, unit_texts
 from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
 from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
@@ -378,6 +379,11 @@ def with_source_warnings(
                     add_notices(replace(n, path=str(path)) for n in unit_notices)
             if i == 0 and not is_stated:
                 add_notices(lying_body_notices(path, stream.rig, block, severity, up))
+            if i == 0 and file_format != "markers":
+                problem = root_warning(stream.rig, block)
+                known_codes = {notice.code for notice in stream.notices}
+                if problem is not None and problem.code not in known_codes:
+                    add_notices([problem.in_file(path)])
             yield block
 
     return replace(stream, blocks=blocks())

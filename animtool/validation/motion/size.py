@@ -15,6 +15,7 @@ from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import plain_number
 from animtool.motion.quaternion_order import ORDER_HINT, find_swapped_order
 from animtool.retarget.anatomy import find_anatomy
+from animtool.retarget.root_position import UNIT_FACTORS, height_factor, root_warning
 from animtool.retarget.standing import Stance, measure_stance
 from animtool.rig.body_size import (
     MIN_JOINTS,
@@ -35,11 +36,8 @@ from animtool.validation.motion.subject import MotionSubject
 # Fraction by which a bone's length may change, and length below which a bone counts as
 # zero [size].
 MAX_STRETCH, MIN_BONE_LENGTH = 0.5, 0.02
-# Ratios of units that are often confused: m, cm, mm, in; and the tolerance [1].
-UNIT_FACTORS = (10.0, 100.0, 1000.0, 39.37)
+# Tolerance of a unit factor [1].
 FACTOR_TOLERANCE = 0.15
-# Range of ratios of a root's height to its rest height that mean another unit [1].
-HIGH_RATIO_RANGE = (25.0, 4000.0)
 # Otherwise, in the correct unit, the lowest joint is this close to 0 of the up axis in
 # most frames [size], [1]; or sometimes, as on stairs, and is then static in this
 # fraction of frames [size], [size/s], [1].
@@ -131,6 +129,10 @@ def _unit_factor(ratios: FloatArray) -> float | None:
 def other_units(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the motion or the character is in another unit (MOT213)."""
     subject = subject.without_first_pose
+    # The reader of a file reports its unit when it is baked, too.
+    is_reported = any(notice.code == "MOT213" for notice in subject.take.notices)
+    if is_reported:
+        return
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
         message = (
@@ -153,9 +155,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         return
     size, unit = subject.size, subject.take.rig.meters_per_unit
     fitting = fitting_unit(subject.take.rig.names, size, unit)
-    # The reader of a file reports its unit when it is baked, too.
-    is_reported = any(notice.code == "MOT213" for notice in subject.take.notices)
-    if fitting is None or is_reported or not subject.has_units:
+    if fitting is None or not subject.has_units:
         return
     message, hint = unit_texts(size, unit, fitting, subject.file_format)
     yield subject.fault("MOT213", None, None, message, hint)
@@ -181,7 +181,7 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
         height = float(np.median(subject.heights[:, root]))
         ratio = height / (leg_length if rests_at_hips else rest_height)
         # At 1/100 of its height, a root is at 0, like a root with another origin.
-        factor = _low_factor(subject, root) if ratio < 1.0 else _height_factor(ratio)
+        factor = _low_factor(subject, root) if ratio < 1.0 else height_factor(ratio)
         if factor is None and not rests_at_hips:
             factor = _unit_factor(np.array([ratio]))
         if factor is not None and abs(math.log10(factor)) > 1.5:
@@ -222,20 +222,6 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
         if float(is_slow.mean()) > STATIC_TREAD_FRACTION:
             return 1.0 / factor
     return None
-
-
-def _height_factor(ratio: float) -> float | None:
-    """Return the unit conversion factor nearest to a height ratio; None if implausible.
-
-    Crawling or climbing bodies are lower or higher than at rest, but never by such
-    factors.
-
-    >>> [_height_factor(ratio) for ratio in (45.0, 1700.0, 12.0, 1e6)]
-    [39.37, 1000.0, None, None]
-    """
-    if not HIGH_RATIO_RANGE[0] < ratio < HIGH_RATIO_RANGE[1]:
-        return None
-    return min(UNIT_FACTORS, key=lambda factor: abs(math.log(ratio / factor)))
 
 
 def _factor_text(factor: float) -> str:
@@ -312,6 +298,12 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the body is upright along an axis that is not up (MOT214)."""
     rig, axis = subject.take.rig, body_axis(subject)
     if axis is None:
+        # The bake of a file reports it, too.
+        is_reported = any(notice.code == "MOT214" for notice in subject.take.notices)
+        problem = root_warning(rig, subject.take.motion) if subject.has_rest else None
+        if problem is not None and problem.code == "MOT214" and not is_reported:
+            message, hint = problem.message, problem.hint
+            yield subject.fault("MOT214", int(rig.roots[0]), 0, message, hint or "")
         return
     direction = "upside down" if axis.axis is None else f"along {axis.axis}"
     percent_of_frames = 100.0 * axis.fraction
