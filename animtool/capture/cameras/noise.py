@@ -165,7 +165,8 @@ def _stale_camera(
             pixels, confidences, camera_parameters(cameras), without_camera, noise,
             *settings, detailed=False,
         )  # fmt: skip
-        change = fit_pose_change(cameras[camera], points, pixels[:, camera])
+        others = [*cameras[:camera], *cameras[camera + 1 :]]
+        change = fit_pose_change(cameras[camera], points, pixels[:, camera], others)
         if change is not None:
             candidates.append((float(np.nanmedian(sizes[..., 0])), camera, change))
     if not candidates:

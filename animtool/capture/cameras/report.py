@@ -163,13 +163,19 @@ def camera_notices(
         if throughout:
             text = f"camera {report.name!r} does not match its calibration in any frame"
         text += f": {percent_text(shift.outliers)} of its points are outliers"
-        if shift.change is not None:
+        hint = "calibrate it again"
+        if shift.change is not None and shift.change.matching:
+            matching = repr(shift.change.matching)
+            text += f", and the calibration of {matching} fits them"
+            hint = f"exchange the points or the calibrations of {report.name!r} and "
+            hint += matching
+        elif shift.change is not None:
             text += f", and {shift.change} would explain it"
         if shift.kept:
             text += "; it is kept: without it, the others do not agree better"
         else:
             text += "; it is kept" if is_kept else "; it is excluded there"
-        yield warning("CAM101", text, "calibrate it again")
+        yield warning("CAM101", text, hint)
     if report.disagrees:
         worst = max(report.disagrees, key=lambda disagreement: disagreement.outliers)
         frames_text = frame_spans(

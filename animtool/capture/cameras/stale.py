@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import ClassVar
 
@@ -23,6 +24,9 @@ _GAUSS_NEWTON_STEPS = 8
 # deviate, over the noise; and by how many standard errors.
 MIN_VIEW, LOUD_RATIO, SAMPLING_SPREAD = 3, 2.0, 6.0
 
+# Error of another camera that fits, over the camera's own error [1]; neighbours reach .28.
+MATCH_ERROR_RATIO = 0.05
+
 
 @dataclass(frozen=True, slots=True)
 class PoseChange:
@@ -32,11 +36,13 @@ class PoseChange:
         angle: Rotation [rad].
         distance: Translation [m].
         error_px: Median reprojection error after the change [px].
+        matching: Name of another camera whose calibration fits as well; or empty.
     """
 
     angle: float
     distance: float
     error_px: float
+    matching: str = ""
 
     def __str__(self) -> str:
         """Return the rotation and the shift as text."""
@@ -64,7 +70,7 @@ class PoseShift:
     kept: bool = False
     json_keys: ClassVar[str] = (
         "first=number last=end outliers kept "
-        "change{angle_rad=angle distance_m=distance reprojection_px=error_px}"
+        "change{angle_rad=angle distance_m=distance reprojection_px=error_px matching}"
     )
 
     @property
@@ -247,7 +253,10 @@ def _window_sums(values: FloatArray, window: int) -> FloatArray:
 
 
 def fit_pose_change(
-    camera: Camera, points: FloatArray, pixels: FloatArray
+    camera: Camera,
+    points: FloatArray,
+    pixels: FloatArray,
+    others: Iterable[Camera] = (),
 ) -> PoseChange | None:
     """Return the pose change that fits a camera's pixels best; None if none fits.
 
@@ -257,6 +266,7 @@ def fit_pose_change(
         camera: The camera with its calibrated pose.
         points: World positions [m] ``(F, M, 3)``, NaN for gaps.
         pixels: Pixels of the points ``(F, M, 2)``, NaN if not visible.
+        others: Cameras that the pixels may belong to instead.
     """
     is_valid = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[is_valid], pixels[is_valid]
@@ -281,16 +291,26 @@ def fit_pose_change(
         step = np.linalg.lstsq(matrix, -weighted_residuals, rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
-    residuals = np.linalg.norm(project(refined_camera, points) - pixels, axis=-1)
-    initial_residuals = np.linalg.norm(project(camera, points) - pixels, axis=-1)
-    if not np.nanmedian(residuals) < 0.5 * np.nanmedian(initial_residuals):
+    error = _median_error(refined_camera, points, pixels)
+    initial_error = _median_error(camera, points, pixels)
+    if not error < 0.5 * initial_error:
         return None
+    errors = {other.name: _median_error(other, points, pixels) for other in others}
+    best_name = min(errors, key=errors.__getitem__, default="")
+    is_match = errors.get(best_name, np.inf) < MATCH_ERROR_RATIO * initial_error
     angle_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
     return PoseChange(
         float(np.linalg.norm(angle_vector)),
         float(np.linalg.norm(refined_camera.position - camera.position)),
-        float(np.nanmedian(residuals)),
+        error,
+        best_name if is_match else "",
     )
+
+
+def _median_error(camera: Camera, points: FloatArray, pixels: FloatArray) -> float:
+    """Return the median reprojection error of the points in a camera's view [px]."""
+    distances = np.linalg.norm(project(camera, points) - pixels, axis=-1)
+    return float(np.nanmedian(distances)) if np.isfinite(distances).any() else np.inf
 
 
 def _pixel_derivatives(camera: Camera, points: FloatArray) -> FloatArray:

@@ -309,7 +309,8 @@ class _TriangulationRun:
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
         points = self.positions[shift.first : shift.end : step]
-        change = fit_pose_change(self.cameras.cameras[camera], points, pixels)
+        others = list(self.cameras.cameras)
+        change = fit_pose_change(others.pop(camera), points, pixels, others)
         return replace(shift, change=change)
 
     def _check_triangulated(self) -> None:

@@ -99,6 +99,26 @@ def test_outliers_and_swaps_are_survived() -> None:
     assert (found.markers.cameras[20:60, 3] <= 5).all()
 
 
+@pytest.mark.parametrize("count", [6, 8])
+def test_exchanged_cameras_are_named(count: int) -> None:
+    cameras = ring(count)
+    names = [camera.name for camera in cameras.cameras]
+    exchanged = list(cameras.cameras)
+    exchanged[1], exchanged[4] = (
+        replace(exchanged[4], name=names[1]),
+        replace(exchanged[1], name=names[4]),
+    )
+    found = triangulate(observed(cameras, POINTS), Cameras(tuple(exchanged)))
+    matching = {
+        camera.name: shift.change.matching
+        for camera in found.cameras
+        for shift in camera.shifts
+        if shift.change is not None and shift.change.matching
+    }
+    assert matching
+    assert matching.items() <= {(names[1], names[4]), (names[4], names[1])}
+
+
 @pytest.mark.parametrize("count", [4, 6])
 def test_a_stale_camera_is_named_and_left_out(count: int) -> None:
     cameras = ring(count)
