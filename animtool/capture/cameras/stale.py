@@ -24,7 +24,7 @@ _GAUSS_NEWTON_STEPS = 8
 # deviate, over the noise; and by how many standard errors.
 MIN_VIEW, LOUD_RATIO, SAMPLING_SPREAD = 3, 2.0, 6.0
 
-# Error of another camera that fits, over the camera's own error [1]; neighbours reach .28.
+# Error of another camera that fits, over the camera's own error; neighbours reach .28.
 MATCH_ERROR_RATIO = 0.05
 
 
