@@ -355,11 +355,11 @@ def test_heads_between_frames_with_landmarks_are_between_their_poses() -> None:
 def test_what_is_said_of_landmarks_that_do_not_fit() -> None:
     own, seen = face(), np.ones((10, 6), bool)
     usable, poor, shares = np.ones(10, bool), np.zeros(10, bool), np.ones((10, 6))
-    assert _notices(own, seen, usable, poor, shares) == []
+    assert _notices(own, seen, usable, poor, shares, None) == []
     usable[3], poor[[5, 6]] = False, True
     seen[:, 4] = False
     shares[:5, 0] = shares[:6, 1] = 0.49
-    found = _notices(own, seen, usable, poor, shares)
+    found = _notices(own, seen, usable, poor, shares, None)
     assert [f.code for f in found] == ["FAC103", "FAC104", "FAC105", "FAC105"]
     assert found[0].message.startswith("1 frame with fewer than 4 landmarks")
     assert found[1].message.startswith("2 frames")

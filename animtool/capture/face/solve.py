@@ -37,6 +37,7 @@ from animtool.core.errors import (
     names_fault,
 )
 from animtool.core.quantities import plain_number
+from animtool.maths import so3
 
 # Frames of a window, and its overlap on both sides: a change propagates over a few
 # frames only.
@@ -63,6 +64,9 @@ MAX_ROUNDS = 30
 # Rounds for in-betweens and correctives.
 MAX_NONLINEAR_ROUNDS = 6
 NONLINEAR_CONVERGED_CHANGE = 1e-4
+# Maximum distance of an exchanged landmark from the neutral position of the other, over
+# the distance of their neutral positions [1].
+EXCHANGE_DISTANCE = 0.25
 # Largest size ratio between capture and face: beyond, their units differ.
 MAX_SCALE = 3.0
 MAX_LISTED = 12
@@ -131,7 +135,11 @@ def fit_face(
     is_poor &= matching_counts < 0.5 * visible.sum(axis=1)
     status = np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED)
     status = np.where(is_usable, status, "gap")
-    notices = _notices(model, visible, is_usable, is_poor, robust_weights)
+    local_points = None
+    if camera is None:
+        offsets = observed - translations[:, None]
+        local_points = so3.rotate(so3.conjugate(rotations)[:, None], offsets)
+    notices = _notices(model, visible, is_usable, is_poor, robust_weights, local_points)
     return FaceFit(
         model,
         all_weights,
@@ -328,8 +336,12 @@ def _notices(
     is_usable: BoolArray,
     is_poor: BoolArray,
     robust_weights: FloatArray,
+    local_points: FloatArray | None,
 ) -> list[Fault]:
-    """Return warnings about frames and landmarks that do not fit."""
+    """Return warnings about frames and landmarks that do not fit.
+
+    ``local_points`` ``(F, N, 3)``: The observed landmarks in the frame of the head.
+    """
     notices = []
     for frames, code, problem in (
         (~is_usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
@@ -357,4 +369,30 @@ def _notices(
             message = f"{counted(len(names), 'landmark')} {verb} {problem}: "
             fault = names_fault("FAC105", message, names, severity=Severity.WARNING)
             notices.append(fault)
+    if local_points is not None and is_misplaced.any():
+        hint = _exchange_hint(model, local_points[is_usable], is_misplaced)
+        notices[-1] = replace(notices[-1], hint=hint)
     return notices
+
+
+def _exchange_hint(
+    model: FaceModel, local_points: FloatArray, is_misplaced: BoolArray
+) -> str | None:
+    """Return a hint if pairs of misplaced landmarks are each where the other belongs.
+
+    ``local_points`` ``(F, N, 3)`` are the observed landmarks in the frame of the head.
+    """
+    landmarks = np.flatnonzero(is_misplaced)
+    neutral = model.neutral[landmarks]
+    observed = np.nanmedian(local_points[:, landmarks], axis=0)
+    distances = np.linalg.norm(observed[:, None] - neutral[None], axis=-1)
+    nearest = distances.argmin(axis=1)
+    spacing = np.linalg.norm(neutral[:, None] - neutral[None], axis=-1)
+    pairs = [
+        f"{model.names[landmarks[i]]!r} and {model.names[landmarks[j]]!r}"
+        for i, j in enumerate(nearest.tolist())
+        if i < j
+        and nearest[j] == i
+        and max(distances[i, j], distances[j, i]) < EXCHANGE_DISTANCE * spacing[i, j]
+    ]
+    return f"exchange {listed(pairs)}" if pairs else None

@@ -154,6 +154,13 @@ def test_landmarks_that_do_not_fit() -> None:
     fit = fit_face(model, astray, 60)
     assert [n.code for n in fit.notices] == ["FAC105"]
     assert "m7" in fit.notices[0].message
+    assert fit.notices[0].hint is None
+    # Two in each other's place are named as a pair.
+    exchanged = placed(model.points(made_weights()))
+    exchanged[:, [3, 11]] = exchanged[:, [11, 3]]
+    assert [n.hint for n in fit_face(model, exchanged, 60).notices] == [
+        "exchange 'm3' and 'm11'"
+    ]
     # Frames of other things are named too.
     astray[50] = np.random.default_rng(1).normal(0, 0.08, (LANDMARKS, 3))
     codes = {n.code for n in fit_face(model, astray, 60).notices}
