@@ -9,6 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.names import numbered_names
+from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
@@ -16,6 +17,11 @@ from animtool.formats.characters.names import replace_unprintable, shape_names
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.meshes import Primitive, build_triangles, read_skin_weights
 from animtool.rig.parts import LoadedArray, Mesh, Shape, Skin, Subdivision
+
+# Number of joints from which equal bind matrices are reported.
+MIN_BINDS = 3
+# Points with a largest weight below 1 by more than this follow several joints [1].
+BLEND_TOLERANCE = 1e-3
 
 ShapeKey = tuple[int, int]  # node and morph target
 
@@ -159,6 +165,8 @@ def _build_skin(
         width = max(indices.shape[1] for indices, _ in skin_rows)
         indices = np.concatenate([_pad_columns(row, width) for row, _ in skin_rows])
         weights = np.concatenate([_pad_columns(row, width) for _, row in skin_rows])
+        blended = int((weights.max(axis=1) < 1.0 - BLEND_TOLERANCE).sum())
+        _warn_of_equal_binds(gltf, index, blended)
     else:
         geometry, joint = binder.bind_node(node)
         joints = [joint]
@@ -172,6 +180,31 @@ def _build_skin(
         LoadedArray(weights.astype(np.float64)),
     )
     return skin, geometry
+
+
+def _warn_of_equal_binds(gltf: Gltf, index: int, blended: int) -> None:
+    """Warn of a skin that binds all joints alike, though points blend them (GLT119).
+
+    ``blended`` points follow several joints. With one joint for each point, the points
+    may be stored in the frames of their joints.
+    """
+    skin = gltf.skins[index]
+    binds = skin.inverse_bind
+    if len(binds) < MIN_BINDS or not blended or np.ptp(binds, axis=0).max() > 0:
+        return
+    offsets = [
+        np.linalg.norm(gltf.nodes[node].translation)
+        for node in skin.joints
+        if gltf.nodes[node].parent in skin.joints
+    ]
+    if not any(offsets):
+        return
+    message = f"the inverse bind matrices of all {len(binds)} joints are equal, but "
+    message += f"joints are up to {length_text(float(max(offsets)))} from their "
+    message += f"parents, and {counted(blended, 'point')} "
+    message += f"follow{'s' if blended == 1 else ''} several of them: the mesh tears"
+    hint = "export it again with the inverse bind matrices of the bind pose"
+    gltf.notes.warn("GLT119", f"{skin.where}/inverseBindMatrices", message, hint)
 
 
 def _pad_columns(values: FloatArray | IntArray, width: int) -> FloatArray:

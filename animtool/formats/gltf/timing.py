@@ -28,6 +28,9 @@ DEFAULT_RATE = Fraction(30)
 # Keys closer to a frame than this [frame], or within the relative precision of their
 # time, are on it.
 FRAME_TOLERANCE, TIME_PRECISION = 1e-3, 4e-7
+# Key times look like milliseconds if this many keys or more are farther apart than the
+# first spacing, and like frames if all are whole numbers at most the second apart [s].
+MIN_SUSPECT_KEYS, MAX_KEY_SPACING, MAX_FRAME_SPACING = 9, 10.0, 2.0
 # Maximum number of animated values of a take, over all frames.
 MAX_TAKE_VALUES = 60_000_000
 
@@ -90,10 +93,32 @@ def find_frame_range(
         raise FormatError(
             Fault("GLT013", message, path, (), hint, where=animation.where)
         )
-    notices: tuple[Fault, ...] = ()
+    notices = _unit_warning(times, path, animation)
     if not _fits_rate(times, rate):
-        notices = (_off_frame_fault(times, rate, path, animation),)
-    return GltfFrames(rate, start, start + first_frame, count, notices)
+        notices.append(_off_frame_fault(times, rate, path, animation))
+    return GltfFrames(rate, start, start + first_frame, count, tuple(notices))
+
+
+def _unit_warning(times: FloatArray, path: str, animation: Animation) -> list[Fault]:
+    """Return a warning if key times look like milliseconds or frames (GLT120)."""
+    if len(times) < MIN_SUSPECT_KEYS:
+        return []
+    duration = float(times[-1] - times[0])
+    spacing = float(np.median(np.diff(times)))
+    are_integers = bool((times == np.round(times)).all())
+    if spacing > MAX_KEY_SPACING:
+        unit, factor = "milliseconds", 1000.0
+    elif are_integers and spacing <= MAX_FRAME_SPACING:
+        unit, factor = f"frames at {rate_label(DEFAULT_RATE)}", float(DEFAULT_RATE)
+    else:
+        return []
+    message = f"keys are {spacing:.4g} s apart, over {duration:.5g} s; as {unit} they "
+    message += (
+        f"would be {spacing / factor:.3g} s apart, over {duration / factor:.3g} s"
+    )
+    hint = "key times of a glTF are in seconds: export it again"
+    severity = Severity.WARNING
+    return [Fault("GLT120", message, path, (), hint, severity, where=animation.where)]
 
 
 def key_times(animation: Animation) -> FloatArray:
