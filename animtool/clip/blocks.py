@@ -20,7 +20,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation
-from animtool.motion.motion import Channel, Motion
+from animtool.motion.motion import CURVE_CHANNELS, Channel, Motion
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.skeleton import Rig
 
@@ -33,7 +33,6 @@ BLOCK_ROWS = 2**17
 MARGIN_KEYS = 3
 # Channels with fewer keys are evaluated with all of them.
 MANY_KEYS = 256
-_CHANNEL_PARTS = ("translations", "rotations", "scales", "weights", "controls")
 _END_MODES = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
@@ -131,7 +130,7 @@ class _BlockLayout:
 
     def add_moving_parts(self, motion: Motion) -> None:
         """Mark the rows that move in a block's motion."""
-        for part in _CHANNEL_PARTS:
+        for part in CURVE_CHANNELS:
             channel: Channel | None = getattr(motion, part)
             if channel is not None:
                 all_static = np.zeros(len(channel.rest), np.bool_)

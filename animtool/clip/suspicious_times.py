@@ -15,7 +15,7 @@ from animtool.core.rates import rate_warning
 from animtool.documents.document import Document
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation
-from animtool.motion.key_times import are_in_seconds, full_seconds
+from animtool.motion.key_times import are_in_seconds, are_whole_seconds
 
 # Ends of a cycle that differ by less look equal [rad]; of the value range [1].
 CYCLE_TOLERANCE = 1e-3
@@ -71,7 +71,8 @@ def seconds_texts(
     """
     if not times:
         return None
-    rate, in_range = float(fps), frames and full_seconds(times, *frames, float(fps))
+    rate = float(fps)
+    in_range = frames and are_whole_seconds(times, *frames, rate)
     if not in_range and not are_in_seconds(times, fps):
         return None
     first = min(float(row[0]) for row in times)

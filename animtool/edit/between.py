@@ -12,7 +12,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.edit.travel import FramePositions, nearby_positions
 from animtool.maths import so3
-from animtool.motion.motion import Channel, Motion, MotionCurve
+from animtool.motion.motion import CURVE_CHANNELS, Channel, Motion, MotionCurve
 from animtool.motion.take import Take
 
 # A sample within this distance of its curve, relative to the larger of 1 and its size,
@@ -24,8 +24,6 @@ BLOCK_FRAMES = 512
 # Decimals to which times are rounded [frame]; this restores the decimals that users
 # wrote, so that a step stays on its side of its key.
 TIME_DECIMALS = 11
-
-CURVE_CHANNELS = ("translations", "rotations", "scales", "weights", "controls")
 
 
 @dataclass(frozen=True, slots=True)

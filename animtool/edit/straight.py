@@ -9,10 +9,10 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import angle_text, length_text, plain_number
 from animtool.core.record import dataclass
-from animtool.edit.between import CURVE_CHANNELS, TakeSampler
+from animtool.edit.between import TakeSampler
 from animtool.edit.travel import FramePositions
 from animtool.maths import so3
-from animtool.motion.motion import Channel
+from animtool.motion.motion import CURVE_CHANNELS, Channel
 from animtool.rig.kinematics import rest_size
 
 # Smaller errors are not reported: a tenth of a degree moves the end of a limb by less

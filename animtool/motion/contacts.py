@@ -47,7 +47,7 @@ class FootContacts:
 
 
 def gaussian_smooth(values: FloatArray, width: float) -> FloatArray:
-    """Return rows ``(F, …)`` smoothed by a Gaussian of a width [frames]."""
+    """Smooth values ``(F, …)`` along frames by a Gaussian of a width [frames]."""
     half_width = math.ceil(4 * width)
     if not half_width or len(values) < 2:
         return values
@@ -74,7 +74,7 @@ def find_contacts(
     toe: FloatArray | None,
     fps: float,
     leg_length: float,
-    up: int = 1,
+    up_axis: int = 1,
 ) -> FootContacts:
     """Detect the frames in which ankle and toe of a foot are planted.
 
@@ -86,25 +86,25 @@ def find_contacts(
         toe: Toe positions ``(F, 3)``; None if there is no toe.
         fps: Frames a second.
         leg_length: Length of thigh plus shin [m].
-        up: Index of the up axis.
+        up_axis: Index of the up axis.
     """
     max_speed = MAX_STANDING_SPEED * leg_length
     points = [ankle] if toe is None else [ankle, toe]
     if len(ankle) < MIN_CONTACT_FRAMES or leg_length <= 0:
         no_contacts = np.zeros(len(ankle), np.bool_)
-        lowest = float(ankle[:, up].min(initial=np.inf))
-        return FootContacts(no_contacts, no_contacts, lowest)
+        lowest_height = float(ankle[:, up_axis].min(initial=np.inf))
+        return FootContacts(no_contacts, no_contacts, lowest_height)
     width = SMOOTHING_WIDTH * fps
-    noise = noise_speed(points, fps)
-    if noise > 0:
+    jitter_speed = noise_speed(points, fps)
+    if jitter_speed > 0:
         # A Gaussian reduces the speed of white noise by width^1.5.
-        remaining_noise = noise / max(width, 1.0) ** 1.5
-        width *= max(1.0, (NOISE_MARGIN * remaining_noise / max_speed) ** (2 / 3))
+        remaining_speed = jitter_speed / max(width, 1.0) ** 1.5
+        width *= max(1.0, (NOISE_MARGIN * remaining_speed / max_speed) ** (2 / 3))
     motion_of_parts = []
     for point in points:
         smoothed_point = gaussian_smooth(point, width)
         speed = np.linalg.norm(np.gradient(smoothed_point, axis=0), axis=1) * fps
-        motion_of_parts.append((speed < max_speed, smoothed_point[:, up]))
+        motion_of_parts.append((speed < max_speed, smoothed_point[:, up_axis]))
     contact_masks = []
     for k, (is_slow, height) in enumerate(motion_of_parts):
         slow_heights = height[is_slow] if is_slow.any() else height
@@ -120,7 +120,7 @@ def find_contacts(
 
 
 def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
-    """Estimate the speed caused by white noise from third differences [m/s]."""
+    """Estimate from third differences the speed that white noise causes [m/s]."""
     if len(points[0]) < 8:
         return 0.0
     differences = [np.diff(point, 3, axis=0) for point in points]

@@ -8,7 +8,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, FormatError, Severity, listed
+from animtool.core.errors import Fault, FormatError, Severity, listed, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -56,13 +56,14 @@ class DriverRun:
     report_replaced: bool = False
     plan: DriverPlan = field(init=False)
     # Angle of each unlimited pin at the end of the last block [rad].
-    _angles: dict[int, float] = field(default_factory=dict, init=False)
-    _twists: dict[str, float] = field(default_factory=dict, init=False)
+    _last_angles: dict[int, float] = field(default_factory=dict, init=False)
+    # Each twist at the end of the last block [rad], and its first wrap [frame].
+    _last_twists: dict[str, float] = field(default_factory=dict, init=False)
+    _wrap_times: dict[str, float] = field(default_factory=dict, init=False)
     _limit_excess: dict[str, LargestAmount] = field(default_factory=dict, init=False)
     _replaced_amounts: dict[str, LargestAmount] = field(
         default_factory=dict, init=False
     )
-    _twist_wraps: dict[str, LargestAmount] = field(default_factory=dict, init=False)
     _targets_keeping_source: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
@@ -86,14 +87,14 @@ class DriverRun:
         if motion.frames == 1:
             # Twice, as one frame does not distinguish moving from static values.
             two_samples = motion.select(np.zeros(2, np.int64))
-            driven = self.evaluate(two_samples, np.repeat(times, 2), coordinates)
-            return driven.select(slice(1))
+            driven_samples = self.evaluate(
+                two_samples, np.repeat(times, 2), coordinates
+            )
+            return driven_samples.select(slice(1))
         rig = self.rig
         controls = self._current_controls(motion)
         read_coordinate = _CoordinateReader(self, motion, times, coordinates or {})
-        kept_targets = set[str]()
-        if motion.controls is None:
-            kept_targets = self._find_targets_to_keep(motion)
+        kept_targets = self._find_targets_to_keep(motion)
         values = evaluate_drivers(self.plan, read_coordinate, controls, kept_targets)
         _check_defined(rig, values, times)
         for j, excess in values.excess.items():
@@ -106,11 +107,11 @@ class DriverRun:
         )
 
     def notices(self) -> list[Fault]:
-        """Return the warnings of drivers so far."""
+        """Return the warnings about drivers collected so far."""
         return [fault for fault, _, _ in self.located_notices()]
 
     def located_notices(self) -> list[tuple[Fault, str, float]]:
-        """Return the warnings with their targets and worst frames."""
+        """Return the warnings about drivers, with their targets and worst frames."""
         notices = []
         for name, largest in self._limit_excess.items():
             joint = self.rig.joints[self.rig.index(name)]
@@ -121,15 +122,14 @@ class DriverRun:
                     f"{largest.frame:g}; the joint is clamped"
                 )
                 hint = "widen the limits, or reduce the driver"
-                fault = _driver_warning("RIG103", message, hint)
+                fault = warning("RIG103", message, hint)
                 notices.append((fault, f"joint/{name}", largest.frame))
-        for name, largest in self._twist_wraps.items():
-            message = f"{name} crosses 180 degrees at frame {largest.frame:g}: what it "
-            message += "drives jumps there"
+        for name, time in self._wrap_times.items():
+            message = f"{name} crosses 180 degrees at frame {time:g}: what it drives "
+            message += "jumps there"
             hint = "the limits of the joint's twist place the seam"
-            fault = _driver_warning("RIG105", message, hint)
-            joint_name = split_coordinate(name)[0]
-            notices.append((fault, f"joint/{joint_name}", largest.frame))
+            fault = warning("RIG105", message, hint)
+            notices.append((fault, f"joint/{split_coordinate(name)[0]}", time))
         if self._targets_keeping_source and self.report_replaced:
             targets = self._targets_keeping_source
             names = sorted(target.partition("/")[2] for target in targets)
@@ -148,27 +148,26 @@ class DriverRun:
                 f"it; the largest difference is {amount}, at frame {largest.frame:g}"
             )
             hint = "remove its `driven` from the rig to keep the source's motion"
-            fault = _driver_warning("RIG104", message, hint)
-            notices.append((fault, target, largest.frame))
+            notices.append((warning("RIG104", message, hint), target, largest.frame))
         return notices
 
     def unwrap_angles(self, j: int, angles: FloatArray) -> FloatArray:
         """Return the unwrapped angles ``(F,)`` of an unlimited pin."""
-        previous_angle = self._angles.get(j, 0.0)
-        unwrapped = np.unwrap(np.concatenate([[previous_angle], angles]))[1:]
-        self._angles[j] = float(unwrapped[-1]) if len(unwrapped) else previous_angle
-        return unwrapped
+        last_angle = self._last_angles.get(j, 0.0)
+        unwrapped_angles = np.unwrap(np.concatenate([[last_angle], angles]))[1:]
+        if len(unwrapped_angles):
+            self._last_angles[j] = float(unwrapped_angles[-1])
+        return unwrapped_angles
 
     def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
         """Record the first frame at which a twist jumps by over half a revolution."""
-        previous_twist = self._twists.get(name, twists[0] if len(twists) else 0.0)
-        steps = np.abs(np.diff(twists, prepend=previous_twist))
+        if not len(twists):
+            return
+        steps = np.abs(np.diff(twists, prepend=self._last_twists.get(name, twists[0])))
         if (steps > HALF_REVOLUTION).any():
             first_wrap = int(np.argmax(steps > HALF_REVOLUTION))
-            wrap = LargestAmount(1.0, float(times[first_wrap]))
-            self._twist_wraps.setdefault(name, wrap)
-        if len(twists):
-            self._twists[name] = float(twists[-1])
+            self._wrap_times.setdefault(name, float(times[first_wrap]))
+        self._last_twists[name] = float(twists[-1])
 
     def _find_targets_to_keep(self, motion: Motion) -> set[str]:
         """Return targets that keep the motion's values if the motion has no controls.
@@ -176,33 +175,32 @@ class DriverRun:
         Those values were driven by controls when the motion was made, so they are
         better than values from default controls.
         """
-        kept_targets = set()
-        for target in self.plan.controlled_targets:
+        kept_targets = set[str]()
+        rig = self.rig
+        for target in self.plan.controlled_targets if motion.controls is None else ():
             kind, _, name = target.partition("/")
             is_posed = False
             if kind == "joint":
-                is_posed = self._is_posed_joint(motion, self.rig.index(name))
+                j = rig.index(name)
+                if rig.joints[j].type is JointType.PRISMATIC:
+                    rest_translation = rig.rest_translations[j]
+                    is_posed = _is_posed(motion.translations, j, rest_translation)
+                else:
+                    is_posed = _is_posed(motion.rotations, j, rig.rest_rotations[j])
             elif kind == "shape" and motion.weights is not None:
-                names = [shape.name for shape in self.rig.shapes]
+                names = [shape.name for shape in rig.shapes]
                 is_posed = _is_posed(motion.weights, names.index(name), np.zeros(1))
             if is_posed:
                 kept_targets.add(target)
         self._targets_keeping_source |= kept_targets
         return kept_targets
 
-    def _is_posed_joint(self, motion: Motion, j: int) -> bool:
-        """Return whether the motion moves a joint or poses it away from rest."""
-        rig = self.rig
-        if rig.joints[j].type is JointType.PRISMATIC:
-            return _is_posed(motion.translations, j, rig.rest_translations[j])
-        return _is_posed(motion.rotations, j, rig.rest_rotations[j])
-
     def _current_controls(self, motion: Motion) -> dict[str, FloatArray]:
-        """Return the values of all controls; controls without values have defaults."""
+        """Return the motion's control values, or the defaults if it has none."""
         if motion.controls is None:
             return {c.name: np.array([c.default]) for c in self.rig.controls}
         return {
-            control.name: _animated_column(motion.controls, i)
+            control.name: _column_values(motion.controls, i)
             for i, control in enumerate(self.rig.controls)
         }
 
@@ -228,9 +226,9 @@ class DriverRun:
             current_values = _joint_rows(channel, j)
             rest_values = rig.rest_rotations if is_rotation else rig.rest_translations
             distance = so3.angle_between if is_rotation else _translation_distance
-            from_rest = distance(current_values, rest_values[j][None])
-            is_moved = from_rest.max(initial=0.0) > COORDINATE_ROUNDING
-            if is_moved and rig.joints[j].driven is not None:
+            rest_distances = distance(current_values, rest_values[j][None])
+            is_off_rest = rest_distances.max(initial=0.0) > COORDINATE_ROUNDING
+            if is_off_rest and rig.joints[j].driven is not None:
                 target = f"joint/{rig.names[j]}"
                 differences = distance(current_values, driven_values)
                 self._record_replaced(target, differences, times, COORDINATE_ROUNDING)
@@ -251,10 +249,11 @@ class DriverRun:
         if channel is None:
             channel = Channel.static(np.zeros((len(shapes), 1)), motion.frames)
         source_weights = {
-            shape.name: _animated_column(channel, i) for i, shape in enumerate(shapes)
+            shape.name: _column_values(channel, i) for i, shape in enumerate(shapes)
         }
-        uncombined = subtract_combinations(shapes, source_weights)
-        new_weights = add_combinations(shapes, uncombined | driver_values.shapes)
+        uncombined_weights = subtract_combinations(shapes, source_weights)
+        uncombined_weights |= driver_values.shapes
+        new_weights = add_combinations(shapes, uncombined_weights)
         index = {shape.name: i for i, shape in enumerate(shapes)}
         changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined_shapes])
         for name in driver_values.shapes:
@@ -278,7 +277,7 @@ class DriverRun:
             if control.name in driver_values.controls
         }
         for i, value in rows.items():
-            source_values = _animated_column(channel, i)
+            source_values = _column_values(channel, i)
             if (source_values != controls[i].default).any():
                 differences = np.abs(value[:, 0] - source_values)
                 target = f"control/{controls[i].name}"
@@ -342,19 +341,13 @@ class _CoordinateReader:
 
 def _check_defined(rig: Rig, driver_values: DriverValues, times: FloatArray) -> None:
     """Raise if a driver's value is not finite."""
-    joints = {rig.names[j]: value for j, value in driver_values.joints.items()}
-    values_by_kind = {
-        "joint": joints,
-        "control": driver_values.controls,
-        "shape": driver_values.shapes,
+    values_by_target = {
+        **{f"joint {rig.names[j]!r}": v for j, v in driver_values.joints.items()},
+        **{f"control {name!r}": v for name, v in driver_values.controls.items()},
+        **{f"shape {name!r}": v for name, v in driver_values.shapes.items()},
     }
-    values_by_target = [
-        (f"{kind} {name!r}", values)
-        for kind, values_by_name in values_by_kind.items()
-        for name, values in values_by_name.items()
-    ]
     faults = []
-    for target, values in values_by_target:
+    for target, values in values_by_target.items():
         undefined_samples = np.flatnonzero(~np.isfinite(values))
         if undefined_samples.size and len(times):
             frame = times[undefined_samples[0] if len(values) > 1 else 0]
@@ -380,13 +373,13 @@ def _is_posed(channel: Channel, i: int, rest_value: FloatArray) -> bool:
     return i in channel.animated or bool(difference > COORDINATE_ROUNDING)
 
 
-def _animated_column(channel: Channel, i: int) -> FloatArray:
-    """Return the values of a row of a one-component channel ``(F,)`` or ``(1,)``."""
+def _column_values(channel: Channel, i: int) -> FloatArray:
+    """Return the values ``(F,)`` or ``(1,)`` of a shape or control of a channel."""
     return _joint_rows(channel, i)[:, 0]
 
 
 def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
-    """Return a channel with joints' values ``(F, K)`` replaced; ``(1, K)``: static."""
+    """Return a channel with values ``(F, K)``, or static ``(1, K)``, of joints set."""
     if not rows:
         return channel
     frames = len(channel.values)
@@ -415,8 +408,3 @@ def _amount_text(joint: Joint, amount: float) -> str:
     if joint.type is JointType.PRISMATIC:
         return length_text(amount, 4)
     return f"{np.degrees(amount):.4g}\N{DEGREE SIGN}"
-
-
-def _driver_warning(code: str, message: str, hint: str) -> Fault:
-    """Return a warning about a driver with a code, a message and a hint."""
-    return Fault(code, message, None, (), hint, Severity.WARNING)

@@ -72,37 +72,32 @@ def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeSt
 
 
 def drop_repeated_notices(
-    notices: Iterable[Fault], reported: Iterable[Fault]
+    notices: Iterable[Fault], reported_notices: Iterable[Fault]
 ) -> list[Fault]:
     """Return the notices without driver warnings that were already reported."""
     known_notices = {
         (notice.code, _first_name(notice))
-        for notice in reported
+        for notice in reported_notices
         if notice.code in REPEATED_CODES
     }
-    return [
-        notice
-        for notice in notices
-        if notice.code not in REPEATED_CODES
-        or (notice.code, _first_name(notice)) not in known_notices
-    ]
+    return [n for n in notices if (n.code, _first_name(n)) not in known_notices]
 
 
 def _first_name(notice: Fault) -> str:
     """Return the joint or control that a driver's notice names first."""
-    parts = notice.message.split("'")
-    return parts[1] if len(parts) > 2 else notice.message.split(" ")[0]
+    quoted_parts = notice.message.split("'")
+    return quoted_parts[1] if len(quoted_parts) > 2 else notice.message.split(" ")[0]
 
 
 def combine_missing_weights(
-    weights: Channel, shapes: Sequence[Shape], missing: IntArray
+    weights: Channel, shapes: Sequence[Shape], missing_shapes: IntArray
 ) -> Channel:
     """Return shape weights, with missing combination shapes set to their products.
 
     Args:
         weights: Weights of S shapes; 0 for the missing ones.
         shapes: The shapes of the rig.
-        missing: Indices of shapes that the motion lacks.
+        missing_shapes: Indices of shapes that the motion lacks.
 
     >>> shapes = [Shape("a"), Shape("b", combine=("a",)), Shape("c", combine=("a",))]
     >>> weights = Channel(np.zeros((3, 1)), np.array([0]), np.full((2, 1, 1), 0.5))
@@ -113,13 +108,13 @@ def combine_missing_weights(
     from animtool.rig.shapes import combination_order
 
     index = {shape.name: i for i, shape in enumerate(shapes)}
-    missing_indices, rest = set(missing.tolist()), weights.rest.copy()
+    missing_set, rest = set(missing_shapes.tolist()), weights.rest.copy()
     values_by_shape = {
         int(i): weights.values[:, k] for k, i in enumerate(weights.animated)
     }
     for shape in combination_order(shapes):
         i, driver_indices = index[shape.name], [index[name] for name in shape.combine]
-        if i not in missing_indices or not driver_indices:
+        if i not in missing_set or not driver_indices:
             continue
         rest[i] = np.prod([rest[k] for k in driver_indices], axis=0)
         if any(k in values_by_shape for k in driver_indices):
@@ -128,7 +123,7 @@ def combine_missing_weights(
                 product = product * values_by_shape.get(k, rest[k])
             values_by_shape[i] = product
     if len(values_by_shape) == len(weights.animated):
-        return Channel(rest, weights.animated, weights.values)
+        return replace(weights, rest=rest)
     animated = sorted(values_by_shape)
     values = np.stack([values_by_shape[i] for i in animated], axis=1)
     return Channel(rest, np.array(animated, np.int64), values)

@@ -19,7 +19,7 @@ Primvars: TypeAlias = Mapping[str, FloatArray | IntArray]
 
 @dataclass(frozen=True, slots=True)
 class PointsFrame:
-    """Points that appear and disappear."""
+    """Points at one frame; they may appear and disappear over time."""
 
     ids: IntArray  # (N,)
     points: FloatArray  # (N, 3) [m]
@@ -30,7 +30,7 @@ class PointsFrame:
 
 @dataclass(frozen=True, slots=True)
 class CurvesFrame:
-    """Linear curves, stored one after another."""
+    """Linear curves at one frame, stored one after another."""
 
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]
@@ -55,7 +55,7 @@ class MeshFrame:
 
 @dataclass(frozen=True, slots=True)
 class TransformsFrame:
-    """Rigid copies of meshes that appear and disappear."""
+    """Rigid copies of meshes at one frame; they may appear and disappear over time."""
 
     ids: IntArray  # (N,)
     points: FloatArray  # origin of each copy (N, 3) [m]
@@ -97,7 +97,7 @@ class Cast:
 
 @dataclass(frozen=True, slots=True)
 class CharactersFrame:
-    """Characters on shared rigs, each with a placement and a pose.
+    """Characters at one frame on shared rigs, each with a placement and a pose.
 
     Every frame has the same characters, sorted by rig; some may be invisible.
 

@@ -1,4 +1,4 @@
-"""Key times that look like seconds where frames are meant."""
+"""Detects key times in seconds where frames are expected."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity
 from animtool.motion.keyed import WeightOption, key_arrays
 
-# Samples as dense as this are a time in seconds at 10 frames a second and more [frame].
-DENSE, MIN_SAMPLES = 0.1, 3
-# Keys this close together are hardly set by hand [frame].
-CLOSE = 2.0
+# Samples with steps below this are seconds at 10 frames a second or more [frame].
+MAX_DENSE_STEP, MIN_SAMPLES = 0.1, 3
+# Frames keyed by hand are hardly closer together than this [frame].
+MIN_HAND_KEYED_STEP = 2.0
 # Times that differ by less from a whole frame are on it [frame].
-ON_FRAME = 1e-6
-# Whole seconds are told by several keys from before the first frame on, whose seconds
-# fill a take of which their frames are only this fraction [1].
+ON_FRAME_TOLERANCE = 1e-6
+# Whole seconds are recognised by several keys that begin before the first frame, and
+# that as frames cover only this fraction of the take [1].
 MIN_KEYS, MAX_FRACTION = 3, 0.1
 
 
@@ -31,16 +31,21 @@ def are_in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
     """
     steps = np.concatenate([np.diff(channel_times) for channel_times in times])
     all_times = np.concatenate(times)
-    is_on_frame = np.abs(all_times - np.round(all_times)) <= ON_FRAME
+    is_on_frame = np.abs(all_times - np.round(all_times)) <= ON_FRAME_TOLERANCE
     if not len(steps) or is_on_frame.all():
         return False
     step = float(np.median(steps))
-    if step < DENSE and len(steps) >= MIN_SAMPLES:
+    if step < MAX_DENSE_STEP and len(steps) >= MIN_SAMPLES:
         return True
     # Several seconds from 0, keyed by hand; even steps are samples between frames.
-    is_even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME
+    is_even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME_TOLERANCE
     is_short = float(np.ptp(all_times)) < fps
-    return bool(0 <= all_times.min() < 1 and step < CLOSE and is_short and not is_even)
+    return bool(
+        0 <= all_times.min() < 1
+        and step < MIN_HAND_KEYED_STEP
+        and is_short
+        and not is_even
+    )
 
 
 def weight_warnings(
@@ -48,7 +53,7 @@ def weight_warnings(
 ) -> list[Fault]:
     """Warn of a weight curve in seconds, or outside the take's frames (SCN116).
 
-    in_shot: Whether the take is cut to a shot, outside which keys are allowed.
+    in_shot: Whether the take is trimmed to a shot; keys outside the shot are allowed.
     """
     if isinstance(weight, (int, float)):
         return []
@@ -59,24 +64,27 @@ def weight_warnings(
     span_text = f"the keys of weight are from frame {times[0]:g} to {times[-1]:g}"
     frames_text = f"the take from {first:g} to {last:g}"
     rate = float(clock.fps)
-    if are_in_seconds([times], clock.fps) or full_seconds([times], first, last, rate):
+    if are_in_seconds([times], clock.fps) or are_whole_seconds(
+        [times], first, last, rate
+    ):
         message = f"{span_text}, {frames_text}: they look like seconds"
         hint = f"write frames: {times[-1]:g} s is frame {first + times[-1] * rate:g}"
     elif not in_shot and (times[-1] < first or times[0] > last):
-        constant = values[-1] if times[-1] < first else values[0]
-        message = f"{span_text}, {frames_text}: the weight is always {constant:g}"
+        constant_weight = values[-1] if times[-1] < first else values[0]
+        message = f"{span_text}, {frames_text}: the weight is always "
+        message += f"{constant_weight:g}"
         hint = "times are frames of the take"
     else:
         return []
     return [Fault("SCN116", message, hint=hint, severity=Severity.WARNING)]
 
 
-def full_seconds(
+def are_whole_seconds(
     times: Sequence[FloatArray], first: float, last: float, rate: float
 ) -> bool:
-    """Return whether key times are likely whole seconds of a frame range.
+    """Return whether key times are likely whole seconds, for a range in frames.
 
-    >>> full_seconds([np.array([0.0, 1.0, 2.0])], 1, 48, 24)
+    >>> are_whole_seconds([np.array([0.0, 1.0, 2.0])], 1, 48, 24)
     True
     """
     all_times, count = np.concatenate(times), last - first + 1

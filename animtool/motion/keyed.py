@@ -1,4 +1,4 @@
-"""Values of options: curves, lists of pairs, and choices."""
+"""Option values: choices, weights, and key curves as lists of pairs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Choice = TypeVar("Choice", bound=StrEnum)
 
 
 def parse_choice(choices: type[Choice], word: str, option: str) -> Choice:
-    """Return the enum member of a word; an unknown word raises SCN025.
+    """Return the member of an enum that an option names (unknown name: SCN025).
 
     >>> class Side(StrEnum):
     ...     LEFT = "left"
@@ -43,7 +43,7 @@ WeightOption: TypeAlias = float | KeyPairs
 
 
 class KeyInterpolation(StrEnum):
-    """Interpolation of a list of pairs.
+    """Interpolation between the pairs of a key curve.
 
     ``smooth`` has a continuous slope that is 0 at local extrema, so that the curve
     stays between the values of adjacent keys.
@@ -54,7 +54,10 @@ class KeyInterpolation(StrEnum):
 
 
 def key_arrays(keys: KeyPairs, name: str) -> tuple[FloatArray, FloatArray]:
-    """Return times and values of pairs ``[time, value]``, each ``(K,)``, or SCN015."""
+    """Return times and values of pairs ``[time, value]``, each ``(K,)``.
+
+    Malformed pairs raise SCN015.
+    """
     rows = list(keys)
     try:
         table = np.array(rows, np.float64)
@@ -108,9 +111,8 @@ def weights_at(
 ) -> FloatArray:
     """Evaluate a weight or weight curve at time codes ``(F,)`` [1].
 
-    ``weight`` is a number or a list of pairs ``[time code, weight]``.
-
-    If ``bounded``, weights outside 0 to 1 are refused (SCN014).
+    ``weight`` is a number or a list of pairs ``[time code, weight]``. If ``bounded``,
+    weights outside 0 to 1 are refused (SCN014).
 
     >>> weights_at(0.5, np.arange(2.0)).tolist()
     [0.5, 0.5]

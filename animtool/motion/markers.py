@@ -1,4 +1,4 @@
-"""Marker trajectories: points over frames, as optical capture gives them."""
+"""Marker trajectories: points over frames from optical capture."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import field, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -80,10 +80,10 @@ class Channel:
         if not len(self.values):
             return self
         is_animated = (self.values[-1] != self.values[0]).any(axis=-1)
-        unchanged = np.flatnonzero(~is_animated)
-        if len(unchanged):
-            candidates = self.values[:, unchanged]
-            is_animated[unchanged] = (candidates != candidates[:1]).any((0, 2))
+        columns = np.flatnonzero(~is_animated)
+        if len(columns):
+            candidates = self.values[:, columns]
+            is_animated[columns] = (candidates != candidates[:1]).any((0, 2))
         if is_animated.all():
             return self
         rest_values = self.rest.copy()
@@ -136,6 +136,12 @@ def _arrays(channel: Channel) -> tuple[FloatArray, IntArray, FloatArray]:
     """Return the kernel arguments of a channel."""
     rest, values = (np.ascontiguousarray(a) for a in (channel.rest, channel.values))
     return rest, np.asarray(channel.animated, np.int64), values
+
+
+# Names of the channels of a motion that a curve may provide.
+CURVE_CHANNELS = ("translations", "rotations", "scales", "weights", "controls")
+# Names of all channels of a motion.
+CHANNELS = (*CURVE_CHANNELS, "track_times")
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,43 +209,27 @@ class Motion:
 
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
         """Apply a function to each channel of the motion that is not None."""
-
-        def map_channel(channel: Channel | None) -> Channel | None:
-            """Return the function's result for a channel; None stays None."""
-            return None if channel is None else function(channel)
-
-        return Motion(
-            function(self.translations),
-            function(self.rotations),
-            map_channel(self.scales),
-            map_channel(self.weights),
-            map_channel(self.controls),
-            map_channel(self.track_times),
-            {name: function(channel) for name, channel in self.points.items()},
-        )
+        channels: dict[str, Any] = {
+            name: function(channel)
+            for name in CHANNELS
+            if (channel := getattr(self, name)) is not None
+        }
+        points = {name: function(channel) for name, channel in self.points.items()}
+        return Motion(**channels, points=points)
 
     @staticmethod
     def concatenate(blocks: list[Motion]) -> Motion:
         """Concatenate consecutive blocks to one motion."""
-
-        def concatenate_channel(name: str) -> Channel | None:
-            """Return the concatenated channel; None if absent."""
-            channels = [getattr(block, name) for block in blocks]
-            return None if channels[0] is None else Channel.concatenate(channels)
-
+        channels: dict[str, Any] = {
+            name: Channel.concatenate([getattr(block, name) for block in blocks])
+            for name in CHANNELS
+            if getattr(blocks[0], name) is not None
+        }
         points = {
             name: Channel.concatenate([block.points[name] for block in blocks])
             for name in blocks[0].points
         }
-        return Motion(
-            Channel.concatenate([block.translations for block in blocks]),
-            Channel.concatenate([block.rotations for block in blocks]),
-            concatenate_channel("scales"),
-            concatenate_channel("weights"),
-            concatenate_channel("controls"),
-            concatenate_channel("track_times"),
-            points,
-        )
+        return Motion(**channels, points=points)
 
 
 # Returns a take's motion at times ``(F,)`` [time codes], in any order.

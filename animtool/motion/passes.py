@@ -35,7 +35,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
 
-MAX_LISTED_TAKES = 6
+MAX_LISTED_TRACKS = 6
 
 
 class PassthroughTracks:
@@ -50,7 +50,7 @@ class PassthroughTracks:
             self.stream.curve = lambda times: replace(curve(times), track_times=None)
 
     def _remove_track_times(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield blocks without their track times, which are kept for later."""
+        """Yield blocks without their track times, which are stored for `restore`."""
         for block in blocks:
             assert block.track_times is not None
             self._pending_times.append(block.track_times)
@@ -58,24 +58,22 @@ class PassthroughTracks:
 
     def restore(self, stream: TakeStream) -> TakeStream:
         """Restore the tracks in a pass's result, which must have as many frames."""
-        blocks = self._add_track_times(stream.blocks)
+        blocks = (
+            replace(block, track_times=self._pop_track_times(block.frames))
+            for block in stream.blocks
+        )
         return replace(stream, tracks=self._tracks, blocks=blocks)
-
-    def _add_track_times(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield blocks with their track times restored."""
-        for block in blocks:
-            yield replace(block, track_times=self._pop_track_times(block.frames))
 
     def _pop_track_times(self, frames: int) -> Channel:
         """Return the track times of the next frames."""
         parts: list[Channel] = []
         while frames:
-            first = self._pending_times.popleft()
-            if len(first.values) > frames:
-                self._pending_times.appendleft(first.select(slice(frames, None)))
-                first = first.select(slice(frames))
-            parts.append(first)
-            frames -= len(first.values)
+            next_times = self._pending_times.popleft()
+            if len(next_times.values) > frames:
+                self._pending_times.appendleft(next_times.select(slice(frames, None)))
+                next_times = next_times.select(slice(frames))
+            parts.append(next_times)
+            frames -= len(next_times.values)
         return Channel.concatenate(parts)
 
 
@@ -85,7 +83,7 @@ def check_tracks(
     """Return a pass's result; reading it raises an error if the pass lost tracks."""
     if not source_tracks:
         return stream
-    paths = listed([track.path for track in source_tracks], MAX_LISTED_TAKES)
+    paths = listed([track.path for track in source_tracks], MAX_LISTED_TRACKS)
     message = f"the pass {name} changes the clock and loses {paths}"
     hint = "it must treat track_times as the other channels of a motion"
     error = OptionError(Fault("SCN045", message, hint=hint))
@@ -127,7 +125,7 @@ PASSES: dict[str, str] = {
 
 
 class FrameScope(StrEnum):
-    """How many frames a pass needs at once: one, a window, or the complete clip."""
+    """Number of frames a pass needs at once: one, a window, or the complete clip."""
 
     FRAME = "frame"
     WINDOW = "window"
@@ -212,7 +210,8 @@ class PassContext:
     # Builds the colliders named by options of a pass, see `ColliderBuilder`; None
     # without a scene.
     build_colliders: ColliderBuilder | None = None
-    # Joints that passes so far have put at targets; none after one that changes times.
+    # Joints that passes so far have moved to targets; cleared by passes that change
+    # times.
     placed_joints: list[PlacedJoint] = field(default_factory=list)
 
     def add_notices_once(self, notices: Iterable[Fault]) -> None:
@@ -278,7 +277,7 @@ class Pass:
     # Whether it needs pre-roll to settle from its initial state; it must keep the
     # number of frames.
     needs_preroll: bool = False
-    # whether it reports progress to the context, as it is slow
+    # Whether it is slow, and reports its progress to the context.
     reports_progress: bool = False
     # Returns the linear time mapping of the pass, from its options and a take's clock,
     # so that curves of controls stay curves; None if time changes otherwise.
@@ -324,7 +323,7 @@ def listed_passes() -> list[ListedEntry]:
     """
     points = plugin_points(PLUGIN_GROUP)
     return listed_entries(
-        sorted(PASSES), points, find_pass, lambda one: (one.scope, one.summary), None
+        sorted(PASSES), points, find_pass, lambda p: (p.scope, p.summary), None
     )
 
 
@@ -410,7 +409,7 @@ def _same_channels(rig: Rig, other_rig: Rig) -> bool:
 
 
 def _check_points(stream: TakeStream, pass_: Pass) -> None:
-    """Raise if a pass moves joints of simulated points."""
+    """Raise if a pass moves joints away from simulated points (SIM034)."""
     moves_points = TakePart.POINTS in pass_.changes
     if not stream.points or TakePart.JOINTS not in pass_.changes or moves_points:
         return

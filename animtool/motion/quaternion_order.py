@@ -8,20 +8,20 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.motion import Channel, Motion
+from animtool.motion.motion import Motion
 from animtool.rig.skeleton import Rig
 
-# With fewer rotating joints, half turns may be meant. Frames that are looked at.
+# With fewer rotating joints, half turns may be intended. Number of sampled frames.
 MIN_JOINTS, MAX_FRAMES = 5, 16
 # Median angles from the rest pose of a wrong and of a right order [rad].
 MIN_WRONG_ANGLE, MAX_RIGHT_ANGLE = np.radians([110.0, 50.0])
-# Static joints nearer to their rest pose than this are at rest [rad].
+# Static joints closer to their rest pose than this are at rest [rad].
 MIN_STATIC_ANGLE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class SwappedOrder:
-    """Median joint angles from rest, for quaternions as read and with w moved [deg]."""
+    """Median joint angles from rest [deg], as read and with w at the other end."""
 
     joint_count: int
     angle_as_read: float
@@ -37,7 +37,7 @@ class SwappedOrder:
 
 
 def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
-    """Return angles from rest in both orders if w is misplaced; None if not."""
+    """Return the angles from rest in both orders if w seems misplaced, else None."""
     channel = motion.rotations
     is_rotated = so3.angle_between(rig.rest_rotations, channel.rest) > MIN_STATIC_ANGLE
     is_rotated[channel.animated] = True
@@ -46,8 +46,8 @@ def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
         return None
     count = min(frame_count, MAX_FRAMES)
     frames = np.linspace(0, frame_count - 1, count).astype(np.int64)
-    sampled = Channel(channel.rest, channel.animated, channel.values[frames])
-    rotations, rest = sampled.gather(joints), rig.rest_rotations[joints]
+    rotations = channel.select(frames).gather(joints)
+    rest = rig.rest_rotations[joints]
     angle_as_read = _median_angle(rest, rotations)
     if angle_as_read < MIN_WRONG_ANGLE:
         return None

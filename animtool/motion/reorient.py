@@ -84,8 +84,8 @@ def transform_motion(motion: Motion, roots: IntArray, placement: Placement) -> M
     """
     rotations = _position_roots(motion.rotations, roots, placement, is_rotation=True)
     if placement.is_animated:
-        frames = so3.align_signs(rotations.gather(roots))
-        rotations = rotations.put(roots, frames)
+        root_rotations = so3.align_signs(rotations.gather(roots))
+        rotations = rotations.put(roots, root_rotations)
     points = motion.points.items()
     return replace(
         motion,
@@ -161,10 +161,10 @@ def placement_notice(
     """
     if rig.placement is None and not rig.has_animated_parents:
         return []
-    texts = [f"stands {rig.placement.description()}"] if rig.placement else []
+    clauses = [f"stands {rig.placement.description()}"] if rig.placement else []
     if rig.has_animated_parents:
-        texts.append("moves with a prim above its SkelRoot")
-    message = f"the take {' and '.join(texts)}, "
+        clauses.append("moves with a prim above its SkelRoot")
+    message = f"the take {' and '.join(clauses)}, "
     message += "which is kept" if is_kept else "which is dropped"
     if rig_placement is not None and not rig_placement.is_identity:
         message += f"; the rig has its placement {rig_placement.description()}"

@@ -45,7 +45,7 @@ class Score:
 
     @property
     def excess(self) -> float:
-        """Badness: 0 for a perfect result or NaN, 1 at the limit of a good result.
+        """Badness: 0 for a perfect result or NaN, 1 at the limit of good results.
 
         >>> Score("drift", 0.003, ScoreUnit.LENGTH, 0.001).excess
         3.0
@@ -105,7 +105,7 @@ class PassScores:
 
 
 def sort_key_of_scores(scores: Iterable[PassScores]) -> list[float]:
-    """Return a key that sorts takes by their scores: the worst score decides first.
+    """Return a sort key of takes by their scores, the worst score first.
 
     >>> score = Score("drift", 0.003, ScoreUnit.LENGTH, 0.001)
     >>> sort_key_of_scores([PassScores((score,))])

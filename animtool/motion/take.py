@@ -20,7 +20,7 @@ from animtool.core.old_names import rename_attributes
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
-from animtool.motion.motion import Channel, Motion, MotionCurve
+from animtool.motion.motion import CHANNELS, Channel, Motion, MotionCurve
 from animtool.motion.scores import PassScores
 from animtool.motion.transforms import Track
 from animtool.rig.kinematics import WorldTransforms
@@ -34,21 +34,17 @@ UNIT_LENGTH_TOLERANCE = 1e-3
 def find_shape_faults(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
-    """Return faults of shapes that do not match the clock, rig and tracks."""
+    """Return faults of channels whose shape does not match clock, rig and tracks."""
     frames = clock.count
-    expected_shapes = [
-        ("translations", motion.translations, len(rig.joints), 3),
-        ("rotations", motion.rotations, len(rig.joints), 4),
-        ("scales", motion.scales, len(rig.joints), 3),
-        ("weights", motion.weights, len(rig.shapes), 1),
-        ("controls", motion.controls, len(rig.controls), 1),
-        ("track_times", motion.track_times, len(tracks), 1),
-    ]
+    joint_count = len(rig.joints)
+    counts = *[joint_count] * 3, len(rig.shapes), len(rig.controls), len(tracks)
     faults = []
     if tracks and motion.track_times is None:
         message = f"track_times are missing of {counted(len(tracks), 'track')}"
         faults.append(Fault("TAKE001", message))
-    for name, channel, count, width in expected_shapes:
+    widths = 3, 4, 3, 1, 1, 1
+    for name, count, width in zip(CHANNELS, counts, widths, strict=True):
+        channel: Channel | None = getattr(motion, name)
         if channel is None:
             continue
         moving_count = len(channel.animated)
@@ -67,22 +63,12 @@ def find_shape_faults(
     return faults
 
 
-_CHANNELS = (
-    "translations",
-    "rotations",
-    "scales",
-    "weights",
-    "controls",
-    "track_times",
-)
-
-
 def find_value_faults(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
-    """Return faults of infinite values and invalid rotations, one per channel."""
+    """Return faults of non-finite values and invalid rotations, one per channel."""
     faults = []
-    for name in _CHANNELS:
+    for name in CHANNELS:
         channel: Channel | None = getattr(motion, name)
         if channel is None:
             continue
@@ -120,7 +106,7 @@ def _first_non_unit(values: FloatArray) -> tuple[int, ...] | None:
 
 
 def _row_owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
-    """Return the name of the joint, shape, control or track of a channel's row."""
+    """Return the joint, shape, control or track of a channel's row, for messages."""
     if name == "track_times":
         return f"track {tracks[index].path!r}"
     kind = {"weights": "shapes", "controls": "controls"}.get(name, "joints")

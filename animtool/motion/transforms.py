@@ -54,7 +54,7 @@ class PropRequest:
 
 @dataclass(frozen=True, slots=True)
 class Transforms:
-    """Transforms of a prop at F times, in the world of the rig, and its values."""
+    """Transforms of a prop at F times in the world of the rig, and its attributes."""
 
     translations: FloatArray  # ``(F, 3)`` [m]
     rotations: FloatArray  # unit quaternions (x, y, z, w) ``(F, 4)``
