@@ -390,7 +390,7 @@ def _check_cutoff(cutoff: float | None) -> None:
 
 
 def _option_checks(options: CleanOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
+    """Return the checks of the options, by option name."""
     return {
         "spikes": lambda: _check_spikes(options.spikes),
         "cutoff": lambda: _check_cutoff(options.cutoff),

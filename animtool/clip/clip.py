@@ -14,7 +14,7 @@ from typing import TypeVar, cast
 from animtool.clip.channels import ClipChannel, ClipUnits, check_targets
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import MAX_FRAMES, Clock, time_codes
-from animtool.core.errors import Fault, FormatError, OptionError, counted
+from animtool.core.errors import Fault, FormatError, counted, refuse
 from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
 from animtool.core.plugins import load_object
 from animtool.core.rates import FractionLike, rate_label, rate_option
@@ -166,8 +166,7 @@ def _exact_step(step: Fraction | float) -> Fraction:
     except ValueError:
         codes_per_frame = Fraction(0)
     if codes_per_frame <= 0:
-        message = f"step is {step}; it must be a positive number"
-        raise OptionError(Fault("CLIP021", message))
+        refuse("CLIP021", f"step is {step}; it must be a positive number")
     return codes_per_frame
 
 

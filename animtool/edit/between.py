@@ -46,7 +46,7 @@ class TakeSampler:
 
     @staticmethod
     def from_take(take: Take) -> TakeSampler:
-        """Return a take for sampling between frames; compares samples with its curve.
+        """Return a sampler of a take, whose samples are compared with its curve.
 
         >>> from fractions import Fraction
         >>> from animtool.clip.clip import Clip
@@ -64,8 +64,8 @@ class TakeSampler:
             curve_values = take.curve(times[block_frames])
             samples = take.motion.select(block_frames)
             for name in CURVE_CHANNELS:
-                pair = (getattr(motion, name) for motion in (samples, curve_values))
-                is_equal = _equal_rows(*pair)
+                channels = (getattr(motion, name) for motion in (samples, curve_values))
+                is_equal = _equal_rows(*channels)
                 if is_equal is not None:
                     rows_on_curve[name] = rows_on_curve.get(name, is_equal) & is_equal
         used_rows = {name: rows for name, rows in rows_on_curve.items() if rows.any()}
@@ -76,7 +76,7 @@ class TakeSampler:
         positions: FramePositions,
         *,
         smooth: bool = False,
-        same_rows: bool = False,
+        has_fixed_rows: bool = False,
     ) -> Motion:
         """Return the take at positions between its frames.
 
@@ -84,21 +84,21 @@ class TakeSampler:
         results have the same animated rows, as required for blocks of one motion.
         """
         motion = self.take.motion
-        interpolated = motion.map(positions.interpolate)
+        interpolated_motion = motion.map(positions.interpolate)
         if smooth:
             scales = motion.scales
-            interpolated = replace(
-                interpolated,
+            interpolated_motion = replace(
+                interpolated_motion,
                 translations=positions.interpolate_spline(motion.translations),
                 rotations=positions.interpolate_spline(motion.rotations),
                 scales=None if scales is None else positions.interpolate_spline(scales),
             )
         is_between = positions.fractions > 0
         if not self.rows_on_curve or not is_between.any():
-            return interpolated
+            return interpolated_motion
         times = self._times(positions)[is_between]
         return self._evaluate_rows_on_curve(
-            interpolated, is_between, times, same_rows=same_rows
+            interpolated_motion, is_between, times, has_fixed_rows=has_fixed_rows
         )
 
     def retimed_curve(
@@ -129,22 +129,22 @@ class TakeSampler:
 
     def _evaluate_rows_on_curve(
         self,
-        interpolated: Motion,
+        interpolated_motion: Motion,
         is_between: BoolArray,
         times: FloatArray,
         *,
-        same_rows: bool,
+        has_fixed_rows: bool,
     ) -> Motion:
         """Return a motion with the rows that have curves evaluated between frames."""
         assert self.take.curve is not None
         curve_motion = self.take.curve(times)
         new_channels: dict[str, Any] = {}
         for name, rows in self.rows_on_curve.items():
-            interpolated_channel: Channel = getattr(interpolated, name)
+            interpolated_channel: Channel = getattr(interpolated_motion, name)
             curve_channel: Channel = getattr(curve_motion, name)
             is_moving = (interpolated_channel.rest != curve_channel.rest).any(axis=-1)
             is_moving[curve_channel.animated] = True
-            is_moving &= not same_rows
+            is_moving &= not has_fixed_rows
             is_moving[interpolated_channel.animated] = True
             moving_rows = np.flatnonzero(is_moving & rows)
             values_of_rows = interpolated_channel.gather(moving_rows)
@@ -153,13 +153,13 @@ class TakeSampler:
                 values = so3.align_to(values, values_of_rows[is_between])
             values_of_rows[is_between] = values
             new_channels[name] = interpolated_channel.put(moving_rows, values_of_rows)
-        return replace(interpolated, **new_channels)
+        return replace(interpolated_motion, **new_channels)
 
 
 def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
-    """Return a mask of the rows with equal values in all frames ``(J,)``.
+    """Return a mask ``(J,)`` of the rows with equal values in all frames.
 
-    Return None if the channels cannot be compared.
+    Return None if a channel is missing or has other rows.
     """
     if a is None or b is None or a.rest.shape != b.rest.shape:
         return None

@@ -1,4 +1,4 @@
-"""Two motions of one rig combined: mixed or added, with continuous signs.
+"""Combines two motions of one rig: interpolated or added, with continuous signs.
 
 Addition of each kind of channel is defined in `animtool.maths.additive`.
 
@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, listed
+from animtool.core.errors import listed, refuse
 from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
 from animtool.edit.between import TakeSampler
@@ -31,24 +31,25 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
 # A dot product of quaternions above this is positive despite rounding.
-POSITIVE_DOT = 1e-12
-MAX_NAMED = 6
+MIN_POSITIVE_DOT = 1e-12
+MAX_NAMED_PARTS = 6
 
 
-def align_signs(motion: Motion, previous: FloatArray | None = None) -> Motion:
+def align_signs(motion: Motion, last_rotations: FloatArray | None = None) -> Motion:
     """Make the quaternion signs of a motion continuous along its frames.
 
-    ``previous``: last rotations before the motion ``(A, 4)``.
+    ``last_rotations``: last rotations before the motion ``(A, 4)``.
     """
     channel = motion.rotations
     if not channel.values.size:
         return motion
-    previous_values = channel.values[0] if previous is None else previous
+    if last_rotations is None:
+        last_rotations = channel.values[0]
     dots = np.einsum("fak,fak->fa", channel.values[1:], channel.values[:-1])
-    first_dots = np.einsum("ak,ak->a", channel.values[0], previous_values)
-    if min(dots.min(initial=1.0), first_dots.min()) > POSITIVE_DOT:
+    first_dots = np.einsum("ak,ak->a", channel.values[0], last_rotations)
+    if min(dots.min(initial=1.0), first_dots.min()) > MIN_POSITIVE_DOT:
         return motion
-    values = so3.align_signs(channel.values, previous_values)
+    values = so3.align_signs(channel.values, last_rotations)
     return replace(motion, rotations=replace(channel, values=values))
 
 
@@ -86,13 +87,11 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
         problem = f"joint {missing_joints[0]!r} is in only one of them"
     message = f"the takes are of different rigs, {rig.name!r} with {len(rig.joints)} "
     message += f"joints and {other.name!r} with {len(other.joints)}: {problem}"
-    raise OptionError(Fault("SCN017", message, hint="retarget one of them first"))
+    refuse("SCN017", message, hint="retarget one of them first")
 
 
 def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
     """Convert another take to the up axis, shape order and control order of a rig.
-
-    Its up axis becomes that of the rig, and its shapes and controls have its order.
 
     Args:
         rig: The rig.
@@ -110,7 +109,7 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
     if rotation is not None:
         placement = Placement.from_rotation(np.array(rotation))
 
-    def matched(motion: Motion) -> Motion:
+    def match_motion(motion: Motion) -> Motion:
         """Return a motion in the axes and the order of the rig."""
         motion = replace(
             motion,
@@ -135,8 +134,8 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
     return replace(
         other,
         rig=matched_rig,
-        motion=matched(other.motion).map(Channel.compact),
-        curve=None if curve is None else lambda times: matched(curve(times)),
+        motion=match_motion(other.motion).map(Channel.compact),
+        curve=None if curve is None else lambda times: match_motion(curve(times)),
     )
 
 
@@ -144,18 +143,18 @@ def _part_order(
     noun: str, parts: Sequence[Shape | Control], others: Sequence[Shape | Control]
 ) -> IntArray | None:
     """Return each part's index in the other rig; None if the orders are equal."""
-    names, other_names = ([part.name for part in row] for row in (parts, others))
+    names, other_names = ([part.name for part in group] for group in (parts, others))
     if names == other_names or not names or not other_names:
         return None
     if sorted(names) != sorted(other_names):
-        unmatched = sorted({*names} ^ {*other_names})
+        unmatched = listed(sorted({*names} ^ {*other_names}), MAX_NAMED_PARTS)
         message = f"the takes are of different rigs: {noun} that only one of them has: "
-        raise OptionError(Fault("SCN017", f"{message}{listed(unmatched, MAX_NAMED)}"))
+        refuse("SCN017", f"{message}{unmatched}")
     return np.array([other_names.index(name) for name in names], np.int64)
 
 
 def _reorder(channel: Channel | None, order: IntArray | None) -> Channel | None:
-    """Reorder the rows of a channel; None or no order changes nothing."""
+    """Reorder the rows of a channel, if there is a channel and an order."""
     if channel is None or order is None:
         return channel
     return Channel.from_dense(channel.dense()[:, order])
@@ -170,7 +169,7 @@ def combine(
     change only if both motions have controls.
     """
 
-    def numbers(name: str) -> Channel | None:
+    def combine_numbers(name: str) -> Channel | None:
         """Return combined weights or controls."""
         a: Channel | None = getattr(base, name)
         b: Channel | None = getattr(other, name)
@@ -178,8 +177,9 @@ def combine(
         if strength.joints is not None or (name == "controls" and not has_both):
             return a
         if a is not None and b is not None and a.rest.shape != b.rest.shape:
-            message = f"one take has {len(a.rest)} {name}, the other {len(b.rest)}"
-            raise OptionError(Fault("SCN017", message))
+            refuse(
+                "SCN017", f"one take has {len(a.rest)} {name}, the other {len(b.rest)}"
+            )
         return _combine_optional(a, b, 0.0, operations.numbers, strength)
 
     return Motion(
@@ -190,8 +190,8 @@ def combine(
             base.rotations, other.rotations, operations.rotations, strength
         ),
         _combine_optional(base.scales, other.scales, 1.0, operations.scales, strength),
-        numbers("weights"),
-        numbers("controls"),
+        combine_numbers("weights"),
+        combine_numbers("controls"),
         base.track_times,
     )
 
@@ -199,23 +199,23 @@ def combine(
 def _combine_optional(
     a: Channel | None,
     b: Channel | None,
-    neutral: float,
+    neutral_value: float,
     operation: Operation,
     strength: BlendStrength,
 ) -> Channel | None:
-    """Return combined channels; one that is None has a neutral value everywhere."""
+    """Combine two channels; a missing one has a neutral value everywhere."""
     if a is None:
         if b is None:
             return None
-        a = _neutral_values(b, neutral)
+        a = _neutral_values(b, neutral_value)
     if b is None:
-        b = _neutral_values(a, neutral)
+        b = _neutral_values(a, neutral_value)
     return _combine_channels(a, b, operation, strength)
 
 
-def _neutral_values(like: Channel, value: float) -> Channel:
+def _neutral_values(channel: Channel, value: float) -> Channel:
     """Return a constant channel with the same rows as another."""
-    return Channel.static(np.full(like.rest.shape, value), len(like.values))
+    return Channel.static(np.full(channel.rest.shape, value), len(channel.values))
 
 
 def _combine_channels(
@@ -271,7 +271,7 @@ def subtract_base(source: Motion, base: Motion) -> Motion:
 
 
 def _full_difference(operation: additive.Difference) -> Operation:
-    """Wrap a difference function as an operation that ignores weights."""
+    """Return an operation that computes a difference and ignores the weights."""
     return lambda source, base, _: operation(source, base)
 
 
@@ -346,4 +346,4 @@ def sample_other_take(
     clock = sampler.take.clock
     index = np.arange(first, first + count)
     positions = even_positions(index, -delay, clock.rate / rate, clock.count)
-    return sampler.sample(positions, same_rows=sampler is other)
+    return sampler.sample(positions, has_fixed_rows=sampler is other)

@@ -94,7 +94,7 @@ def find_cycle(
             such a length (SCN018).
     """
     clock = take.clock
-    first_index, last_index = _end_indices(clock, first, last)
+    first_index, last_index = end_indices(clock, first, last)
     stride = max(1, int(clock.rate // SEARCH_RATE))
     frames = np.arange(first_index, last_index + 1, stride)
     rate = float(clock.rate) / stride
@@ -119,10 +119,10 @@ def find_cycle(
     if coarse_cycle is None:
         raise _no_cycle_error("where nothing moves")
     start, lag, extent = coarse_cycle
-    ends = (first_index, last_index)
-    pairs = _nearby_pairs(frames[start], frames[start + lag], stride, ends)
-    length = pairs[1] - pairs[0]
-    has_length = (length >= min_lag * stride) & (length <= max_lag * stride)
+    end_frames = (first_index, last_index)
+    pairs = _nearby_pairs(frames[start], frames[start + lag], stride, end_frames)
+    lengths = pairs[1] - pairs[0]
+    has_length = (lengths >= min_lag * stride) & (lengths <= max_lag * stride)
     i, j, distance = _closest_pair(pose_view, pairs[:, has_length])
     return _build_cycle(clock, i, j, distance, max(distance, extent))
 
@@ -130,26 +130,29 @@ def find_cycle(
 def _frames_hint(
     shortest: float, longest: float, rate: float, seconds: float
 ) -> str | None:
-    """Return a hint if lengths are in frames of a take of some seconds, or None."""
-    are_integers = [
+    """Return a hint if the lengths of a cycle seem to be in frames, or None.
+
+    seconds: Length of the take [s].
+    """
+    are_frame_counts = [
         length >= MIN_FRAMES and length == round(length)
         for length in (shortest, longest)
     ]
-    if not are_integers[0] or shortest / rate > seconds:
+    if not are_frame_counts[0] or shortest / rate > seconds:
         return None
-    texts = argument("shortest", f"{shortest / rate:.3g}")
-    frames = f"{shortest:g}"
-    if are_integers[1] and longest >= shortest:
-        frames += f" to {longest:g}"
-        texts += f", {argument('longest', f'{longest / rate:.3g}')}"
-    return f"lengths are in seconds: for {frames} frames write {texts}"
+    options_text = argument("shortest", f"{shortest / rate:.3g}")
+    frames_text = f"{shortest:g}"
+    if are_frame_counts[1] and longest >= shortest:
+        frames_text += f" to {longest:g}"
+        options_text += f", {argument('longest', f'{longest / rate:.3g}')}"
+    return f"lengths are in seconds: for {frames_text} frames write {options_text}"
 
 
 def measure_cycle(
     take: Take, first: float | None = None, last: float | None = None
 ) -> Cycle:
     """Measure the pose difference between the first and last frame of a cycle."""
-    first_index, last_index = _end_indices(take.clock, first, last)
+    first_index, last_index = end_indices(take.clock, first, last)
     if first_index >= last_index:
         raise _no_cycle_error(f"from frame {first} to {last}")
     pose_view = _PoseView.from_take(take)
@@ -168,10 +171,10 @@ def measure_cycle(
     return _build_cycle(take.clock, first_index, last_index, distance, largest_extent)
 
 
-def _end_indices(
+def end_indices(
     clock: Clock, first: float | None, last: float | None
 ) -> tuple[int, int]:
-    """Return the indices of the first and last frame of a range."""
+    """Return the indices of the first and last frame of a range of time codes."""
     first_index = 0 if first is None else frame_index(clock, first, "first")
     last_index = clock.count - 1 if last is None else frame_index(clock, last, "last")
     return first_index, last_index
@@ -209,7 +212,7 @@ class _PoseView:
 
     @staticmethod
     def from_take(take: Take) -> _PoseView:
-        """Select the points of a take that are compared, and their weights."""
+        """Return a view of a take: the points to compare and their weights."""
         rig = take.rig
         if not rig.joints:
             message = "without joints: a cycle is found from their positions"
@@ -269,8 +272,8 @@ class _PoseView:
             so3.rotate(inverse_heading, current_points - ground[:, None]),
             so3.rotate(inverse_heading, speed_as_distance),
         ]
-        table = np.stack(columns, axis=1) * np.sqrt(self.weights)[:, None]
-        return np.ascontiguousarray(table.reshape(len(frames), -1).T)
+        weighted_columns = np.stack(columns, axis=1) * np.sqrt(self.weights)[:, None]
+        return np.ascontiguousarray(weighted_columns.reshape(len(frames), -1).T)
 
     def _points(self, frames: IntArray) -> FloatArray:
         """Return world positions of joints and extra leaf points ``(N, P, 3)``."""
@@ -301,11 +304,11 @@ def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _best_cycle(
-    table: FloatArray, min_lag: int, max_lag: int, static_extent: float
+    columns: FloatArray, min_lag: int, max_lag: int, static_extent: float
 ) -> tuple[int, int, float] | None:
     """Return start, length [columns] and extent [m] of the best cycle."""
-    count = table.shape[1]
-    distances_from_mean = _pose_distance(table, table.mean(axis=1, keepdims=True))
+    count = columns.shape[1]
+    distances_from_mean = _pose_distance(columns, columns.mean(axis=1, keepdims=True))
     deviation = math.sqrt(float(np.mean(distances_from_mean**2)))
     min_extent = max(static_extent, MIN_EXTENT * deviation)
     extents = np.zeros(count)
@@ -314,7 +317,7 @@ def _best_cycle(
     largest_extents = np.zeros(max_lag + 1)
     # One step per length: all pairs of that length at once.
     for lag in range(1, max_lag + 1):
-        distances = _pose_distances_by(table, lag)
+        distances = _pose_distances_at_lag(columns, lag)
         extents = np.maximum(extents[: count - lag], distances)
         if lag >= min_lag:
             is_large = extents > min_extent
@@ -332,9 +335,9 @@ def _best_cycle(
     return int(starts[lag]), lag, float(largest_extents[lag])
 
 
-def _pose_distances_by(table: FloatArray, lag: int) -> FloatArray:
+def _pose_distances_at_lag(columns: FloatArray, lag: int) -> FloatArray:
     """Return distances between all columns ``lag`` apart, in cache-sized blocks."""
-    later, earlier = table[:, lag:], table[:, : table.shape[1] - lag]
+    later, earlier = columns[:, lag:], columns[:, : columns.shape[1] - lag]
     starts = range(0, later.shape[1], BLOCK_FRAMES)
     blocks = [slice(start, start + BLOCK_FRAMES) for start in starts]
     return np.concatenate(
@@ -345,24 +348,24 @@ def _pose_distances_by(table: FloatArray, lag: int) -> FloatArray:
 def _first_minimum(values: FloatArray) -> tuple[float, int]:
     """Return the minimum, and the first index within a thousandth of it."""
     # Otherwise rounding, which differs between machines, would decide.
-    coarse = np.round(values, 3)
-    index = int(np.argmin(coarse))
-    return float(coarse[index]), index
+    rounded_values = np.round(values, 3)
+    index = int(np.argmin(rounded_values))
+    return float(rounded_values[index]), index
 
 
-def _nearby_pairs(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:
+def _nearby_pairs(i: int, j: int, stride: int, end_frames: tuple[int, int]) -> IntArray:
     """Return all pairs of frames near a pair of the coarse search ``(2, N)``."""
     offsets = np.arange(1 - stride, stride)
-    candidates = (np.unique(np.clip(frame + offsets, *ends)) for frame in (i, j))
+    candidates = (np.unique(np.clip(frame + offsets, *end_frames)) for frame in (i, j))
     return np.stack([grid.ravel() for grid in np.meshgrid(*candidates, indexing="ij")])
 
 
 def _closest_pair(pose_view: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
     """Return the best-matching pair of frames, and its distance [m]."""
     frames, columns = np.unique(pairs, return_inverse=True)
-    table = pose_view.columns_of_frames(frames)
+    pose_columns = pose_view.columns_of_frames(frames)
     starts, end_columns = columns.reshape(pairs.shape)
-    distances = _pose_distance(table[:, starts], table[:, end_columns])
+    distances = _pose_distance(pose_columns[:, starts], pose_columns[:, end_columns])
     _, best_index = _first_minimum(distances / pose_view.static_extent)
     i, j = pairs[:, best_index].tolist()
     return i, j, float(distances[best_index])

@@ -1,4 +1,4 @@
-"""Frames in options, as time codes of a take."""
+"""Frame options, as time codes of a take: checks, indices, and hints."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def check_range(first: float | None, last: float | None) -> None:
     ]
     if range_ends != sorted(range_ends):
         message = f"the range from {first:g} to {last:g} is reversed"
-        flags = argument("first", f"{last:g}"), argument("last", f"{first:g}")
-        hint = f"write {' and '.join(flags)}"
+        swapped_options = argument("first", f"{last:g}"), argument("last", f"{first:g}")
+        hint = f"write {' and '.join(swapped_options)}"
         raise frame_error(message, hint)
 
 
@@ -80,9 +80,11 @@ def seconds_hint(
     codes = [float(start) + value * float(fps) for value in values]
     if last is not None and max(codes) > float(last) + 1:
         return None
-    rounding = {"first": math.ceil, "last": math.floor}
+    round_functions = {"first": math.ceil, "last": math.floor}
     frames = [
-        rounding.get(name, round)(code - 1e-9 if name == "first" else code + 1e-9)
+        round_functions.get(name, round)(
+            code - 1e-9 if name == "first" else code + 1e-9
+        )
         for name, code in zip(options, codes, strict=True)
     ]
     if frames != sorted(frames):

@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock, time_codes
-from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.errors import Fault, counted, refuse, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.edit.between import TakeSampler
@@ -50,7 +50,7 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 
 # Displacement of a joint from its target that is visible, relative to the rig's size.
-MIN_DISPLACED = 0.01
+MIN_DISPLACEMENT = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +100,8 @@ def blend(
     other = match_rig(take.rig, other)
     clock = take.clock
     delay_frames = exact_fraction(delay, "delay") / clock.step
-    length = (other.clock.count - 1) * clock.rate / other.clock.rate
-    count = max(clock.count, 1 + math.floor(delay_frames + length))
+    other_length = (other.clock.count - 1) * clock.rate / other.clock.rate
+    count = max(clock.count, 1 + math.floor(delay_frames + other_length))
     check_count(count)
     full_clock = replace(clock, count=count)
     weights = weights_at(weight, full_clock.times, interpolation)
@@ -126,7 +126,7 @@ def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
 
 
 def _check_blend(options: BlendOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
+    """Return the checks of the options, by option name."""
     return {
         "take": lambda: required_take_path(options.take),
         "weight": lambda: weights_at(options.weight, np.zeros(0)),
@@ -147,7 +147,7 @@ BLEND = Pass(
 
 @dataclass(frozen=True, slots=True)
 class DifferenceOptions:
-    """The base of the difference.
+    """The base take of a difference.
 
     Attributes:
         base: File of the base take; None uses the rest pose of the rig.
@@ -189,7 +189,7 @@ def rest_take(rig: Rig, clock: Clock) -> Take:
 
 
 def _base_take(base: Take, frame: float | None) -> Take:
-    """Return the base take, or its given frame; raise if a scale is 0."""
+    """Return the base take, or one frame of it; raise if a scale is 0."""
     if frame is not None:
         index = frame_index(base.clock, frame, "frame")
         motion = base.motion.select(slice(index, index + 1)).map(Channel.compact)
@@ -199,8 +199,7 @@ def _base_take(base: Take, frame: float | None) -> Take:
         is_zero = (scales.dense() == 0).any(axis=(0, 2))
         if is_zero.any():
             name = base.rig.names[int(np.argmax(is_zero))]
-            message = f"joint {name!r} has a scale of 0 in the base"
-            raise OptionError(Fault("SCN023", message))
+            refuse("SCN023", f"joint {name!r} has a scale of 0 in the base")
     return base
 
 
@@ -212,13 +211,13 @@ def _subtract_stream(stream: TakeStream, base: Take) -> TakeStream:
 
 def _difference_blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
     """Yield the deltas from the base, with continuous quaternion signs."""
-    first, previous = 0, None
+    first, last_rotations = 0, None
     rate, sampler = stream.fps / stream.step, TakeSampler.from_take(base)
     for block in stream.blocks:
         base_motion = sample_other_take(sampler, rate, first, block.frames)
-        motion = align_signs(subtract_base(block, base_motion), previous)
+        motion = align_signs(subtract_base(block, base_motion), last_rotations)
         yield motion
-        first, previous = first + block.frames, motion.rotations.values[-1]
+        first, last_rotations = first + block.frames, motion.rotations.values[-1]
 
 
 def _run_difference(
@@ -315,22 +314,8 @@ def layer(
             malformed (SCN015), the rigs differ (SCN017), or there is no such mode
             or interpolation (SCN025).
     """
-    plan = _LayerPlan(
-        other,
-        parse_choice(LayerMode, mode, "mode"),
-        weight,
-        parse_choice(KeyInterpolation, interpolation, "interpolation"),
-        _selected_joints(take.rig, joints, children),
-        delay,
-    )
+    plan = _LayerPlan(other, mode, weight, interpolation, joints, children, delay)
     return plan.layer_over(TakeStream.of(take)).collect()
-
-
-def _selected_joints(
-    rig: Rig, joints: str | Sequence[str], children: bool
-) -> list[int] | None:
-    """Return the indices of the affected joints; None affects all."""
-    return match_joints(rig, joints, children=children) if joints else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,126 +323,138 @@ class _LayerPlan:
     """A layer to combine with a stream, block by block."""
 
     other: Take
-    mode: LayerMode
+    mode: LayerMode | str
     weight: WeightOption
-    interpolation: KeyInterpolation
-    joint_indices: list[int] | None
+    interpolation: KeyInterpolation | str
+    joints: str | Sequence[str]
+    children: bool
     delay: float
     in_shot: bool = False
-    placed: tuple[PlacedJoint, ...] = ()
+    placed_joints: tuple[PlacedJoint, ...] = ()
 
     def layer_over(self, stream: TakeStream) -> TakeStream:
         """Return a stream with the layer on top."""
-        is_additive = self.mode is LayerMode.ADDITIVE
+        is_additive = parse_choice(LayerMode, self.mode, "mode") is LayerMode.ADDITIVE
+        parse_choice(KeyInterpolation, self.interpolation, "interpolation")
+        joints = None
+        if self.joints:
+            joints = match_joints(stream.rig, self.joints, children=self.children)
         other = match_rig(stream.rig, self.other, is_additive=is_additive)
         self._weights(time_codes(Fraction(1), Fraction(1), 1))
         if is_additive:
-            stream.notices.extend(_pose_notices(other, self.joint_indices))
-        return replace(stream, blocks=self._layered_blocks(stream, other))
+            stream.notices.extend(_pose_notices(other, joints))
+        return replace(stream, blocks=self._layered_blocks(stream, other, joints))
 
     def _weights(self, times: FloatArray) -> FloatArray:
         """Return the weights of the layer at times ``(F,)``."""
-        is_bounded = self.mode is LayerMode.OVERRIDE
+        is_bounded = self.mode == LayerMode.OVERRIDE
         return weights_at(self.weight, times, self.interpolation, bounded=is_bounded)
 
-    def _layered_blocks(self, stream: TakeStream, other: Take) -> Iterator[Motion]:
-        """Yield the layered motion; warn about the weights at the end."""
+    def _layered_blocks(
+        self, stream: TakeStream, other: Take, joints: list[int] | None
+    ) -> Iterator[Motion]:
+        """Yield the layered motion; add warnings about the complete take at the end.
+
+        ``joints``: indices of the affected joints; None affects all.
+        """
         first_code = stream.first_frame
         delay = exact_fraction(self.delay, "delay") / stream.step
-        is_override = self.mode is LayerMode.OVERRIDE
-        operation = interpolate_motions if is_override else add_delta
+        is_override = self.mode == LayerMode.OVERRIDE
+        combine = interpolate_motions if is_override else add_delta
         is_constant = isinstance(self.weight, (int, float))
         sampler = TakeSampler.from_take(other)
         rate = stream.fps / stream.step
-        frame_count, previous = 0, None
-        displaced = _Displacements(stream.rig, self.placed)
+        frame_count, last_rotations = 0, None
+        displacements = _Displacements(stream.rig, self.placed_joints)
         for block in stream.blocks:
             block_code = first_code + frame_count * stream.step
             times = time_codes(block_code, stream.step, block.frames)
             weights = self._weights(times)
-            span = (frame_count, block.frames)
-            other_motion = sample_other_take(sampler, rate, *span, delay)
-            strength = BlendStrength(weights, is_constant, self.joint_indices)
-            motion = align_signs(operation(block, other_motion, strength), previous)
-            displaced.add(times, block, motion)
+            other_motion = sample_other_take(
+                sampler, rate, frame_count, block.frames, delay
+            )
+            strength = BlendStrength(weights, is_constant, joints)
+            motion = align_signs(combine(block, other_motion, strength), last_rotations)
+            displacements.update(times, block, motion)
             yield motion
             frame_count += block.frames
-            previous = motion.rotations.values[-1]
+            last_rotations = motion.rotations.values[-1]
         clock = Clock(stream.fps, first_code, stream.step, frame_count)
         stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
-        stream.notices.extend(displaced.warnings())
+        stream.notices.extend(displacements.warnings())
         if not self.in_shot:
             stream.notices.extend(_delay_warnings(other, self.delay, clock))
 
 
 class _Displacements:
-    """Largest displacement, by a layer, of joints that an earlier pass placed."""
+    """Largest displacement by a layer of a joint that an earlier pass placed."""
 
-    def __init__(self, rig: Rig, placed: Sequence[PlacedJoint]) -> None:
+    def __init__(self, rig: Rig, placed_joints: Sequence[PlacedJoint]) -> None:
         self.rig = rig
-        self.placed = [one for one in placed if one.joint in rig.names]
+        self.placed_joints = [p for p in placed_joints if p.joint in rig.names]
         self.largest, self.effector, self.time = 0.0, "", 0.0
 
-    def add(self, times: FloatArray, before: Motion, after: Motion) -> None:
+    def update(self, times: FloatArray, before: Motion, after: Motion) -> None:
         """Update the displacements from a block's frames before and after the layer."""
-        if not self.placed:
+        if not self.placed_joints:
             return
-        old, new = (motion.world(self.rig).positions for motion in (before, after))
-        for placed in self.placed:
-            joint = self.rig.index(placed.joint)
-            distances = np.linalg.norm(new[:, joint] - old[:, joint], axis=1)
+        offsets = after.world(self.rig).positions - before.world(self.rig).positions
+        for placed in self.placed_joints:
+            distances = np.linalg.norm(offsets[:, self.rig.index(placed.joint)], axis=1)
             distances = np.where(np.isin(times, placed.times), distances, 0.0)
-            k = int(distances.argmax())
-            if distances[k] > self.largest:
-                self.largest, self.effector = float(distances[k]), placed.effector
-                self.time = float(times[k])
+            worst_frame = int(distances.argmax())
+            if distances[worst_frame] > self.largest:
+                self.largest, self.effector = (
+                    float(distances[worst_frame]),
+                    placed.effector,
+                )
+                self.time = float(times[worst_frame])
 
     def warnings(self) -> list[Fault]:
         """Return a warning if a joint leaves its target visibly (SCN120)."""
-        if self.largest <= MIN_DISPLACED * rest_size(self.rig):
+        if self.largest <= MIN_DISPLACEMENT * rest_size(self.rig):
             return []
         message = (
             f"the layer moves {self.effector!r} by up to {length_text(self.largest)} "
             f"from where ik has put it, at frame {self.time:g}"
         )
-        hint = "put the pass ik after this layer"
-        return [Fault("SCN120", message, hint=hint, severity=Severity.WARNING)]
+        return [warning("SCN120", message, "put the pass ik after this layer")]
 
 
 def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
-    """Return a warning if a delayed take is never played (SCN118)."""
+    """Return a warning if a delayed take never plays (SCN118)."""
     if other.clock.count < 2:
         return []
     first, last = (float(clock.times[end]) for end in (0, -1))
-    begin = first + float(delay)
+    play_start = first + float(delay)
     seconds = (other.clock.count - 1) / other.clock.rate
-    end = begin + float(seconds * clock.fps)
-    if first < end and begin < last:
+    end = play_start + float(seconds * clock.fps)
+    if first < end and play_start < last:
         return []
-    clamped_pose = "first" if begin >= last else "last"
+    clamped_pose = "first" if play_start >= last else "last"
     message = (
         f"with a delay of {delay:g} frames, the layered take plays from frame "
-        f"{begin:g} to {end:g}, but the take from {first:g} to {last:g}: its "
+        f"{play_start:g} to {end:g}, but the take from {first:g} to {last:g}: its "
         f"{clamped_pose} pose is held in all frames"
     )
     hint = "delay counts frames from the first frame of the take"
-    return [Fault("SCN118", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("SCN118", message, hint)]
 
 
 def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
-    """Return a warning if an additive layer holds poses, not a difference (SCN119)."""
+    """Return a warning if an additive layer has poses, not differences (SCN119)."""
     rig = other.rig
     rows = np.arange(len(rig.joints))
     if joint_indices is not None:
         rows = np.array(joint_indices)
-    rest = rig.rest_translations[rows]
-    lengths = np.linalg.norm(rest, axis=1)
-    has_length = (lengths > 0) & (rig.parents[rows] >= 0)
+    rest_translations = rig.rest_translations[rows]
+    rest_lengths = np.linalg.norm(rest_translations, axis=1)
+    has_length = (rest_lengths > 0) & (rig.parents[rows] >= 0)
     if not has_length.any():
         return []
-    first = other.motion.translations.select(slice(0, 1)).dense()[0, rows]
-    offsets = np.linalg.norm(first - rest, axis=1)
-    has_pose = has_length & (offsets <= POSE_TOLERANCE * lengths)
+    translations = other.motion.translations.select(slice(0, 1)).dense()[0, rows]
+    distances = np.linalg.norm(translations - rest_translations, axis=1)
+    has_pose = has_length & (distances <= POSE_TOLERANCE * rest_lengths)
     if 2 * has_pose.sum() < has_length.sum():
         return []
     message = (
@@ -467,7 +464,7 @@ def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
     )
     hint = "use mode: override, with `joints` for a part of the body, or make an "
     hint += "additive take of it with the pass difference"
-    return [Fault("SCN119", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("SCN119", message, hint)]
 
 
 def _run_layer(
@@ -476,10 +473,11 @@ def _run_layer(
     """Run the pass: layer another take on top."""
     plan = _LayerPlan(
         context.take(options.take),
-        parse_choice(LayerMode, options.mode, "mode"),
+        options.mode,
         options.weight,
-        parse_choice(KeyInterpolation, options.interpolation, "interpolation"),
-        _selected_joints(stream.rig, options.joints, options.children),
+        options.interpolation,
+        options.joints,
+        options.children,
         options.delay,
         context.in_shot,
         tuple(context.placed_joints),
@@ -488,7 +486,7 @@ def _run_layer(
 
 
 def _check_layer(options: LayerOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
+    """Return the checks of the options, by option name."""
     is_bounded = options.mode is LayerMode.OVERRIDE
     return {
         "take": lambda: required_take_path(options.take),

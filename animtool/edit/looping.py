@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, Severity, refuse, warning
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.edit.combine import align_signs
-from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
-from animtool.edit.frames import check_count, check_range, frame_index
+from animtool.edit.cycle import Cycle, end_indices, find_cycle, measure_cycle
+from animtool.edit.frames import check_count, check_range
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import CycleTravel, cycle_travel, nearby_positions
 from animtool.maths import so3
@@ -58,7 +58,7 @@ class SeamBlend:
     frames_before: int  # 1 if there is a frame before the cycle, else 0
     frames_after: int  # 1 if a frame follows the repeated pose, else 0
     offset_weight: FloatArray  # weight of the offset at the end [1] ``(L, 1, 1)``
-    speed_weight: FloatArray  # 1 if there is a frame after the repeated pose, else 0
+    speed_weight: FloatArray  # weight of the speed at the end [frame] ``(L, 1, 1)``
 
     @staticmethod
     def from_lengths(
@@ -101,7 +101,7 @@ class SeamBlend:
 def close_vectors(
     values: FloatArray, blend: SeamBlend, to_next_cycle: NextCycle
 ) -> FloatArray:
-    """Blend a cycle of vectors so that its end meets the next cycle ``(L, A, K)``."""
+    """Return a cycle of vectors ``(L, A, K)`` whose end blends into the next cycle."""
     cycle = blend.cycle_and_next(values)
     start_frames, end_frames = blend.end_frames(values)
     missing_velocity = _missing_speed(
@@ -122,15 +122,15 @@ def close_vectors(
 def close_rotations(
     values: FloatArray, blend: SeamBlend, to_next_cycle: NextCycle
 ) -> FloatArray:
-    """Blend a cycle of rotations so that its end meets the next ``(L, A, 4)``."""
+    """Return a cycle of rotations ``(L, A, 4)`` that blends into the next cycle."""
     cycle = blend.cycle_and_next(values)
     start_frames, end_frames = blend.end_frames(values)
     offset = so3.multiply(so3.conjugate(cycle[-1]), to_next_cycle(cycle[:1])[0])
     # Speeds are about the joint's own axes, which the offset rotates.
-    end_values = so3.rotate(so3.conjugate(offset), so3.steps(end_frames))
+    end_speeds = so3.rotate(so3.conjugate(offset), so3.steps(end_frames))
     missing_velocity = _missing_speed(
         so3.steps(to_next_cycle(start_frames)),
-        end_values,
+        end_speeds,
         lambda: so3.steps(cycle),
         blend,
     )
@@ -163,20 +163,21 @@ def _missing_speed(
     mean_rate = (end_speeds[1] - end_speeds[0] + start_speeds[1] - start_speeds[0]) / 2
     missing_speed = start_speeds[0] - end_speeds[1] - mean_rate
     magnitude = np.linalg.norm(missing_speed, axis=-1, keepdims=True)
-    changes = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=0)
-    excess = np.maximum(magnitude - NATURAL_CHANGE * changes[:, None], 0)
-    return np.asarray(missing_speed * (excess / np.where(magnitude > 0, magnitude, 1)))
+    largest_changes = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=0)
+    excess = np.maximum(magnitude - NATURAL_CHANGE * largest_changes[:, None], 0)
+    divisor = np.where(magnitude > 0, magnitude, 1)
+    return np.asarray(missing_speed * (excess / divisor))
 
 
 def map_attributes(
     track: Track, transforms: Transforms, function: Callable[[FloatArray], FloatArray]
 ) -> Transforms:
-    """Return transforms with a function applied to all numeric attributes.
+    """Return transforms with a function applied to them and their numeric attributes.
 
-    ``function`` ``(F, A, K)``.
+    ``function`` maps values ``(F, A, K)``.
     """
 
-    def numbers(values: FloatArray) -> FloatArray:
+    def map_numbers(values: FloatArray) -> FloatArray:
         """Return the values of an attribute mapped column by column."""
         columns = values.reshape(len(values), -1, 1)
         mapped_columns = function(columns)
@@ -184,11 +185,11 @@ def map_attributes(
 
     attributes = zip(track.attributes, transforms.values, strict=True)
     return Transforms(
-        numbers(transforms.translations),
+        map_numbers(transforms.translations),
         function(transforms.rotations[:, None])[:, 0],
-        numbers(transforms.scales),
-        None if transforms.matrices is None else numbers(transforms.matrices),
-        tuple(numbers(values) if a.width else values for a, values in attributes),
+        map_numbers(transforms.scales),
+        None if transforms.matrices is None else map_numbers(transforms.matrices),
+        tuple(map_numbers(values) if a.width else values for a, values in attributes),
         transforms.is_clamped,
     )
 
@@ -265,11 +266,9 @@ def loop(
     clock = take.clock
     if clock.count == 1:
         return take
-    i = 0 if first is None else frame_index(clock, first, "first")
-    j = clock.count - 1 if last is None else frame_index(clock, last, "last")
+    i, j = end_indices(clock, first, last)
     if j <= i:
-        message = f"{j - i} frames are too few for a cycle"
-        raise OptionError(Fault("SCN018", message))
+        refuse("SCN018", f"{j - i} frames are too few for a cycle")
     _check_minimum(repeats, 1, "repeats")
     _check_minimum(blend, 0, "blend")
     length = j - i
@@ -278,8 +277,8 @@ def loop(
     seam = SeamBlend.from_lengths(length, blend, has_frame_before, has_frame_after)
     travel = cycle_travel(take.rig, take.motion.select(slice(i, j + 1)))
     frames_around = slice(i - has_frame_before, j + has_frame_after + 1)
-    cycle = _CycleState(travel, seam, repeats)
-    motion = cycle.loop_motion(take.motion.select(frames_around))
+    looper = _CycleLooper(travel, seam, repeats)
+    motion = looper.loop_motion(take.motion.select(frames_around))
     tracks = take.tracks
     if tracks:
         motion, tracks = _loop_tracks(take, motion, frames_around, seam, repeats)
@@ -301,9 +300,9 @@ def _loop_tracks(
     """
     times = take.motion.track_times
     assert times is not None
-    times_shown = times.select(frames_around).dense()[..., 0]
+    cycle_times = times.select(frames_around).dense()[..., 0]
     tracks = tuple(
-        _loop_track(track, track.at(times_shown[:, i]), take.rig.up, seam, repeats)
+        _loop_track(track, track.at(cycle_times[:, i]), take.rig.up, seam, repeats)
         if track.is_animated
         else track
         for i, track in enumerate(take.tracks)
@@ -323,11 +322,13 @@ def _loop_track(
         Channel.from_dense(transforms.rotations[:, None]),
     )
     cycle_frames = seam.cycle_and_next(np.arange(len(transforms)))
-    cycle = _CycleState(cycle_travel(root, motion.select(cycle_frames)), seam, repeats)
-    looped_motion = cycle.loop_motion(motion)
+    looper = _CycleLooper(
+        cycle_travel(root, motion.select(cycle_frames)), seam, repeats
+    )
+    looped_motion = looper.loop_motion(motion)
 
     def close_numbers(values: FloatArray) -> FloatArray:
-        """Return a looped attribute."""
+        """Return the values of an attribute, closed and repeated."""
         cycle_values = close_vectors(values, seam, lambda frame_values: frame_values)
         return np.concatenate([cycle_values] * repeats)
 
@@ -349,10 +350,10 @@ def _loop_track(
 
 
 @dataclass(frozen=True, slots=True)
-class _CycleState:
+class _CycleLooper:
     """Closes the channels of a cycle and repeats them with the cycle's travel."""
 
-    travel: CycleTravel
+    cycle_travel: CycleTravel
     blend: SeamBlend
     repeats: int
 
@@ -371,8 +372,8 @@ class _CycleState:
 
     def loop_translations(self, channel: Channel) -> Channel:
         """Return translations closed and repeated, with the travel of each joint."""
-        linear = self.travel.linear[channel.animated]
-        shifts = self.travel.shifts[channel.animated]
+        linear = self.cycle_travel.linear[channel.animated]
+        shifts = self.cycle_travel.shifts[channel.animated]
 
         def to_next_cycle(values: FloatArray) -> FloatArray:
             """Return translations moved to the next cycle."""
@@ -383,7 +384,7 @@ class _CycleState:
 
     def loop_rotations(self, channel: Channel) -> Channel:
         """Return rotations closed and repeated, with the travel of each joint."""
-        travel = self.travel.rotations[channel.animated]
+        travel = self.cycle_travel.rotations[channel.animated]
 
         def to_next_cycle(values: FloatArray) -> FloatArray:
             """Return rotations moved to the next cycle."""
@@ -404,12 +405,11 @@ class _CycleState:
 def _check_minimum(number: int, minimum: int, name: str) -> None:
     """Raise if a number is less than its minimum."""
     if not number >= minimum:  # NaN too
-        message = f"{name} is {number}; it must be at least {minimum}"
-        raise OptionError(Fault("SCN018", message))
+        refuse("SCN018", f"{name} is {number}; it must be at least {minimum}")
 
 
 def _option_checks(options: LoopOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
+    """Return the checks of the options, by option name."""
     return {
         "last": lambda: check_range(options.first, options.last),
         "repeats": lambda: _check_minimum(options.repeats, 1, "repeats"),
@@ -421,16 +421,14 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     """Run the pass: find the cycle, if requested, and repeat it."""
     first, last = options.first, options.last
     if options.find:
-        lengths = {"shortest": options.shortest, "longest": options.longest}
-        cycle = find_cycle(take, first, last, **lengths)
+        length_options = {"shortest": options.shortest, "longest": options.longest}
+        cycle = find_cycle(take, first, last, **length_options)
         first, last = cycle.first, cycle.last
     elif take.clock.count > 1:
         cycle = measure_cycle(take, first, last)
     else:
         message = "the take has one frame: there is nothing to repeat"
-        hint = "choose a take that moves"
-        notice = Fault("SCN114", message, hint=hint, severity=Severity.WARNING)
-        context.notices.append(notice)
+        context.notices.append(warning("SCN114", message, "choose a take that moves"))
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
     context.notices.extend(cycle_notices(cycle, take, options))
@@ -438,7 +436,7 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
 
 
 def _better_cycle(cycle: Cycle, take: Take) -> Cycle | None:
-    """Return the best cycle of a take if its relative error is below half the given."""
+    """Return the take's best cycle if its relative error is below half of a cycle's."""
     try:
         best = find_cycle(take)
     except OptionError:
@@ -466,14 +464,14 @@ def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]
             hint = f"the best cycle of the take is {first} {last}: its ends differ by "
             hint += f"{100 * best.share:.0f}%"
         message = f"the loop has a visible seam: {ends_text}"
-        notices.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
+        notices.append(warning("SCN101", message, hint))
     frames = round((cycle.last - cycle.first) / float(take.clock.step))
-    # The default is not what was asked for: short cycles are blended as a whole.
+    # The default is not a request of the user: it blends short cycles completely.
     if options.blend > max(frames, _DEFAULTS.blend):
         message = f"{argument('blend', options.blend)} is longer than the cycle of "
         message += f"{frames} frames: every frame is changed"
         hint = f"use {frames // 2} or fewer; {_DEFAULTS.blend} is the default"
-        notices.append(Fault("SCN115", message, hint=hint, severity=Severity.WARNING))
+        notices.append(warning("SCN115", message, hint))
     return notices
 
 

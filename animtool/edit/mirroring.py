@@ -10,7 +10,14 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Severity, listed, percent_text
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    listed,
+    percent_text,
+    refuse,
+    warning,
+)
 from animtool.core.record import dataclass
 from animtool.edit.tree import joint_index
 from animtool.maths import so3
@@ -39,7 +46,7 @@ EFFECT_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ControlMirror:
-    """Maps values of controls to their mirror partners, with sign and pivot."""
+    """Maps values of controls to those of their mirror partners."""
 
     partners: IntArray  # index of each control's partner ``(C,)``
     # 1 for equal signs, -1 for opposite signs ``(C,)``.
@@ -52,7 +59,7 @@ class ControlMirror:
         partners: IntArray,
         joints: IntArray,
         shapes: IntArray,
-        normal: FloatArray,
+        axis_signs: FloatArray,
     ) -> ControlMirror:
         """Determine the partner and the sign of each control of a rig.
 
@@ -61,16 +68,16 @@ class ControlMirror:
         example, a control that rotates the head left for positive and right for
         negative values.
 
-        ``partners`` ``(C,)``, ``joints`` ``(J,)``, ``shapes`` ``(S,)``, ``normal``
+        ``partners`` ``(C,)``, ``joints`` ``(J,)``, ``shapes`` ``(S,)``, ``axis_signs``
         ``(3,)``.
         """
         # A mirror reverses axes of rotation.
-        mirror_signs = np.concatenate([-normal, normal])
+        effect_signs = np.concatenate([-axis_signs, axis_signs])
         rest_rotations = rest_world(rig).linear[0]
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
             effects, weights = _control_effect(rig, i, 1.0, rest_rotations)
-            mirrored_effects = (effects * mirror_signs)[joints]
+            mirrored_effects = (effects * effect_signs)[joints]
             flat_effect = _flatten_effect(mirrored_effects, weights[shapes])
             if not flat_effect.any():
                 continue
@@ -92,7 +99,7 @@ class ControlMirror:
 
 
 def _pivot(control: Control) -> float:
-    """Return 0, or the default of a control whose range excludes 0."""
+    """Return the value that mirroring keeps: 0, or the default if 0 is out of range."""
     if control.low is None or control.high is None:
         return 0.0
     return 0.0 if control.low <= 0 <= control.high else control.default
@@ -122,13 +129,13 @@ def _control_effect(
         evaluate_controls(rig.controls, {control.name: value}).targets
         for value in (base_value, changed_value)
     )
-    local, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
-    shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
+    local_effects, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
+    shape_indices = {shape.name: i for i, shape in enumerate(rig.shapes)}
     for target in targets_after:
         change = targets_after[target][0] - targets_before[target][0]
         kind, _, name = target.partition("/")
         if kind == "shape":
-            weights[shapes[name]] += change
+            weights[shape_indices[name]] += change
             continue
         name, part = split_part(name, DRIVEN_PARTS)
         j = rig.index(name)
@@ -137,10 +144,10 @@ def _control_effect(
             axis = np.array(rig.joints[j].axis, np.float64)
         else:
             axis = np.eye(3)["xyz".index(part[-1])]
-        local[j, first_row : first_row + 3] += axis * change
-    halves = np.split(local, 2, 1)
-    world = [np.einsum("jab,jb->ja", rest_rotations, half) for half in halves]
-    return np.concatenate(world, axis=1), weights
+        local_effects[j, first_row : first_row + 3] += axis * change
+    halves = np.split(local_effects, 2, 1)
+    world_effects = [np.einsum("jab,jb->ja", rest_rotations, half) for half in halves]
+    return np.concatenate(world_effects, axis=1), weights
 
 
 # Largest distance between a joint's rest position and its partner's mirror image, as a
@@ -206,8 +213,7 @@ def mirror(
 def _pair_tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
     """Return pairs as tuples; raise if an entry is not a pair of names."""
     if any(isinstance(pair, str) or len(pair) != 2 for pair in pairs):
-        message = f"pairs must be pairs of joint names, not {list(pairs)!r:.80}"
-        raise OptionError(Fault("SCN019", message))
+        refuse("SCN019", f"pairs must be pairs of joint names, not {list(pairs)!r:.80}")
     return tuple((a, b) for a, b in pairs)
 
 
@@ -250,14 +256,14 @@ def _run_mirror(
     shapes = pairs_by_kind["shapes"].partners
     control_partners = pairs_by_kind["controls"].partners
     controls = ControlMirror.from_rig(
-        rig, control_partners, partners, shapes, joint_mirror.normal
+        rig, control_partners, partners, shapes, joint_mirror.axis_signs
     )
     blocks = _mirrored_blocks(stream, joint_mirror, shapes, controls)
     return replace(stream, blocks=blocks)
 
 
 def _is_unpaired(rig: Rig, partners: IntArray) -> BoolArray:
-    """Return a mask of unpaired joints whose parent has a partner ``(J,)``."""
+    """Return a mask of unpaired joints below a joint with a partner ``(J,)``."""
     parents = rig.parents
     is_unpaired = partners == np.arange(len(partners))
     return np.asarray(is_unpaired & (parents >= 0) & (partners[parents] != parents))
@@ -285,7 +291,7 @@ def _unpaired_warnings(
         unpaired_name = names[min(unpaired_indices)]
         hint = f"add pairs: [[{unpaired_name}, OTHER]] to the pass's options to pair "
         hint += "two joints; without a pair each keeps its own motion"
-    yield Fault("SCN082", message, hint=hint, severity=Severity.WARNING)
+    yield warning("SCN082", message, hint)
 
 
 def _asymmetry_warnings(
@@ -303,19 +309,19 @@ def _asymmetry_warnings(
     mirror_signs = np.where(np.arange(3) == axis, -1.0, 1.0)
     mirrored_offsets = offsets[partners] * mirror_signs
     distances = np.linalg.norm(mirrored_offsets - offsets, axis=1) * is_checked
-    largest = int(distances.argmax())
-    if not distances[largest] > SYMMETRY_TOLERANCE * rig_size:
+    worst = int(distances.argmax())
+    if not distances[worst] > SYMMETRY_TOLERANCE * rig_size:
         return
     count = int(np.count_nonzero(distances > SYMMETRY_TOLERANCE * rig_size))
     message = (
-        f"mirror: the rest pose is not symmetric: {rig.names[largest]!r} is "
-        f"{distances[largest]:.3g} m from the mirror image of "
-        f"{rig.names[int(partners[largest])]!r}, "
-        f"{percent_text(distances[largest] / rig_size)} of the rig's size; joints that "
+        f"mirror: the rest pose is not symmetric: {rig.names[worst]!r} is "
+        f"{distances[worst]:.3g} m from the mirror image of "
+        f"{rig.names[int(partners[worst])]!r}, "
+        f"{percent_text(distances[worst] / rig_size)} of the rig's size; joints that "
         f"differ by more than {percent_text(SYMMETRY_TOLERANCE)}: {count}"
     )
     hint = "each joint moves from its own rest pose, so the result differs by as much"
-    yield Fault("SCN083", message, hint=hint, severity=Severity.WARNING)
+    yield warning("SCN083", message, hint)
 
 
 def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) -> None:
@@ -356,7 +362,7 @@ class _JointMirror:
 
     partners: IntArray
     is_kept: BoolArray  # mask of the joints that keep their values (J,)
-    normal: FloatArray
+    axis_signs: FloatArray
     rest_world_rotations: FloatArray  # world rotations at rest (J, 4)
     parent_rotations: FloatArray  # world rotations of the parents at rest
     rest_translations: FloatArray
@@ -365,7 +371,7 @@ class _JointMirror:
     def from_rig(
         rig: Rig, partners: IntArray, is_kept: BoolArray, axis: int
     ) -> _JointMirror:
-        """Collect the rest rotations and translations that mirroring a rig requires."""
+        """Return the mirror of a rig's joints about a plane normal to an axis."""
         rest_world_rotations = rig.rest_rotations.copy()
         parent_rotations = np.tile(so3.IDENTITY, (len(rest_world_rotations), 1))
         for i, joint in enumerate(rig.joints):
@@ -373,11 +379,11 @@ class _JointMirror:
                 parent_rotations[i] = rest_world_rotations[joint.parent]
                 world = so3.multiply(parent_rotations[i], rest_world_rotations[i])
                 rest_world_rotations[i] = world
-        normal = np.where(np.arange(3) == axis, -1.0, 1.0)
+        axis_signs = np.where(np.arange(3) == axis, -1.0, 1.0)
         return _JointMirror(
             partners,
             is_kept,
-            normal,
+            axis_signs,
             rest_world_rotations,
             parent_rotations,
             rig.rest_translations,
@@ -392,7 +398,7 @@ class _JointMirror:
         rotations = so3.multiply(self.parent_rotations[joint_indices], values)
         rotations = so3.multiply(rotations, inverse_rest)
         # A mirror reverses axes of rotation.
-        rotations = rotations * np.append(-self.normal, 1.0)
+        rotations = rotations * np.append(-self.axis_signs, 1.0)
         inverse_parent = so3.conjugate(self.parent_rotations[partners])
         rotations = so3.multiply(inverse_parent, rotations)
         rotations = so3.multiply(rotations, self.rest_world_rotations[partners])
@@ -406,9 +412,11 @@ class _JointMirror:
         offset = values - self.rest_translations[joint_indices]
         world_offset = so3.rotate(self.parent_rotations[joint_indices], offset)
         inverse_parent = so3.conjugate(self.parent_rotations[partners])
-        mirrored_offset = so3.rotate(inverse_parent, world_offset * self.normal)
-        reflected = self.rest_translations[partners] + mirrored_offset
-        return np.where(self.is_kept[joint_indices, None], values, reflected)
+        mirrored_offset = so3.rotate(inverse_parent, world_offset * self.axis_signs)
+        mirrored_translations = self.rest_translations[partners] + mirrored_offset
+        return np.where(
+            self.is_kept[joint_indices, None], values, mirrored_translations
+        )
 
     def mirror_scales(self, values: FloatArray, joint_indices: IntArray) -> FloatArray:
         """Return local scales ``(..., A, 3)`` mapped to the joints' partners."""
@@ -416,9 +424,9 @@ class _JointMirror:
             so3.to_matrix(self.rest_world_rotations[k])
             for k in (joint_indices, self.partners[joint_indices])
         )
-        mirrored_axes = self.normal[:, None] * source_axes
-        change = np.swapaxes(partner_axes, -1, -2) @ mirrored_axes
-        mirrored_scales = np.asarray((change**2 @ values[..., None])[..., 0])
+        mirrored_axes = self.axis_signs[:, None] * source_axes
+        axis_map = np.swapaxes(partner_axes, -1, -2) @ mirrored_axes
+        mirrored_scales = np.asarray((axis_map**2 @ values[..., None])[..., 0])
         return np.where(self.is_kept[joint_indices, None], values, mirrored_scales)
 
 
@@ -431,15 +439,12 @@ def _mirrored_blocks(
     """Yield the mirrored motion."""
     partners = joint_mirror.partners
     for block in stream.blocks:
-        scales = block.scales
-        if scales is not None:
-            scales = _mirror_channel(scales, partners, joint_mirror.mirror_scales)
         yield Motion(
             _mirror_channel(
                 block.translations, partners, joint_mirror.mirror_translations
             ),
             _mirror_channel(block.rotations, partners, joint_mirror.mirror_rotations),
-            scales,
+            _swap_partners(block.scales, partners, joint_mirror.mirror_scales),
             _swap_partners(block.weights, shapes, lambda values, _: values),
             _swap_partners(block.controls, controls.partners, controls),
             block.track_times,
@@ -449,7 +454,7 @@ def _mirrored_blocks(
 def _swap_partners(
     channel: Channel | None, partners: IntArray, map_values: _ValueMap
 ) -> Channel | None:
-    """Return a channel with values mapped to partners; None stays None."""
+    """Mirror a channel; return None, or a channel of other rows, unchanged."""
     if channel is None or len(partners) != len(channel.rest):
         return channel
     return _mirror_channel(channel, partners, map_values)

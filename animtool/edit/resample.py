@@ -1,4 +1,4 @@
-"""Resampling of takes at other times."""
+"""Resampling of takes at another rate or at the time codes of an output."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock, frame_label, time_codes
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, Severity, warning
 from animtool.core.rates import FractionLike, rate_option, rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
@@ -104,9 +104,9 @@ def plan_samples(
     fractions = np.stack([p.fractions for p in positions]).T.ravel()[sort_order]
     end_position = frame_span - frame_shift  # of the take, in the same count
     last_frame = math.floor(end_position)
-    remainder = not extend and frame_numbers[-1] == last_frame
+    has_remainder = not extend and frame_numbers[-1] == last_frame
     if frame_range is not None and frame_range.last <= origin + last_frame:
-        remainder = False
+        has_remainder = False
     return SampleTimes(
         first,
         last,
@@ -116,7 +116,7 @@ def plan_samples(
         _dropped_samples(
             frame_numbers, frame_shift, ratio, clock.count, frames[fractions == 0]
         ),
-        end_position - last_frame if remainder else Fraction(0),
+        end_position - last_frame if has_remainder else Fraction(0),
     )
 
 
@@ -129,7 +129,7 @@ def _dropped_samples(
 ) -> int:
     """Return the number of source samples between result frames that are dropped.
 
-    ``shift`` [frame].
+    ``shift``: offset of result frames from the take's first frame [frame].
     """
     first_frame = max(frames[0], math.ceil(-shift))
     last_frame = min(frames[-1], math.floor((count - 1) / ratio - shift))
@@ -141,12 +141,12 @@ def _dropped_samples(
     positions = even_positions(index, shift, ratio, count)
     on_frames = positions.frames[positions.fractions == 0]
     used_samples = np.union1d(on_frames, sampled_frames)
-    is_between = (used_samples >= first_sample) & (used_samples <= last_sample)
-    return last_sample - first_sample + 1 - int(is_between.sum())
+    is_in_range = (used_samples >= first_sample) & (used_samples <= last_sample)
+    return last_sample - first_sample + 1 - int(is_in_range.sum())
 
 
 def _range_error(message: str) -> OptionError:
-    """Return the error of an invalid range (SCN021)."""
+    """Return the error of an invalid frame range (CLI005)."""
     return OptionError(Fault("CLI005", message))
 
 
@@ -179,7 +179,7 @@ def missing_frames_fault(
 
 
 def _covered_frames(
-    frame_range: FrameRange, start: Fraction, span: Fraction, *, extend: bool
+    frame_range: FrameRange, start: Fraction, frame_span: Fraction, *, extend: bool
 ) -> range:
     """Return the frames of the range that the take covers, from ``floor(start)``.
 
@@ -190,11 +190,11 @@ def _covered_frames(
     range_first, range_last = frame_range.first - origin, frame_range.last - origin
     if extend:
         return range(range_first, range_last + 1, step)
-    take_first, take_last = start - origin, start - origin + span
+    take_first, take_last = start - origin, start - origin + frame_span
     range_first += max(0, math.ceil((take_first - range_first) / step)) * step
     frames = range(range_first, min(range_last, math.floor(take_last)) + 1, step)
     if not frames:
-        raise OptionError(missing_frames_fault(frame_range, start, start + span))
+        raise OptionError(missing_frames_fault(frame_range, start, start + frame_span))
     return frames
 
 
@@ -220,7 +220,7 @@ def _source_samples(
 
 
 def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
-    """Return the note that a fraction of a frame is cut at the end [time codes]."""
+    """Return the note that a fraction of a frame is cut off at the end (TAKE006)."""
     message = (
         f"the take ends {float(dropped):.3g} frames ({float(dropped / fps):.3g} s) "
         f"after its last whole frame, {frame_label(last)}; that part is cut off"
@@ -237,7 +237,7 @@ def single_frame_warning(
     message = f"1 of {clock.count} frames remains, {frame_label(times.first)}: the "
     message += f"rate of {float(fps):.6g} fps and the range leave no second one"
     hint = "use a higher rate or a wider range; a still pose needs a range of one frame"
-    return [Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("TAKE010", message, hint)]
 
 
 def sample_blocks(
@@ -356,14 +356,14 @@ def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
     """Run the pass: resample at the new rate."""
     if options.fps is None:
         return take
-    settings = {"lowpass": options.lowpass, "smooth": options.smooth}
-    result = resampled(take, options.fps, **settings)
+    filter_options = {"lowpass": options.lowpass, "smooth": options.smooth}
+    result = resampled(take, options.fps, **filter_options)
     context.add_notices_once(result.notices[len(take.notices) :])
     return result
 
 
 def _checks(options: ResampleOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
+    """Return the checks of the options, by option name."""
     if options.fps is None:
         return {}
     fps = options.fps

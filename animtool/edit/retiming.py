@@ -1,4 +1,4 @@
-"""Takes trimmed, or played at another speed."""
+"""Trims takes, and plays them at another speed or along a time curve."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, Severity, refuse, warning
 from animtool.core.quantities import percent_hint
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
@@ -102,7 +102,9 @@ def _run_trim(
         first_index = max(0, first_index)
     if options.last is not None:
         last_index = nearest_index(options.last, "last", is_rounded_down=not in_shot)
-    hint = _trim_hint(options, first_code, stream.fps)
+    ends = {"first": options.first, "last": options.last}
+    stated_ends = {name: end for name, end in ends.items() if end is not None}
+    hint = seconds_hint(stated_ends, first_code, stream.fps)
     if last_index is not None and last_index < first_index:
         first = float(first_code) if options.first is None else options.first
         message = f"there is no frame from {first:g} to {options.last:g}; the take "
@@ -124,12 +126,6 @@ def _run_trim(
     )
 
 
-def _trim_hint(options: TrimOptions, start: Fraction, fps: Fraction) -> str | None:
-    ends = {"first": options.first, "last": options.last}
-    stated_ends = {name: end for name, end in ends.items() if end is not None}
-    return seconds_hint(stated_ends, start, fps)
-
-
 def _trim_blocks(
     stream: TakeStream,
     first_index: int,
@@ -141,7 +137,7 @@ def _trim_blocks(
 ) -> Iterator[Motion]:
     """Yield the frames of a range; refuse a range outside the take.
 
-    ``hint``: which frames the range means if it is in seconds.
+    ``hint``: the frames of a range that seems to be in seconds.
     """
     count = 0
     # The source is read to its end, which completes its notices.
@@ -160,9 +156,7 @@ def _trim_blocks(
             f"write frames from {float(start):g} to {float(last):g}",
         )
     if hint is not None and last_index == first_index and count > 1:
-        message = f"1 of {count} frames remains"
-        notice = Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)
-        stream.notices.append(notice)
+        stream.notices.append(warning("TAKE010", f"1 of {count} frames remains", hint))
     if last_index is not None and last_index >= count and not in_shot:
         requested_end = float(start + last_index * stream.step)
         message = f"last is {requested_end:g}, but the take ends at {float(last):g}, "
@@ -228,7 +222,8 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     # All in frames of the take, counted from its first.
     pivot_frame = (pivot_code - clock.start) / clock.step
     end_positions = sorted(
-        pivot_frame + (edge - pivot_frame) / rate for edge in (0, clock.count - 1)
+        pivot_frame + (end_frame - pivot_frame) / rate
+        for end_frame in (0, clock.count - 1)
     )
     first_index, last_index = math.ceil(end_positions[0]), math.floor(end_positions[1])
     if first_index > last_index:
@@ -270,8 +265,7 @@ def _resample_at(
 def _check_speed(speed: float) -> None:
     """Raise if the speed is 0 or not finite."""
     if not math.isfinite(speed) or speed == 0:
-        message = f"speed is {speed}; it must be finite and not 0"
-        raise OptionError(Fault("SCN016", message))
+        refuse("SCN016", f"speed is {speed}; it must be finite and not 0")
 
 
 def _percentage_warnings(
@@ -283,8 +277,7 @@ def _percentage_warnings(
     option = argument("speed", f"{speed:g}")
     message = f"{option} plays {abs(speed):g} times as fast: of {clock_before.count} "
     message += f"frames {clock_after.count} remain"
-    hint = percent_hint(speed)
-    return [Fault("SCN117", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("SCN117", message, percent_hint(speed))]
 
 
 def _run_time_scale(
@@ -362,8 +355,9 @@ def time_warp(
     first_index = math.ceil(ends[0] / clock.step)
     count = math.floor(ends[1] / clock.step) - first_index + 1
     if count < 1:
-        message = f"the curve from {first:g} to {last:g} contains no whole frame"
-        raise frame_error(message)
+        raise frame_error(
+            f"the curve from {first:g} to {last:g} contains no whole frame"
+        )
     check_count(count)
     start, step = float(clock.start), float(clock.step)
     result_start = clock.start + first_index * clock.step
@@ -387,10 +381,12 @@ def _check_curve_range(clock: Clock, values: FloatArray) -> None:
         message = f"the curve maps to frame {outside_values[0]:g}, but the take has "
         hint = None
         seconds = float(np.max(values))
-        code = float(clock.start) + seconds * float(clock.fps)
+        last_code = float(clock.start) + seconds * float(clock.fps)
         has_fractions = bool((values != np.round(values)).any())
-        if np.min(values) >= 0 and has_fractions and code <= last + 1:
-            hint = f"a curve has frames, not seconds: {seconds:g} s is frame {code:g}"
+        if np.min(values) >= 0 and has_fractions and last_code <= last + 1:
+            hint = (
+                f"a curve has frames, not seconds: {seconds:g} s is frame {last_code:g}"
+            )
         raise frame_error(f"{message}{first:g}-{last:g}", hint)
 
 

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.edit.combine import align_signs
@@ -124,11 +124,11 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
     joint = joint_index(rig, root, "root")
     if joint not in rig.parents:
         raise _root_error(f"{root!r} has no joint below it", "name one above the hips")
-    entry = rig.joints[joint]
+    root_joint = rig.joints[joint]
     translations, rotations = np.zeros((1, 3)), so3.IDENTITY[None]
     if keep:
-        translations = np.array([entry.translation])
-        rotations = np.array([entry.rotation])
+        translations = np.array([root_joint.translation])
+        rotations = np.array([root_joint.rotation])
     take = set_joint(take, joint, JointTransforms(translations, rotations))
     return _compact_take(take if keep else remove_joint(take, joint))
 
@@ -155,11 +155,11 @@ def _hips_index(take: Take, root: str, hips: str) -> int:
         raise _root_error(message, "remove the pass")
     has_root = root in rig.names
     topmost = rig.index(root) if has_root else rig.roots[0]
-    traveller_joint = travelling_joint(rig, take.motion, topmost, exclude_root=has_root)
-    if traveller_joint is None and has_root:
+    travelling = travelling_joint(rig, take.motion, topmost, exclude_root=has_root)
+    if travelling is None and has_root:
         children = (j for j, joint in enumerate(rig.joints) if joint.parent == topmost)
-        traveller_joint = next(children, topmost)
-    return topmost if traveller_joint is None else traveller_joint
+        travelling = next(children, topmost)
+    return topmost if travelling is None else travelling
 
 
 def _root_transforms(
@@ -168,19 +168,21 @@ def _root_transforms(
     """Return the local transform of the root joint that carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
-    has_root_axes = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
-    hips, root_frame = joint_frame(rig, motion, hip), joint_frame(rig, motion, root)
+    is_root_axis = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
+    hips_frame = joint_frame(rig, motion, hip)
+    root_frame = joint_frame(rig, motion, root)
     frame = parent_frame(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
         message = f"a joint above {rig.names[root]!r} has a scale of 0"
         raise _root_error(message, "set another scale")
-    position = np.where(has_root_axes, hips.position, root_frame.position)
+    position = np.where(is_root_axis, hips_frame.position, root_frame.position)
     offset = (position - frame.position)[..., None]
     translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
     rotations = motion.rotations.gather(np.array([root]))[:, 0]
     if yaw:
         inverse_rest = so3.conjugate(rest_rotation(rig, hip))
-        yaw_rotation = vertical_twist(so3.multiply(hips.rotation, inverse_rest), up)
+        from_rest = so3.multiply(hips_frame.rotation, inverse_rest)
+        yaw_rotation = vertical_twist(from_rest, up)
         full_rotation = so3.multiply(yaw_rotation, rest_rotation(rig, root))
         rotations = so3.multiply(so3.conjugate(frame.rotation), full_rotation)
     return JointTransforms(translations, rotations)
@@ -201,18 +203,18 @@ def _axes_warnings(take: Take, options: RootMotionOptions) -> list[Fault]:
     positions = joint_frame(rig, take.motion, hip).position
     travel = dict(zip("xyz", np.abs(positions[-1] - positions[0]), strict=True))
     (missing,) = set("xyz") - axes
-    moved = math.hypot(*(travel[axis] for axis in axes))
-    if travel[missing] < max(MIN_TRAVEL * rest_size(rig), MIN_RATIO * moved):
+    root_travel = math.hypot(*(travel[axis] for axis in axes))
+    if travel[missing] < max(MIN_TRAVEL * rest_size(rig), MIN_RATIO * root_travel):
         return []
-    written = "".join(sorted(axes))
+    names = "".join(sorted(axes))
     message = (
-        f"axes {written} has the up axis {up}, and lacks {missing}, along which "
+        f"axes {names} has the up axis {up}, and lacks {missing}, along which "
         f"{rig.names[hip]!r} travels {length_text(travel[missing])}: the root travels "
-        f"{length_text(moved)}"
+        f"{length_text(root_travel)}"
     )
     ground = "xyz".replace(up, "")
     hint = f"the ground of this take is {ground}: write 'axes: {ground}', or leave it "
-    return [Fault("SCN121", message, hint=f"{hint}out", severity=Severity.WARNING)]
+    return [warning("SCN121", message, f"{hint}out")]
 
 
 def _run(take: Take, options: RootMotionOptions, context: PassContext) -> Take:

@@ -54,11 +54,10 @@ def interpolation_errors(
         is_interpolated = np.ones(len(channel.animated), bool)
         if name in sampler.rows_on_curve:
             is_interpolated = ~sampler.rows_on_curve[name][channel.animated]
-        largest = _largest_error(channel, np.flatnonzero(is_interpolated), positions)
+        columns = np.flatnonzero(is_interpolated)
+        largest = _largest_error(name, channel, columns, positions)
         if largest is not None:
-            frame, column, largest_size = largest
-            channel_row = int(channel.animated[column])
-            errors.append(InterpolationError(name, channel_row, frame, largest_size))
+            errors.append(largest)
     return errors
 
 
@@ -102,14 +101,14 @@ def interpolation_notices(
 
 
 def _largest_error(
-    channel: Channel, columns: IntArray, positions: FramePositions
-) -> tuple[float, int, float] | None:
-    """Return frame, column and magnitude of the largest error in the given columns."""
+    name: str, channel: Channel, columns: IntArray, positions: FramePositions
+) -> InterpolationError | None:
+    """Return the largest error of the given columns of a channel."""
     (indices_between,) = np.nonzero(positions.fractions > 0)
     count = len(channel.values)
     if not len(indices_between) or not len(columns) or count < 3:
         return None
-    largest_error: tuple[float, int, float] | None = None
+    largest_error: InterpolationError | None = None
     for start in range(0, len(indices_between), BLOCK_FRAMES):
         block = indices_between[start : start + BLOCK_FRAMES]
         frames, fraction = positions.frames[block], positions.fractions[block]
@@ -127,10 +126,11 @@ def _largest_error(
         sizes = np.maximum(*second_differences[[before[worst], after[worst]]])
         sizes = sizes * factor[worst]
         column = int(np.argmax(sizes))
-        column_size = float(sizes[column])
-        if largest_error is None or column_size > largest_error[2]:
+        size = float(sizes[column])
+        if largest_error is None or size > largest_error.size:
             frame = float(frames[worst] + fraction[worst])
-            largest_error = (frame, int(columns[column]), column_size)
+            row = int(channel.animated[columns[column]])
+            largest_error = InterpolationError(name, row, frame, size)
     return largest_error
 
 

@@ -63,14 +63,14 @@ def thin_samples(
     tolerance of weights is `WEIGHT_TOLERANCE` [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
-    measure = _RestoredError(rig, codes, motion, bounds)
+    measure = _ThinningErrors(rig, codes, motion, bounds)
     kept_samples = _add_samples(measure, np.unique([0, len(codes) - 1]))
     for round_ in range(MAX_DROP_PASSES):
         kept_samples = _drop_alternate(measure, kept_samples, round_ % 2)
     return measure.report(kept_samples)
 
 
-def _add_samples(measure: _RestoredError, kept_samples: IntArray) -> IntArray:
+def _add_samples(measure: _ThinningErrors, kept_samples: IntArray) -> IntArray:
     """Split intervals at their worst sample until all are within the tolerance."""
     frames = np.setdiff1d(np.arange(len(measure.codes)), kept_samples)
     while len(frames):
@@ -98,9 +98,9 @@ def _add_samples(measure: _RestoredError, kept_samples: IntArray) -> IntArray:
 
 
 def _drop_alternate(
-    measure: _RestoredError, kept_samples: IntArray, first_dropped: int
+    measure: _ThinningErrors, kept_samples: IntArray, first_dropped: int
 ) -> IntArray:
-    """Drop those of every second sample whose removal stays within the tolerance."""
+    """Drop every second sample if its removal stays within the tolerance."""
     dropped_positions = np.arange(1 + first_dropped, len(kept_samples) - 1, 2)
     if not len(dropped_positions):
         return kept_samples
@@ -117,7 +117,7 @@ def _drop_alternate(
     return np.delete(kept_samples, dropped_positions[worst_ratios <= 1])
 
 
-class _RestoredError:
+class _ThinningErrors:
     """Measures the error of the motion interpolated from the kept samples."""
 
     def __init__(
@@ -135,33 +135,33 @@ class _RestoredError:
         positions = positions_between(self.codes[kept_samples], self.codes[frames])
         restored_motion = self.motion.select(kept_samples).map(positions.interpolate)
         original = self.original_world
-        truth = WorldTransforms(original.positions[frames], original.linear[frames])
+        original = WorldTransforms(original.positions[frames], original.linear[frames])
         world = restored_motion.world(self.rig)
-        weights = np.zeros(len(frames))
+        worst_errors = np.zeros(len(frames))
         if restored_motion.weights is not None and self.motion.weights is not None:
             original_weights = self.motion.weights.values[frames]
             weight_errors = np.abs(restored_motion.weights.values - original_weights)
-            weights = weight_errors.max(axis=(1, 2), initial=0.0)
-        return point_errors(self.points, truth, world), weights
+            worst_errors = weight_errors.max(axis=(1, 2), initial=0.0)
+        return point_errors(self.points, original, world), worst_errors
 
     def ratios(self, kept_samples: IntArray, frames: IntArray) -> FloatArray:
         """Return the largest error at each frame, divided by its tolerance ``(N,)``."""
-        joints, weights = self.errors(kept_samples, frames)
-        largest = (joints / self.bounds).max(axis=1, initial=0.0)
-        return np.asarray(np.maximum(largest, weights / WEIGHT_TOLERANCE))
+        joint_errors, weight_errors = self.errors(kept_samples, frames)
+        largest = (joint_errors / self.bounds).max(axis=1, initial=0.0)
+        return np.asarray(np.maximum(largest, weight_errors / WEIGHT_TOLERANCE))
 
     def report(self, kept_samples: IntArray) -> ThinnedSamples:
-        """Measure the errors of the kept samples; return both."""
+        """Return the kept samples with their errors."""
         count = len(self.codes)
-        joints, weights = self.errors(kept_samples, np.arange(count))
-        if not joints.shape[1]:
-            joints = np.zeros((count, 1))
-        frame, joint = divmod(int(np.argmax(joints)), joints.shape[1])
+        joint_errors, weight_errors = self.errors(kept_samples, np.arange(count))
+        if not joint_errors.shape[1]:
+            joint_errors = np.zeros((count, 1))
+        frame, joint = divmod(int(np.argmax(joint_errors)), joint_errors.shape[1])
         return ThinnedSamples(
             count,
             kept_samples,
-            float(joints[frame, joint]),
+            float(joint_errors[frame, joint]),
             joint,
             float(self.codes[frame]),
-            float(weights.max()),
+            float(weight_errors.max()),
         )

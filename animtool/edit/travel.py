@@ -27,7 +27,7 @@ class JointFrame:
 
 
 def parent_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
-    """Return the world frame that contains a joint's local transform."""
+    """Return the world frame of a joint's parent, in which the joint is local."""
     return _product_frame(motion, rig.upwards(joint)[:0:-1])
 
 
@@ -44,12 +44,12 @@ def rest_rotation(rig: Rig, joint: int) -> FloatArray:
     return rotation
 
 
-def _product_frame(motion: Motion, joints: list[int]) -> JointFrame:
+def _product_frame(motion: Motion, joint_indices: list[int]) -> JointFrame:
     """Multiply the local transforms of joints in order, the first leftmost."""
     position = np.zeros((motion.frames, 3))
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
-    for joint in joints:
+    for joint in joint_indices:
         local_values, local_rotation = (
             channel.gather(np.array([joint]))[:, 0]
             for channel in (motion.translations, motion.rotations)
@@ -149,10 +149,10 @@ def even_positions(
     shift = Fraction(offset)
     scale = ratio.denominator * shift.denominator
     numerator_step = ratio.numerator * shift.denominator
-    numerator = ratio.numerator * shift.numerator
+    offset_numerator = ratio.numerator * shift.numerator
     largest_index = max(abs(int(index[0])), abs(int(index[-1]))) + 1
-    if max(scale, abs(numerator_step) * largest_index + abs(numerator)) < 2**62:
-        numerators = index.astype(np.int64) * numerator_step + numerator
+    if max(scale, abs(numerator_step) * largest_index + abs(offset_numerator)) < 2**62:
+        numerators = index.astype(np.int64) * numerator_step + offset_numerator
         frames, remainders = np.divmod(numerators, scale)
         fractions = remainders / float(scale)
     else:
@@ -257,8 +257,10 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
             continue
         joints = [root] if main_joint == root else _travelling_joints(rig, motion, root)
         frame = joint_frame(rig, end_frames, main_joint)
-        change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
-        rotation = vertical_twist(change, up)
+        rotation_change = so3.multiply(
+            frame.rotation[1], so3.conjugate(frame.rotation[0])
+        )
+        rotation = vertical_twist(rotation_change, up)
         displacement = frame.position[1] - so3.rotate(rotation, frame.position[0])
         displacement = displacement - (displacement @ up) * up
         for joint in joints:
@@ -270,16 +272,16 @@ def _store_travel(
     travel: CycleTravel,
     joint: int,
     rig: Rig,
-    ends: Motion,
+    end_frames: Motion,
     world_rotation: FloatArray,
     displacement: FloatArray,
 ) -> None:
-    """Convert a world-space step to a joint's parent space, and store it."""
+    """Convert the travel of a cycle to a joint's parent space, and store it."""
     if rig.joints[joint].parent < 0:
         travel.rotations[joint], travel.shifts[joint] = world_rotation, displacement
         travel.linear[joint] = so3.to_matrix(world_rotation)
         return
-    frame = parent_frame(rig, ends, joint)
+    frame = parent_frame(rig, end_frames, joint)
     position, rotation, linear = frame.position[0], frame.rotation[0], frame.linear[0]
     if np.linalg.det(linear) == 0:
         return

@@ -24,7 +24,7 @@ from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 
 def joint_index(rig: Rig, name: str, option: str) -> int:
-    """Return the index of a joint."""
+    """Return the index of a joint that an option names (unknown joint: SCN012)."""
     if name not in rig.names:
         raise _unknown_joint_error(rig, name, option)
     return rig.index(name)
@@ -40,17 +40,17 @@ def match_joints(
     >>> match_joints(arm, ["a"], children=True)
     [0, 1]
     """
-    selected: set[int] = set()
+    joint_indices: set[int] = set()
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         matches = {i for i, name in enumerate(rig.names) if fnmatchcase(name, pattern)}
         if not matches:
             raise _unknown_joint_error(rig, pattern, "joints")
-        selected |= matches
+        joint_indices |= matches
     if children:
         for i, joint in enumerate(rig.joints):
-            if joint.parent in selected:
-                selected.add(i)
-    return sorted(selected)
+            if joint.parent in joint_indices:
+                joint_indices.add(i)
+    return sorted(joint_indices)
 
 
 def _unknown_joint_error(rig: Rig, name: str, option: str) -> OptionError:
@@ -69,7 +69,7 @@ EQUAL_VALUES = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class JointTransforms:
-    """The local transform of one joint: ``(F, 3)`` [m] and ``(F, 4)``, or one frame."""
+    """Local transforms of a joint: ``(F, 3)`` [m] and ``(F, 4)``, or one frame."""
 
     translations: FloatArray
     rotations: FloatArray
@@ -79,9 +79,9 @@ def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
     """Replace a joint's local transforms; its children keep their world transforms."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
-    family = np.concatenate([[joint], children])
-    translations = motion.translations.gather(family)
-    rotations = motion.rotations.gather(family)
+    joint_and_children = np.concatenate([[joint], children])
+    translations = motion.translations.gather(joint_and_children)
+    rotations = motion.rotations.gather(joint_and_children)
     inverse_rotations = so3.conjugate(transforms.rotations)
     rotation = so3.multiply(inverse_rotations, rotations[:, 0])[:, None]
     is_rotated = so3.angle_between(transforms.rotations, rotations[:, 0]) > EQUAL_VALUES
@@ -94,8 +94,8 @@ def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
     translations[:, 0], rotations[:, 0] = transforms.translations, transforms.rotations
     motion = replace(
         motion,
-        translations=motion.translations.put(family, translations),
-        rotations=motion.rotations.put(family, rotations),
+        translations=motion.translations.put(joint_and_children, translations),
+        rotations=motion.rotations.put(joint_and_children, rotations),
     )
     return replace(take, motion=motion)
 
@@ -186,12 +186,12 @@ def _move_scale_to_children(take: Take, joint: int) -> Take:
     scale = _joint_scale(take, joint, np.ones(1, np.bool_))[:, None]
     children = np.flatnonzero(take.rig.parents == joint)
     translations = take.motion.translations
-    family = np.concatenate([[joint], children])
-    sizes = scales.gather(family) * scale
+    joint_and_children = np.concatenate([[joint], children])
+    sizes = scales.gather(joint_and_children) * scale
     sizes[:, 0] = 1.0
     motion = replace(
         take.motion,
-        scales=scales.put(family, sizes),
+        scales=scales.put(joint_and_children, sizes),
         translations=translations.put(children, translations.gather(children) * scale),
     )
     return replace(take, motion=motion)
@@ -238,31 +238,33 @@ def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
 
 def _referenced_joints(rig: Rig) -> set[str]:
     """Return the joints that other parts of a rig reference."""
-    skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
-    chains = [(chain.root, chain.tip) for chain in rig.chains]
-    groups = [*skins, *chains, *(entry.joints for entry in rig.attach)]
-    drives = [drive.target for control in rig.controls for drive in control.drives]
-    paths = [target.partition("/") for target in drives]
-    driven_joints = [name.split(".")[0] for kind, _, name in paths if kind == "joint"]
-    drivers = [
+    names = {name for chain in rig.chains for name in (chain.root, chain.tip)}
+    names.update(*(mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None))
+    names.update(*(entry.joints for entry in rig.attach))
+    for control in rig.controls:
+        for drive in control.drives:
+            kind, _, name = drive.target.partition("/")
+            if kind == "joint":
+                names.add(name.split(".")[0])
+    drivers = (
         *(joint.driven for joint in rig.joints),
         *(shape.driven for shape in rig.shapes),
         *(control.driven for control in rig.controls),
-    ]
-    groups += [
-        tuple(split_coordinate(name)[0] for name in driver.names)
-        for driver in filter(None, drivers)
-    ]
-    groups.append(tuple(entry.name for entry in rig.joints if entry.driven is not None))
-    groups.append(tuple(j.mimic.joint for j in rig.joints if j.mimic is not None))
-    groups.append(tuple(collider.joint for collider in rig.colliders))
-    groups.append(tuple(mass.joint for mass in rig.masses))
-    return {name for group in groups for name in group}.union(driven_joints)
+    )
+    for driver in filter(None, drivers):
+        names.update(split_coordinate(name)[0] for name in driver.names)
+    for joint in rig.joints:
+        if joint.driven is not None:
+            names.add(joint.name)
+        if joint.mimic is not None:
+            names.add(joint.mimic.joint)
+    names.update(collider.joint for collider in rig.colliders)
+    return names.union(mass.joint for mass in rig.masses)
 
 
 @dataclass(frozen=True, slots=True)
 class HangOptions:
-    """The joint, and the rope particle that carries it.
+    """The joint to attach, and the rope particle that carries it.
 
     Attributes:
         joint: A free joint of the rig; its descendants move with it.
@@ -337,15 +339,15 @@ def _shortest_rotations(
     start_directions: FloatArray, end_directions: FloatArray
 ) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` between directions ``(F, 3)``."""
-    sizes = [
+    lengths = [
         np.linalg.norm(v, axis=1, keepdims=True)
         for v in (start_directions, end_directions)
     ]
     # A segment without length has no direction.
-    is_zero = (sizes[0] == 0) | (sizes[1] == 0)
+    is_zero = (lengths[0] == 0) | (lengths[1] == 0)
     a, b = (
-        np.divide(v, size, out=np.zeros_like(v), where=size > 0)
-        for v, size in zip((start_directions, end_directions), sizes, strict=True)
+        np.divide(v, length, out=np.zeros_like(v), where=length > 0)
+        for v, length in zip((start_directions, end_directions), lengths, strict=True)
     )
     cross = np.cross(a, b)
     sine = np.linalg.norm(cross, axis=1, keepdims=True)
@@ -416,7 +418,7 @@ def _run(take: Take, options: HangOptions, context: PassContext) -> Take:
 
 
 def _checks(options: HangOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
+    """Return the checks of the options, by option name."""
     return {
         "joint": lambda: _require_option(options, "joint"),
         "system": lambda: _require_option(options, "system"),

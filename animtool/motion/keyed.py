@@ -10,7 +10,7 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.errors import Fault, OptionError, excerpt, refuse
 from animtool.core.names import most_similar
 from animtool.core.quantities import percent_hint
 from animtool.maths.curves import cubic_curves, evaluate
@@ -133,5 +133,4 @@ def _check_weight(weight: float, bounded: bool) -> None:
         raise OptionError(Fault("SCN014", f"a weight is {weight}, which is not finite"))
     if bounded and not 0 <= weight <= 1:
         hint = percent_hint(weight) if 1 < weight <= 100 else None
-        message = f"weight {weight:g} is not between 0 and 1"
-        raise OptionError(Fault("SCN014", message, hint=hint))
+        refuse("SCN014", f"weight {weight:g} is not between 0 and 1", hint=hint)

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
-from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.errors import Fault, OptionError, counted, refuse
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
@@ -66,8 +66,7 @@ class Markers:
             raise OptionError(Fault("MKR001", message))
         if len(set(self.names)) < len(self.names):
             duplicate = next(n for n in self.names if self.names.count(n) > 1)
-            message = f"two markers are called {duplicate!r}"
-            raise OptionError(Fault("MKR002", message))
+            refuse("MKR002", f"two markers are called {duplicate!r}")
 
     @property
     def visible(self) -> BoolArray:

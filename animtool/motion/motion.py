@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import refuse
 from animtool.core.old_names import rename_attributes
 from animtool.core.record import dataclass
 from animtool.rig.kinematics import WorldTransforms
@@ -116,8 +116,7 @@ class Channel:
         [0, 1]
         """
         if values.ndim != 3 or not len(values):
-            message = f"values must have shape (F, J, K), not {values.shape}"
-            raise OptionError(Fault("TAKE001", message))
+            refuse("TAKE001", f"values must have shape (F, J, K), not {values.shape}")
         return Channel(values[0].copy(), np.arange(values.shape[1]), values).compact()
 
     @staticmethod

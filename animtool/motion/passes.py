@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, cast
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.errors import Fault, OptionError, excerpt, listed, refuse
 from animtool.core.names import nearest
 from animtool.core.old_names import old_objects, rename_attributes, renamed_arguments
 from animtool.core.plugins import (
@@ -154,8 +154,7 @@ RETIMED_PARTS = MOTION_PARTS | {TakePart.CLOCK, TakePart.TRACKS, TakePart.POINTS
 def required_take_path(path: Path | None, option: str = "take") -> Path:
     """Return the path of another take from an option; raises if it is missing."""
     if path is None:
-        message = f"{option} must name a file with another take"
-        raise OptionError(Fault("SCN024", message))
+        refuse("SCN024", f"{option} must name a file with another take")
     return path
 
 

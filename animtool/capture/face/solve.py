@@ -35,6 +35,7 @@ from animtool.core.errors import (
     counted,
     listed,
     names_fault,
+    refuse,
 )
 from animtool.core.quantities import plain_number
 from animtool.maths import so3
@@ -108,8 +109,7 @@ def fit_face(
     visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     is_usable = visible.sum(axis=1) >= MIN_LANDMARKS
     if not is_usable.any():
-        message = f"no frame has {MIN_LANDMARKS} landmarks or more"
-        raise OptionError(Fault("FAC005", message))
+        refuse("FAC005", f"no frame has {MIN_LANDMARKS} landmarks or more")
     moving = model.shapes_with_motion()
     if not moving.any():
         message = "no shape moves a landmark"

@@ -10,7 +10,7 @@ from animtool.capture.face.fit import FaceFit
 from animtool.capture.face.model import FaceModel, rms_spread
 from animtool.capture.face.solve import fit_face
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, names_fault
+from animtool.core.errors import Fault, OptionError, Severity, names_fault, refuse
 from animtool.core.record import dataclass
 from animtool.rig.remap import RemapFile, ShapeLinks, link_shapes
 
@@ -116,8 +116,7 @@ def _target_landmarks(
         name for name in target_face.names if name in set(source_face.names)
     ]
     if len(shared_names) < 4:
-        message = f"the faces share {len(shared_names)} landmarks; 4 are needed"
-        raise OptionError(Fault("FAC004", message))
+        refuse("FAC004", f"the faces share {len(shared_names)} landmarks; 4 are needed")
     columns = {name: i for i, name in enumerate(source)}
     source_weights = np.stack(
         [
