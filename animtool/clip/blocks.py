@@ -67,21 +67,21 @@ class _BlockSampler:
     rig: Rig
     clamp: bool
     _worst: dict[tuple[str, str], ClipNotice] = field(default_factory=dict, init=False)
-    _run: DriverRun | None = field(default=None, init=False)
+    _driver_run: DriverRun | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         if self.rig.is_driven:
             from animtool.motion.driver_run import DriverRun
 
-            self._run = DriverRun(self.rig, report_replaced=True)
+            self._driver_run = DriverRun(self.rig, report_replaced=True)
 
     def sample_motion(self, times: FloatArray) -> Motion:
         """Return the motion of the rig at the given times."""
         first, last = float(times.min()), float(times.max())
-        channels_near = [_near_keys(channel, first, last) for channel in self.channels]
-        values = evaluate_channels(channels_near, times)
+        channels = [_with_nearby_keys(c, first, last) for c in self.channels]
+        values = evaluate_channels(channels, times)
         sampled = sample_values(
-            values, self.rig, times, clamp=self.clamp, run=self._run
+            values, self.rig, times, clamp=self.clamp, run=self._driver_run
         )
         for notice in sampled.clip_notices:
             key = notice.fault.code, notice.target
@@ -95,11 +95,11 @@ class _BlockSampler:
             with_keys(notice, self.channels, self.rig, times)
             for notice in self._worst.values()
         ]
-        driven = [] if self._run is None else self._run.located_notices()
+        driven = [] if self._driver_run is None else self._driver_run.located_notices()
         return [*notices, *(ClipNotice(*notice) for notice in driven)]
 
 
-def _near_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
+def _with_nearby_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
     """Return a channel with only the keys that affect values between two times."""
     has_few_keys = len(channel.times) < MANY_KEYS
     if has_few_keys or not {channel.pre, channel.post} <= _END_MODES:

@@ -178,19 +178,6 @@ class ClipUnits:
         return self.angle if part == "angle" or euler else 1.0
 
 
-_ROTATION_KINDS = {
-    Interp.STEP: RotationKind.STEP,
-    Interp.SLERP: RotationKind.SLERP,
-    Interp.SQUAD: RotationKind.SQUAD,
-    Interp.SPLINE: RotationKind.SPLINE,
-}
-
-
-def rotation_kinds(channel: ClipChannel) -> IntArray:
-    """Return the interpolation of a quaternion channel after each key ``(K,)``."""
-    return np.array([_ROTATION_KINDS[interp] for interp in channel.interps], np.int64)
-
-
 def component_curves(channels: Sequence[ClipChannel]) -> Curves:
     """Return the components of channels as C = ΣD scalar curves, in order.
 
@@ -202,8 +189,8 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
     channel_curves = [_channel_curves(channel) for channel in channels]
     # Arrays without rows, for a concatenation without channels.
     no_values, no_handles = np.zeros(0), np.zeros((0, 2))
-    empty = no_values, no_values, np.zeros(0, np.int64), no_handles, no_handles
-    columns = zip(empty, *channel_curves, strict=True)
+    empty_arrays = no_values, no_values, np.zeros(0, np.int64), no_handles, no_handles
+    columns = zip(empty_arrays, *channel_curves, strict=True)
     times, values, kinds, ins, outs = (np.concatenate(column) for column in columns)
     by_component = [channel for channel in channels for _ in channel.values.T]
     key_counts = [len(channel.times) for channel in by_component]
@@ -278,23 +265,25 @@ def _evaluate_rotation_channels(
     channels: list[ClipChannel], times: FloatArray
 ) -> dict[str, FloatArray]:
     """Return the rotations ``(F, 4)`` of every target; equal key times are batched."""
-    by_timing: dict[tuple[object, ...], list[ClipChannel]] = {}
+    channels_by_timing: dict[tuple[object, ...], list[ClipChannel]] = {}
     for channel in channels:
         timing = channel.interps, channel.pre, channel.post
-        by_timing.setdefault((channel.times.tobytes(), *timing), []).append(channel)
+        channels_by_timing.setdefault((channel.times.tobytes(), *timing), []).append(
+            channel
+        )
     batch_size = max(1, ROTATION_BATCH // max(len(times), 1))
     values: dict[str, FloatArray] = {}
     groups = (
-        indices[start : start + batch_size]
-        for indices in by_timing.values()
-        for start in range(0, len(indices), batch_size)
+        same_timing[start : start + batch_size]
+        for same_timing in channels_by_timing.values()
+        for start in range(0, len(same_timing), batch_size)
     )
     for group in groups:
         first_channel = group[0]
         rotations = evaluate_rotations(
             first_channel.times,
             np.stack([channel.values for channel in group], axis=1),
-            rotation_kinds(first_channel),
+            np.array([RotationKind[i.name] for i in first_channel.interps], np.int64),
             times,
             first_channel.pre,
             first_channel.post,

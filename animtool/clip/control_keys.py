@@ -1,4 +1,4 @@
-"""Control keys solved from a take's joints and shapes."""
+"""Solves the keys of controls from a take's joints and shapes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
 
 
 def solve_take_controls(
-    take: Take, rig: Rig, joints: Sequence[JointMotion], same: Tolerances
+    take: Take, rig: Rig, joints: Sequence[JointMotion], tolerances: Tolerances
 ) -> SolvedControls:
     """Return control values that reproduce a take.
 
@@ -63,17 +63,17 @@ def solve_take_controls(
         start |= keys_of_control_channel(controls, take_controls)
     if rig.is_driven:
         start |= {name: defaults[name] for name in plan_of(rig).controls}
-    start_values = evaluate_controls(controls, start).targets
-    goals, keyed = required_control_values(
-        rig, joints, set(start_values), start_values, same
+    start_targets = evaluate_controls(controls, start).targets
+    goals, unreachable = required_control_values(
+        rig, joints, set(start_targets), start_targets, tolerances
     )
     shapes = uncombined_weights_of(take, rig)
     for shape, value in shapes.items():
-        if f"shape/{shape}" in start_values:
+        if f"shape/{shape}" in start_targets:
             goals[f"shape/{shape}"] = value
     goals = {t: np.broadcast_to(value, (frames,)) for t, value in goals.items()}
-    tolerances = {target: same.tolerance_of(target) for target in goals}
-    solution = solve_controls(controls, goals, tolerances, start, keyed=keyed)
+    tolerance_of = {target: tolerances.tolerance_of(target) for target in goals}
+    solution = solve_controls(controls, goals, tolerance_of, start, keyed=unreachable)
     values = {
         c.name: _snap_to_constant(solution.values[c.name], c.default) for c in controls
     }
@@ -91,9 +91,9 @@ def keys_of_control_channel(
 
 
 def keyable_controls(rig: Rig) -> Sequence[Control]:
-    """Return a rig's controls without drives of unkeyable targets.
+    """Return a rig's controls without their drives of targets that cannot be keyed.
 
-    Targets driven by joint coordinates, directly or indirectly, are unkeyable.
+    Targets driven by joint coordinates, directly or indirectly, cannot be keyed.
     """
     if not rig.is_driven:
         return rig.controls
@@ -128,7 +128,7 @@ class FittedControls:
     channels: list[ReducedChannel]  # one channel each, in the rig's order
     # Values of every control from its keys, by target ``(F or 1, 1)``.
     values: dict[str, FloatArray]
-    moving_count: int  # number of samples of the moving channels
+    sample_count: int  # number of samples of the moving channels
 
     @property
     def values_by_name(self) -> dict[str, FloatArray]:
@@ -177,7 +177,7 @@ def fit_controls(
 
 
 class _Effect:
-    """Measures the errors that changed control values cause in a take."""
+    """Measures the errors of a take that result from changed control values."""
 
     def __init__(
         self,

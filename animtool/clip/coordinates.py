@@ -128,28 +128,28 @@ def _with_best_revolution(
 ) -> JointMotion:
     """Return a pin's motion, shifted by full revolutions to fit its mimic joints."""
     joint, joint_motion = rig.joints[j], motions[j]
-    followers = [
-        (motions[i], follower.mimic, follower.type)
-        for i, follower in enumerate(rig.joints)
-        if follower.mimic is not None and follower.mimic.joint == joint.name
+    mimic_joints = [
+        (motions[i], mimic_joint.mimic, mimic_joint.type)
+        for i, mimic_joint in enumerate(rig.joints)
+        if mimic_joint.mimic is not None and mimic_joint.mimic.joint == joint.name
     ]
 
-    def misfit_cost(revolutions: int) -> tuple[bool, float, int]:
+    def mismatch_cost(revolutions: int) -> tuple[bool, float, int]:
         """Return the sort key of a shift by full revolutions; smaller fits better."""
         angle = joint_motion.coordinate + 2 * np.pi * revolutions
-        has_misfit = False
-        for motion, mimic, follower_type in followers:
+        has_mismatch = False
+        for motion, mimic, joint_type in mimic_joints:
             differences = motion.coordinate - (mimic.gain * angle + mimic.offset)
-            is_pin = follower_type is JointType.PIN
+            is_pin = joint_type is JointType.PIN
             differences = _wrap_angles(differences) if is_pin else differences
             tolerance = tolerances.angle if is_pin else tolerances.length
-            has_misfit |= bool(np.abs(differences).max(initial=0.0) > tolerance)
+            has_mismatch |= bool(np.abs(differences).max(initial=0.0) > tolerance)
         excess = 0.0
         if isinstance(joint.limits, RangeLimit):
             excess = float(np.abs(joint.limits.excess(angle)).max(initial=0.0))
-        return has_misfit, round(excess, 9), abs(revolutions)
+        return has_mismatch, round(excess, 9), abs(revolutions)
 
-    revolutions = min(range(-MAX_REVOLUTIONS, MAX_REVOLUTIONS + 1), key=misfit_cost)
+    revolutions = min(range(-MAX_REVOLUTIONS, MAX_REVOLUTIONS + 1), key=mismatch_cost)
     coordinate = joint_motion.coordinate + 2 * np.pi * revolutions
     return replace(joint_motion, coordinate=coordinate)
 
@@ -163,8 +163,8 @@ def required_control_values(
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Return the values that controls must add to joints, and unreachable targets.
 
-    Returns values ``(F or 1,)`` by target, and the targets of joints that also move
-    along axes that no control drives.
+    The values ``(F or 1,)`` are by target. Targets are unreachable if their joints also
+    move along axes that no control drives.
     """
     requested_values: dict[str, FloatArray] = {}
     keyed_names: set[str] = set()
@@ -228,16 +228,16 @@ def joint_tracks(
     leader_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
     for j in (*leader_indices, *mimic_indices):
         joint = rig.joints[j]
-        joint_to_key = _KeyedJoint(
+        keyed_joint = _KeyedJoint(
             joint, j, motions[j], control_values, fitted_values, tolerances
         )
-        driven_value = joint_to_key.driven_values(COORDINATE_PARTS.get(joint.type, ""))
+        driven_value = keyed_joint.driven_values(COORDINATE_PARTS.get(joint.type, ""))
         if joint.mimic is not None:
             mimic = joint.mimic
             leader = coordinates.get(mimic.joint, np.zeros(1))
             mimic_value = mimic.gain * leader + mimic.offset
             driven_value = mimic_value if mimic_value.any() else driven_value
-        tracks[j] = list(joint_to_key.key_tracks(driven_value))
+        tracks[j] = list(keyed_joint.key_tracks(driven_value))
         keyed_parts = {track.part for track in tracks[j]}
         coordinates[joint.name] = driven_value
         if keyed_parts & {"angle", "slide"}:
@@ -283,9 +283,10 @@ class _KeyedJoint:
     def _translation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
         """Yield tracks of the slide or translation that controls do not produce."""
         motion, joint, tolerances = self.motion, self.joint, self.tolerances
-        rest_translation, rest_r = np.array(joint.translation), np.array(joint.rotation)
+        rest_translation = np.array(joint.translation)
+        rest_rotation = np.array(joint.rotation)
         if motion.shift_error > tolerances.length and not motion.is_shift_at_rest:
-            local = rest_translation + so3.rotate(rest_r, motion.shift)
+            local = rest_translation + so3.rotate(rest_rotation, motion.shift)
             yield self._track(ChannelKind.TRANSLATION, "local_translation", local)
         elif joint.type is JointType.PRISMATIC:
             difference = motion.coordinate - expected
@@ -296,7 +297,7 @@ class _KeyedJoint:
                     ChannelKind.TRANSLATION,
                     "slide",
                     (motion.coordinate - driven_part)[:, None],
-                    rest_translation + so3.rotate(rest_r, driven_vector),
+                    rest_translation + so3.rotate(rest_rotation, driven_vector),
                 )
         elif joint.type is JointType.FREE:
             difference = motion.shift - self.driven_vectors("translation")
@@ -306,7 +307,7 @@ class _KeyedJoint:
                     ChannelKind.TRANSLATION,
                     "translation",
                     motion.shift - driven_part,
-                    rest_translation + so3.rotate(rest_r, driven_part),
+                    rest_translation + so3.rotate(rest_rotation, driven_part),
                 )
 
     def _rotation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:

@@ -8,24 +8,31 @@ from fractions import Fraction
 from pathlib import Path
 from typing import NoReturn
 
-from animtool.clip.array_keys import with_array_keys
-from animtool.clip.channel_entries import ChannelReader
+import numpy as np
+
+from animtool.clip.channel_entries import CurveReader
 from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
 from animtool.clip.clip import Clip
+from animtool.clip.plain_keys import PlainKeys
 from animtool.clip.schema import ChannelModel, ClipModel
 from animtool.clip.suspicions import warn_of_numbers
 from animtool.clip.suspicious_times import warn_of_times
 from animtool.core.arguments import argument, clause
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError, listed
-from animtool.core.files.reading import exists
+from animtool.core.files.reading import exists, not_a_file_reason
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
+from animtool.documents.arrays import Archives
 from animtool.documents.check import check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.fields import MAX_FRAME
-from animtool.documents.references import missing_hint, resolve_reference
+from animtool.documents.fields import MAX_FRAME, MAX_NUMBER
+from animtool.documents.references import (
+    missing_hint,
+    resolve_reference,
+    split_reference,
+)
 from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
 
@@ -36,6 +43,8 @@ _REPLACED_BY = {
     "rotation": "local_rotation",
     "angle": "local_rotation",
 }
+# Array name of a reference without a name.
+DEFAULT_ARRAY = "keys"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +75,60 @@ def open_clip(path: Path | str) -> ClipFile:
 def clip_of_document(document: Document) -> ClipFile:
     """Return the unchecked clip file of a document; see `open_clip`."""
     check_version(document, "clip")
-    model = with_array_keys(document, validate_document(document, ClipModel))
+    model = _with_array_keys(document, validate_document(document, ClipModel))
     rig = None
     if model.rig is not None:
         roots = project_roots(document.path)
         rig = resolve_reference(document, ("rig",), model.rig, roots)
     return ClipFile(document, model, rig)
+
+
+def _with_array_keys(document: Document, model: ClipModel) -> ClipModel:
+    """Return a clip whose references to arrays are replaced by their keys.
+
+    Channels whose array is faulty have no keys (CLIP016, DOC014, DOC015).
+    """
+    channels = list(model.channels)
+    with Archives() as archives:
+        for i, channel in enumerate(channels):
+            keys: object = channel.keys
+            if isinstance(keys, str):
+                location = ("channels", i, "keys")
+                array_keys = _load_keys(document, location, keys, archives)
+                channels[i] = channel.model_copy(update={"keys": array_keys})
+    return model.model_copy(update={"channels": channels})
+
+
+def _load_keys(
+    document: Document, location: Location, text: str, archives: Archives
+) -> PlainKeys | list[object]:
+    """Return the keys of an array reference; an empty list if it is faulty."""
+    name, array = split_reference(text, DEFAULT_ARRAY)
+    if document.is_placeholder(location):
+        return []
+    path = resolve_reference(document, location, name, project_roots(document.path))
+    reason = None if path is None else not_a_file_reason(path)
+    if reason is not None:
+        hint = missing_hint(document, name)
+        document.add("DOC015", location, f"{name!r} {reason}", hint)
+    if path is None or reason is not None:
+        return []
+    try:
+        key_rows = archives.load(path, array)
+    except ValueError as error:
+        document.add("CLIP016", location, str(error))
+        return []
+    if key_rows.ndim != 2 or not len(key_rows) or key_rows.shape[1] < 2:
+        message = f"{text!r} has shape {key_rows.shape}, not (K, 1 + D)"
+        hint = "write a row for each key: its time, then its value"
+        document.add("CLIP016", location, message, hint)
+        return []
+    if not (np.abs(key_rows) <= MAX_NUMBER).all():
+        message = f"{text!r} has a number beyond {MAX_NUMBER:.0e}"
+        document.add("CLIP016", location, message)
+        return []
+    times, values = map(np.ascontiguousarray, (key_rows[:, 0], key_rows[:, 1:]))
+    return PlainKeys(times, values, text)
 
 
 def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
@@ -144,11 +201,9 @@ def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
     return units
 
 
-# Targets of which none is in a rig, so that the rig is at fault and not their names.
-MIN_TARGETS = 3
-# Fraction of targets that only another rig lacks, and of these, the fraction with names
-# similar to those of the rig that are typing errors.
-MIN_UNKNOWN, MIN_GUESSED = 0.6, 0.5
+# Number and fraction of unknown targets from which the clip is for another rig, unless
+# this fraction of them has names similar to those of the rig: typing errors.
+MIN_TARGETS, MIN_UNKNOWN, MIN_GUESSED = 3, 0.6, 0.5
 
 
 class _ClipReader:
@@ -164,7 +219,6 @@ class _ClipReader:
         self.document, self.model, self.rig = document, model, rig
         self.named_rig = named_rig
         self.units = file_units(model, rig)
-        self.curves = ChannelReader(document)
 
     def read_clip(self) -> Clip:
         """Return the clip; record its faults."""
@@ -194,23 +248,25 @@ class _ClipReader:
         return Clip(name, fps, first, last, tuple(channels), notices)
 
     def _add_rig_fault(self) -> None:
-        """Record a single fault if the clip is for another rig, not one per channel."""
+        """Replace faults of channels by a single one if the clip is for another rig."""
         faults, count = self.document.faults, len(self.model.channels)
         unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
         if self.rig is None or not unknown_targets:
             return
-        guesses = sum("did you mean" in (fault.hint or "") for fault in unknown_targets)
-        is_other = len(unknown_targets) >= max(MIN_TARGETS, MIN_UNKNOWN * count)
-        is_other &= guesses < MIN_GUESSED * len(unknown_targets)
+        guess_count = sum(
+            "did you mean" in (fault.hint or "") for fault in unknown_targets
+        )
+        is_for_other_rig = len(unknown_targets) >= max(MIN_TARGETS, MIN_UNKNOWN * count)
+        is_for_other_rig &= guess_count < MIN_GUESSED * len(unknown_targets)
         is_for_named_rig = self._named_rig_has_all()
-        if not is_other and not is_for_named_rig:
+        if not is_for_other_rig and not is_for_named_rig:
             return
-        lacks = f"has none of the {count} targets"
+        lacks_text = f"has none of the {count} targets"
         if len(unknown_targets) < count:
-            lacks = f"lacks {len(unknown_targets)} of the {count} targets"
+            lacks_text = f"lacks {len(unknown_targets)} of the {count} targets"
         subjects = (fault.message.removeprefix("unknown ") for fault in unknown_targets)
         names = listed(list(dict.fromkeys(subjects)), 4)
-        message = f"rig {self.rig.name!r} {lacks}: {names}"
+        message = f"rig {self.rig.name!r} {lacks_text}: {names}"
         hint = "is it the right rig?"
         rig_fault = replace(unknown_targets[0], message=message, hint=hint)
         if is_for_named_rig:
@@ -274,10 +330,11 @@ class _ClipReader:
     def _read_channel(
         self, location: Location, model: ChannelModel
     ) -> ClipChannel | None:
-        """Return the channel of an entry; None with a fault."""
+        """Return the channel of an entry; None if it has no keys or is faulty."""
         if not len(model.keys):
             return None
-        self.curves.check_curve(location, model)
+        reader = CurveReader(self.document, location, model)
+        reader.check()
         target_location = (*location, "target")
         kind = target_kind(model.target, self.rig)
         if isinstance(kind, Fault):
@@ -286,7 +343,7 @@ class _ClipReader:
         if self.document.is_placeholder(target_location):
             return None
         unit = self.units.unit_of(model.target, model.euler or "")
-        return self.curves.read_channel(location, model, model.target, kind, unit)
+        return reader.read_channel(model.target, kind, unit)
 
 
 def read_range(

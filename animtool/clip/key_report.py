@@ -1,4 +1,4 @@
-"""Errors of a keyed take by channel, and notes on motion beyond the rig."""
+"""Errors of a keyed take by channel, and notes on motion that a rig cannot produce."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def channel_errors(
     motions = take.motion, keyed
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
 
-    def errors(target: str) -> tuple[FloatArray, str | None]:
+    def target_errors(target: str) -> tuple[FloatArray, str | None]:
         """Return the error of a target in every frame, and its unit."""
         group, _, name = target.partition("/")
         if group == "control":
@@ -76,7 +76,7 @@ def channel_errors(
 
     reports = []
     for channel in clip.channels:
-        frame_errors, unit = errors(channel.target)
+        frame_errors, unit = target_errors(channel.target)
         frame = int(np.argmax(frame_errors))
         error, code = float(frame_errors[frame]), float(take.clock.times[frame])
         reports.append(ChannelError(channel.target, error, unit, code))
@@ -86,7 +86,7 @@ def channel_errors(
 def _value_errors(
     channels: Sequence[Channel | None], index: int, default: float
 ) -> FloatArray:
-    """Return the difference of an element of two channels; ``default`` if missing."""
+    """Return the errors ``(F,)`` between a row of two channels, or a default value."""
     take_values, keyed_values = (
         np.full((1, 1, 1), default) if c is None else c.gather(np.array([index]))
         for c in channels
@@ -115,7 +115,7 @@ _Note = tuple[str, str, str | None]
 
 
 def _released_notes(solution: SolvedControls) -> Iterator[_Note]:
-    """Yield a note on controls for which no values reproduce their targets."""
+    """Yield a note on controls that have no values that reproduce their targets."""
     if solution.released_names:
         names = listed(solution.released_names, MAX_NAMES)
         message = f"controls not keyed: no values of {names} reproduce what they drive"
@@ -155,7 +155,7 @@ def _additional_motion_notes(
 def _off_type_notes(
     rig: Rig, joints: Sequence[JointMotion], tracks: Sequence[KeyTrack]
 ) -> Iterator[_Note]:
-    """Yield notes on joints that move beyond their types."""
+    """Yield notes on joints whose motion their types do not allow."""
     units = ClipUnits.of_rig(rig)
     for track in tracks:
         if not track.part:

@@ -72,7 +72,7 @@ class KeyedTake:
     reduction: Reduction
     controls: tuple[str, ...]  # names of the rig's controls that have keys
     errors: tuple[ChannelError, ...]  # largest error of each channel
-    # Notes on controls, joint types and mimics that the take departs from.
+    # Notes on controls, joint types and mimics that the take does not follow.
     notices: tuple[Fault, ...]
 
 
@@ -104,9 +104,9 @@ def fit_take_keys(
     bounds = joint_bounds(rig, tolerance, other_tolerances)
     smallest_tolerance = float(bounds.min()) if len(bounds) else tolerance
     tolerances = _rounding_differences(rig, smallest_tolerance)
-    joints = relative_joint_motions(rig, take.motion, tolerances)
+    joint_motions = relative_joint_motions(rig, take.motion, tolerances)
     if base is None:
-        solution = solve_take_controls(take, rig, joints, tolerances)
+        solution = solve_take_controls(take, rig, joint_motions, tolerances)
     else:
         frames = take.motion.frames
         defaults = {c.name: np.full(frames, c.default) for c in rig.controls}
@@ -115,7 +115,7 @@ def fit_take_keys(
         take,
         rig,
         name,
-        joints,
+        joint_motions,
         uncombined_weights_of(take, rig),
         solution,
         tolerances,
@@ -127,13 +127,13 @@ def fit_take_keys(
     for i in range(MAX_REFINEMENTS):
         if result.reduction.held:
             break
-        finer = job.reduce(REFINEMENT_FACTOR ** (i + 1))
-        result = min(result, finer, key=lambda keyed: keyed.reduction.error)
+        finer_result = job.reduce(REFINEMENT_FACTOR ** (i + 1))
+        result = min(result, finer_result, key=lambda keyed: keyed.reduction.error)
     return result
 
 
 def _rounding_differences(rig: Rig, tolerance: float) -> Tolerances:
-    """Return the differences that count as rounding for a tolerance [m]."""
+    """Return the largest differences that are rounding, for a tolerance [m]."""
     rounding = SAME_FRACTION * tolerance
     return Tolerances(
         min(SAME_ANGLE, rounding / max(rest_size(rig), SHELL_DISTANCE)),
@@ -144,12 +144,12 @@ def _rounding_differences(rig: Rig, tolerance: float) -> Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class _KeyingJob:
-    """A take to key, with its solved controls."""
+    """A take to fit keys to, with its solved controls."""
 
     take: Take
     rig: Rig
     name: str
-    joints: list[JointMotion]
+    joint_motions: list[JointMotion]
     weights: dict[str, FloatArray]
     solution: SolvedControls
     tolerances: Tolerances
@@ -163,21 +163,21 @@ class _KeyingJob:
         scaled_tolerances = {p: factor * v for p, v in self.joint_tolerances.items()}
         bounds = joint_bounds(rig, factor * self.tolerance, scaled_tolerances)
         unkeyable_values = self._driven_values()
-        driven = evaluate_controls(rig.controls, self.solution.values)
-        exact_targets = driven.targets | unkeyable_values
+        driven_values = evaluate_controls(rig.controls, self.solution.values)
+        exact_targets = driven_values.targets | unkeyable_values
         weights = self._weight_tracks(exact_targets, exact_targets)
         weight_tolerance = WEIGHT_TOLERANCE * factor / _combination_growth(rig, weights)
         exact_tracks = joint_tracks(
-            rig, self.joints, exact_targets, exact_targets, self.tolerances
+            rig, self.joint_motions, exact_targets, exact_targets, self.tolerances
         )
         keyed_tracks = self._keyed_tracks(exact_tracks)
         controls = fit_controls(
             take, rig, self.solution.values, keyed_tracks, bounds, weight_tolerance
         )
-        driven = evaluate_controls(rig.controls, controls.values_by_name)
-        fitted_targets = driven.targets | unkeyable_values
+        driven_values = evaluate_controls(rig.controls, controls.values_by_name)
+        fitted_targets = driven_values.targets | unkeyable_values
         tracks = joint_tracks(
-            rig, self.joints, exact_targets, fitted_targets, self.tolerances
+            rig, self.joint_motions, exact_targets, fitted_targets, self.tolerances
         )
         tracks += self._scale_tracks()
         tracks += self._weight_tracks(exact_targets, fitted_targets)
@@ -193,17 +193,17 @@ class _KeyingJob:
         reduction = replace(
             reduction,
             channels=(*controls.channels, *reduction.channels),
-            samples=controls.moving_count + reduction.samples,
+            samples=controls.sample_count + reduction.samples,
         )
         clip = clip_of_reduction(reduction, rig, self.name)
         sampled_motion = sample_channels(clip.channels, rig, take.clock.times).motion
-        bounds_of_all = joint_bounds(rig, self.tolerance, self.joint_tolerances)
+        all_bounds = joint_bounds(rig, self.tolerance, self.joint_tolerances)
         return KeyedTake(
             clip,
-            _measure_errors(reduction, take, sampled_motion, self.base, bounds_of_all),
+            _measure_errors(reduction, take, sampled_motion, self.base, all_bounds),
             tuple(controls.values_by_name),
             channel_errors(clip, rig, take, sampled_motion, self.solution.values),
-            key_notices(rig, self.joints, self.solution, tracks, exact_targets),
+            key_notices(rig, self.joint_motions, self.solution, tracks, exact_targets),
         )
 
     def _driven_values(self) -> dict[str, FloatArray]:
@@ -215,7 +215,7 @@ class _KeyingJob:
         values = {f"shape/{name}": self.weights[name] for name in plan.shapes}
         for j in plan.joints:
             part = COORDINATE_PARTS[rig.joints[j].type]
-            values[f"joint/{rig.names[j]}.{part}"] = self.joints[j].coordinate
+            values[f"joint/{rig.names[j]}.{part}"] = self.joint_motions[j].coordinate
         return values
 
     def _keyed_tracks(
@@ -256,7 +256,7 @@ class _KeyingJob:
     def _weight_tracks(
         self, exact: Mapping[str, FloatArray], fitted: Mapping[str, FloatArray]
     ) -> list[KeyTrack]:
-        """Return key tracks of shape weights that controls and products do not give."""
+        """Return key tracks of the shape weights that nothing else drives."""
         tracks = []
         zero = np.zeros(1)
         for i, shape in enumerate(self.rig.shapes):

@@ -30,7 +30,7 @@ class PlainKeys:
 
     @staticmethod
     def from_entries(entries: Any) -> PlainKeys | None:
-        """Return keys as columns; None if any is invalid or has more than `t` and `v`.
+        """Return keys as columns; None if a key is invalid or not only `t` and `v`.
 
         >>> keys = PlainKeys.from_entries([{"t": 1, "v": [0.5, 2]}])
         >>> keys.values.tolist()
@@ -66,7 +66,7 @@ class PlainKeys:
         return PlainKeys(times, values) if is_valid else None
 
     def entries(self) -> list[dict[str, Any]]:
-        """Yield the keys as mappings of a file."""
+        """Return the keys as mappings, as in a file."""
         values = self.values[:, 0] if self.values.shape[1] == 1 else self.values
         time_value_pairs = zip(self.times.tolist(), values.tolist(), strict=True)
         return [{"t": time, "v": value} for time, value in time_value_pairs]

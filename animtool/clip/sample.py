@@ -30,13 +30,13 @@ LIMIT_TOLERANCE = 1e-9
 # Joint values gathered in a call: few calls, at most 8 MB.
 ROWS_AT_ONCE = 2**18
 
-
+# Values ``(F or 1, D)`` of a joint by part, such as ``angle`` or ``+translation.x``.
 Parts = dict[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
 class ClipNotice:
-    """A notice on a control or a joint."""
+    """A notice about the values of a control or a joint."""
 
     fault: Fault  # the fault, without a location
     target: str  # ``control/NAME`` or ``joint/NAME``
@@ -94,7 +94,7 @@ MAX_LISTED_FRAMES = 8
 def with_keys(
     notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
 ) -> ClipNotice:
-    """Add to a notice the key frames at which a control is out of range."""
+    """Return a notice with the key frames at which a control is out of range."""
     if notice.fault.code != "CLIP101":
         return notice
     name = notice.target.removeprefix("control/")
@@ -153,8 +153,8 @@ def sample_values(
     notices += _drop_replaced_parts(parts_by_joint)
     notices += _apply_mimics(rig, parts_by_joint, clamp=clamp)
     joints = _JointValues(rig, times, clamp, notices)
-    for name, part in parts_by_joint.items():
-        joints.add_joint(rig.index(name), part)
+    for name, joint_parts in parts_by_joint.items():
+        joints.add_joint(rig.index(name), joint_parts)
     control_channel = None
     if controls:
         columns = [driven_values.controls[control.name] for control in rig.controls]
@@ -183,15 +183,15 @@ def sample_values(
 
 
 def _joint_coordinates(
-    rig: Rig, parts: Mapping[str, Parts], *, clamp: bool
+    rig: Rig, parts_by_joint: Mapping[str, Parts], *, clamp: bool
 ) -> dict[str, FloatArray]:
     """Return joint angles and slides from keys and controls, by name."""
     coordinates = {}
-    for name, joint_parts in parts.items():
+    for name, joint_parts in parts_by_joint.items():
         joint = rig.joints[rig.index(name)]
-        part, full_part = _MIMIC_PARTS.get(joint.type, ("", ""))
+        part, local_part = _MIMIC_PARTS.get(joint.type, ("", ""))
         value = _add_values(joint_parts.get(part), joint_parts.get(f"+{part}"))
-        if value is None or full_part in joint_parts:
+        if value is None or local_part in joint_parts:
             continue
         if clamp and isinstance(joint.limits, RangeLimit):
             value = joint.limits.clamped(value)
@@ -248,7 +248,7 @@ _CLAMPED_SUFFIX = ": clamped"
 def _parts_by_joint(
     keyed: Mapping[str, FloatArray], driven_values: DrivenValues
 ) -> dict[str, Parts]:
-    """Return the values of each joint, by part; driven parts begin with ``+``."""
+    """Return the values of each joint by part; driven parts begin with ``+``."""
     result: dict[str, Parts] = {}
     for target, value in keyed.items():
         if target.startswith("joint/"):
@@ -261,14 +261,14 @@ def _parts_by_joint(
     return result
 
 
-def _drop_replaced_parts(parts: Mapping[str, Parts]) -> list[ClipNotice]:
+def _drop_replaced_parts(parts_by_joint: Mapping[str, Parts]) -> list[ClipNotice]:
     """Drop control contributions to motion that a local channel replaces."""
     notices = []
-    for name, part in parts.items():
+    for name, parts in parts_by_joint.items():
         for local, replaced_parts in _ADDED_PARTS.items():
-            if local not in part:
+            if local not in parts:
                 continue
-            dropped = [part.pop(key) for key in replaced_parts if key in part]
+            dropped = [parts.pop(key) for key in replaced_parts if key in parts]
             if any((values != values[0]).any() for values in dropped):
                 message = f"joint {name!r} has keys for {local}, so no control moves it"
                 fault = Fault("CLIP105", message, severity=Severity.NOTE)
@@ -291,36 +291,33 @@ _MIMIC_PARTS = {
 
 
 def _apply_mimics(
-    rig: Rig, parts: dict[str, Parts], *, clamp: bool
+    rig: Rig, parts_by_joint: dict[str, Parts], *, clamp: bool
 ) -> list[ClipNotice]:
-    """Set the coordinates of mimic joints.
-
-    Keys on a mimic joint override its mimic, with a note.
-    """
+    """Set the coordinates of mimic joints; keys override a mimic, with a note."""
     notices = []
     for joint in rig.joints:
         if joint.mimic is None:
             continue
-        part, full_part = _MIMIC_PARTS[joint.type]
-        if parts.get(joint.name, {}).keys() & {part, full_part}:
+        part, local_part = _MIMIC_PARTS[joint.type]
+        if parts_by_joint.get(joint.name, {}).keys() & {part, local_part}:
             message = f"joint {joint.name!r} has keys, so it does not follow "
             message += repr(joint.mimic.joint)
             fault = Fault("CLIP103", message, severity=Severity.NOTE)
             notices.append(ClipNotice(fault, f"joint/{joint.name}"))
             continue
-        leader = parts.get(joint.mimic.joint, {})
+        leader_parts = parts_by_joint.get(joint.mimic.joint, {})
         coordinate = np.zeros(1)
         for leader_part in ("angle", "slide"):
-            if leader_part in leader:
-                coordinate = coordinate + leader[leader_part][:, 0]
-            if f"+{leader_part}" in leader:
-                coordinate = coordinate + leader[f"+{leader_part}"]
+            if leader_part in leader_parts:
+                coordinate = coordinate + leader_parts[leader_part][:, 0]
+            if f"+{leader_part}" in leader_parts:
+                coordinate = coordinate + leader_parts[f"+{leader_part}"]
         limits = rig.joints[rig.index(joint.mimic.joint)].limits
         if clamp and isinstance(limits, RangeLimit):
             coordinate = limits.clamped(coordinate)
         value = joint.mimic.gain * coordinate + joint.mimic.offset
         if value.any():
-            parts.setdefault(joint.name, {})[f"+{part}"] = value
+            parts_by_joint.setdefault(joint.name, {})[f"+{part}"] = value
     return notices
 
 
@@ -339,12 +336,13 @@ class _JointValues:
     def add_joint(self, j: int, parts: Parts) -> None:
         """Compute a joint's translation, rotation and scale ``(F or 1, K)``."""
         joint = self.rig.joints[j]
-        rest_translation, rest_r = np.array(joint.translation), np.array(joint.rotation)
+        rest_translation = np.array(joint.translation)
+        rest_rotation = np.array(joint.rotation)
         base_translation = parts.get("local_translation", rest_translation[None])
         slide = self._translation_from_rest(joint, parts)
         if slide is not None:
-            base_translation = base_translation + so3.rotate(rest_r, slide)
-        base_rotation = parts.get("local_rotation", rest_r[None])
+            base_translation = base_translation + so3.rotate(rest_rotation, slide)
+        base_rotation = parts.get("local_rotation", rest_rotation[None])
         rotation = self._rotation_from_rest(joint, parts)
         if rotation is not None:
             base_rotation = so3.multiply(base_rotation, rotation)

@@ -14,11 +14,7 @@ from animtool.clip.channels import (
     ClipUnits,
     evaluate_channels,
 )
-from animtool.clip.suspicious_positions import (
-    joint_channels,
-    root_translations,
-    warn_of_positions,
-)
+from animtool.clip.suspicious_positions import CheckedClip, warn_of_positions
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text, percent_hint
@@ -48,7 +44,7 @@ MIN_SPAN = 0.3
 # In degrees, a character with this many rotating channels exceeds `HALF_REVOLUTION`
 # somewhere.
 MIN_CHANNELS = 5
-# So many joints of a body, a knee among them, do not all rotate several times.
+# This many joints of a body, including a knee, do not all rotate several times.
 MIN_WOUND = 3
 # In radians, some joint of a moving character exceeds this angle [rad].
 MIN_LARGEST = 1.0
@@ -60,13 +56,13 @@ MIN_EXACT = 0.2
 # Radians with three decimals are that near to a whole degree by chance in 6 % [deg], so
 # many different keys of one channel in 1e-5.
 MIN_INTEGERS, INTEGER_TOLERANCE = 4, 0.03
-# A root that travels less than this fraction of the rig's size does not leave its spot.
+# A root that travels less than this fraction of the rig's size stays in place.
 MAX_TRAVEL = 0.05
 # Plausible range of travel in metres, relative to the rig's size.
 TRAVEL_RANGE = (0.2, 20.0)
-# What a clip without a unit moves by if it is in metres, and what is too small to see
-# if it is in the unit of its rig; relative to the rig's size.
-METRE_RANGE, MAX_UNSEEN = (0.05, 20.0), 0.005
+# Range of motion of a clip in metres, and largest motion that is invisible if the clip
+# is in the unit of its rig; relative to the rig's size.
+METRE_RANGE, MAX_INVISIBLE = (0.05, 20.0), 0.005
 # Minimum rotation of a limb when a character travels [rad].
 MIN_STRIDE = math.radians(15)
 # Sizes of characters [m], and a speed that even falls do not reach [m/s].
@@ -76,8 +72,8 @@ SPEED_INTERVAL = 0.25
 # Number of fast steps in a row of keys that are no teleports.
 MIN_FAST = 3
 SMALLER_UNITS = {1.0: "cm", 0.01: "mm"}
-# Keys on a driven joint that are smaller than this fraction of what a control adds
-# adjust it.
+# Keys on a driven joint over less than this fraction of a control's range are
+# adjustments.
 MIN_LAYER = 0.25
 # Smallest scale at all keys that may be a percentage [1].
 MIN_PERCENT = 10.0
@@ -110,27 +106,22 @@ def warn_of_numbers(
     _warn_of_angles(document, channels, units, rig)
     _warn_of_weights(document, channels)
     if rig is not None:
-        _warn_of_metres(document, channels, units, rig, has_unit)
-        _warn_of_speed(document, channels, fps, units, rig)
-        warn_of_positions(document, channels, units, rig)
-        _warn_of_scale(document, channels, rig)
-        _warn_of_controls(document, channels, rig)
+        clip = CheckedClip(document, channels, fps, units, rig)
+        _warn_of_metres(clip, has_unit)
+        _warn_of_speed(clip)
+        warn_of_positions(clip)
+        _warn_of_scale(clip)
+        _warn_of_controls(clip)
 
 
-def _warn_of_speed(
-    document: Document,
-    channels: Sequence[ClipChannel],
-    fps: Fraction,
-    units: ClipUnits,
-    rig: Rig,
-) -> None:
+def _warn_of_speed(clip: CheckedClip) -> None:
     """Warn of characters that are faster than any fall (CLIP109)."""
-    rig_size = rest_size(rig)
+    rig, rig_size = clip.rig, rest_size(clip.rig)
     has_limbs = any(HINGE_NAMES.search(name) for name in rig.names)
     if not (has_limbs and CHARACTER_SIZES[0] <= rig_size <= CHARACTER_SIZES[1]):
         return
-    for i, channel in root_translations(channels, rig):
-        steps = np.diff(channel.times) / float(fps)
+    for i, channel in clip.root_translations():
+        steps = np.diff(channel.times) / float(clip.fps)
         lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
         # A single fast step, or one without frames between, is a cut or a teleport.
         interps = channel.interps[:-1]
@@ -147,17 +138,12 @@ def _warn_of_speed(
             f"{channel.target!r} moves {length_text(lengths[k])} in {steps[k]:.3g} s "
             f"({speeds[k]:.3g} m/s), and the rig is {length_text(rig_size)} tall"
         )
-        unit = SMALLER_UNITS.get(units.length)
+        unit = SMALLER_UNITS.get(clip.units.length)
         hint = "check the keys and fps"
         if unit is not None:
             hint += f"; for keys in {unit} write 'units: {{length: {unit}}}'"
-        document.warn("CLIP109", (*_key_location(i, k + 1), "v"), message, hint)
+        clip.warn("CLIP109", i, k + 1, message, hint)
         return
-
-
-def _key_location(channel: int, key: int) -> Location:
-    """Return the location of a key."""
-    return ("channels", channel, "keys", key)
 
 
 def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
@@ -234,17 +220,19 @@ def warn_of_angle_keys(
     if not angles:
         return
     in_degrees = units.angle != 1.0
-    named = [(curve.name, values) for curve, values in angles]
+    named_angles = [(curve.name, values) for curve, values in angles]
     are_all = (
-        _look_like_radians(named) if in_degrees else _look_like_degrees(named, rig)
+        _look_like_radians(named_angles)
+        if in_degrees
+        else _look_like_degrees(named_angles, rig)
     )
     if not are_all:
-        suspects = [
+        suspicious_angles = [
             (curve, values)
             for curve, values in angles
             if _are_integer_degrees_in_radians(values)
         ]
-        angles = suspects if in_degrees else []
+        angles = suspicious_angles if in_degrees else []
     if not angles:
         return
     worst_curve, values = max(angles, key=lambda angle: np.abs(angle[1]).max())
@@ -279,8 +267,10 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
         for name, channel_values in angles
     ):
         return True
-    moving = [name for name, v in angles if np.ptp(v, axis=0).max() > MIN_SPAN]
-    return len(moving) >= MIN_CHANNELS and any(map(HINGE_NAMES.search, moving))
+    moving_names = [name for name, v in angles if np.ptp(v, axis=0).max() > MIN_SPAN]
+    return len(moving_names) >= MIN_CHANNELS and any(
+        map(HINGE_NAMES.search, moving_names)
+    )
 
 
 def _are_integer_degrees_in_radians(values: FloatArray) -> bool:
@@ -326,30 +316,25 @@ def _exceeds_revolution(values: FloatArray) -> bool:
     return bool(FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES)
 
 
-def _warn_of_metres(
-    document: Document,
-    channels: Sequence[ClipChannel],
-    units: ClipUnits,
-    rig: Rig,
-    has_unit: bool,
-) -> None:
+def _warn_of_metres(clip: CheckedClip, has_unit: bool) -> None:
     """Warn of lengths that seem to be metres in a cm or mm clip (CLIP108)."""
-    size = rest_size(rig)
-    if units.length >= 1.0 or size < CHARACTER_SIZES[0]:
+    size, unit = rest_size(clip.rig), clip.units.length
+    if unit >= 1.0 or size < CHARACTER_SIZES[0]:
         return
-    rotation_ranges = [np.ptp(v, axis=0).max() for _, v in _angle_channels(channels)]
+    angles = _angle_channels(clip.channels)
+    rotation_ranges = [np.ptp(values, axis=0).max() for _, values in angles]
     largest_rotation = max(rotation_ranges, default=0.0)
     # An idle has small motion of all kinds.
     if rotation_ranges and largest_rotation < MIN_STRIDE:
         return
-    if not has_unit and _warn_of_small_lengths(document, channels, units, rig):
+    if not has_unit and _warn_of_small_lengths(clip):
         return
     if not rotation_ranges:
         return
-    for i, channel in root_translations(channels, rig):
+    for i, channel in clip.root_translations():
         largest_distance = float(np.linalg.norm(channel.values, axis=1).max())
         net_distance = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
-        in_metres = largest_distance / units.length
+        in_metres = largest_distance / unit
         shortest_travel, longest_travel = (factor * size for factor in TRAVEL_RANGE)
         is_plausible = shortest_travel <= in_metres <= longest_travel
         has_returned = net_distance < largest_distance / 2
@@ -361,28 +346,25 @@ def _warn_of_metres(
             f"the rig is {length_text(size)} tall"
         )
         hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
-        location = (*_key_location(i, len(channel.times) - 1), "v")
-        document.warn("CLIP108", location, message, hint)
+        clip.warn("CLIP108", i, len(channel.times) - 1, message, hint)
         return
 
 
-def _warn_of_small_lengths(
-    document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
-) -> bool:
+def _warn_of_small_lengths(clip: CheckedClip) -> bool:
     """Warn if all lengths of a clip without a unit are plausible metres (CLIP108)."""
-    size = rest_size(rig)
+    size = rest_size(clip.rig)
     spans = [
         (float(np.ptp(channel.values, axis=0).max()), i)
-        for i, channel, _ in joint_channels(channels, *LENGTH_PARTS)
+        for i, channel, _ in clip.joint_channels(*LENGTH_PARTS)
     ]
     span, i = max(spans, default=(0.0, 0))
-    in_metres = span / units.length
+    in_metres = span / clip.units.length
     shortest_span, longest_span = (factor * size for factor in METRE_RANGE)
-    if span > MAX_UNSEEN * size or not shortest_span <= in_metres <= longest_span:
+    if span > MAX_INVISIBLE * size or not shortest_span <= in_metres <= longest_span:
         return False
-    values = channels[i].values
+    values = clip.channels[i].values
     k = int(np.abs(values - values[0]).max(axis=1).argmax())
-    unit = unit_name(units.length)
+    unit = unit_name(clip.units.length)
     message = (
         f"the clip has no unit of length, so it is read in {unit}, the unit of its "
         f"rig: no joint moves by more than {length_text(span)}, and the rig is "
@@ -390,16 +372,14 @@ def _warn_of_small_lengths(
     )
     hint = f"for metres write 'units: {{length: m}}': {in_metres:.3g} m; else 'units: "
     hint += f"{{length: {unit}}}'"
-    document.warn("CLIP108", (*_key_location(i, k), "v"), message, hint)
+    clip.warn("CLIP108", i, k, message, hint)
     return True
 
 
-def _warn_of_scale(
-    document: Document, channels: Sequence[ClipChannel], rig: Rig
-) -> None:
+def _warn_of_scale(clip: CheckedClip) -> None:
     """Warn of scales that look like percentages, at all keys (CLIP113)."""
-    size = rest_size(rig)
-    for i, channel, _ in joint_channels(channels, "scale"):
+    size = rest_size(clip.rig)
+    for i, channel, _ in clip.joint_channels("scale"):
         smallest = float(np.abs(channel.values).min())
         if smallest < MIN_PERCENT or size * smallest <= MAX_RIG_SIZE:
             continue
@@ -408,7 +388,7 @@ def _warn_of_scale(
             f"is {length_text(size)} tall, is {length_text(size * smallest)} with it"
         )
         hint = f"1 is the size at rest: {percent_hint(smallest)}"
-        document.warn("CLIP113", (*_key_location(i, 0), "v"), message, hint)
+        clip.warn("CLIP113", i, 0, message, hint)
         return
 
 
@@ -423,19 +403,20 @@ def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> Non
     if largest < MIN_PERCENT_WEIGHT:
         return
     name = channels[i].target.removeprefix("shape/")
-    others = sum(weight >= MIN_PERCENT_WEIGHT for weight, _ in weights) - 1
+    other_count = sum(weight >= MIN_PERCENT_WEIGHT for weight, _ in weights) - 1
     message = f"shape {name!r} is keyed up to {largest:.4g}, but 1 is its full effect"
-    if others:
-        message += f"; weights of {counted(others, 'other shape')} are in percent too"
+    if other_count:
+        message += (
+            f"; weights of {counted(other_count, 'other shape')} are in percent too"
+        )
     hint = percent_hint(largest)
     k = int(channels[i].values[:, 0].argmax())
-    document.warn("CLIP121", (*_key_location(i, k), "v"), message, hint)
+    document.warn("CLIP121", ("channels", i, "keys", k, "v"), message, hint)
 
 
-def _warn_of_controls(
-    document: Document, channels: Sequence[ClipChannel], rig: Rig
-) -> None:
+def _warn_of_controls(clip: CheckedClip) -> None:
     """Warn of keys on a joint that a keyed control moves as well (CLIP111)."""
+    channels, rig = clip.channels, clip.rig
     controls = [c for c in channels if c.target.startswith("control/")]
     controls = [c for c in controls if np.ptp(c.values) > 0]
     joints = [i for i, c in enumerate(channels) if c.target.startswith("joint/")]
@@ -466,8 +447,7 @@ def _warn_of_controls(
         ]
         message = f"{target!r} is keyed over {span_texts[0]}, and control {names} "
         message += f"moves it over {span_texts[1]}: both are added"
-        location = (*_key_location(i, 0), "v")
-        document.warn("CLIP111", location, message, "remove one of them")
+        clip.warn("CLIP111", i, 0, message, "remove one of them")
         return
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 
 import numpy as np
 
 from animtool.clip.channels import ClipChannel, ClipUnits
 from animtool.core.array_types import FloatArray
 from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.document import Document
 from animtool.rig.joints import KEYED_PARTS, split_part
@@ -20,65 +22,64 @@ from animtool.rig.suspicious_shape import (
     rest_pose_without_kernels,
 )
 
-# Fraction of a rig by which a joint rests away from its parent, or else is at it.
+# Joints closer to their parent at rest than this fraction of the rig's size are at it.
 MIN_REST = 0.05
-# Keys on average this near to the rest position, and never farther, are written from
-# the parent; a move of that length from rest and back passes 0. In rest lengths.
+# Largest distances from the rest position, in rest lengths: of keys that include the
+# rest offset, on average and each, and of a key that is at the rest position.
 NEAR_REST, ABOUT_REST, AT_REST = 0.15, 0.5, 0.01
-# Fewer keys do not tell a walk, whose speed is even, from a fall.
+# With fewer keys, a walk, whose speed is even, cannot be distinguished from a fall.
 MIN_WALK_KEYS = 3
-# Part of a walk that another up axis turns upwards: how far it goes to the side, and
-# how far it is from an even speed [1].
+# A walk that goes down because of another up axis: largest motion to the side, and
+# largest deviation from an even speed [1].
 MAX_SIDEWAYS, MAX_UNEVEN = 0.1, 0.15
-# Positions of a package with the other up axis, in the axes of the rig.
+# Positions from software with the other up axis, in the axes of the rig.
 _CONVERTED = {UpAxis.Y: "[x, z, -y]", UpAxis.Z: "[x, -z, y]"}
 
 
-def joint_channels(
-    channels: Sequence[ClipChannel], *parts: str
-) -> Iterator[tuple[int, ClipChannel, str]]:
-    """Yield index, channel and joint name of the channels of some parts of joints."""
-    for i, channel in enumerate(channels):
-        group, _, target = channel.target.partition("/")
-        name, part = split_part(target, KEYED_PARTS)
-        if group == "joint" and part in parts:
-            yield i, channel, name
+@dataclass(frozen=True, slots=True)
+class CheckedClip:
+    """A clip file whose numbers are compared with its rig."""
+
+    document: Document  # the file
+    channels: Sequence[ClipChannel]
+    fps: Fraction  # frames a second
+    units: ClipUnits  # units of its numbers
+    rig: Rig
+
+    def joint_channels(self, *parts: str) -> Iterator[tuple[int, ClipChannel, str]]:
+        """Yield index, channel and joint name of the channels of some joint parts."""
+        for i, channel in enumerate(self.channels):
+            group, _, target = channel.target.partition("/")
+            name, part = split_part(target, KEYED_PARTS)
+            if group == "joint" and part in parts:
+                yield i, channel, name
+
+    def root_translations(self) -> Iterator[tuple[int, ClipChannel]]:
+        """Yield index and channel of the translations of roots."""
+        roots = {self.rig.names[j] for j in self.rig.roots}
+        parts = "translation", "local_translation"
+        for i, channel, name in self.joint_channels(*parts):
+            if name in roots:
+                yield i, channel
+
+    def warn(self, code: str, channel: int, key: int, message: str, hint: str) -> None:
+        """Add a warning at the value of a key."""
+        location = ("channels", channel, "keys", key, "v")
+        self.document.warn(code, location, message, hint)
 
 
-def root_translations(
-    channels: Sequence[ClipChannel], rig: Rig
-) -> Iterator[tuple[int, ClipChannel]]:
-    """Yield the translation channels of roots."""
-    roots = {rig.names[j] for j in rig.roots}
-    parts = "translation", "local_translation"
-    for i, channel, name in joint_channels(channels, *parts):
-        if name in roots:
-            yield i, channel
+def warn_of_positions(clip: CheckedClip) -> None:
+    """Warn of translations that seem to have another origin or other axes."""
+    _warn_of_rest(clip)
+    if any(HINGE_NAMES.search(n) or FOOT_NAMES.search(n) for n in clip.rig.names):
+        _warn_of_offsets(clip)
+        _warn_of_up_axis(clip)
 
 
-def warn_of_positions(
-    document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
-) -> None:
-    """Warn of translations that seem to have another origin or other axes.
-
-    Args:
-        document: The clip file.
-        channels: Channels of the clip.
-        units: Units of its numbers.
-        rig: Rig of the clip.
-    """
-    _warn_of_rest(document, channels, rig)
-    if any(HINGE_NAMES.search(n) or FOOT_NAMES.search(n) for n in rig.names):
-        _warn_of_offsets(document, channels, units, rig)
-        _warn_of_up_axis(document, channels, rig)
-
-
-def _warn_of_rest(
-    document: Document, channels: Sequence[ClipChannel], rig: Rig
-) -> None:
+def _warn_of_rest(clip: CheckedClip) -> None:
     """Warn of translations that already include the rest offset (CLIP112)."""
-    size = rest_size(rig)
-    for i, channel, name in joint_channels(channels, "translation"):
+    rig, size = clip.rig, rest_size(clip.rig)
+    for i, channel, name in clip.joint_channels("translation"):
         joint = rig.joints[rig.index(name)]
         rest = np.array(joint.translation)
         is_at_parent = float(np.linalg.norm(rest)) <= MIN_REST * size
@@ -96,7 +97,7 @@ def _warn_of_rest(
         )
         hint = "subtract the rest position from the keys, or key "
         hint += f"joint/{name}.local_translation"
-        document.warn("CLIP112", ("channels", i, "keys", 0, "v"), message, hint)
+        clip.warn("CLIP112", i, 0, message, hint)
         return
 
 
@@ -111,12 +112,10 @@ def _is_near_rest_position(values: FloatArray, rest: FloatArray) -> bool:
     return is_near and len(values) > 1
 
 
-def _warn_of_offsets(
-    document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
-) -> None:
+def _warn_of_offsets(clip: CheckedClip) -> None:
     """Warn of offsets from rest that are keyed as local translations (CLIP122)."""
-    size = rest_size(rig)
-    for i, channel, name in joint_channels(channels, "local_translation"):
+    rig, size = clip.rig, rest_size(clip.rig)
+    for i, channel, name in clip.joint_channels("local_translation"):
         joint = rig.joints[rig.index(name)]
         rest = np.array(joint.translation)
         length = float(np.linalg.norm(rest))
@@ -142,21 +141,19 @@ def _warn_of_offsets(
             result = f"the joint is {length_text(drop)} lower than at rest"
         else:
             result = f"the joint is at {rig.names[joint.parent]!r}"
-        numbers = ", ".join(f"{number:.4g}" for number in rest / units.length)
+        numbers = ", ".join(f"{number:.4g}" for number in rest / clip.units.length)
         message = f"{channel.target!r} is keyed near [0, 0, 0], but the rest position "
         message += f"is [{numbers}]: {result}"
         hint = f"for moves from rest, key joint/{name}.translation"
-        document.warn("CLIP122", ("channels", i, "keys", k, "v"), message, hint)
+        clip.warn("CLIP122", i, k, message, hint)
         return
 
 
-def _warn_of_up_axis(
-    document: Document, channels: Sequence[ClipChannel], rig: Rig
-) -> None:
+def _warn_of_up_axis(clip: CheckedClip) -> None:
     """Warn of a root that walks into the ground (CLIP123)."""
-    up = rig.up.vector
+    rig, up = clip.rig, clip.rig.up.vector
     lowest = float((rest_pose_without_kernels(rig)[0] @ up).min())
-    for i, channel in root_translations(channels, rig):
+    for i, channel in clip.root_translations():
         name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
         rest = np.array(rig.joints[rig.index(name)].translation)
         values = channel.values - (rest if part == "local_translation" else 0.0)
@@ -164,8 +161,8 @@ def _warn_of_up_axis(
             continue
         heights = values @ up
         drop = float(heights[0] - heights[-1])
-        end = float(rest @ up + heights[-1])
-        if drop < rest_size(rig) / 2 or end >= lowest:
+        end_height = float(rest @ up + heights[-1])
+        if drop < rest_size(rig) / 2 or end_height >= lowest:
             continue
         offsets = values - values[0] - np.outer(heights - heights[0], up)
         sideways = np.linalg.norm(offsets, axis=1)
@@ -179,8 +176,7 @@ def _warn_of_up_axis(
             f"at most {length_text(float(sideways.max()))} to the side: the lowest "
             f"joint ends at {length_text(lowest + float(heights[-1]))} on {rig.up}"
         )
-        other = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
-        hint = f"for {other}-up keys write [x, y, z] as {_CONVERTED[rig.up]}"
-        last = len(values) - 1
-        document.warn("CLIP123", ("channels", i, "keys", last, "v"), message, hint)
+        other_axis = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
+        hint = f"for {other_axis}-up keys write [x, y, z] as {_CONVERTED[rig.up]}"
+        clip.warn("CLIP123", i, len(values) - 1, message, hint)
         return

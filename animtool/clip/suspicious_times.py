@@ -15,9 +15,9 @@ from animtool.core.rates import rate_warning
 from animtool.documents.document import Document
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation
-from animtool.motion.key_times import are_in_seconds, are_whole_seconds
+from animtool.motion.key_times import are_in_seconds, are_integer_seconds
 
-# Ends of a cycle that differ by less look equal [rad]; of the value range [1].
+# Ends of a cycle that differ by less are equal [rad]; relative to the value range [1].
 CYCLE_TOLERANCE = 1e-3
 # Extrapolation that does not repeat the keys.
 _NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
@@ -37,8 +37,8 @@ def warn_of_times(
         message = f"the range from {float(first):g} to {float(last):g} holds one frame"
         hint = "frames run from the first in steps of 1: widen the range"
         document.warn("TAKE010", ("range",), message, hint)
-    frames = (float(first), float(last)) if "range" in document.value else None
-    if not _warn_of_seconds(document, channels, fps, frames):
+    frame_range = (float(first), float(last)) if "range" in document.value else None
+    if not _warn_of_seconds(document, channels, fps, frame_range):
         _warn_of_range(document, channels, float(first), float(last))
     _warn_of_open_cycles(document, channels, float(first), float(last))
 
@@ -47,10 +47,10 @@ def _warn_of_seconds(
     document: Document,
     channels: Sequence[ClipChannel],
     fps: Fraction,
-    frames: tuple[float, float] | None,
+    frame_range: tuple[float, float] | None,
 ) -> bool:
     """Warn of key times in seconds (CLIP110); return whether they are in seconds."""
-    texts = seconds_texts([channel.times for channel in channels], fps, frames)
+    texts = seconds_texts([channel.times for channel in channels], fps, frame_range)
     if texts is None:
         return False
     i = max(range(len(channels)), key=lambda i: channels[i].times[-1])
@@ -72,11 +72,11 @@ def seconds_texts(
     if not times:
         return None
     rate = float(fps)
-    in_range = frames and are_whole_seconds(times, *frames, rate)
+    in_range = frames and are_integer_seconds(times, *frames, rate)
     if not in_range and not are_in_seconds(times, fps):
         return None
-    first = min(float(row[0]) for row in times)
-    last = max(float(row[-1]) for row in times)
+    first = min(float(curve_times[0]) for curve_times in times)
+    last = max(float(curve_times[-1]) for curve_times in times)
     message = f"{first:g} to {last:g} look like seconds: as frames at {rate:g} fps "
     message += f"they last {(last - first) / rate:.3g} s"
     start = 0.0
@@ -151,7 +151,7 @@ def _warn_of_open_cycles(
 
 
 def _is_closed(channel: ClipChannel) -> bool:
-    """Return whether a channel ends as it begins, modulo full rotations."""
+    """Return whether a channel's first and last value are equal, modulo revolutions."""
     first_value, last_value = channel.values[0], channel.values[-1]
     if (
         channel.target.endswith(".angle")

@@ -73,7 +73,7 @@ def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
 
 
 def _unchanged_keys(take: Take, options: WriteOptions) -> Clip | None:
-    """Return a take's keys from a file of another format, if still valid."""
+    """Return the keys that a take was read with in another format, if still valid."""
     has_tolerance = options.tolerance is not None or options.joint_tolerances
     is_foreign = isinstance(take.curve, KeyedCurve) and take.curve.is_foreign
     if not is_foreign or has_tolerance or options.base is not None:

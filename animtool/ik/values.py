@@ -10,7 +10,7 @@ from typing import Protocol, TypeAlias, cast
 
 import numpy as np
 
-from animtool.clip.channel_entries import ChannelReader, file_quaternions
+from animtool.clip.channel_entries import CurveReader, file_quaternions
 from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
 from animtool.clip.schema import CurveModel
 from animtool.core.array_types import FloatArray
@@ -252,12 +252,12 @@ class ValueReader:
         self, location: Location, model: CurveModel, key: str
     ) -> Keyed | None:
         """Return a curve of keys; ``weight`` may be a curve, too."""
-        reader = ChannelReader(self.document)
-        reader.check_curve(location, model)
+        reader = CurveReader(self.document, location, model)
+        reader.check()
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
         target = "control/x" if kind == "control" else f"joint/x.{kind}"
         unit = self.units.unit_of(target, model.euler or "")
-        channel = reader.read_channel(location, model, key, kind, unit)
+        channel = reader.read_channel(key, kind, unit)
         return None if channel is None else Keyed(channel)
 
     def read_value(

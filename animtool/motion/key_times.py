@@ -64,7 +64,7 @@ def weight_warnings(
     span_text = f"the keys of weight are from frame {times[0]:g} to {times[-1]:g}"
     frames_text = f"the take from {first:g} to {last:g}"
     rate = float(clock.fps)
-    if are_in_seconds([times], clock.fps) or are_whole_seconds(
+    if are_in_seconds([times], clock.fps) or are_integer_seconds(
         [times], first, last, rate
     ):
         message = f"{span_text}, {frames_text}: they look like seconds"
@@ -79,12 +79,12 @@ def weight_warnings(
     return [Fault("SCN116", message, hint=hint, severity=Severity.WARNING)]
 
 
-def are_whole_seconds(
+def are_integer_seconds(
     times: Sequence[FloatArray], first: float, last: float, rate: float
 ) -> bool:
     """Return whether key times are likely whole seconds, for a range in frames.
 
-    >>> are_whole_seconds([np.array([0.0, 1.0, 2.0])], 1, 48, 24)
+    >>> are_integer_seconds([np.array([0.0, 1.0, 2.0])], 1, 48, 24)
     True
     """
     all_times, count = np.concatenate(times), last - first + 1

@@ -42,7 +42,7 @@ class ReducedChannel:
 
 @dataclass(frozen=True, slots=True)
 class Reduction:
-    """Sparse keys of a take, and the errors of the motion that they give."""
+    """Sparse keys of a take, and the errors of the motion that they produce."""
 
     clock: Clock  # clock of the take, F frames
     # Ordered by translation, rotation, scale of each joint, then the weights. Parts at

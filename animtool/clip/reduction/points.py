@@ -141,11 +141,12 @@ class TrackBudget:
         self.refit()
 
     def tighten_frames(
-        self, frames: ArrayLike, factor: ArrayLike, *, spread: bool
+        self, frames: ArrayLike, factor: ArrayLike, *, move_keys: bool
     ) -> None:
         """Reduce the tolerance around the given frames, and refit their segments.
 
-        ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
+        ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``. If not ``move_keys``, keys are
+        only added.
         """
         frame_indices = np.asarray(frames)
         limits = np.asarray(factor) / self.tolerance
@@ -163,7 +164,7 @@ class TrackBudget:
             np.minimum(fractions, limit, out=fractions)
         is_kept = np.ones(len(starts), np.bool_)
         segments = np.unique(segment_indices)
-        if not spread:
+        if not move_keys:
             segments = segments[np.isin(segments + 1, segments)]
         is_kept[(segments + 1).clip(max=len(starts) - 1)] = False
         self.refit(starts[1:-1][is_kept[1:-1]])
@@ -172,7 +173,7 @@ class TrackBudget:
         """Force straight segments from the given frames, and refit the keys."""
         self.straight_starts = np.union1d(self.straight_starts, frames)
         self.tighten_frames(
-            frames, self.tolerance_fractions[frames] * self.tolerance, spread=False
+            frames, self.tolerance_fractions[frames] * self.tolerance, move_keys=False
         )
 
     def refit(self, anchors: ArrayLike = ()) -> None:
@@ -195,10 +196,10 @@ class TrackBudget:
 
     def displacement_per_unit(self, distance: FloatArray | float) -> FloatArray:
         """Return the displacement per unit of error at a distance from the joint."""
-        lever = np.asarray(distance, np.float64)
+        arms = np.asarray(distance, np.float64)
         if self.track.kind is ChannelKind.TRANSLATION:
-            return np.ones_like(lever)
-        return np.radians(lever) if self.track.kind is ChannelKind.ROTATION else lever
+            return np.ones_like(arms)
+        return np.radians(arms) if self.track.kind is ChannelKind.ROTATION else arms
 
 
 def subtree_maxima(parents: IntArray, values: FloatArray) -> FloatArray:

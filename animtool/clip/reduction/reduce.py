@@ -202,7 +202,7 @@ class _WorldErrors:
         return point_errors(self.points, self.original_world, self.reduced_world)
 
     def lever_arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
-        """Return the lever arms from a joint to the points of joints ``ends`` [m]."""
+        """Return the lever arms from a joint to the points of other joints [m]."""
         positions = self.original_world.positions
         offsets = positions[frames, ends] - positions[frames, joint]
         return np.asarray(np.linalg.norm(offsets, axis=-1) + self.point_distances[ends])
@@ -227,8 +227,8 @@ def _search_tolerances(
     while rounds < MAX_ROUNDS:
         changed_budgets = []
         if ratio > 1:
-            spread = rounds < FIRST_SPLITTING_ROUND
-            changed_budgets = _tighten(world, budgets, errors, spread=spread)
+            move_keys = rounds < FIRST_SPLITTING_ROUND
+            changed_budgets = _tighten(world, budgets, errors, move_keys)
         for budget in budgets:
             frames = _frames_beyond_limits(budget)
             if len(frames):
@@ -263,7 +263,7 @@ def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
 
 
 def _tighten(
-    world: _WorldErrors, budgets: list[TrackBudget], errors: FloatArray, *, spread: bool
+    world: _WorldErrors, budgets: list[TrackBudget], errors: FloatArray, move_keys: bool
 ) -> list[TrackBudget]:
     """Reduce tolerances of channels that contribute most to errors above bounds."""
     frames, joints_beyond = np.argwhere(errors > world.bounds).T.astype(np.int64)
@@ -284,7 +284,7 @@ def _tighten(
             largest_excess = np.zeros(len(bad_frames))
             np.maximum.at(largest_excess, inverse, excess[is_cause])
             factors = budget.errors[bad_frames] * 0.9 / largest_excess
-            budget.tighten_frames(bad_frames, factors, spread=spread)
+            budget.tighten_frames(bad_frames, factors, move_keys=move_keys)
             changed_budgets.append(budget)
     return changed_budgets
 

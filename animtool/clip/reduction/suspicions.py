@@ -1,4 +1,4 @@
-"""Suspicions about tolerances of key reduction."""
+"""Warnings about implausible tolerances of key reduction."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ MIN_LOCK_COSINE = 0.17
 
 @dataclass(frozen=True, slots=True)
 class KeyTrack:
-    """Samples of one channel."""
+    """Samples of one channel of a joint or shape, and the space they are in."""
 
     kind: ChannelKind  # kind of its target
     index: int  # index of the joint in its rig, or of the weight
@@ -121,7 +121,7 @@ def sort_tracks(tracks: Iterable[KeyTrack]) -> list[KeyTrack]:
 
 
 def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
-    """Yield a track for each channel to key."""
+    """Yield a track for each row of a channel that moves or differs from rest."""
     for kind, channel, rest_channel in (
         (ChannelKind.TRANSLATION, motion.translations, rest.translations),
         (ChannelKind.ROTATION, motion.rotations, rest.rotations),
@@ -131,7 +131,7 @@ def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
         if channel is None or rest_channel is None:
             continue
         part = LOCAL_PARTS.get(kind, "")
-        for index, values in _rows_to_key(channel.compact(), rest_channel):
+        for index, values in _keyed_rows(channel.compact(), rest_channel):
             order, samples = None, np.ascontiguousarray(values)
             if kind is ChannelKind.ROTATION:
                 order = euler_order(rig.joints[index], values)
@@ -139,13 +139,13 @@ def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
             yield KeyTrack(kind, index, order, samples, part)
 
 
-def _rows_to_key(channel: Channel, rest: Channel) -> Iterator[tuple[int, FloatArray]]:
+def _keyed_rows(channel: Channel, rest: Channel) -> Iterator[tuple[int, FloatArray]]:
     """Yield rows that move or differ from rest, with their values."""
     for i, index in enumerate(channel.animated.tolist()):
         yield index, channel.values[:, i]
-    differs = (channel.rest != rest.rest).any(axis=-1)
-    differs[channel.animated] = False
-    for index in np.flatnonzero(differs).tolist():
+    is_off_rest = (channel.rest != rest.rest).any(axis=-1)
+    is_off_rest[channel.animated] = False
+    for index in np.flatnonzero(is_off_rest).tolist():
         yield index, channel.rest[index][None]
 
 
