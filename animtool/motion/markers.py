@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,9 @@ from animtool.core.errors import Fault, OptionError, counted, refuse
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
+
+# Fields of `Markers` with a column for each marker.
+_ARRAYS = ("positions", "cameras", "residuals", "filled")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,7 @@ class Markers:
     def __post_init__(self) -> None:
         """Check shapes, names and numbers."""
         shape = (self.clock.count, len(self.names))
-        for name in ("positions", "cameras", "residuals", "filled"):
+        for name in _ARRAYS:
             values = getattr(self, name)
             expected = (*shape, 3) if name == "positions" else shape
             if values is not None and values.shape != expected:
@@ -85,16 +89,33 @@ class Markers:
 
     def select(self, markers: IntArray) -> Markers:
         """Return the markers with the given indices, in that order."""
+        names = tuple(self.names[i] for i in markers.tolist())
+        return self._map_arrays(lambda values: values[:, markers], names)
 
-        def columns(values: Any) -> Any:
-            """Return an array's columns of the selected markers; None stays None."""
-            return None if values is None else values[:, markers]
+    def rearrange(self, slots: IntArray, names: tuple[str, ...]) -> Markers:
+        """Return markers whose columns are taken from other columns in each frame.
 
-        return replace(
-            self,
-            names=tuple(self.names[i] for i in markers.tolist()),
-            positions=self.positions[:, markers],
-            cameras=columns(self.cameras),
-            residuals=columns(self.residuals),
-            filled=columns(self.filled),
-        )
+        Args:
+            slots: Column of each new marker in each frame ``(F, N)``; -1 for none.
+            names: Names of the new markers.
+        """
+
+        def take(values: Any) -> Any:
+            """Return the values of an array in the new columns; NaN or 0 for none."""
+            indices = slots.reshape(slots.shape + (1,) * (values.ndim - 2))
+            empty = np.asarray(np.nan if values.dtype.kind == "f" else 0, values.dtype)
+            taken_values = np.take_along_axis(values, np.maximum(indices, 0), 1)
+            return np.where(indices < 0, empty, taken_values)
+
+        return self._map_arrays(take, names)
+
+    def _map_arrays(
+        self, function: Callable[[Any], Any], names: tuple[str, ...]
+    ) -> Markers:
+        """Return markers of other names, with a function applied to every array."""
+        arrays: dict[str, Any] = {
+            name: function(values)
+            for name in _ARRAYS
+            if (values := getattr(self, name)) is not None
+        }
+        return replace(self, names=names, **arrays)

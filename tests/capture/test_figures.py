@@ -32,6 +32,7 @@ from animtool.capture.markers.naming import (
     search_names,
 )
 from animtool.capture.markers.predict import (
+    MarkerGap,
     predict_from_markers,
     predict_from_parent_joint,
 )
@@ -366,17 +367,15 @@ def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
         "positions": true + 0.01 * np.sin(t)[:, None, None],
         "has_parent": lambda _: True,
     }
-    found = [predict_from_markers(positions, seen, 0, gap, spread, 100.0)]
+    open_gap = MarkerGap(positions, seen, 0, gap, spread, 100.0)
+    far = np.where(np.arange(count) < 4, np.nan, spread)
+    found = [predict_from_markers(open_gap)]
     for mates in ([], [1], [1, 3]):
         bones: Any = SimpleNamespace(**known, markers_on_joint=lambda *_, m=mates: m)
-        found.append(
-            predict_from_parent_joint(bones, positions, seen, 0, gap, spread, 100.0)
-        )
-        far = np.where(np.arange(count) < 4, np.nan, spread)
-        found.append(
-            predict_from_parent_joint(bones, positions, seen, 0, gap, far, 100.0)
-        )
-    found.append(by_skeleton(bones, positions, seen, 0, gap, 100.0))
+        found.append(predict_from_parent_joint(bones, open_gap))
+        far_gap = replace(open_gap, distance_deviations=far)
+        found.append(predict_from_parent_joint(bones, far_gap))
+    found.append(by_skeleton(bones, open_gap))
     check_figures(__file__, "predicted", found)
 
 

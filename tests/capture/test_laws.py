@@ -65,12 +65,11 @@ from animtool.capture.markers.geometry import (
     marker_distances,
 )
 from animtool.capture.markers.predict import (
+    MarkerGap,
     Prediction,
     _covariance,
-    _nearest_markers,
     _predict_gap,
     _rotate_towards,
-    _training_frames,
     _validation_spans,
 )
 from animtool.capture.markers.runs import RunLabels, _merge_known_distances
@@ -570,8 +569,9 @@ def test_runs_are_named_by_distances_and_ghosts_are_not(
 def test_frames_to_learn_from_are_all_near_and_some_far() -> None:
     seen = np.ones((400, 3), bool)
     seen[50:60, 1] = False
-    gap = slice(200, 210)
-    found = _training_frames(seen, 0, gap, np.array([1, 2]), 20.0)
+    spread = np.array([np.nan, 0.3, 0.1])
+    gap = MarkerGap(np.zeros((400, 3, 3)), seen, 0, slice(200, 210), spread, 20.0)
+    found = gap.training_frames(np.array([1, 2]))
     assert not np.isin(found, np.arange(200, 210)).any()
     assert not np.isin(found, np.arange(50, 60)).any()
     assert (found[0], found[-1]) == (80, 329)
@@ -579,10 +579,9 @@ def test_frames_to_learn_from_are_all_near_and_some_far() -> None:
     assert np.isin(np.arange(210, 226), found).all()
     assert len(found) == 180
     assert_array_equal(found, np.sort(found))
-    spread = np.array([np.nan, 0.3, 0.1])
-    assert _nearest_markers(seen, 0, gap, spread).tolist() == [2, 1]
-    assert _nearest_markers(seen, 2, gap, spread).tolist() == [1]
-    assert _nearest_markers(seen, 0, slice(55, 57), spread).tolist() == [2]
+    assert gap.nearest_markers().tolist() == [2, 1]
+    assert replace(gap, marker=2).nearest_markers().tolist() == [1]
+    assert replace(gap, frames=slice(55, 57)).nearest_markers().tolist() == [2]
     begins = _validation_spans(np.arange(100, 300), slice(200, 205))
     assert begins == [193, 207, 186, 214, 179, 221]
     assert _validation_spans(np.arange(199, 209), slice(200, 205)) == [207]

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import compress
+from typing import TypeAlias
 
 import numpy as np
 
@@ -71,6 +72,10 @@ EXCHANGE_DISTANCE = 0.25
 # Largest size ratio between capture and face: beyond, their units differ.
 MAX_SCALE = 3.0
 MAX_LISTED = 12
+# Weights, poses, residuals and robust weights over frames, rounds, and largest change.
+_FitResult: TypeAlias = tuple[
+    FloatArray, FloatArray, FloatArray, FloatArray, int, float
+]
 
 
 def fit_face(
@@ -160,9 +165,8 @@ def _solved_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntA
     solved_shapes, representative_of_shape = moving.copy(), np.arange(len(moving))
     for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
         distance = np.linalg.norm(model.deltas[a] - model.deltas[b])
-        if representative_of_shape[
-            a
-        ] == a and distance <= MIN_LANDMARK_MOTION * np.linalg.norm(model.deltas[a]):
+        max_distance = MIN_LANDMARK_MOTION * np.linalg.norm(model.deltas[a])
+        if representative_of_shape[a] == a and distance <= max_distance:
             representative_of_shape[b], solved_shapes[b] = a, False
     return solved_shapes, representative_of_shape
 
@@ -244,7 +248,7 @@ class _Fit:
         rounds: int,
         neutral: FloatArray | None = None,
         initial: tuple[FloatArray, FloatArray] | None = None,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
+    ) -> _FitResult:
         """Run the kernel on frames with a robust threshold and smoothness."""
         observed = self.observed[frames]
         shape = (len(observed), len(self.face.shapes))
@@ -290,9 +294,7 @@ class _Fit:
             threshold = ROBUST_DEVIATIONS * noise
         return noise
 
-    def solve(
-        self, progress: Callable[[float], None] | None
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
+    def solve(self, progress: Callable[[float], None] | None) -> _FitResult:
         """Return the kernel's result of all windows."""
         count, landmarks = self.observed.shape[:2]
         widths = (len(self.face.shapes), 7, landmarks, landmarks)
@@ -311,9 +313,7 @@ class _Fit:
         weights, poses, residuals, robust_weights = outputs
         return weights, poses, residuals, robust_weights, rounds, change
 
-    def _solve_window(
-        self, frames: slice
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
+    def _solve_window(self, frames: slice) -> _FitResult:
         """Return the kernel's result of one window; nonlinear shapes are iterated."""
         threshold = ROBUST_DEVIATIONS * self.noise
         result = self._run_kernel(frames, threshold, self.smooth, MAX_ROUNDS)

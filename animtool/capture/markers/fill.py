@@ -10,6 +10,7 @@ import numpy as np
 from animtool.capture.markers.geometry import marker_distances
 from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.predict import (
+    MarkerGap,
     Prediction,
     predict_from_markers,
     predict_from_parent_joint,
@@ -195,23 +196,22 @@ def _fill_gaps(
     filled_gaps = []
     for length, first, marker in _sorted_gaps(markers, visible):
         gap = slice(first, first + length)
+        marker_gap = MarkerGap(positions, visible, marker, gap, spread[marker], rate)
         path: FloatArray | None = None
         method = ""
         if max_seconds is None or length <= max_seconds * rate:
             if skeleton is not None and skeleton.is_predicted(marker, gap):
-                prediction = predict_from_skeleton(
-                    skeleton, positions, is_measured, marker, gap, rate
-                )
+                measured_gap = replace(marker_gap, visible=is_measured)
+                prediction = predict_from_skeleton(skeleton, measured_gap)
                 method = "skeleton"
                 mostly_visible = is_measured[gap].mean(axis=0) >= MIN_HOLDER_VISIBILITY
                 drift = skeleton.drift_speed(marker, mostly_visible) * length / rate
                 if drift and max(drift, prediction.error) > ACCEPTED_ERROR:
                     prediction = replace(prediction, error=max(drift, prediction.error))
-                    arguments = (positions, visible, marker, gap, spread[marker], rate)
                     prediction, method = _most_accurate_prediction(
                         (prediction, "skeleton"),
-                        (predict_from_parent_joint(skeleton, *arguments), "skeleton"),
-                        (predict_from_markers(*arguments), "markers"),
+                        (predict_from_parent_joint(skeleton, marker_gap), "skeleton"),
+                        (predict_from_markers(marker_gap), "markers"),
                     )
                 path = prediction.positions
             elif length <= CURVE_SECONDS * rate + 1e-9:
@@ -220,9 +220,7 @@ def _fill_gaps(
                     positions[:, marker], visible[:, marker], gap
                 )
             if path is None:
-                from_markers = predict_from_markers(
-                    positions, visible, marker, gap, spread[marker], rate
-                )
+                from_markers = predict_from_markers(marker_gap)
                 if from_markers is not None:
                     path, method = from_markers.positions, "markers"
         if path is not None:

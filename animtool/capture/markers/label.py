@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from dataclasses import field
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -271,24 +270,7 @@ def _apply_names(
     frame, slot = np.nonzero(marker >= 0)
     slots[frame, marker[frame, slot]] = slot
 
-    def chosen(values: Any, empty: float) -> Any:
-        """Return values of the points in marker order, or an empty value."""
-        if values is None:
-            return None
-        slot_index = slots.reshape(slots.shape + (1,) * (values.ndim - 2))
-        selected_values = np.take_along_axis(values, np.maximum(slot_index, 0), 1)
-        return np.where(
-            slot_index < 0, np.asarray(empty, values.dtype), selected_values
-        )
-
-    labelled = replace(
-        cloud,
-        names=names,
-        positions=chosen(cloud.positions, np.nan),
-        cameras=chosen(cloud.cameras, 0),
-        residuals=chosen(cloud.residuals, np.nan),
-        filled=chosen(cloud.filled, 0),
-    )
+    labelled = cloud.rearrange(slots, names)
     coverage = (slots >= 0).mean(axis=0)
     points, labelled_count = int((ids >= 0).sum()), int((slots >= 0).sum())
     coverage_values = dict(zip(names, coverage.tolist(), strict=True))

@@ -61,61 +61,91 @@ class Prediction:
     error: float
 
 
-def predict_from_markers(
-    positions: FloatArray,
-    visible: BoolArray,
-    marker: int,
-    gap: slice,
-    distance_deviations: FloatArray,
-    rate: float,
-) -> Prediction | None:
+@dataclass(frozen=True, slots=True)
+class MarkerGap:
+    """A gap of a marker to predict, and the positions of the take."""
+
+    positions: FloatArray  # ``(F, M, 3)`` [m], filled gaps included
+    visible: BoolArray  # mask of the positions to learn from ``(F, M)``
+    marker: int
+    frames: slice  # frames of the gap
+    # How much the distance to each marker varies ``(M,)`` [m].
+    distance_deviations: FloatArray
+    rate: float  # [frame/s]
+
+    def nearest_markers(self) -> IntArray:
+        """Return the markers visible throughout the gap, the most rigid first."""
+        deviations = self.distance_deviations
+        is_usable = self.visible[self.frames].all(axis=0) & np.isfinite(deviations)
+        is_usable[self.marker] = False
+        order = np.argsort(np.where(is_usable, deviations, np.inf), kind="stable")
+        return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
+
+    def training_frames(self, neighbours: IntArray) -> IntArray:
+        """Return the frames to learn from: all near the gap, and some farther away."""
+        gap, visible = self.frames, self.visible
+        window = int(TRAINING_SECONDS * self.rate)
+        first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
+        neighbours_visible = visible[first:end][:, neighbours].all(axis=1)
+        is_usable = visible[first:end, self.marker] & neighbours_visible
+        frames = np.flatnonzero(is_usable) + first
+        frames = frames[(frames < gap.start) | (frames >= gap.stop)]
+        is_before = frames < gap.start
+        distance = np.where(is_before, gap.start - frames, frames - gap.stop + 1)
+        dense_frames = frames[distance <= DENSE_FRAMES]
+        other_frames = frames[distance > DENSE_FRAMES]
+        count = MAX_TRAINING_FRAMES - len(dense_frames)
+        if len(other_frames) > count:
+            rows = np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
+            other_frames = other_frames[rows]
+        return np.sort(np.concatenate([dense_frames, other_frames]))
+
+    def with_gap_frames(self, training: IntArray) -> IntArray:
+        """Return training frames followed by the frames of the gap."""
+        return np.concatenate(
+            [training, np.arange(self.frames.start, self.frames.stop)]
+        )
+
+
+def predict_from_markers(gap: MarkerGap) -> Prediction | None:
     """Return a marker's predicted positions in a gap; None if too few are visible.
 
     The marker is expressed in the frame of those around it that are most rigid with it.
     Its motion there is learnt from the frames in which it is visible: a Gaussian
     process over the others' pose, plus one over time that joins the ends.
-
-    positions: ``(F, M, 3)`` [m], filled gaps included. visible: ``(F, M)``.
-    distance_deviations: How much the distance to each marker varies ``(M,)``.
-    rate: [frame/s].
     """
-    neighbours = _nearest_markers(visible, marker, gap, distance_deviations)
+    neighbours = gap.nearest_markers()
     if len(neighbours) < 3:
         return None
-    training = _training_frames(visible, marker, gap, neighbours, rate)
+    training = gap.training_frames(neighbours)
     if len(training) < MIN_TRAINING_FRAMES:
         return None
-    frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
+    frames = gap.with_gap_frames(training)
     predictions = []
     for count in FRAME_MARKERS:
         if count <= len(neighbours):
-            local, pose, to_world = _in_neighbour_frame(
-                positions, frames, marker, neighbours, count
-            )
-            best = _best_prediction(
-                local, pose, frames, gap, rate, DEVIATION_KERNELS, count
-            )
+            local, pose, to_world = _in_neighbour_frame(gap, frames, neighbours, count)
+            best = _best_prediction(gap, local, pose, frames, DEVIATION_KERNELS, count)
             predictions.append(replace(best, positions=to_world(best.positions)))
     return min(predictions, key=lambda prediction: prediction.error)
 
 
 def _best_prediction(
+    gap: MarkerGap,
     local: FloatArray,
     pose: FloatArray,
     frames: IntArray,
-    gap: slice,
-    rate: float,
     deviation_kernels: tuple[tuple[float, float], ...],
     min_markers: int = 1,
 ) -> Prediction:
-    """Return the prediction of the covariance kernel with the smallest error in CV.
+    """Return the prediction with the smallest cross-validation error of all kernels.
 
     local: Marker positions in a moving frame of reference ``(F, 3)``, visible in all
     frames but those of the gap, which are last. pose: Other markers in that frame, the
     most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
     there are any.
     """
-    known = local[: len(frames) - (gap.stop - gap.start)]
+    known = local[: len(frames) - (gap.frames.stop - gap.frames.start)]
     best_prediction: Prediction | None = None
     for pose_markers in POSE_MARKERS:
         if pose_markers > pose.shape[1]:
@@ -129,9 +159,9 @@ def _best_prediction(
             if not pose_markers and length_scale != LENGTH_SCALES[0]:
                 continue
             kernel = _covariance(
-                pose_features, frames / rate, length_scale, deviation, time, known
+                pose_features, frames / gap.rate, length_scale, deviation, time, known
             )
-            error, values = _predict_gap(known, kernel, frames, gap)
+            error, values = _predict_gap(known, kernel, frames, gap.frames)
             if best_prediction is None or error < best_prediction.error:
                 best_prediction = Prediction(values, error)
     assert best_prediction is not None
@@ -139,33 +169,27 @@ def _best_prediction(
 
 
 def predict_from_parent_joint(
-    skeleton: SkeletonMarkers,
-    positions: FloatArray,
-    visible: BoolArray,
-    marker: int,
-    gap: slice,
-    distance_deviations: FloatArray,
-    rate: float,
+    skeleton: SkeletonMarkers, gap: MarkerGap
 ) -> Prediction | None:
     """Return a marker's positions in a gap, predicted from its parent joint.
 
     None if the marker has no parent joint or too few frames to learn from. The marker
     is expressed in the frame of the parent joint, and in frames rotated towards each
     marker on the same joint. Its motion in these frames is learnt as in
-    `predict_from_markers`, with the same arguments.
+    `predict_from_markers`.
     """
-    neighbours = _nearest_markers(visible, marker, gap, distance_deviations)
-    training = _training_frames(visible, marker, gap, neighbours, rate)
+    positions, marker = gap.positions, gap.marker
+    neighbours = gap.nearest_markers()
+    training = gap.training_frames(neighbours)
     if len(training) < MIN_TRAINING_FRAMES or not skeleton.has_parent(marker):
         return None
-    frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
-    known_count = len(training)
+    frames, known_count = gap.with_gap_frames(training), len(training)
     origin = skeleton.origins[frames, marker]
     parent_rotations = skeleton.parent_rotations[frames, marker]
     rotations = [parent_rotations]
-    visible_throughout = np.asarray(visible[gap].all(axis=0))
+    visible_throughout = np.asarray(gap.visible[gap.frames].all(axis=0))
     for marker_on_joint in skeleton.markers_on_joint(marker, visible_throughout):
-        if np.isin(training, np.flatnonzero(visible[:, marker_on_joint])).all():
+        if np.isin(training, np.flatnonzero(gap.visible[:, marker_on_joint])).all():
             arms = positions[frames, marker_on_joint] - origin
             rotations.append(_rotate_towards(parent_rotations, arms))
     predictions = []
@@ -173,7 +197,7 @@ def predict_from_parent_joint(
         local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        best = _best_prediction(local, pose, frames, gap, rate, LOOSE_KERNELS)
+        best = _best_prediction(gap, local, pose, frames, LOOSE_KERNELS)
         rotated = np.einsum("fij,fj->fi", rotation[known_count:], best.positions)
         predictions.append(replace(best, positions=rotated + origin[known_count:]))
     return min(predictions, key=lambda prediction: prediction.error)
@@ -195,39 +219,30 @@ def _rotate_towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArra
     return np.asarray(parent_rotations @ swing)
 
 
-def predict_from_skeleton(
-    skeleton: SkeletonMarkers,
-    positions: FloatArray,
-    visible: BoolArray,
-    marker: int,
-    gap: slice,
-    rate: float,
-) -> Prediction:
+def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Prediction:
     """Return a marker's predicted positions in a gap from a skeleton.
 
     They are the marker's positions on the skeleton plus an offset: a Gaussian process
     over time, in the frame of its joint, that joins the ends. Amplitude and speed of
     skin motion are those with the least cross-validation error.
-
-    positions: ``(F, M, 3)`` [m]. visible: Measured ones ``(F, M)``. rate: [frame/s].
     """
-    training = _training_frames(visible, marker, gap, np.zeros(0, np.int64), rate)
-    frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
+    marker, training = gap.marker, gap.training_frames(np.zeros(0, np.int64))
+    frames = gap.with_gap_frames(training)
     rotations, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
     skeleton_path, known_count = points[:, marker], len(training)
     offsets = np.einsum(
         "fji,fj->fi",
         rotations[:known_count],
-        positions[training, marker] - skeleton_path[:known_count],
+        gap.positions[training, marker] - skeleton_path[:known_count],
     )
-    correction = np.zeros((gap.stop - gap.start, 3))
+    correction = np.zeros((gap.frames.stop - gap.frames.start, 3))
     least_error = np.inf
     no_pose = np.zeros((len(frames), 0))
     for deviation, time in SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ():
         kernel = _covariance(
-            no_pose, frames / rate, LENGTH_SCALES[0], deviation, time, offsets
+            no_pose, frames / gap.rate, LENGTH_SCALES[0], deviation, time, offsets
         )
-        error, values = _predict_gap(offsets, kernel, frames, gap)
+        error, values = _predict_gap(offsets, kernel, frames, gap.frames)
         if error < least_error:
             least_error, correction = error, values
     world_correction = np.einsum("fij,fj->fi", rotations[known_count:], correction)
@@ -237,49 +252,15 @@ def predict_from_skeleton(
     )
 
 
-def _nearest_markers(
-    visible: BoolArray, marker: int, gap: slice, distance_deviations: FloatArray
-) -> IntArray:
-    """Return the markers visible throughout a gap, the most rigid first."""
-    is_usable = visible[gap].all(axis=0) & np.isfinite(distance_deviations)
-    is_usable[marker] = False
-    order = np.argsort(np.where(is_usable, distance_deviations, np.inf), kind="stable")
-    return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
-
-
-def _training_frames(
-    visible: BoolArray, marker: int, gap: slice, neighbours: IntArray, rate: float
-) -> IntArray:
-    """Return the training frames: all near the gap, and sparse ones farther away."""
-    window = int(TRAINING_SECONDS * rate)
-    first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
-    neighbours_visible = visible[first:end][:, neighbours].all(axis=1)
-    is_usable = visible[first:end, marker] & neighbours_visible
-    frames = np.flatnonzero(is_usable) + first
-    frames = frames[(frames < gap.start) | (frames >= gap.stop)]
-    distance = np.where(frames < gap.start, gap.start - frames, frames - gap.stop + 1)
-    dense_frames = frames[distance <= DENSE_FRAMES]
-    other_frames = frames[distance > DENSE_FRAMES]
-    count = MAX_TRAINING_FRAMES - len(dense_frames)
-    if len(other_frames) > count:
-        rows = np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
-        other_frames = other_frames[rows]
-    return np.sort(np.concatenate([dense_frames, other_frames]))
-
-
 def _in_neighbour_frame(
-    positions: FloatArray,
-    frames: IntArray,
-    marker: int,
-    neighbours: IntArray,
-    count: int,
+    gap: MarkerGap, frames: IntArray, neighbours: IntArray, count: int
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
     """Return marker and pose in the frame of the nearest, and the inverse mapping."""
-    neighbour_positions = positions[frames][:, neighbours]
+    neighbour_positions = gap.positions[frames][:, neighbours]
     shape = mean_shape(neighbour_positions[:, :count])
     rotation, shift = fit_shape(neighbour_positions[:, :count], shape)
     pose = np.einsum("fji,fkj->fki", rotation, neighbour_positions - shift[:, None])
-    offset = positions[frames, marker] - shift
+    offset = gap.positions[frames, gap.marker] - shift
     local = np.einsum("fji,fj->fi", rotation, offset)
 
     def to_world(values: FloatArray) -> FloatArray:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from animtool.capture.markers.geometry import MarkerDistances, marker_distances
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths.runs import merge_runs, runs
 from animtool.motion.markers import Markers
@@ -104,7 +103,9 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
             if not set(other_pair) & set(clearest_pair)
         }
     swaps.sort(key=lambda swap: (swap.first, swap.markers))
-    return (_permute_columns(markers, source_column) if swaps else markers), swaps
+    if not swaps:
+        return markers, swaps
+    return markers.rearrange(source_column, markers.names), swaps
 
 
 def _expected_positions(
@@ -371,19 +372,3 @@ def _swap_spans(
             last += int(visible_after[0]) // 2
         spans.append((begin, last))
     return spans
-
-
-def _permute_columns(markers: Markers, source: IntArray) -> Markers:
-    """Return markers with their columns permuted per frame ``(F, M)``."""
-
-    def exchanged(values: Any) -> Any:
-        """Return values of markers with columns permuted like the names."""
-        return None if values is None else np.take_along_axis(values, source, 1)
-
-    return replace(
-        markers,
-        positions=np.take_along_axis(markers.positions, source[..., None], 1),
-        cameras=exchanged(markers.cameras),
-        residuals=exchanged(markers.residuals),
-        filled=exchanged(markers.filled),
-    )

@@ -259,21 +259,19 @@ class _CalibrationState:
         residuals = residuals * weight
         jacobian = jacobian * weight[:, :, None]
         columns = columns * weight[:, :, None]
-        normal = np.swapaxes(jacobian, 1, 2) @ jacobian
+        transposed_jacobian = np.swapaxes(jacobian, 1, 2)
+        normal = transposed_jacobian @ jacobian
         pose_precision = np.full((count, degrees), MOTION_POSE_DEVIATION**-2.0)
         pose_precision[: self.static_frames] = STATIC_POSE_DEVIATION**-2.0
         normal += np.eye(degrees) * pose_precision[:, :, None]
-        transposed_jacobian = np.swapaxes(jacobian, 1, 2)
         # Parameters and residuals with the poses eliminated.
-        eliminated_columns = np.linalg.solve(normal, transposed_jacobian @ columns)
-        pose_prior_gradient = pose_precision * self._deviation_from_rest(poses)
-        pose_step = np.linalg.solve(
-            normal,
-            (transposed_jacobian @ residuals[:, :, None])[:, :, 0][:, :, None]
-            - pose_prior_gradient[:, :, None],
-        )[:, :, 0]
+        mixed_terms = transposed_jacobian @ columns
+        eliminated_columns = np.linalg.solve(normal, mixed_terms)
+        pose_gradient = transposed_jacobian @ residuals[:, :, None]
+        pose_gradient -= (pose_precision * self._deviation_from_rest(poses))[:, :, None]
+        pose_step = np.linalg.solve(normal, pose_gradient)
         shared_jacobian = columns.reshape(-1, columns.shape[2])
-        mixed_terms = (transposed_jacobian @ columns).reshape(-1, columns.shape[2])
+        mixed_terms = mixed_terms.reshape(-1, columns.shape[2])
         eliminated_columns = eliminated_columns.reshape(mixed_terms.shape)
         matrix = (
             shared_jacobian.T @ shared_jacobian - mixed_terms.T @ eliminated_columns

@@ -13,14 +13,13 @@ from pydantic import Field
 from animtool.capture.templates.template import MarkerTemplate, TemplateMarker
 from animtool.core.config import project_roots
 from animtool.core.errors import counted, listed
-from animtool.core.files.reading import exists
 from animtool.core.options import key
 from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector
-from animtool.documents.references import missing_hint, resolve_reference
+from animtool.documents.references import resolve_input
 from animtool.rig.sides import pair_sides
 
 # Largest distance of a marker from its joint [m]; larger numbers mean another unit.
@@ -120,7 +119,10 @@ def parse_template(document: Document) -> MarkerTemplate:
     if all(entry.weight == 0 for entry in model.marker_set):
         message = "every marker has weight 0"
         document.add("MKT004", ("marker_set",), message, "leave out some weights")
-    rig = _referred_rig(document, model.rig)
+    rig = None
+    if model.rig is not None:
+        roots = project_roots(document.path)
+        rig = resolve_input(document, ("rig",), model.rig, roots)
     document.check()
     _warn_of_offsets(document, markers, LengthUnit(model.units.length))
     _warn_of_sides(document, markers)
@@ -163,13 +165,10 @@ def _warn_of_offsets(
 def _warn_of_sides(document: Document, markers: Sequence[TemplateMarker]) -> None:
     """Warn of pairs of markers that are on the joints of the other side (MKT005)."""
     joints = list(dict.fromkeys(marker.joint for marker in markers))
-    joint_pairs, pairs = (
-        pair_sides(joints),
-        pair_sides([marker.name for marker in markers]),
-    )
+    joint_pairs = pair_sides(joints)
+    pairs = pair_sides([marker.name for marker in markers])
     left_joints = {joints[j] for j in joint_pairs.left}
-    partner_of = {name: joints[p] for name, p in zip(
-        joints, joint_pairs.partners.tolist(), strict=True)}  # fmt: skip
+    partner_of = {joints[j]: joints[p] for j, p in enumerate(joint_pairs.partners)}
     crossed: list[int] = []
     for left in pairs.left:
         right = int(pairs.partners[left])
@@ -192,14 +191,3 @@ def _warn_of_sides(document: Document, markers: Sequence[TemplateMarker]) -> Non
 def _in_unit(size: float, unit: LengthUnit, other: LengthUnit) -> float:
     """Reinterpret the number of a size [m] in another unit; return metres."""
     return size * other.meters / unit.meters
-
-
-def _referred_rig(document: Document, name: str | None) -> Path | None:
-    """Return the rig file that a template names; record a fault if it is missing."""
-    if name is None:
-        return None
-    path = resolve_reference(document, ("rig",), name, project_roots(document.path))
-    if path is not None and not exists(path):
-        hint = missing_hint(document, name)
-        document.add("DOC015", ("rig",), f"{name!r} does not exist", hint)
-    return path
