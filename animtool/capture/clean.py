@@ -1,4 +1,4 @@
-"""Cleaning of captured takes: spikes removed, each joint filtered by its noise.
+"""Cleans captured takes: removes spikes, and filters each joint by its noise.
 
 A spike is one or a few frames that disagree, all to the same side, with the frames
 before, the frames after and the line between them. A step or a corner, such as a foot
@@ -91,43 +91,43 @@ class _JointCleaner:
 
     def clean_channel(self, channel: Channel, min_size: float) -> Channel:
         """Return a channel with spikes removed and each joint low-pass filtered."""
-        rotation = channel.rest.shape[1] == 4
+        is_rotation = channel.rest.shape[1] == 4
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
             signal = values[:, i]
             spikes = self.options.spikes
-            is_spike = _spike_frames(signal, spikes, min_size, rotation=rotation)
+            is_spike = _spike_frames(signal, spikes, min_size, rotation=is_rotation)
             if is_spike.any():
-                signal = bridge_gaps(signal, ~is_spike, rotation=rotation)
-            noise = (rotation_noise if rotation else noise_level)(signal)
+                signal = bridge_gaps(signal, ~is_spike, rotation=is_rotation)
+            noise = (rotation_noise if is_rotation else noise_level)(signal)
             # A quaternion contains half the angle.
-            tolerance = noise / 2 if rotation else noise
+            tolerance = noise / 2 if is_rotation else noise
             is_noisy = tolerance > NEGLIGIBLE_NOISE * min_size
             cutoff = (
-                self._choose_cutoff(signal, rotation=rotation) if is_noisy else None
+                self._choose_cutoff(signal, rotation=is_rotation) if is_noisy else None
             )
             frames = tuple(np.flatnonzero(is_spike).tolist())
             cleaned_signal = CleanedSignal(
-                self.names[joint], rotation, frames, noise, cutoff
+                self.names[joint], is_rotation, frames, noise, cutoff
             )
             if cutoff is not None:
-                lowpass_filter = lowpass_rotations if rotation else lowpass
-                filtered = lowpass_filter(signal, cutoff, self.rate)
+                lowpass_filter = lowpass_rotations if is_rotation else lowpass
+                filtered_signal = lowpass_filter(signal, cutoff, self.rate)
                 if self.options.cutoff is not None:
                     mean = signal.mean(axis=0)
                     if cleaned_signal.rotation:
                         deviation = so3.angle_between(signal, so3.normalize(mean))
-                        change = so3.angle_between(signal, filtered)
+                        change = so3.angle_between(signal, filtered_signal)
                     else:
                         deviation = np.linalg.norm(signal - mean, axis=-1)
-                        change = np.linalg.norm(signal - filtered, axis=-1)
+                        change = np.linalg.norm(signal - filtered_signal, axis=-1)
                     cleaned_signal = replace(
                         cleaned_signal,
                         motion=float(np.sqrt(np.mean(deviation**2))),
                         change=float(np.sqrt(np.mean(change**2))),
                         max_change=float(change.max()),
                     )
-                signal = filtered
+                signal = filtered_signal
             values[:, i] = signal
             self.signals.append(cleaned_signal)
         return replace(channel, values=values).compact()
@@ -151,12 +151,12 @@ def bridge_gaps(
 ) -> FloatArray:
     """Return a signal ``(F, K)`` with unknown frames interpolated."""
     if rotation:
-        aligned = signal.copy()
-        aligned[is_known] = so3.align_signs(signal[is_known], signal[is_known][0])
-        signal = aligned
+        rotations = signal.copy()
+        rotations[is_known] = so3.align_signs(signal[is_known], signal[is_known][0])
+        signal = rotations
     lowpass_filter = lowpass_rotations if rotation else lowpass
-    interpolated = lowpass_filter(signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known)
-    return np.where(is_known[:, None], signal, interpolated)
+    bridged = lowpass_filter(signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known)
+    return np.where(is_known[:, None], signal, bridged)
 
 
 def _spike_frames(
@@ -183,23 +183,23 @@ def _spike_frames(
 def _run_deviations(
     signal: FloatArray, max_length: int, *, rotation: bool
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Yield the deviation of each run of 1 to ``max_length`` frames, from frame 2."""
+    """Yield the length of runs, and the deviations of the runs from frame 2 on."""
     for run in range(max_length, 0, -1):
         count = len(signal) - run - 3
         if count < 1:
             continue
-        shifted = [signal[k : k + count] for k in range(run + 4)]
+        shifts = [signal[k : k + count] for k in range(run + 4)]
         if rotation:  # sign flips after a spike are not rotation
             aligned_pairs = (run + 2, 1), (run + 3, run + 2), (2, 1), (run + 1, run + 2)
             for k, reference in aligned_pairs:
-                shifted[k] = so3.align_to(shifted[k], shifted[reference])
-        before, after = shifted[1], shifted[run + 2]
-        forward, backward = 2 * before - shifted[0], 2 * after - shifted[run + 3]
+                shifts[k] = so3.align_to(shifts[k], shifts[reference])
+        before, after = shifts[1], shifts[run + 2]
+        forward, backward = 2 * before - shifts[0], 2 * after - shifts[run + 3]
         step = (after - before) / (run + 1)
         sizes = []
         for difference, deviation in (
-            (shifted[2] - forward, shifted[2] - before - step),
-            (shifted[run + 1] - backward, shifted[run + 1] - after + step),
+            (shifts[2] - forward, shifts[2] - before - step),
+            (shifts[run + 1] - backward, shifts[run + 1] - after + step),
         ):
             distance = np.linalg.norm(deviation, axis=-1)
             divisor = np.where(distance > 0, distance, 1)
@@ -247,9 +247,9 @@ def clean(
     options = CleanOptions(spikes, keep_noise, cutoff)
     for check in _option_checks(options).values():
         check()
-    cleaned_result, signals = clean_take(take, options)
+    cleaned_take, signals = clean_take(take, options)
     return replace(
-        cleaned_result,
+        cleaned_take,
         notices=(*take.notices, *cleaning_notices(take, signals, options)),
     )
 
@@ -291,12 +291,12 @@ def cleaning_notices(
         hint = f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body "
         hint += "motion"
         faults.append(warning("CAP106", message, hint))
-    removed = _removed_motion(filtered_signals)
-    if removed is not None:
+    worst = _removed_motion(filtered_signals)
+    if worst is not None:
         message = (
             f"a cut-off of {options.cutoff:g} Hz removes motion, not only noise: "
-            f"{removed.name} changes by up to {removed.text(removed.max_change)}, its "
-            f"noise is {removed.text(removed.noise)}"
+            f"{worst.name} changes by up to {worst.text(worst.max_change)}, its "
+            f"noise is {worst.text(worst.noise)}"
         )
         hint = f"set {argument('cutoff')} in Hz; 6 Hz suits most body motion"
         faults.append(warning("CAP106", message, hint))
@@ -318,8 +318,8 @@ def _removed_motion(signals: list[CleanedSignal]) -> CleanedSignal | None:
     """
     signals = [s for s in signals if s.rotation] or signals
     affected = [s for s in signals if s.change > NOISE_FACTOR * s.noise]
-    removed = sum(s.change**2 for s in affected)
-    if not affected or removed <= MAX_REMOVED * sum(s.motion**2 for s in signals):
+    removed_power = sum(s.change**2 for s in affected)
+    if not affected or removed_power <= MAX_REMOVED * sum(s.motion**2 for s in signals):
         return None
     return max(affected, key=lambda s: s.max_change)
 
@@ -399,10 +399,10 @@ def _option_checks(options: CleanOptions) -> OptionChecks:
 
 def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
     """Run the pass: clean the take and report its noise."""
-    cleaned, signals = clean_take(take, options)
+    cleaned_take, signals = clean_take(take, options)
     context.notices.extend(cleaning_notices(take, signals, options))
     context.scores.append(noise_scores(take.clock.count, signals))
-    return cleaned
+    return cleaned_take
 
 
 _EDITED_PARTS = frozenset({TakePart.JOINTS})

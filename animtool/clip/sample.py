@@ -11,7 +11,7 @@ import numpy as np
 from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, FormatError, Severity, listed
+from animtool.core.errors import Fault, FormatError, Severity, listed, warning
 from animtool.core.quantities import percent_hint
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -232,7 +232,7 @@ def _range_notices(
             value = float(values[worst_frame])
             if not clamp and control.high == 1 and MIN_PERCENT <= value <= 100:
                 hint = percent_hint(value)
-            fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
+            fault = warning("CLIP101", message, hint)
             target = f"control/{control.name}"
             amount = float(abs(excess[worst_frame]))
             notices.append(ClipNotice(fault, target, float(frame), amount))
@@ -428,7 +428,7 @@ class _JointValues:
         message = f"joint {joint.name!r} {excess_text} at frame "
         message += f"{self.times[worst_frame]:g}"
         hint = None if self.clamp else _CLAMP_HINT
-        fault = Fault("CLIP102", message, severity=Severity.WARNING, hint=hint)
+        fault = warning("CLIP102", message, hint)
         frame, largest = float(self.times[worst_frame]), float(excess[worst_frame])
         self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame, largest))
 

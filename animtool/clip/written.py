@@ -10,7 +10,7 @@ from animtool.clip.keyed_curve import KeyedCurve, clip_of
 from animtool.clip.keyed_take import fit_take_keys
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.clock import FrameSpan
-from animtool.core.errors import Fault, Severity, listed
+from animtool.core.errors import Fault, listed, warning
 from animtool.core.files.reading import path_from_folder
 from animtool.core.units import parse_length
 from animtool.core.writers import CLIP, output_stem
@@ -89,7 +89,7 @@ def _skipped_content_warnings(take: Take) -> list[Fault]:
         return []
     message = f"a clip cannot hold {listed(names, MAX_NAMES)}: skipped"
     hint = "write USD too, which can hold them"
-    return [Fault("CLIP119", message, severity=Severity.WARNING, hint=hint)]
+    return [warning("CLIP119", message, hint)]
 
 
 def with_identity_rest(rig: Rig) -> Rig:

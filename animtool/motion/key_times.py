@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, warning
 from animtool.motion.keyed import WeightOption, key_arrays
 
 # Samples with steps below this are seconds at 10 frames a second or more [frame].
@@ -76,7 +76,7 @@ def weight_warnings(
         hint = "times are frames of the take"
     else:
         return []
-    return [Fault("SCN116", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("SCN116", message, hint)]
 
 
 def are_integer_seconds(

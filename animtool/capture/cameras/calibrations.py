@@ -1,4 +1,4 @@
-"""Calibrations as OpenCV, Pose2Sim and anipose write them.
+"""Reads camera calibrations of OpenCV, Pose2Sim and anipose.
 
 References:
     OpenCV, ``FileStorage``; Pagnon et al., Pose2Sim, 2021; Karashchuk et al.,
@@ -78,15 +78,15 @@ def _parse_toml(text: str, path: Path) -> Document:
         lines = (int(match[1]),) if match else ()
         message = f"invalid TOML: {str(error).split(' (at ')[0]}"
         raise FormatError(Fault("CAM003", message, str(path), lines)) from error
-    starts: dict[str, int] = {}
-    for number, row in enumerate(text.splitlines(), 1):
+    line_of_table: dict[str, int] = {}
+    for line_number, row in enumerate(text.splitlines(), 1):
         table = _TOML_TABLE.match(row)
         if table is not None:
-            starts.setdefault(table[1], number)
+            line_of_table.setdefault(table[1], line_number)
     positions = [(1, 1)]
-    for key, inner in value.items():
-        line = starts.get(key, 1)
-        positions += [(line, 1)] * (1 + _node_count(inner))
+    for key, table_value in value.items():
+        line = line_of_table.get(key, 1)
+        positions += [(line, 1)] * (1 + _node_count(table_value))
     return Document(path, value, lambda: SourceMarks(positions, {}))
 
 
@@ -120,14 +120,14 @@ def parse_calibration(
         cameras.append(camera)
     document.check()
     source: Location = () if stated_unit is None else ("units",)
-    warn_of_spread(document, source, cameras, unit, stated=stated_unit is not None)
+    warn_of_spread(document, source, cameras, unit, is_stated=stated_unit is not None)
     warn_of_focals(document, [location for location, _, _ in entries], cameras)
     notices = tuple(document.notices)
     return Cameras(tuple(cameras), up or UpAxis.Y, str(document.path), notices)
 
 
 def _stated_unit(document: Document) -> LengthUnit | None:
-    """Return the unit that a document states, if any; report an unknown one."""
+    """Return the unit that a document states; None, with a fault if it is unknown."""
     location: Location = ("units",)
     stated_unit = document.value.get("units")
     if isinstance(stated_unit, dict) and "length" in stated_unit:
@@ -174,7 +174,7 @@ class _CalibrationEntry:
     value: dict[str, Any]
 
     def read_camera(self, name: str, scale: float) -> Camera | None:
-        """Return the camera of the entry; record its faults and return None if any."""
+        """Return the camera of the entry; None and its faults if it is invalid."""
         if self.value.get("fisheye") is True:
             message = "fisheye lenses are not supported"
             hint = "undistort the pixels first, and write a lens without distortion"
@@ -255,7 +255,7 @@ class _CalibrationEntry:
         return numbers
 
     def _matrix_of_storage(self, value: dict[str, Any]) -> Any:
-        """Return a matrix of a FileStorage, or raw numbers if its shape is wrong."""
+        """Return the rows of a FileStorage matrix; None if it is malformed."""
         rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
         if not (isinstance(rows, int) and isinstance(columns, int)):
             return None
@@ -305,14 +305,14 @@ class _CalibrationEntry:
     def _read_size(self) -> tuple[int, int] | None:
         """Return width and height of the image [px]; None if unknown."""
         key = self._key_of("size")
-        size_pair: Any = None if key is None else self.value[key]
+        size: Any = None if key is None else self.value[key]
         for width, height in _SIZE_KEYS:
             if width in self.value and height in self.value:
-                size_pair, key = [self.value[width], self.value[height]], width
-        if size_pair is None or key is None:
+                size, key = [self.value[width], self.value[height]], width
+        if size is None or key is None:
             return None
         try:
-            sides = [int(side) for side in size_pair]
+            sides = [int(side) for side in size]
         except (TypeError, ValueError, OverflowError):
             sides = []
         if len(sides) != 2 or not all(0 < side <= 100_000 for side in sides):

@@ -138,8 +138,8 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         in_camera = points @ camera.rotation.T + camera.translation
         depth = np.where(in_camera[..., 2] > 0, in_camera[..., 2], np.nan)
-        distorted = distort(camera, in_camera[..., :2] / depth[..., None])
-        x, y = np.moveaxis(distorted, -1, 0)
+        distorted_points = distort(camera, in_camera[..., :2] / depth[..., None])
+        x, y = np.moveaxis(distorted_points, -1, 0)
         pixel_x = camera.focal[0] * x + camera.skew * y + camera.centre[0]
         pixel_y = camera.focal[1] * y + camera.centre[1]
     pixels = np.stack([pixel_x, pixel_y], axis=-1)
@@ -164,16 +164,16 @@ def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
     y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
     target = np.stack([x, y], axis=-1)
-    estimate = target.copy()
+    points = target.copy()
     for _ in range(_NEWTON_STEPS if any(camera.distortion) else 0):
         # Finite differences are exact enough for the slopes of the lens: every step is
         # checked with the lens model itself.
-        step, projected = 1e-6, distort(camera, estimate)
+        step, distorted = 1e-6, distort(camera, points)
         derivative_x, derivative_y = (
-            (distort(camera, estimate + np.array(offset)) - projected) / step
+            (distort(camera, points + np.array(offset)) - distorted) / step
             for offset in ([step, 0], [0, step])
         )
-        error = projected - target
+        error = distorted - target
         determinant = (
             derivative_x[..., 0] * derivative_y[..., 1]
             - derivative_x[..., 1] * derivative_y[..., 0]
@@ -188,5 +188,5 @@ def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
             ],
             axis=-1,
         )
-        estimate -= newton_step / determinant[..., None]
-    return estimate
+        points -= newton_step / determinant[..., None]
+    return points

@@ -51,7 +51,7 @@ class Convention:
 
     @property
     def texts(self) -> tuple[str, str]:
-        """How this convention writes poses, and what to write instead, for messages."""
+        """Descriptions of this convention and of its correction, for messages."""
         written, remedies = [], []
         if self.w_last:
             written.append("quaternions are [x, y, z, w]")
@@ -93,7 +93,7 @@ def better_convention(
     """
     as_read = noise(cameras)
     noises = [noise([c.camera(camera) for camera in cameras]) for c in CONVENTIONS]
-    best = int(np.argmin(noises))
-    if noises[best] > min(limit, as_read / MIN_IMPROVEMENT):
+    best_index = int(np.argmin(noises))
+    if noises[best_index] > min(limit, as_read / MIN_IMPROVEMENT):
         return None
-    return CONVENTIONS[best], noises[best], as_read
+    return CONVENTIONS[best_index], noises[best_index], as_read

@@ -144,7 +144,7 @@ def parse_cameras(
         )
     document.check()
     location = ("units", "length") if states_unit else ("views", 0, "translation")
-    warn_of_spread(document, location, cameras, unit, stated=states_unit)
+    warn_of_spread(document, location, cameras, unit, is_stated=states_unit)
     focals = [("views", i, "focal") for i in range(len(cameras))]
     warn_of_focals(document, focals, cameras)
     notices = tuple(document.notices)

@@ -67,21 +67,21 @@ def measure_noise(
     observations: Observations, cameras: Sequence[Camera], gate: float, condition: float
 ) -> ObservationNoise:
     """Measure the noise of each camera's observations on a sample of frames."""
-    frames, views, markers = observations.stored.shape[:3]
-    frame_step = max(1, frames * markers // SAMPLE_POINTS)
-    pixels = observations.pixels(0, frames, frame_step)
-    confidences = observations.confidences_of(0, frames, frame_step)
+    frame_count, view_count, marker_count = observations.stored.shape[:3]
+    frame_step = max(1, frame_count * marker_count // SAMPLE_POINTS)
+    pixels = observations.pixels(0, frame_count, frame_step)
+    confidences = observations.confidences_of(0, frame_count, frame_step)
     kernel_cameras = camera_parameters(cameras)
-    noise = np.full(views, initial_noise(pixels, kernel_cameras))
+    noise = np.full(view_count, initial_noise(pixels, kernel_cameras))
     active = np.ones(pixels.shape[:2], bool)
-    stale: dict[int, PoseChange] = {}
+    pose_changes: dict[int, PoseChange] = {}
     settings = (gate, condition)
     triangulate = partial(
         _kernels.triangulate_points, pixels, confidences, kernel_cameras
     )
-    for round_ in range(_NOISE_ROUNDS + views):
+    for round_ in range(_NOISE_ROUNDS + view_count):
         *_, residuals, states = triangulate(active, noise, *settings, detailed=True)
-        lengths = _lengths(residuals)
+        lengths = _residual_lengths(residuals)
         if confidences is not None:
             lengths = lengths * np.sqrt(np.maximum(confidences, 0))
         pooled_noise = _pooled_noise(lengths, states == USED)
@@ -95,7 +95,7 @@ def measure_noise(
             cameras, pixels, confidences, noise, active, ratios, settings
         )
         if stale_camera is not None:
-            worst_camera, stale[worst_camera] = stale_camera
+            worst_camera, pose_changes[worst_camera] = stale_camera
             active[:, worst_camera] = False
             is_active = active[0]
             noise[:] = initial_noise(pixels[:, is_active], kernel_cameras[is_active])
@@ -103,31 +103,31 @@ def measure_noise(
             break
     points, *_ = triangulate(active, noise, *settings, detailed=False)
     views_of_point = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1)
-    triangulated = int(np.isfinite(points[..., 0]).sum())
-    if triangulated < MIN_TRIANGULATED * (views_of_point > 1).sum():
+    triangulated_count = int(np.isfinite(points[..., 0]).sum())
+    if triangulated_count < MIN_TRIANGULATED * (views_of_point > 1).sum():
         # If no two cameras agree, or any two do, all are pooled.
-        stale, active = {}, np.ones_like(active)
+        pose_changes, active = {}, np.ones_like(active)
         *_, residuals, states = triangulate(
             active, noise, _UNLIMITED_GATE, condition, detailed=True
         )
-        overall_noise = _pooled_noise(_lengths(residuals), states == USED)
+        overall_noise = _pooled_noise(_residual_lengths(residuals), states == USED)
         noise[:] = noise if overall_noise is None else max(overall_noise, MIN_NOISE)
-        return ObservationNoise(noise, stale, cameras_agree=False)
-    noise[list(stale)] = np.median(noise[active[0]])
-    return ObservationNoise(noise, stale)
+        return ObservationNoise(noise, pose_changes, cameras_agree=False)
+    noise[list(pose_changes)] = np.median(noise[active[0]])
+    return ObservationNoise(noise, pose_changes)
 
 
 def sampled_initial_noise(
     observations: Observations, cameras: Sequence[Camera]
 ) -> float:
     """Return the `initial_noise` of a sample of frames [px]."""
-    frames, _, markers = observations.stored.shape[:3]
-    step = max(1, frames * markers // SAMPLE_POINTS)
-    pixels = observations.pixels(0, frames, step)
+    frame_count, _, marker_count = observations.stored.shape[:3]
+    step = max(1, frame_count * marker_count // SAMPLE_POINTS)
+    pixels = observations.pixels(0, frame_count, step)
     return initial_noise(pixels, camera_parameters(cameras))
 
 
-def _lengths(residuals: Float32Array) -> Any:
+def _residual_lengths(residuals: Float32Array) -> Any:
     """Return the Euclidean norms of residuals ``(F, C, M)`` [px]."""
     return np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
 
@@ -146,9 +146,9 @@ def _stale_camera(
     noise: FloatArray,
     active_cameras: BoolArray,
     noise_ratios: FloatArray,
-    settings: tuple[float, float],
+    gate_and_condition: tuple[float, float],
 ) -> tuple[int, PoseChange] | None:
-    """Return the camera whose pose change fits it best to points of the other cameras.
+    """Return the stale camera, with the pose change that fits the others' points best.
 
     Only one camera is returned, since a stale camera makes others look worse.
     """
@@ -163,7 +163,7 @@ def _stale_camera(
         without_camera[:, camera] = False
         points, sizes, *_ = _kernels.triangulate_points(
             pixels, confidences, camera_parameters(cameras), without_camera, noise,
-            *settings, detailed=False,
+            *gate_and_condition, detailed=False,
         )  # fmt: skip
         others = [*cameras[:camera], *cameras[camera + 1 :]]
         change = fit_pose_change(cameras[camera], points, pixels[:, camera], others)
@@ -175,12 +175,12 @@ def _stale_camera(
     return camera, change
 
 
-def initial_noise(pixels: FloatArray, numbers: FloatArray) -> float:
+def initial_noise(pixels: FloatArray, kernel_cameras: FloatArray) -> float:
     """Estimate the noise by least median of squares over camera pairs [px]."""
     pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_POINTS)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
     pixels = np.ascontiguousarray(pixels)
-    least_medians = _kernels.least_median_residuals(pixels, numbers)
+    least_medians = _kernels.least_median_residuals(pixels, kernel_cameras)
     has_estimate = np.isfinite(least_medians) & (counts > 1)
     if not has_estimate.any():
         return 1.0
@@ -207,14 +207,14 @@ def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatAr
     """Estimate each camera's noise from its median residual [px] ``(C,)``."""
     is_used = states == USED
     other_counts = is_used.sum(axis=1)[:, None] - is_used
-    is_judged = is_used | (states == _REJECTED) | (states == _INACTIVE)
-    is_judged &= other_counts > 1
+    is_compared = is_used | (states == _REJECTED) | (states == _INACTIVE)
+    is_compared &= other_counts > 1
     # A point seen by n cameras takes 3 of their 2n residuals.
     residual_fraction = np.where(
         is_used, 1 - 1.5 / np.maximum(other_counts + is_used, 2), 1.0
     )
     scaled_lengths = np.where(
-        is_judged & np.isfinite(lengths), lengths / np.sqrt(residual_fraction), np.nan
+        is_compared & np.isfinite(lengths), lengths / np.sqrt(residual_fraction), np.nan
     )
     medians = np.full(lengths.shape[1], np.nan)
     for camera in range(len(medians)):

@@ -165,8 +165,8 @@ def _read_arrays(
     if len(header.shape) != 4 or header.shape[3] != 2:
         message = f"{key!r} has shape {header.shape}, not (frames, cameras, markers, 2)"
         raise ValueError(message)
-    frames, views, count, _ = header.shape
-    if not (frames and views and count):
+    frame_count, views, marker_count, _ = header.shape
+    if not (frame_count and views and marker_count):
         raise ValueError(f"{key!r} has shape {header.shape}: it is empty")
     if views > MAX_CAMERAS:
         raise ValueError(f"{key!r} has {views} cameras; the limit is {MAX_CAMERAS}")
@@ -180,10 +180,10 @@ def _read_arrays(
         name: tuple(archives.texts(path, name)) if name in array_names else ()
         for name in ("marker_names", "camera_names")
     }
-    names = texts["marker_names"] or tuple(f"*{i}" for i in range(count))
+    names = texts["marker_names"] or tuple(f"*{i}" for i in range(marker_count))
     cameras = texts["camera_names"]
     lengths = (
-        ("marker_names", len(names), count),
+        ("marker_names", len(names), marker_count),
         ("camera_names", len(cameras), views),
     )
     for label, length, expected_length in lengths:
@@ -194,10 +194,10 @@ def _read_arrays(
     confidences = None
     if "confidence" in array_names:
         confidences = archives.load(path, "confidence")
-        if confidences.shape != (frames, views, count):
+        if confidences.shape != (frame_count, views, marker_count):
             message = f"'confidence' has shape {confidences.shape}"
-            raise ValueError(f"{message}, not {(frames, views, count)}")
-    clock = Clock(rate, Fraction(1), Fraction(1), frames)
+            raise ValueError(f"{message}, not {(frame_count, views, marker_count)}")
+    clock = Clock(rate, Fraction(1), Fraction(1), frame_count)
     return Observations(
         names, clock, stored, cameras, unit, missing, confidences, str(path)
     )
@@ -237,7 +237,7 @@ def uncalibrated_error(name: str, cameras: Cameras, advice: str) -> OptionError:
 def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
     """Return the cameras in the order of the observations."""
     path = cameras.path or None
-    views = observations.stored.shape[1]
+    camera_count = observations.stored.shape[1]
     if observations.cameras:
         by_name = {camera.name: camera for camera in cameras.cameras}
         missing_names = [name for name in observations.cameras if name not in by_name]
@@ -247,13 +247,13 @@ def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
         matched_cameras = tuple(by_name[name] for name in observations.cameras)
     else:
         matched_cameras = cameras.cameras
-        if len(matched_cameras) != views:
+        if len(matched_cameras) != camera_count:
             message = f"holds {counted(len(matched_cameras), 'camera')}, "
-            message += f"but the observations have {views}"
+            message += f"but the observations have {camera_count}"
             hint = "use the calibration of this capture, or write camera_names in the "
             hint += "observations to tell which cameras they are"
             raise OptionError(Fault("CAM011", message, path, (), hint))
-    if views < 2:
+    if camera_count < 2:
         message = "one camera sees no depth: at least two are needed"
         raise OptionError(Fault("CAM012", message, observations.path or path))
     return replace(cameras, cameras=matched_cameras)

@@ -60,7 +60,7 @@ _NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
 
 @dataclass(slots=True)
 class _PersonTrack:
-    """Keypoints of one person in every frame and camera."""
+    """A tracked person: the last positions, and the detections in all cameras."""
 
     points: FloatArray  # last positions [m] (M, 3)
     last_frame: int  # their frame
@@ -86,9 +86,9 @@ def track_people(
             all.
     """
     tracks: list[_PersonTrack] = []
-    lost_after = max(1, round(MAX_LOST_SECONDS * rate))
+    max_lost_frames = max(1, round(MAX_LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
-        live_tracks = [t for t in tracks if frame - t.last_frame <= lost_after]
+        live_tracks = [t for t in tracks if frame - t.last_frame <= max_lost_frames]
         unassigned_detections = {
             (camera, i)
             for camera, detected in enumerate(people)
@@ -114,14 +114,14 @@ def track_people(
     order = sorted(
         range(len(long_tracks)), key=lambda k: (-len(long_tracks[k].detections), k)
     )
-    kept = sorted(order[: max_people or len(order)])
-    shape = (len(detections), len(cameras), max(1, len(kept)), keypoints, 3)
-    tracked = np.full(shape, np.nan)
-    tracked[..., 2] = 0
-    for p, k in enumerate(kept):
+    kept_indices = sorted(order[: max_people or len(order)])
+    shape = (len(detections), len(cameras), max(1, len(kept_indices)), keypoints, 3)
+    tracked_keypoints = np.full(shape, np.nan)
+    tracked_keypoints[..., 2] = 0
+    for p, k in enumerate(kept_indices):
         for (frame, c), i in long_tracks[k].detections.items():
-            tracked[frame, c, p] = detections[frame][c][i]
-    return tracked.reshape(len(detections), len(cameras), -1, 3)
+            tracked_keypoints[frame, c, p] = detections[frame][c][i]
+    return tracked_keypoints.reshape(len(detections), len(cameras), -1, 3)
 
 
 def _person_size(keypoints: FloatArray) -> float:
@@ -211,8 +211,8 @@ def _ray_distance(
     plane that contains the other ray and both cameras.
     """
     baseline = camera_b.position - camera_a.position
-    largest = 0.0
-    for ray_set, opposite_rays, camera, scale in (
+    largest_distance = 0.0
+    for ray_set, opposite_rays, camera, size in (
         (rays_a, rays_b, camera_a, size_a),
         (rays_b, rays_a, camera_b, size_b),
     ):
@@ -225,8 +225,8 @@ def _ray_distance(
             return np.inf
         # Lengths are at depth 1 of the camera.
         median = float(np.median(sine[is_finite]))
-        largest = max(largest, median * camera.focal[0] / scale)
-    return largest
+        largest_distance = max(largest_distance, median * camera.focal[0] / size)
+    return largest_distance
 
 
 def _solve_person(
@@ -325,22 +325,22 @@ def read_keypoints(
         message = f"people have {listed(sorted(counts)) or 'no'} keypoints"
         hint = "all files must use one body model"
         raise FormatError(Fault("CAM010", message, str(folder), (), hint))
-    keypoints = counts.pop()
+    keypoint_count = counts.pop()
     tracks = track_people(
-        detections, matched_cameras.cameras, float(rate), keypoints, people
+        detections, matched_cameras.cameras, float(rate), keypoint_count, people
     )
-    labels = _KEYPOINT_NAMES.get(keypoints) or tuple(
-        f"point{i:02d}" for i in range(keypoints)
+    labels = _KEYPOINT_NAMES.get(keypoint_count) or tuple(
+        f"point{i:02d}" for i in range(keypoint_count)
     )
-    persons = tracks.shape[2] // keypoints
-    points = tuple(
-        label if persons == 1 else f"person{p + 1}_{label}"
-        for p in range(persons)
+    person_count = tracks.shape[2] // keypoint_count
+    point_names = tuple(
+        label if person_count == 1 else f"person{p + 1}_{label}"
+        for p in range(person_count)
         for label in labels
     )
     clock = Clock(rate, Fraction(first), Fraction(1), len(detections))
     return Observations(
-        points, clock, np.ascontiguousarray(tracks[..., :2]), names,
+        point_names, clock, np.ascontiguousarray(tracks[..., :2]), names,
         confidences=np.ascontiguousarray(tracks[..., 2]), path=str(folder),
     )  # fmt: skip
 
@@ -357,8 +357,8 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
     if all(names):
         return tuple(names)
     if any(names):
-        missing = folders[names.index("")].name
-        raise uncalibrated_error(missing, cameras, "; name the folder so")
+        unmatched_folder = folders[names.index("")].name
+        raise uncalibrated_error(unmatched_folder, cameras, "; name the folder so")
     if len(folders) != len(cameras):
         message = f"{len(folders)} folders, but {len(cameras)} cameras"
         hint = "give each folder the name of its camera in the calibration"
@@ -403,9 +403,9 @@ def _read_people(path: Path) -> list[FloatArray]:
         if not 0 < len(keypoints) <= MAX_KEYPOINTS:
             message = f"a person has {len(keypoints)} keypoints"
             raise FormatError(Fault("CAM010", message, str(path)))
-        missing = ~np.isfinite(keypoints).all(axis=1) | (keypoints[:, 2] <= 0)
-        keypoints[missing] = [np.nan, np.nan, 0]
-        if not missing.all():
+        is_missing = ~np.isfinite(keypoints).all(axis=1) | (keypoints[:, 2] <= 0)
+        keypoints[is_missing] = [np.nan, np.nan, 0]
+        if not is_missing.all():
             detected.append(keypoints)
     return detected
 

@@ -1,4 +1,4 @@
-"""Plausibility of calibrated cameras: distances and focal lengths."""
+"""Warnings about implausible cameras: their distances and focal lengths."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit
 from animtool.documents.document import Document, Location
 
-# Farthest distance of two cameras, from a pair of lenses to a stadium [m].
+# Range of the largest distance of two cameras, from a stereo camera to a stadium [m].
 MIN_SPREAD, MAX_SPREAD = 0.01, 300.0
-# That of the cameras of a typical capture [m].
+# Largest distance of two cameras in a typical capture [m].
 TYPICAL_SPREAD = 6.0
 
 # Widest view that a lens without fisheye projection has [deg].
@@ -31,21 +31,21 @@ def warn_of_focals(
 ) -> None:
     """Warn of focal lengths that are not in pixels (CAM114).
 
-    locations: Where each camera states its focal lengths.
+    locations: Location of each camera's focal lengths.
     """
-    wide = []
+    wide_cameras = []
     for location, camera in zip(locations, cameras, strict=True):
         width = camera.size[0] if camera.size else 2 * camera.centre[0]
         view = math.degrees(2 * math.atan2(width / 2, camera.focal[0]))
         if width > 1 and view > MAX_VIEW:
-            wide.append((location, camera.focal[0], width, view))
-    if not wide:
+            wide_cameras.append((location, camera.focal[0], width, view))
+    if not wide_cameras:
         return
-    location, focal, width, view = wide[0]
+    location, focal, width, view = wide_cameras[0]
     message = f"a focal length of {focal:.4g} px for an image of {width:.5g} px is a "
     message += f"field of view of {view:.0f}°"
-    if len(wide) > 1:
-        message += f"; the same holds for {len(wide) - 1} more"
+    if len(wide_cameras) > 1:
+        message += f"; the same holds for {len(wide_cameras) - 1} more"
     number = f"{focal:.4g} * {width:.5g}"
     hint = f"focal lengths are in pixels: {focal:.4g} mm on a sensor of "
     hint += f"{FULL_FRAME:g} mm is {number} / {FULL_FRAME:g} = "
@@ -62,7 +62,7 @@ def warn_of_spread(
     cameras: Sequence[Camera],
     unit: LengthUnit,
     *,
-    stated: bool,
+    is_stated: bool,
 ) -> None:
     """Warn of cameras that are too far apart, or too close (CAM113).
 
@@ -71,7 +71,7 @@ def warn_of_spread(
         location: Where it states the unit, or else the first translation.
         cameras: The cameras.
         unit: The unit that translations are read in.
-        stated: Whether the file states it.
+        is_stated: Whether the file states it.
     """
     positions = np.array([camera.position for camera in cameras]).reshape(-1, 3)
     offsets = positions[:, None] - positions
@@ -90,6 +90,6 @@ def warn_of_spread(
     if MIN_SPREAD <= spread_in(likely) <= MAX_SPREAD:
         message += f"; in {likely} it would be {length_text(spread_in(likely))}"
         hint = f"write units: {{length: {likely}}} in the file"
-        if not stated:
+        if not is_stated:
             hint += f", or set {argument('source.unit', likely)}"
     document.warn("CAM113", location, message, hint)

@@ -157,10 +157,10 @@ def camera_notices(
         return Fault(code, message, path or None, (), hint, Severity.WARNING)
 
     for shift in report.shifts:
-        throughout = shift.first == 0 and shift.end == clock.count
+        is_every_frame = shift.first == 0 and shift.end == clock.count
         text = f"camera {report.name!r} moved in frames {shift.first + 1} to "
         text += f"{shift.end}"
-        if throughout:
+        if is_every_frame:
             text = f"camera {report.name!r} does not match its calibration in any frame"
         text += f": {percent_text(shift.outliers)} of its points are outliers"
         hint = "calibrate it again"
@@ -229,20 +229,20 @@ def lost_frames(
 
 
 def gap_notices(
-    names: Sequence[str], positions: FloatArray, views: int, path: str
+    names: Sequence[str], positions: FloatArray, visible_count: int, path: str
 ) -> Iterator[Fault]:
     """Yield warnings about points without a position.
 
     positions: ``(F, M, 3)``, NaN for a gap.
     """
-    triangulated = np.isfinite(positions[..., 0])
-    never_triangulated = [
-        names[i] for i in np.flatnonzero(~triangulated.any(axis=0)).tolist()
+    is_triangulated = np.isfinite(positions[..., 0])
+    missing_names = [
+        names[i] for i in np.flatnonzero(~is_triangulated.any(axis=0)).tolist()
     ]
-    if never_triangulated:
-        text = f"no two cameras agree on {listed(never_triangulated)} in any frame"
+    if missing_names:
+        text = f"no two cameras agree on {listed(missing_names)} in any frame"
         yield Fault("CAM104", text, path or None, severity=Severity.WARNING)
-    lost_count = views - int(triangulated.sum())
+    lost_count = visible_count - int(is_triangulated.sum())
     if lost_count > 0:
         text = f"{counted(lost_count, 'point')} that two or more cameras see are gaps: "
         text += "no two agree, or their rays are too close to parallel"

@@ -22,7 +22,7 @@ MIN_OBSERVATIONS = 20
 _GAUSS_NEWTON_STEPS = 8
 # Minimum observations for testing a camera in a frame; how far the other observations
 # deviate, over the noise; and by how many standard errors.
-MIN_VIEW, LOUD_RATIO, SAMPLING_SPREAD = 3, 2.0, 6.0
+MIN_VIEW, MAX_NOISE_RATIO, SAMPLING_SPREAD = 3, 2.0, 6.0
 
 # Error of another camera that fits, over the camera's own error; neighbours reach .28.
 MATCH_ERROR_RATIO = 0.05
@@ -174,7 +174,7 @@ def find_disagreements(
         ratio = pixels / used / (2 * noise**2)
         ratio_limit = 1 + SAMPLING_SPREAD / np.sqrt(used)
     is_mostly_rejected = rejected > MIN_REJECTED_FRACTION * triangulated_counts
-    is_loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD_RATIO**2, ratio_limit))
+    is_loud = (used >= MIN_VIEW) & (ratio > np.maximum(MAX_NOISE_RATIO**2, ratio_limit))
     is_active = is_active & (triangulated_counts >= MIN_VIEW)
     frames = np.flatnonzero(is_active & (is_mostly_rejected | is_loud))
     return [
@@ -283,10 +283,10 @@ def fit_pose_change(
             return None
         median_length = max(float(np.median(lengths[is_usable])), 1e-6)
         weights = np.where(is_usable, 1 / (1 + lengths / median_length), 0.0)
-        slopes = _pixel_derivatives(refined_camera, points)
-        is_usable &= np.isfinite(slopes).all(axis=(1, 2))
+        jacobian = _pixel_derivatives(refined_camera, points)
+        is_usable &= np.isfinite(jacobian).all(axis=(1, 2))
         root_weights = np.sqrt(weights[is_usable])[:, None]
-        matrix = (slopes[is_usable] * root_weights[..., None]).reshape(-1, 6)
+        matrix = (jacobian[is_usable] * root_weights[..., None]).reshape(-1, 6)
         weighted_residuals = (residual_vectors[is_usable] * root_weights).ravel()
         step = np.linalg.lstsq(matrix, -weighted_residuals, rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation

@@ -111,7 +111,7 @@ class _TriangulationRun:
         self.observations, self.cameras, self.options = observations, cameras, options
         self.progress = progress
         self.frames, self.views, self.markers = observations.stored.shape[:3]
-        self.numbers = camera_parameters(cameras.cameras)
+        self.camera_arrays = camera_parameters(cameras.cameras)
         self.active = np.ones((self.frames, self.views), bool)
         self.noise = np.ones(self.views)
         self.positions = np.full((self.frames, self.markers, 3), np.nan)
@@ -160,14 +160,14 @@ class _TriangulationRun:
 
     def _refuse_other_convention(self, limit: float) -> None:
         """Raise if poses fit in another convention, such as w-last quaternions."""
-        better = better_convention(
+        improvement = better_convention(
             self.cameras.cameras,
             lambda cameras: sampled_initial_noise(self.observations, cameras),
             limit,
         )
-        if better is None:
+        if improvement is None:
             return
-        convention, noise, noise_as_read = better
+        convention, noise, noise_as_read = improvement
         written, remedy = convention.texts
         message = f"rays of the cameras miss each other by {noise_as_read:.1f} px, but "
         message += f"by {noise:.1f} px if {written}"
@@ -210,7 +210,7 @@ class _TriangulationRun:
         """Return the kernel's triangulation of observations with active cameras."""
         return _kernels.triangulate_points(
             *observed,
-            self.numbers,
+            self.camera_arrays,
             np.ascontiguousarray(active),
             self.noise,
             self.options.gate,
@@ -226,9 +226,9 @@ class _TriangulationRun:
         """
         rate = float(self.observations.clock.rate)
         for camera, change in stale.items():
-            judged, rejected = self.tallies.of_triangulated, self.tallies.rejected
-            ranges = find_stale_ranges(judged, rejected, camera, rate)
-            previously_active = self.active[:, camera].copy()
+            triangulated, rejected = self.tallies.of_triangulated, self.tallies.rejected
+            ranges = find_stale_ranges(triangulated, rejected, camera, rate)
+            was_active = self.active[:, camera].copy()
             self.shifts[camera] += self._mark_kept_ranges(
                 camera, [replace(shift, change=change) for shift in ranges]
             )
@@ -236,7 +236,7 @@ class _TriangulationRun:
                 self.active[:, camera] = True
                 for shift in self.shifts[camera]:
                     self.active[shift.first : shift.end, camera] = shift.kept
-                for first, end in runs(self.active[:, camera] != previously_active):
+                for first, end in runs(self.active[:, camera] != was_active):
                     self._solve_frames(first, end)
 
     def _mark_kept_ranges(
@@ -281,8 +281,8 @@ class _TriangulationRun:
             for shift in shifts:
                 is_active[shift.first : shift.end, camera] = False
         for _ in range(self.views):
-            judged, rejected = self.tallies.of_triangulated, self.tallies.rejected
-            worst = find_shifted_ranges(judged, rejected, is_active, rate)
+            triangulated, rejected = self.tallies.of_triangulated, self.tallies.rejected
+            worst = find_shifted_ranges(triangulated, rejected, is_active, rate)
             if worst is None:
                 break
             camera, ranges = worst

@@ -129,13 +129,13 @@ def _read_arrays(
 ) -> FaceCapture:
     """Return the landmarks of an npz."""
     keys = archives.names(path)
-    names = [name for name in keys if _POINTS_ARRAY.fullmatch(name)]
+    point_keys = [name for name in keys if _POINTS_ARRAY.fullmatch(name)]
     if array:
-        names = [array]
-    if not names:
+        point_keys = [array]
+    if not point_keys:
         hint = f"it holds {listed(keys)}; landmarks_mm (F, N, 3) are positions in mm"
         raise _fault_in_file(path, "has no array landmarks_mm or landmarks_px", hint)
-    key = names[0]
+    key = point_keys[0]
     header = archives.header(path, key)
     width = 2 if key.endswith("_px") else 3
     if len(header.shape) != 3 or header.shape[2] != width or header.kind not in "fiu":
@@ -153,17 +153,17 @@ def _read_arrays(
         points[is_infinite] = np.nan
         message = f"{int(is_infinite.sum())} landmarks are infinite: treated as missing"
         notices.append(Fault("FAC106", message, str(path), severity=Severity.WARNING))
-    name_array = None
+    names = None
     if "landmark_names" in keys:
-        name_array = tuple(archives.texts(path, "landmark_names"))
-        if len(name_array) != count or len(set(name_array)) < count:
-            message = f"landmark_names has {len(set(name_array))} names for {count} "
+        names = tuple(archives.texts(path, "landmark_names"))
+        if len(names) != count or len(set(names)) < count:
+            message = f"landmark_names has {len(set(names))} names for {count} "
             message += "landmarks"
             raise _fault_in_file(path, message)
     rate = _capture_rate(archives, path, keys, fps)
     clock = Clock(rate, Fraction(1), Fraction(1), frames)
-    model = _read_model(archives, path, keys, name_array, unit)
-    return FaceCapture(path, name_array, clock, points, up, model, tuple(notices))
+    model = _read_model(archives, path, keys, names, unit)
+    return FaceCapture(path, names, clock, points, up, model, tuple(notices))
 
 
 def _unit_meters(key: str, unit: LengthUnit | None) -> float:
@@ -240,13 +240,13 @@ def order_landmarks(
             raise OptionError(Fault("FAC004", message, path, (), hint))
         return capture.points, []
     columns = {name: i for i, name in enumerate(capture.names)}
-    columns_of = [columns.get(name, -1) for name in model.names]
-    if max(columns_of) < 0:
+    landmark_columns = [columns.get(name, -1) for name in model.names]
+    if max(landmark_columns) < 0:
         message = f"no landmark belongs to the face, such as {capture.names[0]!r}"
         hint = f"{nearest(capture.names[0], model.names)}"
         raise OptionError(Fault("FAC004", message, path, (), hint))
-    ordered_points = np.take(capture.points, columns_of, axis=1)
-    ordered_points[:, np.array(columns_of) < 0] = np.nan
+    ordered_points = np.take(capture.points, landmark_columns, axis=1)
+    ordered_points[:, np.array(landmark_columns) < 0] = np.nan
     notices = []
     for names, problem in (
         ([n for n in model.names if n not in columns],

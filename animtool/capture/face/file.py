@@ -226,7 +226,7 @@ _Displacement = tuple[FloatArray, tuple[InbetweenDeltas, ...]]
 def _displacement(
     shape: Shape, surfaces: dict[str, Surface], rows: list[_LandmarkRow]
 ) -> _Displacement | None:
-    """Return a shape's offsets at landmarks, with in-betweens; None for none."""
+    """Return a shape's offsets at landmarks, and its in-betweens; None if missing."""
     surface = surfaces.get(shape.mesh)
     if surface is None:
         return None

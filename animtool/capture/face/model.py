@@ -101,13 +101,13 @@ class FaceModel:
 
     def similar_shapes(self) -> list[tuple[int, int]]:
         """Return pairs of shapes that displace landmarks in the same directions."""
-        moving = np.flatnonzero(self.shapes_with_motion())
-        flat_deltas = self.deltas[moving].reshape(len(moving), -1)
+        indices = np.flatnonzero(self.shapes_with_motion())
+        flat_deltas = self.deltas[indices].reshape(len(indices), -1)
         flat_deltas = flat_deltas / np.linalg.norm(flat_deltas, axis=1, keepdims=True)
         pairs = np.argwhere(
             np.triu(flat_deltas @ flat_deltas.T > MIN_SAME_SHAPE_COSINE, 1)
         )
-        return [(int(moving[a]), int(moving[b])) for a, b in pairs.tolist()]
+        return [(int(indices[a]), int(indices[b])) for a, b in pairs.tolist()]
 
     def notices(self) -> list[Fault]:
         """Return warnings about shapes that landmarks cannot detect or distinguish."""
@@ -168,7 +168,7 @@ class NonlinearShapes:
         )
 
     def select(self, shapes: BoolArray) -> NonlinearShapes:
-        """Return the model restricted to the selected shapes."""
+        """Return the shapes with only the selected ones solved."""
         return replace(
             self, solved_indices=tuple(compress(self.solved_indices, shapes))
         )

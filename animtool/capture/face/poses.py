@@ -47,16 +47,16 @@ def _kabsch_poses(
     """Return weighted rigid poses by the Kabsch algorithm ``(F, 7)``."""
     weight_sums = np.maximum(robust_weights.sum(axis=1), 1e-300)[:, None]
     centre = robust_weights @ neutral / weight_sums
-    target = np.einsum("fn,fni->fi", robust_weights, points) / weight_sums
+    centroid = np.einsum("fn,fni->fi", robust_weights, points) / weight_sums
     centred_points = neutral[None] - centre[:, None]
     covariance = np.einsum(
-        "fn,fni,fnj->fij", robust_weights, points - target[:, None], centred_points
+        "fn,fni,fnj->fij", robust_weights, points - centroid[:, None], centred_points
     )
     u, _, vt = np.linalg.svd(covariance)
     signs = np.ones((len(points), 3))
     signs[:, 2] = np.sign(np.linalg.det(u @ vt))
     rotations = from_matrix((u * signs[:, None]) @ vt)
-    return np.concatenate([rotations, target - rotate(rotations, centre)], axis=1)
+    return np.concatenate([rotations, centroid - rotate(rotations, centre)], axis=1)
 
 
 def last_good_poses(poses: FloatArray, is_good: BoolArray) -> FloatArray:

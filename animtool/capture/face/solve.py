@@ -1,4 +1,4 @@
-"""Landmarks to blend-shape weights: bounded, robust, smooth, without head motion.
+"""Solves blend-shape weights from landmarks: bounded, robust and smooth.
 
 Each frame is solved for weights and a head pose that put the shaped face on its
 landmarks. Frames are coupled by a cost of changes, so a take is solved in windows that
@@ -115,16 +115,16 @@ def fit_face(
     is_usable = visible.sum(axis=1) >= MIN_LANDMARKS
     if not is_usable.any():
         refuse("FAC005", f"no frame has {MIN_LANDMARKS} landmarks or more")
-    moving = model.shapes_with_motion()
-    if not moving.any():
+    is_moving = model.shapes_with_motion()
+    if not is_moving.any():
         message = "no shape moves a landmark"
         hint = "are the landmarks on the mesh of the shapes?"
         raise OptionError(Fault("FAC007", message, hint=hint))
     # Shapes with similar displacements are solved as one, and split evenly. Shapes with
     # in-betweens or correctives are solved separately.
-    solved_shapes, representative_of_shape = _solved_shapes(model, moving)
+    solved_shapes, representative_of_shape = _solved_shapes(model, is_moving)
     face = model.select(solved_shapes)
-    representatives = representative_of_shape[moving]
+    representatives = representative_of_shape[is_moving]
     counts = np.bincount(representatives, minlength=len(model.shapes))[solved_shapes]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
     usable_landmarks = np.where(is_usable[:, None, None], observed, np.nan)
@@ -132,7 +132,7 @@ def fit_face(
     weights, poses, residuals, robust_weights, rounds, change = solver.solve(progress)
     all_weights = np.zeros((len(observed), len(model.shapes)))
     columns = np.cumsum(solved_shapes) - 1
-    all_weights[:, moving] = weights[:, columns[representative_of_shape[moving]]]
+    all_weights[:, is_moving] = weights[:, columns[representative_of_shape[is_moving]]]
     rotations, translations = interpolate_poses(poses, is_usable)
     misplaced_counts = (robust_weights < MISPLACED_FRACTION).sum(axis=1)
     matching_counts = (robust_weights >= MISPLACED_FRACTION).sum(axis=1)
@@ -162,13 +162,13 @@ def fit_face(
 
 def _solved_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Return a mask of solved shapes, and each shape's solved representative."""
-    solved_shapes, representative_of_shape = moving.copy(), np.arange(len(moving))
+    is_solved, representative_of_shape = moving.copy(), np.arange(len(moving))
     for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
         distance = np.linalg.norm(model.deltas[a] - model.deltas[b])
         max_distance = MIN_LANDMARK_MOTION * np.linalg.norm(model.deltas[a])
         if representative_of_shape[a] == a and distance <= max_distance:
-            representative_of_shape[b], solved_shapes[b] = a, False
-    return solved_shapes, representative_of_shape
+            representative_of_shape[b], is_solved[b] = a, False
+    return is_solved, representative_of_shape
 
 
 def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
@@ -223,7 +223,7 @@ class _Fit:
         self.noise = self._measure_noise()
         speed = TYPICAL_SPEED / fps
         self.smooth = smooth * (self.noise / speed) ** 2
-        self.rest = (self.noise / TYPICAL_WEIGHT) ** 2
+        self.rest_penalty = (self.noise / TYPICAL_WEIGHT) ** 2
 
     def _initial_poses(self) -> FloatArray:
         """Estimate initial head poses from landmarks or, with a camera, pixels."""
@@ -247,12 +247,12 @@ class _Fit:
         smooth: float,
         rounds: int,
         neutral: FloatArray | None = None,
-        initial: tuple[FloatArray, FloatArray] | None = None,
+        start: tuple[FloatArray, FloatArray] | None = None,
     ) -> _FitResult:
         """Run the kernel on frames with a robust threshold and smoothness."""
         observed = self.observed[frames]
         shape = (len(observed), len(self.face.shapes))
-        weights, poses = initial or (np.zeros(shape), self.start_poses[frames])
+        weights, poses = start or (np.zeros(shape), self.start_poses[frames])
         neutral_points = self.face.neutral[None] if neutral is None else neutral
         return _kernels.fit_face(
             np.ascontiguousarray(neutral_points),
@@ -263,10 +263,10 @@ class _Fit:
             np.ascontiguousarray(weights),
             threshold,
             smooth,
-            self.rest,
+            self.rest_penalty,
             CONVERGED_CHANGE,
             rounds,
-            initial is not None,
+            start is not None,
         )
 
     def _measure_noise(self) -> float:
@@ -275,7 +275,7 @@ class _Fit:
         rows = np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)
         sampled_frames = np.unique(usable_frames[rows])
         min_noise = MIN_NOISE * self.face.size * self.pixels_per_unit
-        self.rest = (min_noise * 10 / TYPICAL_WEIGHT) ** 2
+        self.rest_penalty = (min_noise * 10 / TYPICAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.pixels_per_unit
         noise = min_noise
         for _ in range(3):
@@ -289,8 +289,8 @@ class _Fit:
             parameters = 6 * len(sampled_frames) + ((weights > 0) & (weights < 1)).sum()
             residual_fraction = max(1.0 - parameters / max(residual_count, 1), 0.05)
             median = MEDIAN_3D if width == 3 else MEDIAN_2D
-            typical = float(np.median(residuals[visible])) / median
-            noise = max(typical / np.sqrt(residual_fraction), min_noise)
+            typical_residual = float(np.median(residuals[visible])) / median
+            noise = max(typical_residual / np.sqrt(residual_fraction), min_noise)
             threshold = ROBUST_DEVIATIONS * noise
         return noise
 
@@ -353,11 +353,11 @@ def _notices(
             message += f"first, frames {listed(numbers, MAX_LISTED)}"
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = visible & is_usable[:, None]
-    counts = is_used.sum(axis=0)
+    visible_counts = is_used.sum(axis=0)
     misplaced_counts = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(axis=0)
-    is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(counts, 1)
+    is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(visible_counts, 1)
     for names, verbs, problem in (
-        (list(compress(model.names, counts == 0)), ("is", "are"), "never seen"),
+        (list(compress(model.names, visible_counts == 0)), ("is", "are"), "never seen"),
         (
             list(compress(model.names, is_misplaced)),
             ("does", "do"),

@@ -1,1 +1,1 @@
-"""Marker trajectories completed: labelled, swaps and spikes repaired, gaps filled."""
+"""Completes marker trajectories: labels points, repairs swaps, fills gaps."""

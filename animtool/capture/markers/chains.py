@@ -1,4 +1,4 @@
-"""Joining of unlabelled runs of one marker across gaps."""
+"""Joins unlabelled runs of one marker across gaps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FAR_DISTANCE, UNSTEADY_SPREAD = 0.25, 0.02
 
 
 def rest_evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArray:
-    """Return the log-likelihood of distances being a rest pair's ``(..., M)`` [nat].
+    """Return the evidence that distances are those of rest pairs ``(..., M)`` [nat].
 
     It compares each distance's likelihood for the rest pair with that for arbitrary
     points. It is 0 where a distance is unknown.
@@ -60,19 +60,19 @@ def rest_evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> Flo
 MIN_EVIDENCE, MIN_MARGIN = 3.0, 1.5
 
 
-def chain_runs(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
+def chain_runs(distances: MarkerDistances, overlap: FloatArray) -> IntArray:
     """Return the chain of each run ``(R,)``, numbered from 0.
 
     Two runs are joined if they keep the same distances to everything visible with both,
     and no concurrent run matches either nearly as well. Runs visible together are never
     one chain.
 
-    moving: Distances of the runs. overlap: Frames in which pairs are visible ``(R,
+    distances: Distances of the runs. overlap: Frames in which pairs are visible ``(R,
     R)``.
     """
     count = len(overlap)
-    chain = np.arange(count)
-    likelihood = chain_likelihoods(moving, overlap)
+    chain_of_run = np.arange(count)
+    likelihood = chain_likelihoods(distances, overlap)
     is_together = overlap > 0
     likelihood[is_together] = -np.inf
     is_concurrent = is_together & ~np.eye(count, dtype=bool)
@@ -94,35 +94,35 @@ def chain_runs(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
     scored_pairs.sort(reverse=True)
     members = {run: [run] for run in range(count)}
     for _, a, b in scored_pairs:
-        chain_a, chain_b = int(chain[a]), int(chain[b])
+        chain_a, chain_b = int(chain_of_run[a]), int(chain_of_run[b])
         if (
             chain_a == chain_b
             or is_together[np.ix_(members[chain_a], members[chain_b])].any()
         ):
             continue
         members[chain_a] += members.pop(chain_b)
-        chain[members[chain_a]] = chain_a
-    return np.unique(chain, return_inverse=True)[1]
+        chain_of_run[members[chain_a]] = chain_a
+    return np.unique(chain_of_run, return_inverse=True)[1]
 
 
-def chain_likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArray:
+def chain_likelihoods(distances: MarkerDistances, overlap: FloatArray) -> FloatArray:
     """Return the log-likelihood ratio that two runs are the same marker [nat]."""
     count = len(overlap)
     likelihood = np.zeros((count, count))
     for run in range(count):
-        mean = moving.mean[run]
+        mean = distances.mean[run]
         # (S, B): mean distances of concurrent points to both runs
-        log_likelihood = rest_evidence(mean, moving.spread[run], moving.mean)
+        log_likelihood = rest_evidence(mean, distances.spread[run], distances.mean)
         weight = np.minimum(1.0, np.minimum(overlap[run][:, None], overlap) / 60.0)
-        is_known = np.isfinite(moving.mean) & np.isfinite(mean)[:, None]
+        is_known = np.isfinite(distances.mean) & np.isfinite(mean)[:, None]
         likelihood[run] = (log_likelihood * weight * is_known).sum(axis=0)
     return 0.5 * (likelihood + likelihood.T)
 
 
-def merge_chains(points: FloatArray, chain: IntArray) -> FloatArray:
+def merge_chains(points: FloatArray, chain_of_run: IntArray) -> FloatArray:
     """Merge run positions ``(F, R, 3)`` into chain positions ``(F, C, 3)``."""
-    merged_points = np.full((len(points), int(chain.max()) + 1, 3), np.nan)
-    for run, number in enumerate(chain.tolist()):
+    merged_points = np.full((len(points), int(chain_of_run.max()) + 1, 3), np.nan)
+    for run, chain in enumerate(chain_of_run.tolist()):
         visible = np.isfinite(points[:, run, 0])
-        merged_points[visible, number] = points[visible, run]
+        merged_points[visible, chain] = points[visible, run]
     return merged_points

@@ -1,4 +1,4 @@
-"""Marker trajectories completed: swaps and spikes repaired, gaps filled."""
+"""Completes marker trajectories: repairs swaps and spikes, and fills gaps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.capture.markers.swaps import Swap, repair_swaps
 from animtool.capture.options import FillOptions
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, Severity, counted
+from animtool.core.errors import Fault, counted, warning
 from animtool.core.process.blas import one_thread
 from animtool.core.quantities import frames_hint, plain_number
 from animtool.core.record import dataclass
@@ -37,8 +37,8 @@ CURVE_SECONDS = 0.05
 CURVE_FRAMES, MIN_FRAMES = 6, 3
 CURVE_DEGREE = 5
 # A prediction with an error below this is not compared with others [m]; and the
-# fraction of a gap in which another marker must be visible to determine the joint.
-ACCEPTED_ERROR, MIN_HOLDER_VISIBILITY = 0.001, 0.8
+# fraction of a gap in which another marker must be visible to support the joint.
+ACCEPTED_ERROR, MIN_SUPPORT_VISIBILITY = 0.001, 0.8
 # Cross-validation next to a gap underestimates the error within it by this factor.
 VALIDATION_BIAS = 1.6
 
@@ -159,7 +159,7 @@ def _complete_markers(
         hint = "fewer than three nearby markers are visible, or the take is too short"
         if options.longest is not None:
             hint = f"longer gaps are left by {argument('longest', options.longest)}"
-        notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
+        notices.append(warning("MKR111", message, hint))
     notices += [
         *_length_warning(options.longest, markers),
         *plausibility_warnings(markers),
@@ -181,7 +181,7 @@ def _length_warning(longest: float | None, markers: Markers) -> list[Fault]:
     limit_text = argument("longest", plain_number(longest))
     message = f"{limit_text} allows gaps of {longest:g} s, but the take has "
     message += f"{duration:.3g} s: gaps of any length are filled"
-    return [Fault("MKR112", message, None, (), hint, Severity.WARNING)]
+    return [warning("MKR112", message, hint)]
 
 
 def _fill_gaps(
@@ -204,7 +204,7 @@ def _fill_gaps(
                 measured_gap = replace(marker_gap, visible=is_measured)
                 prediction = predict_from_skeleton(skeleton, measured_gap)
                 method = "skeleton"
-                mostly_visible = is_measured[gap].mean(axis=0) >= MIN_HOLDER_VISIBILITY
+                mostly_visible = is_measured[gap].mean(axis=0) >= MIN_SUPPORT_VISIBILITY
                 drift = skeleton.drift_speed(marker, mostly_visible) * length / rate
                 if drift and max(drift, prediction.error) > ACCEPTED_ERROR:
                     prediction = replace(prediction, error=max(drift, prediction.error))
@@ -238,12 +238,12 @@ def _most_accurate_prediction(
     *predictions: tuple[Prediction | None, str],
 ) -> tuple[Prediction, str]:
     """Return the prediction with the smallest error, and its method."""
-    (best, name), *alternatives = (
+    (first, name), *alternatives = (
         (prediction, name) for prediction, name in predictions if prediction is not None
     )
-    error = best.error / VALIDATION_BIAS
+    error = first.error / VALIDATION_BIAS
     return min(
-        [(replace(best, error=error), name), *alternatives],
+        [(replace(first, error=error), name), *alternatives],
         key=lambda prediction: prediction[0].error,
     )
 
@@ -254,8 +254,8 @@ def _sorted_gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, i
     for marker, name in enumerate(markers.names):
         if name.startswith("*") or not visible[:, marker].any():
             continue
-        missing = runs(~visible[:, marker])
-        gaps += [(end - first, first, marker) for first, end in missing]
+        missing_runs = runs(~visible[:, marker])
+        gaps += [(end - first, first, marker) for first, end in missing_runs]
     return sorted(gaps)
 
 

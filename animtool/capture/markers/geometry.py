@@ -45,9 +45,9 @@ def marker_distances(positions: FloatArray) -> MarkerDistances:
         columns_with_data = np.flatnonzero(is_finite.sum(axis=0) >= min_frames)
         if not len(columns_with_data):
             continue
-        low, middle, high = _column_quantiles(lengths[:, columns_with_data])
+        low, median, high = _column_quantiles(lengths[:, columns_with_data])
         columns = columns_with_data + i + 1
-        mean[i, columns] = mean[columns, i] = middle
+        mean[i, columns] = mean[columns, i] = median
         spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
     return MarkerDistances(mean, spread)
 
@@ -111,10 +111,10 @@ def positions_by_column(
     id, -1 for none.
     """
     column = np.where(ids >= 0, column_of_id[ids], -1)
-    ordered = np.full((len(ids), count, 3), np.nan)
+    ordered_positions = np.full((len(ids), count, 3), np.nan)
     frame, slot = np.nonzero(column >= 0)
-    ordered[frame, column[frame, slot]] = positions[frame, slot]
-    return ordered
+    ordered_positions[frame, column[frame, slot]] = positions[frame, slot]
+    return ordered_positions
 
 
 # Iterations of fitting all frames to their median; the shape converges in these.

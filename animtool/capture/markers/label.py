@@ -1,4 +1,4 @@
-"""Labelling of unnamed points, from a static trial and their motion."""
+"""Labels unnamed points by a static trial and their motion."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.capture.markers.tracklets import Tracklets, track_points
 from animtool.capture.markers.twins import Exchange, distinguish_twins, is_exchanged
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.record import dataclass
 from animtool.motion.markers import Markers
 
@@ -47,17 +47,19 @@ def identify_runs(
     """Return the marker of each run of a window ``(R,)``; None if nothing fits."""
     chain = np.arange(points.shape[1])
     for _ in range(CHAIN_ROUNDS):
-        moving = marker_distances(points)
+        distances = marker_distances(points)
         visible = np.isfinite(points[..., 0]).astype(np.float64)
-        new_chain = chain_runs(moving, visible.T @ visible)
+        new_chain = chain_runs(distances, visible.T @ visible)
         points, chain = merge_chains(points, new_chain), new_chain[chain]
-    moving = marker_distances(points)
+    distances = marker_distances(points)
     visible = np.isfinite(points[..., 0]).astype(np.float64)
-    groups = _rigid_groups(moving)
-    seeds = _find_seeds(points, groups, moving, shape, rest, SEED_TOLERANCE)
+    groups = _rigid_groups(distances)
+    seeds = _find_seeds(points, groups, distances, shape, rest, SEED_TOLERANCE)
     if not seeds:
-        seeds = _find_seeds(points, groups, moving, shape, rest, LOOSE_SEED_TOLERANCE)
-    initial_naming = PointNaming(moving, visible.T @ visible, rest)
+        seeds = _find_seeds(
+            points, groups, distances, shape, rest, LOOSE_SEED_TOLERANCE
+        )
+    initial_naming = PointNaming(distances, visible.T @ visible, rest)
     merged_seed = _merge_seeds(seeds, initial_naming.are_concurrent)
     namings = []
     for seed in filter(None, [merged_seed, *seeds[:MAX_SEEDS]]):
@@ -81,9 +83,9 @@ def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, 
         combined_names = names | seed
         points = np.array(list(combined_names))
         markers = np.array(list(combined_names.values()))
-        clash = together[np.ix_(points, points)] & (markers[:, None] == markers)
-        np.fill_diagonal(clash, False)
-        if not clash.any():
+        is_clash = together[np.ix_(points, points)] & (markers[:, None] == markers)
+        np.fill_diagonal(is_clash, False)
+        if not is_clash.any():
             names = combined_names
     return names
 
@@ -91,7 +93,7 @@ def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, 
 def _find_seeds(
     points: FloatArray,
     groups: list[tuple[int, ...]],
-    moving: MarkerDistances,
+    distances: MarkerDistances,
     shape: FloatArray,
     rest: FloatArray,
     tolerance: float,
@@ -99,7 +101,7 @@ def _find_seeds(
     """Return groups of rigid runs with their candidate markers, best first."""
     seeds = []
     for group in groups:
-        for markers in _matching_markers(group, moving.mean, rest, tolerance):
+        for markers in _matching_markers(group, distances.mean, rest, tolerance):
             error = _shape_error(points[:, group], shape[list(markers)])
             if error < MAX_SEED_ERROR:
                 seeds.append((error, dict(zip(group, markers, strict=True))))
@@ -107,9 +109,9 @@ def _find_seeds(
     return [pairs for _, pairs in seeds]
 
 
-def _rigid_groups(moving: MarkerDistances) -> list[tuple[int, ...]]:
+def _rigid_groups(distances: MarkerDistances) -> list[tuple[int, ...]]:
     """Return groups of four mutually rigid runs, the most rigid first."""
-    spread = np.where(np.isfinite(moving.spread), moving.spread, np.inf)
+    spread = np.where(np.isfinite(distances.spread), distances.spread, np.inf)
     np.fill_diagonal(spread, np.inf)
     worst_spread: dict[tuple[int, ...], float] = {}
     for run, row in enumerate(spread):
@@ -120,12 +122,12 @@ def _rigid_groups(moving: MarkerDistances) -> list[tuple[int, ...]]:
             if group not in worst_spread:
                 pairs = combinations(group, 2)
                 worst_spread[group] = max(float(spread[a, b]) for a, b in pairs)
-    order = sorted(
+    rigid_groups = sorted(
         (value, group)
         for group, value in worst_spread.items()
         if value < MAX_RIGID_SPREAD
     )
-    return [group for _, group in order[:MAX_GROUPS]]
+    return [group for _, group in rigid_groups[:MAX_GROUPS]]
 
 
 def _matching_markers(
@@ -228,13 +230,13 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
     names, rest = _static_template(static)
     rate = float(cloud.clock.rate)
     tracklets = track_points(cloud.positions, rate)
-    first = _name_first_runs(cloud, tracklets, rest)
-    if first is None:
+    first_names = _name_first_runs(cloud, tracklets, rest)
+    if first_names is None:
         message = "no group of points moves like a segment of the trial"
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
-    run_labels = RunLabels(cloud.positions, tracklets, rate, first, lengths)
+    run_labels = RunLabels(cloud.positions, tracklets, rate, first_names, lengths)
     names_of, exchanges, pairs = distinguish_twins(run_labels.marker_paths(), rest)
     is_named = run_labels.names_of >= 0
     run_labels.names_of = np.where(is_named, names_of[run_labels.names_of], -1)
@@ -259,44 +261,44 @@ def _apply_names(
     cloud: Markers,
     names: tuple[str, ...],
     tracklets: Tracklets,
-    first_names: IntArray,
+    name_of_run: IntArray,
     exchanges: list[Exchange],
 ) -> tuple[Markers, LabelReport]:
     """Return the cloud with labelled markers."""
     frames = len(cloud)
     slots = np.full((frames, len(names)), -1)
     ids = tracklets.ids
-    marker = np.where(ids >= 0, first_names[ids], -1)
+    marker = np.where(ids >= 0, name_of_run[ids], -1)
     frame, slot = np.nonzero(marker >= 0)
     slots[frame, marker[frame, slot]] = slot
 
-    labelled = cloud.rearrange(slots, names)
+    labelled_cloud = cloud.rearrange(slots, names)
     coverage = (slots >= 0).mean(axis=0)
-    points, labelled_count = int((ids >= 0).sum()), int((slots >= 0).sum())
+    point_count, labelled_count = int((ids >= 0).sum()), int((slots >= 0).sum())
     coverage_values = dict(zip(names, coverage.tolist(), strict=True))
     missing = [name for name, fraction in coverage_values.items() if not fraction]
     notices = plausibility_warnings(cloud)
     if missing:
         message = f"no points were found for {', '.join(missing)}"
-        notices.append(Fault("MKR110", message, severity=Severity.WARNING))
-    doubts = _exchange_doubts(labelled, exchanges)
+        notices.append(warning("MKR110", message))
+    doubts = _exchange_doubts(labelled_cloud, exchanges)
     if doubts:
         notices.append(_doubt_warning(doubts, cloud))
     report = LabelReport(
-        frames, len(names), points, labelled_count, points - labelled_count,
+        frames, len(names), point_count, labelled_count, point_count - labelled_count,
         len(tracklets.first), missing, coverage_values, doubts, notices,
     )  # fmt: skip
-    return labelled, report
+    return labelled_cloud, report
 
 
-def _exchange_doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
+def _exchange_doubts(labelled_cloud: Markers, exchanges: list[Exchange]) -> list[Doubt]:
     """Return the doubtful name exchanges, with the frames that they affect."""
     doubts = []
     for exchange in exchanges:
         markers = list(exchange.markers)
-        visible = np.flatnonzero(labelled.visible[:, markers].all(axis=1))
+        visible = np.flatnonzero(labelled_cloud.visible[:, markers].all(axis=1))
         if len(visible):
-            names = tuple(labelled.names[marker] for marker in markers)
+            names = tuple(labelled_cloud.names[marker] for marker in markers)
             score = round(exchange.score, 3)
             doubts.append(Doubt(names, int(visible[0]), int(visible[-1]), score))
     return doubts
@@ -313,26 +315,26 @@ def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
     message += "; ".join(doubt_texts)
     hint = "look at a frame; a trial with a pose nearer to the take would tell them "
     hint += "apart"
-    return Fault("MKR116", message, hint=hint, severity=Severity.WARNING)
+    return warning("MKR116", message, hint)
 
 
 def _name_first_runs(
-    cloud: Markers, tracklets: Tracklets, rest: FloatArray
+    cloud: Markers, tracklets: Tracklets, rest_positions: FloatArray
 ) -> IntArray | None:
-    """Return the marker of each run with many frames, else -1; None if none fits."""
+    """Return the marker of each long run, -1 for the others; None if nothing fits."""
     frames, runs = _base_frames(tracklets, len(cloud), float(cloud.clock.rate))
-    lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
+    lengths = np.linalg.norm(rest_positions[:, None] - rest_positions[None], axis=-1)
     column_of_run = np.full(len(tracklets.first) + 1, -1)
     column_of_run[runs] = np.arange(len(runs))
     points = positions_by_column(
         cloud.positions[frames], tracklets.ids[frames], column_of_run, len(runs)
     )
-    names = identify_runs(points, rest, lengths)
+    names = identify_runs(points, rest_positions, lengths)
     if names is None:
         return None
-    first = np.full(len(tracklets.first), -1)
-    first[runs] = names
-    return first
+    name_of_run = np.full(len(tracklets.first), -1)
+    name_of_run[runs] = names
+    return name_of_run
 
 
 def _base_frames(
@@ -356,7 +358,7 @@ def _base_frames(
 
 
 def _exchange_parts(
-    run_labels: RunLabels, rest: FloatArray, pair: tuple[int, int]
+    run_labels: RunLabels, rest_positions: FloatArray, pair: tuple[int, int]
 ) -> None:
     """Exchange two names in those parts of a take in which the shape fits better.
 
@@ -373,6 +375,6 @@ def _exchange_parts(
     for runs_in_part in parts_of_take:
         end = int(last[runs_in_part].max()) + 1
         frames = slice(int(first[runs_in_part].min()), end)
-        if is_exchanged(marker_positions[frames], rest, pair):
+        if is_exchanged(marker_positions[frames], rest_positions, pair):
             names = run_labels.names_of[runs_in_part]
             run_labels.names_of[runs_in_part] = sum(pair) - names

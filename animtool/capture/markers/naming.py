@@ -1,4 +1,4 @@
-"""Assignment of names to points with the most evidence from all their distances."""
+"""Assigns names to points by the evidence of all their distances."""
 
 from __future__ import annotations
 
@@ -95,8 +95,8 @@ class PointNaming:
 
     def assign(self, point: int, marker: int) -> None:
         """Assign a marker's name to a point; marker -1 removes the point's name."""
-        previous = int(self.names_of[point])
-        for name, sign in ((previous, -1), (marker, 1)):
+        previous_name = int(self.names_of[point])
+        for name, sign in ((previous_name, -1), (marker, 1)):
             if name >= 0:
                 self.scores += sign * self.pair_scores[point, :, name]
                 self.blocked_counts[self.are_concurrent[point], name] += sign
@@ -164,12 +164,12 @@ class PointNaming:
         best_total: Exchanges are not tried far below this total [nat].
         """
         for _ in range(MAX_EXCHANGES):
-            changed = self._improve_names()
+            has_changed = self._improve_names()
             if self.total_evidence() < best_total - EXCHANGE_MARGIN:
                 return
             names = self._better_permutation()
             if names is None:
-                if not changed:
+                if not has_changed:
                     return
                 continue
             for point in np.flatnonzero(self.names_of >= 0).tolist():
@@ -181,22 +181,22 @@ class PointNaming:
         """Give points a free name that fits better; return whether any name changed."""
         has_changed = False
         for point in range(len(self.names_of)):
-            current = int(self.names_of[point])
+            current_name = int(self.names_of[point])
             blocked_counts = self.blocked_counts[point].copy()
             current_score = 0.0
-            if current >= 0:
-                blocked_counts[current] -= 1
-                current_score = float(self.scores[point, current])
+            if current_name >= 0:
+                blocked_counts[current_name] -= 1
+                current_score = float(self.scores[point, current_name])
             score = np.where(blocked_counts > 0, -np.inf, self.scores[point])
-            candidate = int(score.argmax())
-            if current >= 0:
+            best_name = int(score.argmax())
+            if current_name >= 0:
                 min_score = current_score + MIN_GAIN
             else:
                 min_score = MIN_EVIDENCE * self.visible_fraction[point]
-            if candidate != current and score[candidate] > min_score:
-                self.assign(point, candidate)
+            if best_name != current_name and score[best_name] > min_score:
+                self.assign(point, best_name)
                 has_changed = True
-            elif current >= 0 and current_score < 0.0:
+            elif current_name >= 0 and current_score < 0.0:
                 self.assign(point, -1)
                 has_changed = True
         return has_changed
@@ -304,15 +304,15 @@ def search_names(
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
     for _ in range(RESTARTS):
-        scarce = best.scarce_markers()
-        if not len(scarce):
+        scarce_markers = best.scarce_markers()
+        if not len(scarce_markers):
             break
-        centre = int(rng.choice(scarce))
-        is_near = rest_distances[centre] < rng.uniform(*RESTART_RADIUS)
-        if len(scarce) < len(rest_distances) and rng.random() < 0.5:
-            is_near |= (rest_distances[scarce] < DOUBT_RADIUS).any(axis=0)
-        offsets = rng.uniform(*RANDOM_BIAS) * best.visible_fraction[:, None]
-        bias = rng.normal(0.0, 1.0, best.scores.shape) * offsets
+        centre_marker = int(rng.choice(scarce_markers))
+        is_near = rest_distances[centre_marker] < rng.uniform(*RESTART_RADIUS)
+        if len(scarce_markers) < len(rest_distances) and rng.random() < 0.5:
+            is_near |= (rest_distances[scarce_markers] < DOUBT_RADIUS).any(axis=0)
+        bias_scale = rng.uniform(*RANDOM_BIAS) * best.visible_fraction[:, None]
+        bias = rng.normal(0.0, 1.0, best.scores.shape) * bias_scale
         candidate = best.copy()
         # Sometimes restart from scratch with another group.
         has_seed = rng.random() < EMPTY_START
@@ -352,7 +352,7 @@ def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNamin
 
 
 def compute_pair_evidence(
-    moving: MarkerDistances, overlap: FloatArray, rest_distances: FloatArray
+    point_distances: MarkerDistances, overlap: FloatArray, rest_distances: FloatArray
 ) -> FloatArray:
     """Return the evidence of point pairs for name pairs ``(R, R, M, M)`` [nat]."""
     count, markers = len(overlap), len(rest_distances)
@@ -360,14 +360,14 @@ def compute_pair_evidence(
     pair_scores: Any = np.zeros((count, count, markers, markers), np.float32)
     for point in range(count - 1):
         later_points = slice(point + 1, count)
-        table = rest_evidence(
-            moving.mean[point, later_points],
-            moving.spread[point, later_points],
+        evidence = rest_evidence(
+            point_distances.mean[point, later_points],
+            point_distances.spread[point, later_points],
             rest_distances.reshape(1, -1),
         ).reshape(-1, markers, markers)
-        table *= overlap[point, later_points, None, None]
-        pair_scores[point, later_points] = table
-        pair_scores[later_points, point] = table.transpose(0, 2, 1)
+        evidence *= overlap[point, later_points, None, None]
+        pair_scores[point, later_points] = evidence
+        pair_scores[later_points, point] = evidence.transpose(0, 2, 1)
     return np.asarray(pair_scores)
 
 
@@ -380,14 +380,14 @@ def compute_exchange_gains(
 ) -> FloatArray:
     """Return the gain of exchanging markers' names ``(N,)`` [nat]."""
     old_names, new_names = names[old], names[new]
-    value = (single_scores[old, new_names] - single_scores[old, old_names]).sum(axis=1)
+    gains = (single_scores[old, new_names] - single_scores[old, old_names]).sum(axis=1)
     for a, b in combinations(range(old.shape[1]), 2):
         old_pair, new_pair = old[:, a], old[:, b]
-        value += pair_scores[old_pair, new_pair, new_names[:, a], new_names[:, b]]
-        value += pair_scores[old_pair, new_pair, old_names[:, a], old_names[:, b]]
-        value -= pair_scores[old_pair, new_pair, new_names[:, a], old_names[:, b]]
-        value -= pair_scores[old_pair, new_pair, old_names[:, a], new_names[:, b]]
-    return np.asarray(value)
+        gains += pair_scores[old_pair, new_pair, new_names[:, a], new_names[:, b]]
+        gains += pair_scores[old_pair, new_pair, old_names[:, a], old_names[:, b]]
+        gains -= pair_scores[old_pair, new_pair, new_names[:, a], old_names[:, b]]
+        gains -= pair_scores[old_pair, new_pair, old_names[:, a], new_names[:, b]]
+    return np.asarray(gains)
 
 
 def find_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
@@ -400,12 +400,12 @@ def find_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]
     double_pairs = np.concatenate(
         [close_pairs[first_pair], close_pairs[second_pair]], axis=1
     )
-    disjoint = (
+    is_disjoint = (
         close_pairs[first_pair][:, :, None] != close_pairs[second_pair][:, None, :]
     ).all(axis=(1, 2))
-    double_pairs = double_pairs[disjoint]
-    row, third = np.nonzero(is_near[close_pairs].any(axis=1))
-    triples = np.concatenate([close_pairs[row], third[:, None]], axis=1)
+    double_pairs = double_pairs[is_disjoint]
+    row, third_marker = np.nonzero(is_near[close_pairs].any(axis=1))
+    triples = np.concatenate([close_pairs[row], third_marker[:, None]], axis=1)
     is_distinct = (triples[:, 2:] != triples[:, :2]).all(axis=1)
     triples = triples[is_distinct]
     return [

@@ -1,11 +1,11 @@
-"""Plausibility of captured markers: their rate and the size of what they are on."""
+"""Warnings about implausible markers: their rate and the size of the subject."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.core.rates import rate_warning
 from animtool.motion.markers import Markers
@@ -38,13 +38,13 @@ def plausibility_warnings(markers: Markers) -> list[Fault]:
     if size is None or MIN_SUBJECT <= size <= MAX_SUBJECT:
         return notices
     message = f"the markers of a frame span {length_text(size)}"
-    factors = (*UNIT_FACTORS, *(1 / factor for factor in UNIT_FACTORS))
+    unit_factors = (*UNIT_FACTORS, *(1 / factor for factor in UNIT_FACTORS))
     plausible_factors = [
-        f for f in factors if PERSON_SIZE[0] <= size * f <= PERSON_SIZE[1]
+        f for f in unit_factors if PERSON_SIZE[0] <= size * f <= PERSON_SIZE[1]
     ]
     if plausible_factors:
         factor = plausible_factors[0]
         factor_text = f"{factor:g} times" if factor > 1 else f"1/{1 / factor:g} of"
         message += f"; {factor_text} that would be {length_text(size * factor)}"
     hint = f"set the unit of the file with {argument('source.unit')}"
-    return [*notices, Fault("MKR117", message, hint=hint, severity=Severity.WARNING)]
+    return [*notices, warning("MKR117", message, hint)]

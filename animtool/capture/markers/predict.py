@@ -1,4 +1,4 @@
-"""Prediction of hidden markers, from markers around them or a skeleton.
+"""Predicts hidden markers from the markers around them or from a skeleton.
 
 References:
     Rasmussen, C. E. and Williams, C. K. I., "Gaussian Processes for Machine Learning",
@@ -205,16 +205,16 @@ def predict_from_parent_joint(
 
 def _rotate_towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArray:
     """Return frames ``(F, 3, 3)`` rotated by the shortest arc towards a point."""
-    local = np.einsum("fji,fj->fi", parent_rotations, arms)
-    local /= np.linalg.norm(local, axis=1, keepdims=True)
-    mean_direction = local.mean(axis=0)
+    local_directions = np.einsum("fji,fj->fi", parent_rotations, arms)
+    local_directions /= np.linalg.norm(local_directions, axis=1, keepdims=True)
+    mean_direction = local_directions.mean(axis=0)
     mean_direction /= np.linalg.norm(mean_direction)
-    axis = np.cross(mean_direction, local)
-    frames = np.zeros((len(local), 3, 3))
+    axis = np.cross(mean_direction, local_directions)
+    frames = np.zeros((len(local_directions), 3, 3))
     frames[:, 0, 1], frames[:, 0, 2] = -axis[:, 2], axis[:, 1]
     frames[:, 1, 2] = -axis[:, 0]
     frames -= frames.transpose(0, 2, 1)
-    cosine = np.maximum(local @ mean_direction, -0.99)
+    cosine = np.maximum(local_directions @ mean_direction, -0.99)
     swing = np.eye(3) + frames + frames @ frames / (1.0 + cosine)[:, None, None]
     return np.asarray(parent_rotations @ swing)
 
@@ -272,7 +272,7 @@ def _in_neighbour_frame(
 
 
 def _predict_gap(
-    local: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
+    known_positions: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
     """Return cross-validation error and predicted positions of the gap.
 
@@ -280,17 +280,17 @@ def _predict_gap(
     """
     from scipy.linalg import cho_factor, cho_solve
 
-    known_count = len(local)
-    mean = local.mean(axis=0)
+    known_count = len(known_positions)
+    mean = known_positions.mean(axis=0)
     # Rounding of outlying samples exceeds the noise.
-    noise = max(
+    variance = max(
         MARKER_NOISE**2,
         MIN_NOISE_RATIO * float(np.trace(kernel[:known_count])) / known_count,
     )
-    cholesky_factor = cho_factor(kernel[:known_count] + noise * np.eye(known_count))
+    cholesky_factor = cho_factor(kernel[:known_count] + variance * np.eye(known_count))
     inverse = cho_solve(cholesky_factor, np.eye(known_count))
-    weights = inverse @ (local - mean)
-    values = kernel[known_count:] @ weights + mean
+    weights_of_known = inverse @ (known_positions - mean)
+    values = kernel[known_count:] @ weights_of_known + mean
     length = gap.stop - gap.start
     training_frames = frames[:known_count]
     errors = []
@@ -299,7 +299,7 @@ def _predict_gap(
         left_out_rows = np.flatnonzero(is_left_out)
         if 0 < len(left_out_rows) < known_count - MIN_TRAINING_FRAMES:
             inverse_block = inverse[np.ix_(left_out_rows, left_out_rows)]
-            residuals = np.linalg.solve(inverse_block, weights[left_out_rows])
+            residuals = np.linalg.solve(inverse_block, weights_of_known[left_out_rows])
             errors.append((residuals**2).sum(axis=1).mean())
     return (float(np.sqrt(np.mean(errors))) if errors else np.inf), values
 
@@ -333,12 +333,12 @@ def _covariance(
     lag = np.sqrt(5.0) * distance / deviation_time
     time_covariance = deviation**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)
-    size = np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean())
-    features = centred_pose / (size + 1e-9)
+    pose_spread = np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean())
+    features = centred_pose / (pose_spread + 1e-9)
     products = features @ features[:known_count].T
     if length_scale:
-        square = (features**2).sum(axis=1)
-        squares = square[:, None] + square[None, :known_count] - 2.0 * products
+        norms = (features**2).sum(axis=1)
+        squares = norms[:, None] + norms[None, :known_count] - 2.0 * products
         squares = np.maximum(squares, 0.0)
         products = products + np.exp(-0.5 * squares / length_scale**2)
     return np.asarray(variance * products + time_covariance)

@@ -58,14 +58,14 @@ class RunLabels:
         rest: Marker distances in a trial at rest ``(M, M)``; NaN where unknown.
         """
         self.positions, self.tracklets, self.rate = positions, tracklets, rate
-        self.rest = rest
-        self.runs = len(tracklets.first)
+        self.rest_distances = rest
+        self.run_count = len(tracklets.first)
         self.names_of = names_of.copy()
         self.marker_positions = self.marker_paths()
 
     def marker_paths(self) -> FloatArray:
         """Return the named positions ``(F, M, 3)``."""
-        ids, count = self.tracklets.ids, len(self.rest)
+        ids, count = self.tracklets.ids, len(self.rest_distances)
         return positions_by_column(self.positions, ids, self.names_of, count)
 
     def name_runs(self) -> None:
@@ -73,8 +73,8 @@ class RunLabels:
         for _ in range(LEARNING_ROUNDS):
             self._update_distances()
             self._reject_outliers()
-            while self._name_clear_runs(forced=False) or self._name_clear_runs(
-                forced=True
+            while self._name_clear_runs(is_forced=False) or self._name_clear_runs(
+                is_forced=True
             ):
                 pass
         self._update_distances()
@@ -84,9 +84,9 @@ class RunLabels:
         """Update the distances from the named runs, and reset the costs."""
         self.marker_positions = self.marker_paths()
         distances = marker_distances(self.marker_positions)
-        self.distances = _merge_known_distances(self.rest, distances)
-        self.costs = np.full((self.runs, len(self.rest)), np.inf)
-        self.is_stale = np.ones(self.runs, bool)
+        self.distances = _merge_known_distances(self.rest_distances, distances)
+        self.costs = np.full((self.run_count, len(self.rest_distances)), np.inf)
+        self.is_stale = np.ones(self.run_count, bool)
 
     def _reject_outliers(self) -> None:
         """Remove the names of runs whose distances do not fit their marker."""
@@ -98,18 +98,18 @@ class RunLabels:
                 self.names_of[run] = -1
                 self.marker_positions[begin:end, marker] = np.nan
 
-    def _name_clear_runs(self, *, forced: bool) -> bool:
+    def _name_clear_runs(self, *, is_forced: bool) -> bool:
         """Name runs whose best marker is clear; return whether any was named."""
         for run in np.flatnonzero(self.is_stale & (self.names_of < 0)).tolist():
             self.costs[run] = self._marker_costs(run)
         self.is_stale[:] = False
-        runs = np.flatnonzero(self.names_of < 0)
-        if not len(runs):
+        unnamed_runs = np.flatnonzero(self.names_of < 0)
+        if not len(unnamed_runs):
             return False
-        smallest_costs = np.partition(self.costs[runs], 1, axis=1)
+        smallest_costs = np.partition(self.costs[unnamed_runs], 1, axis=1)
         best_cost, rival_cost = smallest_costs[:, 0], smallest_costs[:, 1]
         is_clear = best_cost < GHOST_COST
-        if not forced:
+        if not is_forced:
             is_clear &= rival_cost > np.where(is_clear, best_cost, 0.0) + MIN_MARGIN
         candidates = np.zeros((0, 2), np.int64)
         first, last = self.tracklets.first, self.tracklets.last
@@ -117,11 +117,11 @@ class RunLabels:
         for row in np.argsort(best_cost, kind="stable").tolist():
             if not is_clear[row]:
                 continue
-            run = int(runs[row])
+            run = int(unnamed_runs[row])
             marker = int(self.costs[run].argmin())
             begins, ends = candidates[:, 0], candidates[:, 1]
             is_overlapped = (begins <= last[run]) & (ends >= first[run])
-            if is_overlapped.any() if forced else not self._is_free(run, marker):
+            if is_overlapped.any() if is_forced else not self._is_free(run, marker):
                 continue
             self.names_of[run] = marker
             begin, end, path = self._run_positions(run)
@@ -151,9 +151,9 @@ class RunLabels:
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
         """Return the cost of a run's distances to named markers, for each candidate."""
         rows = np.linspace(0, end - begin - 1, SAMPLED_FRAMES).astype(np.int64)
-        sample = np.unique(rows)
-        marker_positions = self.marker_positions[begin + sample]
-        offsets = marker_positions - path[sample][:, None]
+        sampled_rows = np.unique(rows)
+        marker_positions = self.marker_positions[begin + sampled_rows]
+        offsets = marker_positions - path[sampled_rows][:, None]
         lengths = np.linalg.norm(offsets, axis=-1)  # (S, M)
         # The run itself may already have a name.
         is_known = np.isfinite(lengths) & (lengths > 0.0)
@@ -174,7 +174,7 @@ class RunLabels:
         max_gap = int(BRIDGE_SECONDS * self.rate)
         positions_before = self.marker_positions[max(begin - max_gap, 0) : begin][::-1]
         positions_after = self.marker_positions[end : end + max_gap]
-        cost = np.zeros(len(self.rest))
+        cost = np.zeros(len(self.rest_distances))
         for window, point in ((positions_before, path[0]), (positions_after, path[-1])):
             visible = np.isfinite(window[..., 0])
             for marker in np.flatnonzero(visible.any(axis=0)).tolist():
@@ -190,11 +190,11 @@ class RunLabels:
 
 
 def _merge_known_distances(
-    rest: FloatArray, moving: MarkerDistances
+    rest_distances: FloatArray, take_distances: MarkerDistances
 ) -> MarkerDistances:
     """Return the distances in the take, or in the trial where the take has none."""
-    is_known = np.isfinite(moving.mean)
-    mean = np.where(is_known, moving.mean, rest)
+    is_known = np.isfinite(take_distances.mean)
+    mean = np.where(is_known, take_distances.mean, rest_distances)
     return MarkerDistances(
-        mean, np.where(is_known, moving.spread, UNKNOWN_SPREAD * rest)
+        mean, np.where(is_known, take_distances.spread, UNKNOWN_SPREAD * rest_distances)
     )

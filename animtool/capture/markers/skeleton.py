@@ -40,7 +40,7 @@ class MarkerSubject:
 
 @dataclass(frozen=True, slots=True)
 class SkeletonMarkers:
-    """M markers in F frames as fixed to the joints of a skeleton.
+    """Positions of M markers that are fixed to the joints of a skeleton, in F frames.
 
     Attributes:
         positions: ``(F, M, 3)`` [m], in the world of the take; NaN for markers that
@@ -122,7 +122,7 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
     def by_marker(
         points: FloatArray, rotations: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return positions and matrices of all markers, as the take is upright."""
+        """Return positions and matrices of all markers, in the axes of the take."""
         if rotation is not None:
             inverse_rotation = so3.conjugate(np.array(rotation))
             points = so3.rotate(inverse_rotation, points)

@@ -119,11 +119,11 @@ def _clearest_spikes(
         if local_level is None:
             local_level = _local_level(starts, gain / (3.0 * scale**2), len(path))
         local_scale = local_level[starts]
-        limit = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
+        min_clearness = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
         clearness = gain / (scale**2 * local_scale)
-        flags = (deviation >= factor * MIN_SPIKE_SIZE) & (clearness > limit)
-        flags &= residual < MAX_REST_RATIO**2 * gain / length
-        for k in np.flatnonzero(flags).tolist():
+        is_spike = (deviation >= factor * MIN_SPIKE_SIZE) & (clearness > min_clearness)
+        is_spike &= residual < MAX_REST_RATIO**2 * gain / length
+        for k in np.flatnonzero(is_spike).tolist():
             score = float(clearness[k]) - LENGTH_PENALTY * length
             candidates.append((-score, int(starts[k]), length, float(deviation[k])))
     candidates.sort()
@@ -173,8 +173,8 @@ def _is_gap_artifact(
 def _is_one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
     """Return a mask of spans without a nearby position before or after the span."""
     padding = np.zeros(SUPPORT_FRAMES, bool)
-    padded = np.concatenate([padding, visible, padding])
-    sums = np.concatenate([[0], np.cumsum(padded)])
+    padded_mask = np.concatenate([padding, visible, padding])
+    sums = np.concatenate([[0], np.cumsum(padded_mask)])
     count_before = sums[starts + SUPPORT_FRAMES] - sums[starts]
     end = starts + SUPPORT_FRAMES + length
     count_after = sums[end + SUPPORT_FRAMES] - sums[end]
@@ -185,15 +185,15 @@ def _local_level(
     starts: IntArray, squared_residuals: FloatArray, frames: int
 ) -> FloatArray:
     """Return each frame's local noise level over the typical level ``(F,)``."""
-    order = np.searchsorted(starts, np.arange(frames))
-    window_start = np.maximum(order - FIT_WINDOW, 0)
-    window_end = np.minimum(order + FIT_WINDOW, len(starts))
-    padded = np.concatenate([squared_residuals, [np.inf]])
+    next_span = np.searchsorted(starts, np.arange(frames))
+    window_start = np.maximum(next_span - FIT_WINDOW, 0)
+    window_end = np.minimum(next_span + FIT_WINDOW, len(starts))
+    padded_residuals = np.concatenate([squared_residuals, [np.inf]])
     window_length = 2 * FIT_WINDOW
     window_rows = window_start[:, None] + np.arange(window_length)
     is_inside = window_rows < window_end[:, None]
     window_rows = np.where(is_inside, window_rows, len(squared_residuals))
-    windows = np.sort(padded[window_rows], axis=1)
+    windows = np.sort(padded_residuals[window_rows], axis=1)
     quantile_index = (FIT_QUANTILE * (window_end - window_start)).astype(np.int64)
     level = windows[np.arange(frames), np.minimum(quantile_index, window_length - 1)]
     # That quantile of a chi-squared distribution with 3 degrees, over 3, is below 0.63.
@@ -205,25 +205,25 @@ def _noise_model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArra
 
     The roughness is the one that predicts positions best from nearby positions.
     """
-    best = (np.inf, ROUGHNESS_LEVELS[0])
+    best_level = (np.inf, ROUGHNESS_LEVELS[0])
     for roughness in ROUGHNESS_LEVELS:
         _, deviation, _, _ = _span_deviations(
             path, visible, 2, roughness, complete=True
         )
         if len(deviation):
-            best = min(best, (float(np.median(deviation)), roughness))
+            best_level = min(best_level, (float(np.median(deviation)), roughness))
     noise = np.zeros(MAX_SPIKE_FRAMES)
     for length in range(1, MAX_SPIKE_FRAMES + 1):
         starts, _, gain, _ = _span_deviations(
-            path, visible, length, best[1], complete=True
+            path, visible, length, best_level[1], complete=True
         )
         if not len(starts):
-            starts, _, gain, _ = _span_deviations(path, visible, length, best[1])
+            starts, _, gain, _ = _span_deviations(path, visible, length, best_level[1])
         if len(starts):
             # The median of a chi-squared distribution with k degrees is about k - 2/3.
             noise[length - 1] = np.sqrt(np.median(gain) / (3 * length - 2 / 3))
     noise = np.maximum.accumulate(noise)
-    return best[1], np.maximum(noise, 1e-6)
+    return best_level[1], np.maximum(noise, 1e-6)
 
 
 def _span_deviations(
@@ -242,9 +242,9 @@ def _span_deviations(
     visible.
     """
     size = length + 2 * SUPPORT_FRAMES
-    padded = np.zeros(len(path) + 2 * SUPPORT_FRAMES, bool)
-    padded[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = visible
-    windows = np.lib.stride_tricks.sliding_window_view(padded, size)
+    padded_mask = np.zeros(len(path) + 2 * SUPPORT_FRAMES, bool)
+    padded_mask[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = visible
+    windows = np.lib.stride_tricks.sliding_window_view(padded_mask, size)
     is_span = windows[:, SUPPORT_FRAMES : SUPPORT_FRAMES + length].all(axis=1)
     is_visible_around = np.concatenate(
         [windows[:, :SUPPORT_FRAMES], windows[:, SUPPORT_FRAMES + length :]], axis=1
@@ -252,18 +252,18 @@ def _span_deviations(
     support_count = is_visible_around.sum(axis=1)
     is_span &= support_count >= (2 * SUPPORT_FRAMES if complete else MIN_SUPPORT)
     starts = np.flatnonzero(is_span)
-    values = np.zeros((len(path) + 2 * SUPPORT_FRAMES, 3))
-    values[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = path
-    codes = is_visible_around[starts] @ (1 << np.arange(2 * SUPPORT_FRAMES))
+    padded_path = np.zeros((len(path) + 2 * SUPPORT_FRAMES, 3))
+    padded_path[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = path
+    visibility_codes = is_visible_around[starts] @ (1 << np.arange(2 * SUPPORT_FRAMES))
     deviations, gain, residuals = (np.zeros(len(starts)) for _ in range(3))
-    for code in np.unique(codes).tolist():
-        rows = np.flatnonzero(codes == code)
+    for code in np.unique(visibility_codes).tolist():
+        rows = np.flatnonzero(visibility_codes == code)
         offsets, weights, inverse, quadratic_form = _prediction_weights(
             code, length, roughness
         )
-        support_positions = values[starts[rows][:, None] + offsets]  # (S, K, 3)
+        support_positions = padded_path[starts[rows][:, None] + offsets]  # (S, K, 3)
         span_starts = starts[rows][:, None] + SUPPORT_FRAMES
-        span_positions = values[span_starts + np.arange(length)]
+        span_positions = padded_path[span_starts + np.arange(length)]
         prediction_error = span_positions - weights @ support_positions
         gain[rows] = (prediction_error * (inverse @ prediction_error)).sum(axis=(1, 2))
         deviations[rows] = np.sqrt((prediction_error**2).sum(axis=2)).min(axis=1)
@@ -308,8 +308,8 @@ def _prediction_weights(
     projection = inverse - inverse @ polynomial_terms @ np.linalg.solve(
         polynomial_terms.T @ inverse @ polynomial_terms, polynomial_terms.T @ inverse
     )
-    block = projection[support_count:, support_count:]
-    weights = -np.linalg.solve(block, projection[support_count:, :support_count])
+    span_block = projection[support_count:, support_count:]
+    weights = -np.linalg.solve(span_block, projection[support_count:, :support_count])
     support_block = projection[:support_count, :support_count]
-    quadratic_form = support_block - weights.T @ block @ weights
-    return offsets, weights, block, quadratic_form
+    quadratic_form = support_block - weights.T @ span_block @ weights
+    return offsets, weights, span_block, quadratic_form

@@ -70,15 +70,15 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
     rate = float(markers.clock.rate)
     positions = markers.positions.copy()
     source_column = np.tile(np.arange(count), (len(markers), 1))
-    lengths: MarkerDistances | None = None
+    distances: MarkerDistances | None = None
     crossing_by_pair: dict[tuple[int, int], tuple[float, BoolArray]] = {}
     tested_pairs: set[tuple[int, int]] = set()
     while True:
         for a, b in _jump_pairs(positions, rate):
             if (a, b) not in crossing_by_pair and (a, b) not in tested_pairs:
-                lengths = lengths or marker_distances(positions)
+                distances = distances or marker_distances(positions)
                 crossing_by_pair[a, b] = _find_crossed_frames(
-                    positions, a, b, rate, lengths
+                    positions, a, b, rate, distances
                 )
         # The clearest pair first: among three markers it decides about the others.
         clearest_pair = max(
@@ -120,14 +120,14 @@ def _expected_positions(
     rows = np.arange(frames)[:, None]
     last_visible = np.maximum.accumulate(np.where(visible, rows, -1), axis=0)
     last_visible = np.vstack([np.full((1, count), -1), last_visible[:-1]])
-    columns = np.arange(count)
-    age = rows - last_visible
-    is_known = (last_visible >= 0) & (age <= BRIDGE_SECONDS * rate + 1)
-    last_position = positions[np.maximum(last_visible, 0), columns]
+    all_markers = np.arange(count)
+    frames_since = rows - last_visible
+    is_known = (last_visible >= 0) & (frames_since <= BRIDGE_SECONDS * rate + 1)
+    last_position = positions[np.maximum(last_visible, 0), all_markers]
     velocity = np.zeros_like(last_position)
     has_velocity = np.zeros(visible.shape, bool)
     for samples_back in range(1, PAST_SAMPLES):
-        earlier = positions[np.maximum(last_visible - samples_back, 0), columns]
+        earlier = positions[np.maximum(last_visible - samples_back, 0), all_markers]
         # The earliest sample of a gapless run gives the velocity.
         is_usable = (
             (last_visible >= samples_back)
@@ -137,13 +137,13 @@ def _expected_positions(
         displacement = last_position[is_usable] - earlier[is_usable]
         velocity[is_usable] = displacement / samples_back
         has_velocity = is_usable if samples_back == 1 else has_velocity
-    time = age / rate
+    time = frames_since / rate
     tolerance = (
         NOISE
         + 0.5 * acceleration * time**2
         + np.where(has_velocity, 0.0, SPEED_ERROR * time)
     )
-    return last_position + velocity * age[..., None], tolerance, is_known
+    return last_position + velocity * frames_since[..., None], tolerance, is_known
 
 
 def _jump_pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
@@ -228,7 +228,7 @@ def _find_crossed_frames(
             max(0.0, -shape_gain) + FRAME_COST * length,
         )
 
-        def later(
+        def extend(
             path: _SwapPath,
             state: int,
             start: int = start,
@@ -239,25 +239,25 @@ def _find_crossed_frames(
             cost, changes = path.cost + costs_by_state[state], path.changes
             if state != path.is_swapped:
                 cost, changes = cost + CHANGE_COST, (*changes, start)
-            past_of_markers = []
+            past_positions = []
             for marker, past in enumerate(path.past_positions):
                 point = points[start][marker ^ state]
                 if start and point is not None:
                     cost += _position_cost(past, start, point, rate, acceleration)
-                new_state = [
+                new_positions = [
                     (frame, points[frame][marker ^ state])
                     for frame in range(max(start, end - PAST_SAMPLES), end)
                     if points[frame][marker ^ state] is not None
                 ]
-                past_of_markers.append([*past, *new_state][-PAST_SAMPLES:])
-            return _SwapPath(cost, state, changes, past_of_markers)
+                past_positions.append([*past, *new_positions][-PAST_SAMPLES:])
+            return _SwapPath(cost, state, changes, past_positions)
 
-        initial_path = later(initial_path, 0)
+        initial_path = extend(initial_path, 0)
         if start == 0:
-            paths = [later(path, path.is_swapped) for path in paths]
+            paths = [extend(path, path.is_swapped) for path in paths]
         else:
             paths = [
-                min((later(path, state) for path in paths), key=lambda path: path.cost)
+                min((extend(path, state) for path in paths), key=lambda path: path.cost)
                 for state in (0, 1)
             ]
     best_path = min(paths, key=lambda path: path.cost)
@@ -270,12 +270,12 @@ def _find_crossed_frames(
 def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
     """Estimate the largest acceleration of two markers from its median [m/s^2]."""
     second_differences = np.linalg.norm(np.diff(pair_positions, 2, axis=0), axis=-1)
-    finite = second_differences[np.isfinite(second_differences)]
-    if not len(finite):
+    finite_differences = second_differences[np.isfinite(second_differences)]
+    if not len(finite_differences):
         return DEFAULT_ACCELERATION
     return float(
         np.clip(
-            ACCELERATION_FACTOR * np.median(finite) * rate**2,
+            ACCELERATION_FACTOR * np.median(finite_differences) * rate**2,
             MIN_ACCELERATION,
             DEFAULT_ACCELERATION,
         )
@@ -298,7 +298,7 @@ def _position_cost(
     )
     frames_between = last_frame - first_frame
     step_ratio = age / frames_between if frames_between else 0.0
-    square: float = sum(
+    squared_distance: float = sum(
         (p - x - step_ratio * (x - y)) ** 2
         for p, x, y in zip(point, last_position, first_position, strict=True)
     )
@@ -308,8 +308,8 @@ def _position_cost(
         + 0.5 * acceleration * time**2
         + (0.0 if frames_between else SPEED_ERROR * time)
     )
-    volume = 3.0 * math.log(tolerance / NOISE)
-    cost: float = 0.5 * square / tolerance**2 + volume
+    log_volume = 3.0 * math.log(tolerance / NOISE)
+    cost: float = 0.5 * squared_distance / tolerance**2 + log_volume
     return min(cost, ARBITRARY_COST)
 
 

@@ -1,4 +1,4 @@
-"""Points of a cloud tracked over time, without names."""
+"""Tracks the points of a cloud over time, without names."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ def track_points(positions: FloatArray, rate: float) -> Tracklets:
     max_first_step = NOISE + MAX_SPEED / rate
     # Latest positions of the open runs, newest first.
     past_positions = np.zeros((0, PAST_FRAMES, 3))
-    age = np.zeros(0, np.int64)
+    run_ages = np.zeros(0, np.int64)
     open_run_ids = np.zeros(0, np.int64)
     for frame in range(frames):
         slots = np.flatnonzero(visible[frame])
         points = positions[frame, slots]
         expected, radius = _expected_positions(
-            past_positions, age, max_step, max_first_step
+            past_positions, run_ages, max_step, max_first_step
         )
         relative_distance = cdist(expected, points) / radius[:, None]
         run, point = _mutual_nearest(relative_distance)
@@ -85,8 +85,8 @@ def track_points(positions: FloatArray, rate: float) -> Tracklets:
         rows = row_of_slot[is_continued]
         next_positions[is_continued, 1:] = past_positions[rows, :-1]
         new_age = np.ones(len(slots), np.int64)
-        new_age[is_continued] = np.minimum(age[rows] + 1, PAST_FRAMES)
-        past_positions, age, open_run_ids = next_positions, new_age, run_ids
+        new_age[is_continued] = np.minimum(run_ages[rows] + 1, PAST_FRAMES)
+        past_positions, run_ages, open_run_ids = next_positions, new_age, run_ids
     return Tracklets(ids, np.array(first, np.int64), np.array(last, np.int64))
 
 
@@ -120,18 +120,18 @@ def _mutual_nearest(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
     """
     if not relative_distance.size:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    by_run = relative_distance.argmin(axis=1)
+    nearest_point = relative_distance.argmin(axis=1)
     by_point = relative_distance.argmin(axis=0)
-    run = np.flatnonzero(by_point[by_run] == np.arange(len(relative_distance)))
-    point = by_run[run]
+    run = np.flatnonzero(by_point[nearest_point] == np.arange(len(relative_distance)))
+    point = nearest_point[run]
     nearest = relative_distance[run, point]
     second_distance = np.minimum(
         _second_smallest(relative_distance)[run],
         _second_smallest(relative_distance.T)[point],
     )
     rival_distance = RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
-    is_sure = (nearest <= 1.0) & (second_distance > rival_distance)
-    return run[is_sure], point[is_sure]
+    is_clear = (nearest <= 1.0) & (second_distance > rival_distance)
+    return run[is_clear], point[is_clear]
 
 
 def _second_smallest(relative_distance: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Markers that distances barely distinguish, told apart by their neighbours."""
+"""Distinguishes markers with similar distances by the shapes of their neighbours."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def distinguish_twins(
         single_scores = np.zeros(rest.shape)
         for marker, name in enumerate(names.tolist()):
             single_scores += pair_scores[:, marker, :, name]
-        best_move, best_gain = None, MIN_GAIN
+        best_names, best_gain = None, MIN_GAIN
         doubtful_exchanges, doubtful_pairs = [], []
         for old, new in exchanges:
             gains = compute_exchange_gains(pair_scores, single_scores, names, old, new)
@@ -96,13 +96,13 @@ def distinguish_twins(
                     shape_cache,
                 )
                 if score > best_gain:
-                    best_move, best_gain = changed_names, score
+                    best_names, best_gain = changed_names, score
                 elif score > MIN_DOUBT_GAIN:
                     markers = tuple(sorted(names[old[row]].tolist()))
                     doubtful_exchanges.append(Exchange(markers, min(score, 0.0)))
-        if best_move is None:
+        if best_names is None:
             break
-        names = best_move
+        names = best_names
     return names, doubtful_exchanges, doubtful_pairs
 
 
@@ -116,22 +116,22 @@ def is_exchanged(
     names = np.arange(len(shape))
     exchanged_names = names.copy()
     exchanged_names[list(pair)] = pair[::-1]
-    rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    pair_scores = _shape_evidence(
-        positions, shape, rest, list(pair), names, exchanged_names, {}
+    rest_distances = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
+    shape_evidence = _shape_evidence(
+        positions, shape, rest_distances, list(pair), names, exchanged_names, {}
     )
-    return SHAPE_EVIDENCE * pair_scores > MIN_PART_GAIN
+    return SHAPE_EVIDENCE * shape_evidence > MIN_PART_GAIN
 
 
 def _drop_unrelated(
-    exchanges: list[tuple[IntArray, IntArray]], rest: FloatArray
+    exchanges: list[tuple[IntArray, IntArray]], rest_distances: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
     """Drop double exchanges of two pairs that do not affect each other's distances."""
     near_exchanges = []
     for old, new in exchanges:
         is_near = np.ones(len(old), bool)
         if old.shape[1] == 4:
-            pair_distances = rest[old[:, :2, None], old[:, None, 2:]]
+            pair_distances = rest_distances[old[:, :2, None], old[:, None, 2:]]
             is_near = pair_distances.min(axis=(1, 2)) < NEAR_DISTANCE
         near_exchanges.append((old[is_near], new[is_near]))
     return near_exchanges
@@ -147,9 +147,9 @@ def _shape_evidence(
     cache: dict[tuple[int, ...], float],
 ) -> float:
     """Return the mean evidence of rest shapes for an exchange of names [nat]."""
-    distance = rest[current_names[changed_markers]][:, current_names].min(axis=0)
-    distance[changed_markers] = np.inf
-    nearest = np.argsort(distance, kind="stable")[:NEIGHBOUR_COUNT]
+    distances = rest[current_names[changed_markers]][:, current_names].min(axis=0)
+    distances[changed_markers] = np.inf
+    nearest = np.argsort(distances, kind="stable")[:NEIGHBOUR_COUNT]
     ratios = []
     for pair in combinations(nearest.tolist(), 2):
         group = [*changed_markers, *pair]

@@ -176,20 +176,20 @@ class _CalibrationState:
         self.scales = np.full(len(self.bones), self._size_ratio())
         template_markers = self.model.template.markers
         self.is_fixed_offset = np.array([m.fixed for m in template_markers], np.bool_)
-        size = np.where(self.is_fixed_offset, 1.0, self.scales[0])
-        self.offsets = size[:, None] * self.initial_offsets
+        marker_scales = np.where(self.is_fixed_offset, 1.0, self.scales[0])
+        self.offsets = marker_scales[:, None] * self.initial_offsets
         self.noise = np.full(len(self.model.joints), max(GENERIC_NOISE, options.noise))
-        self.surety = np.zeros(len(self.bones))
+        self.scale_certainty = np.zeros(len(self.bones))
 
     def _to_model_order(
         self, positions: FloatArray, names: tuple[str, ...]
     ) -> FloatArray:
         """Reorder the markers of another take to the order of the model."""
         match = match_markers(self.model.template, names, self.options.subject)
-        ordered = np.full((len(positions), len(match.columns), 3), np.nan)
+        ordered_positions = np.full((len(positions), len(match.columns), 3), np.nan)
         is_captured = match.columns >= 0
-        ordered[:, is_captured] = positions[:, match.columns[is_captured]]
-        return ordered
+        ordered_positions[:, is_captured] = positions[:, match.columns[is_captured]]
+        return ordered_positions
 
     def _size_ratio(self) -> float:
         """Return the ratio of the subject's size to the rig's."""
@@ -213,9 +213,9 @@ class _CalibrationState:
         for round_ in range(MAX_STEPS):
             poses = self._fit_poses(poses)
             step = self._solve_step(poses)
-            bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
-            self.scales = np.clip(self.scales + bones, 0.1, 10.0)
-            self.offsets = self.offsets + shifts.reshape(-1, 3)
+            scale_steps, offset_steps = step[: len(self.bones)], step[len(self.bones) :]
+            self.scales = np.clip(self.scales + scale_steps, 0.1, 10.0)
+            self.offsets = self.offsets + offset_steps.reshape(-1, 3)
             self._rebuild_model()
             if np.abs(step).max(initial=0) < CONVERGED_STEP:
                 return round_ + 1, True
@@ -236,9 +236,9 @@ class _CalibrationState:
         targets = self.model.targets(self.positions, self.noise)
         pose_fit = fit(self.model.problem, targets, poses, options, path=poses)
         misses = marker_residuals(self.model, pose_fit.coordinates, self.positions)
-        typical = typical_noise(misses, self.options.noise)
+        deviations = typical_noise(misses, self.options.noise)
         # Halved at most: markers that are far off at first must not be rejected.
-        self.noise = np.minimum(self.noise, np.maximum(typical, self.noise / 2))
+        self.noise = np.minimum(self.noise, np.maximum(deviations, self.noise / 2))
         return pose_fit.coordinates
 
     def _solve_step(self, poses: FloatArray) -> FloatArray:
@@ -253,25 +253,25 @@ class _CalibrationState:
             targets=targets,
             steps=np.zeros((count, degrees)),
         )
-        columns = self._marker_derivatives(poses)
+        derivatives = self._marker_derivatives(poses)
         distances = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
         weight = np.repeat(1 / (1 + (distances / ROBUST_DEVIATIONS) ** 2), 3, axis=1)
         residuals = residuals * weight
         jacobian = jacobian * weight[:, :, None]
-        columns = columns * weight[:, :, None]
+        derivatives = derivatives * weight[:, :, None]
         transposed_jacobian = np.swapaxes(jacobian, 1, 2)
-        normal = transposed_jacobian @ jacobian
+        pose_matrix = transposed_jacobian @ jacobian
         pose_precision = np.full((count, degrees), MOTION_POSE_DEVIATION**-2.0)
         pose_precision[: self.static_frames] = STATIC_POSE_DEVIATION**-2.0
-        normal += np.eye(degrees) * pose_precision[:, :, None]
+        pose_matrix += np.eye(degrees) * pose_precision[:, :, None]
         # Parameters and residuals with the poses eliminated.
-        mixed_terms = transposed_jacobian @ columns
-        eliminated_columns = np.linalg.solve(normal, mixed_terms)
+        mixed_terms = transposed_jacobian @ derivatives
+        eliminated_columns = np.linalg.solve(pose_matrix, mixed_terms)
         pose_gradient = transposed_jacobian @ residuals[:, :, None]
         pose_gradient -= (pose_precision * self._deviation_from_rest(poses))[:, :, None]
-        pose_step = np.linalg.solve(normal, pose_gradient)
-        shared_jacobian = columns.reshape(-1, columns.shape[2])
-        mixed_terms = mixed_terms.reshape(-1, columns.shape[2])
+        pose_step = np.linalg.solve(pose_matrix, pose_gradient)
+        shared_jacobian = derivatives.reshape(-1, derivatives.shape[2])
+        mixed_terms = mixed_terms.reshape(-1, derivatives.shape[2])
         eliminated_columns = eliminated_columns.reshape(mixed_terms.shape)
         matrix = (
             shared_jacobian.T @ shared_jacobian - mixed_terms.T @ eliminated_columns
@@ -280,7 +280,7 @@ class _CalibrationState:
         gradient = gradient - mixed_terms.T @ pose_step.ravel()
         prior, prior_gradient = self._prior_equations()
         bone_precision = np.diag(matrix)[: len(self.bones)]
-        self.surety = bone_precision / (bone_precision + BONE_DEVIATION**-2.0)
+        self.scale_certainty = bone_precision / (bone_precision + BONE_DEVIATION**-2.0)
         return np.linalg.solve(matrix + prior, gradient + prior_gradient)
 
     def _deviation_from_rest(self, poses: FloatArray) -> FloatArray:
@@ -317,15 +317,15 @@ class _CalibrationState:
 
     def _prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """Return the normal equations of the prior of scales and offsets."""
-        bones, size = len(self.bones), len(self.bones) + self.offsets.size
+        bone_count, size = len(self.bones), len(self.bones) + self.offsets.size
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         # Bones vary about an overall scale, which varies about 1 and is summed out.
-        precision = np.eye(bones) / BONE_DEVIATION**2
-        prior_sum = bones / BONE_DEVIATION**2 + OVERALL_DEVIATION**-2.0
-        precision -= np.ones((bones, bones)) / BONE_DEVIATION**4 / prior_sum
+        precision = np.eye(bone_count) / BONE_DEVIATION**2
+        prior_sum = bone_count / BONE_DEVIATION**2 + OVERALL_DEVIATION**-2.0
+        precision -= np.ones((bone_count, bone_count)) / BONE_DEVIATION**4 / prior_sum
         deviation = self.scales - 1.0
-        matrix[:bones, :bones] = precision
-        gradient[:bones] = -precision @ deviation
+        matrix[:bone_count, :bone_count] = precision
+        gradient[:bone_count] = -precision @ deviation
         for left_bone, right_bone in self._side_pairs():
             difference = self.scales[left_bone] - self.scales[right_bone]
             for a, sign in ((left_bone, 1.0), (right_bone, -1.0)):
@@ -335,15 +335,15 @@ class _CalibrationState:
             matrix[right_bone, left_bone] -= SIDE_DEVIATION**-2.0
         # Markers scale with their bones; the prior is on the remaining offset, d = A p.
         offset_map = np.zeros((self.offsets.size, size))
-        offset_map[:, bones:] = np.eye(self.offsets.size)
+        offset_map[:, bone_count:] = np.eye(self.offsets.size)
         bone_weights = self._bone_weights()[:, None, :]
         offset_terms = bone_weights * self.initial_offsets[:, :, None]
-        offset_terms = offset_terms.reshape(-1, bones)
-        offset_map[:, :bones] = -offset_terms
+        offset_terms = offset_terms.reshape(-1, bone_count)
+        offset_map[:, :bone_count] = -offset_terms
         deviation = self.offsets.ravel() - offset_terms @ self.scales
         # Fixed markers do not scale with bones.
         is_fixed = np.repeat(self.is_fixed_offset, 3)
-        offset_map[is_fixed, :bones] = 0.0
+        offset_map[is_fixed, :bone_count] = 0.0
         deviation[is_fixed] = 0.0
         matrix += offset_map.T @ offset_map / OFFSET_DEVIATION**2
         gradient -= offset_map.T @ deviation / OFFSET_DEVIATION**2
@@ -396,8 +396,8 @@ class _CalibrationState:
             notices.append(warning("SOL104", message, hint))
         uncertain_bones = [
             rig.names[j]
-            for j, surety in zip(self.bones, self.surety, strict=True)
-            if surety < UNCERTAIN_SCALE_RATIO
+            for j, certainty in zip(self.bones, self.scale_certainty, strict=True)
+            if certainty < UNCERTAIN_SCALE_RATIO
         ]
         if uncertain_bones:
             message = "no marker determines the length of these bones; they scale with "

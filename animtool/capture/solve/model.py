@@ -70,19 +70,19 @@ class MarkerProblem:
         Markers near the root have the largest weights.
         """
         rig = self.rig
-        q = np.zeros((len(positions), self.problem.coordinates))
+        coordinates = np.zeros((len(positions), self.problem.coordinates))
         slices = coordinate_slices(rig)
         for columns, joint in zip(slices, rig.joints, strict=True):
             if joint.type in {JointType.BALL, JointType.FREE}:
-                q[:, columns.stop - 1] = 1.0
+                coordinates[:, columns.stop - 1] = 1.0
         root = self._root()
         if root is None:
-            return q
+            return coordinates
         depths = np.array([len(rig.upwards(j)) for j in self.joints])
         joint_weights = WEIGHT_PER_JOINT ** (depths - depths.min())
         visible = visible_markers(positions)
         rotation, translation = fit_rigid_motions(
-            self.points(q[:1])[0],
+            self.points(coordinates[:1])[0],
             np.where(visible[:, :, None], positions, 0.0),
             visible * joint_weights * self.template.weights,
         )
@@ -94,13 +94,13 @@ class MarkerProblem:
         world_position = so3.rotate(rotation, rest_position) + translation
         inverse_rest = so3.conjugate(rest_rotation)
         columns = slices[root]
-        q[:, columns.start : columns.start + 3] = so3.rotate(
+        coordinates[:, columns.start : columns.start + 3] = so3.rotate(
             inverse_rest, world_position - rest_position
         )
-        q[:, columns.start + 3 : columns.stop] = so3.multiply(
+        coordinates[:, columns.start + 3 : columns.stop] = so3.multiply(
             inverse_rest, world_rotation
         )
-        return q
+        return coordinates
 
     def _root(self) -> int | None:
         """Return the free root joint; None if the rig is fixed to the world."""

@@ -1,4 +1,4 @@
-"""Fit of solved markers."""
+"""Scores of a marker solve: residuals and outliers by marker and frame."""
 
 from __future__ import annotations
 

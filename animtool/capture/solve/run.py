@@ -1,4 +1,4 @@
-"""The solve of a capture, one window of frames at a time."""
+"""Solves a capture, one window of frames at a time."""
 
 from __future__ import annotations
 
@@ -246,13 +246,13 @@ def solve_markers(
 
 def _renamed_hint(match: MarkerMatch) -> str | None:
     """Return a hint with unused names that resemble missing markers, or None."""
-    renamed = [
+    name_pairs = [
         f"{captured_name!r} for {name!r}"
         for name, captured_name in resembling_names(match.missing, match.unused)
     ]
-    if not renamed:
+    if not name_pairs:
         return None
-    return f"is it {listed(renamed, 8)}? add such names to `aliases` in the template"
+    return f"is it {listed(name_pairs, 8)}? add such names to `aliases` in the template"
 
 
 def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:

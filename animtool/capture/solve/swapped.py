@@ -1,4 +1,4 @@
-"""Markers of the left side that fit the rig on the right, and the reverse."""
+"""Detects markers whose left and right names are swapped."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.capture.solve.sampling import (
     sampled_poses,
 )
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity, listed
+from animtool.core.errors import Fault, listed, warning
 from animtool.core.quantities import length_text
 from animtool.rig.sides import pair_sides
 
@@ -78,4 +78,4 @@ def _medians(misses: FloatArray) -> FloatArray:
 def _warning(message: str) -> Fault:
     """Return a warning about swapped sides with a message (SOL109)."""
     hint = "exchange their names in the capture, or their entries in the template"
-    return Fault("SOL109", message, hint=hint, severity=Severity.WARNING)
+    return warning("SOL109", message, hint)

@@ -169,20 +169,20 @@ def _warn_of_sides(document: Document, markers: Sequence[TemplateMarker]) -> Non
     pairs = pair_sides([marker.name for marker in markers])
     left_joints = {joints[j] for j in joint_pairs.left}
     partner_of = {joints[j]: joints[p] for j, p in enumerate(joint_pairs.partners)}
-    crossed: list[int] = []
+    swapped: list[int] = []
     for left in pairs.left:
         right = int(pairs.partners[left])
         joint = markers[left].joint
         on_pair = partner_of[joint] == markers[right].joint != joint
         if on_pair and joint not in left_joints:
-            crossed += [left, right]
-    if not crossed:
+            swapped += [left, right]
+    if not swapped:
         return
-    first = min(crossed)
+    first = min(swapped)
     marker = markers[first]
     other = partner_of[marker.joint]
-    names = [f"{markers[i].name} on {markers[i].joint}" for i in sorted(crossed)]
-    message = f"{len(crossed)} of {counted(len(markers), 'marker')} are on joints of "
+    names = [f"{markers[i].name} on {markers[i].joint}" for i in sorted(swapped)]
+    message = f"{len(swapped)} of {counted(len(markers), 'marker')} are on joints of "
     message += f"the other side: {listed(names, 4)}"
     hint = f"for {marker.name} write joint: {other}"
     document.warn("MKT005", ("marker_set", first, "joint"), message, hint)

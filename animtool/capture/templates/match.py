@@ -1,4 +1,4 @@
-"""Matching of a template's markers to those of a capture."""
+"""Matches the markers of a template to those of a capture."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def match_markers(
         prefix: _marker_columns(template, names, prefix)
         for prefix in dict.fromkeys(_split_prefix(name)[0] for name in labelled_names)
     }
-    matching = {
+    matching_subjects = {
         prefix: column_indices
         for prefix, column_indices in matches.items()
         if (column_indices >= 0).any()
@@ -73,18 +73,18 @@ def match_markers(
         if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
             raise OptionError(Fault("SOL001", message, hint=nearest(subject, matches)))
-        matching = {subject: matches[subject]}
+        matching_subjects = {subject: matches[subject]}
         labelled_names = [
             name for name in labelled_names if _split_prefix(name)[0] == subject
         ]
-    if len(matching) > 1:
-        count = counted(len(matching), "subject")
-        message = f"holds markers of {count}: {listed(sorted(matching))}"
+    if len(matching_subjects) > 1:
+        count = counted(len(matching_subjects), "subject")
+        message = f"holds markers of {count}: {listed(sorted(matching_subjects))}"
         hint = f"choose one with {argument('subject')}"
         raise OptionError(Fault("SOL002", message, hint=hint))
-    if not matching or not (next(iter(matching.values())) >= 0).any():
+    if not matching_subjects or not (next(iter(matching_subjects.values())) >= 0).any():
         raise OptionError(_unmatched_fault(template, labelled_names, names))
-    ((subject, columns),) = matching.items()
+    ((subject, columns),) = matching_subjects.items()
     used_columns = set(columns[columns >= 0].tolist())
     missing_markers = tuple(compress(template.names, columns < 0))
     unused_names = [

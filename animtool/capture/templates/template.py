@@ -97,12 +97,12 @@ class MarkerTemplate:
                 else self.document.fault("MKT001", key_path, message, hint)
             )
         if faults:
-            faults = self._blame_rig(rig, faults)
+            faults = self._merge_rig_faults(rig, faults)
             raise OptionError(faults) if self.document is None else FormatError(faults)
         return np.array([index[m.joint] for m in self.markers], np.int64)
 
-    def _blame_rig(self, rig: Rig, faults: list[Fault]) -> list[Fault]:
-        """Merge the faults to one if the template's own rig has all the joints."""
+    def _merge_rig_faults(self, rig: Rig, faults: list[Fault]) -> list[Fault]:
+        """Merge the faults to one if the rig that the template names has all joints."""
         if self.document is None or self.rig is None or len(faults) < 2:
             return faults
         try:

@@ -164,10 +164,10 @@ def test_what_noise_hides_of_bones_is_not_sure() -> None:
     work = unsettled()
     poses = work.model.start_poses(work.positions)
     work._solve_step(poses)
-    assert ((work.surety > 0.9) & (work.surety < 1)).all()
+    assert ((work.scale_certainty > 0.9) & (work.scale_certainty < 1)).all()
     work.noise = np.full_like(work.noise, 100.0)
     work._solve_step(poses)
-    assert ((work.surety > 0) & (work.surety < 0.1)).all()
+    assert ((work.scale_certainty > 0) & (work.scale_certainty < 0.1)).all()
 
 
 def test_pins_have_no_limits_where_markers_tell_their_angle() -> None:
