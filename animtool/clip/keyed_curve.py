@@ -18,22 +18,16 @@ EQUAL_VALUES = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyedCurve:
-    """An `animtool.motion.motion.MotionCurve` that evaluates keys.
+    """An `animtool.motion.motion.MotionCurve` that evaluates keys."""
 
-    Attributes:
-        sample: Returns the motion at times ``(F,)`` [time code].
-        get_clip: Returns the `animtool.clip.clip.Clip` of the keys, at the same time
-            codes; None if there is none.
-        is_foreign: Whether the keys are from a file of another format.
-        native_keys: The keys in that format, for its writer.
-        sample_blocks: Yields the motion at times block by block; None samples all times
-            in one call.
-    """
-
+    # Returns the motion at times ``(F,)`` [time code].
     sample: Callable[[FloatArray], Motion]
+    # Returns the `animtool.clip.clip.Clip` of the keys, at the same time codes; None if
+    # there is none.
     get_clip: Callable[[], Any]
-    is_foreign: bool = False
-    native_keys: object = None
+    is_foreign: bool = False  # whether the keys are from a file of another format
+    native_keys: object = None  # the keys in that format, for its writer
+    # Yields the motion at times block by block; None samples all times in one call.
     sample_blocks: Callable[[FloatArray], Iterator[Motion]] | None = None
 
     def __call__(self, times: FloatArray) -> Motion:

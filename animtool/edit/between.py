@@ -34,14 +34,11 @@ class TakeSampler:
     samples of a row are on it, the row is evaluated between frames. Other rows, which
     have no curve or which a pass changed, are interpolated linearly, rotations along
     the shortest arc at constant speed. On a frame every row is its sample exactly.
-
-    Attributes:
-        take: A take of F frames.
-        rows_on_curve: Mask of the rows of each channel that are evaluated, by channel
-            name; channels without such rows are omitted.
     """
 
-    take: Take
+    take: Take  # a take of F frames
+    # Mask of the rows of each channel that are evaluated, by channel name; channels
+    # without such rows are omitted.
     rows_on_curve: Mapping[str, BoolArray]
 
     @staticmethod

@@ -45,14 +45,10 @@ class LargestAmount:
 
 @dataclass(slots=True)
 class DriverRun:
-    """Evaluates the drivers of a rig on consecutive blocks of its motion.
+    """Evaluates the drivers of a rig on consecutive blocks of its motion."""
 
-    Attributes:
-        rig: A rig with drivers.
-        report_replaced: Whether to report source motion that drivers replace.
-    """
-
-    rig: Rig
+    rig: Rig  # a rig with drivers
+    # Whether to report source motion that drivers replace.
     report_replaced: bool = False
     plan: DriverPlan = field(init=False)
     # Angle of each unlimited pin at the end of the last block [rad].

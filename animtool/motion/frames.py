@@ -74,25 +74,16 @@ class TransformsFrame:
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """A rig shared by characters, and the idle cycle of standing ones.
+    """A rig shared by characters, and the idle cycle of standing ones."""
 
-    Attributes:
-        rig: Rig with y up.
-        animated: Indices of joints that rotate, ascending ``(M,)``.
-        feet: Joint of the left and of the right foot that is fixed while the foot
-            stands.
-        rotations: Local rotations of `animated` in the idle cycle, evenly sampled
-            ``(K, M, 4)``.
-        roots: Positions of the first joint in the idle cycle ``(K, 3)`` [m].
-        period: Length of the idle cycle [s].
-    """
-
-    rig: Rig
-    animated: IntArray
+    rig: Rig  # rig with y up
+    animated: IntArray  # indices of joints that rotate, ascending ``(M,)``
+    # Joint of the left and of the right foot that is fixed while the foot stands.
     feet: tuple[int, int]
+    # Local rotations of `animated` in the idle cycle, evenly sampled ``(K, M, 4)``.
     rotations: FloatArray
-    roots: FloatArray
-    period: float
+    roots: FloatArray  # positions of the first joint in the idle cycle ``(K, 3)`` [m]
+    period: float  # length of the idle cycle [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,40 +91,26 @@ class CharactersFrame:
     """Characters at one frame on shared rigs, each with a placement and a pose.
 
     Every frame has the same characters, sorted by rig; some may be invisible.
-
-    Attributes:
-        ids: ``(N,)``.
-        points: Origins of the characters' rigs ``(N, 3)`` [m].
-        velocities: Velocities of the origins ``(N, 3)`` [m/s].
-        upright: Rotation to the up axis, the same in every frame ``(4,)``.
-        headings: Rotation of each about y, applied before ``upright``, continuous
-            ``(N,)`` [rad].
-        scales: Size of each relative to its rig, the same in every frame ``(N,)`` [1].
-        casts: The rigs, the same in every frame.
-        counts: Number of characters with each rig ``(C,)``.
-        joint_rotations: Local rotations of animated joints, by rig ``(n, M, 4)`` each.
-        roots: Positions of the first joint of each ``(N, 3)`` [m].
-        stands: Mask of standing feet ``(N, 2)``.
-        near_ground: Mask of feet that stand, are about to land or just lifted ``(N,
-            2)``.
-        clocks: Idle time of characters that only stand, else NaN ``(N,)`` [s].
-        visible: ``(N,)``.
     """
 
-    ids: IntArray
-    points: FloatArray
-    velocities: FloatArray
-    upright: FloatArray
+    ids: IntArray  # ``(N,)``
+    points: FloatArray  # origins of the characters' rigs ``(N, 3)`` [m]
+    velocities: FloatArray  # velocities of the origins ``(N, 3)`` [m/s]
+    upright: FloatArray  # rotation to the up axis, the same in every frame ``(4,)``
+    # Rotation of each about y, applied before ``upright``, continuous ``(N,)`` [rad].
     headings: FloatArray
+    # Size of each relative to its rig, the same in every frame ``(N,)`` [1].
     scales: FloatArray
-    casts: tuple[Cast, ...]
-    counts: IntArray
+    casts: tuple[Cast, ...]  # the rigs, the same in every frame
+    counts: IntArray  # number of characters with each rig ``(C,)``
+    # Local rotations of animated joints, by rig ``(n, M, 4)`` each.
     joint_rotations: tuple[FloatArray, ...]
-    roots: FloatArray
-    stands: BoolArray
+    roots: FloatArray  # positions of the first joint of each ``(N, 3)`` [m]
+    stands: BoolArray  # mask of standing feet ``(N, 2)``
+    # Mask of feet that stand, are about to land or just lifted ``(N, 2)``.
     near_ground: BoolArray
-    clocks: FloatArray
-    visible: BoolArray
+    clocks: FloatArray  # idle time of characters that only stand, else NaN ``(N,)`` [s]
+    visible: BoolArray  # ``(N,)``
     primvars: Primvars = field(default_factory=dict)
 
 

@@ -27,21 +27,13 @@ class ScoreUnit(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """A quality score of a pass; larger values are worse.
+    """A quality score of a pass; larger values are worse."""
 
-    Attributes:
-        name: Name in reports.
-        value: The number, in the unit; NaN where there was nothing to score.
-        unit: Metres, radians, a fraction, or a ratio.
-        usual: Largest value of a good result, above ``ideal``.
-        ideal: Value of a perfect result.
-    """
-
-    name: str
-    value: float
-    unit: ScoreUnit
-    usual: float
-    ideal: float = 0.0
+    name: str  # name in reports
+    value: float  # the number, in the unit; NaN where there was nothing to score
+    unit: ScoreUnit  # metres, radians, a fraction, or a ratio
+    usual: float  # largest value of a good result, above ``ideal``
+    ideal: float = 0.0  # value of a perfect result
 
     @property
     def excess(self) -> float:
@@ -78,19 +70,13 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class PassScores:
-    """The scores of a pass on one take.
+    """The scores of a pass on one take."""
 
-    Attributes:
-        scores: Scores in the order of reports.
-        names: Names of affected joints or parts of the take, by description.
-        pass_name: Name of the pass; empty until a scene sets it.
-        where: Entry of the pass in the scene; empty until a scene sets it.
-    """
-
-    scores: tuple[Score, ...]
+    scores: tuple[Score, ...]  # scores in the order of reports
+    # Names of affected joints or parts of the take, by description.
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    pass_name: str = ""
-    where: str = ""
+    pass_name: str = ""  # name of the pass; empty until a scene sets it
+    where: str = ""  # entry of the pass in the scene; empty until a scene sets it
     json_keys: ClassVar[str] = "pass=pass_name where scores names"
 
     def with_pass(self, name: str, where: str) -> PassScores:

@@ -49,18 +49,12 @@ USED, _REJECTED, _INACTIVE = 1, 2, 3
 
 @dataclass(frozen=True, slots=True)
 class ObservationNoise:
-    """Noise of each camera's observations.
+    """Noise of each camera's observations."""
 
-    Attributes:
-        pixels: Standard deviation of an axis [px] ``(C,)``.
-        pose_changes: Cameras that another pose fits much better in all frames, by
-            index.
-        cameras_agree: Whether cameras agree on most of the points.
-    """
-
-    pixels: FloatArray
+    pixels: FloatArray  # standard deviation of an axis [px] ``(C,)``
+    # Cameras that another pose fits much better in all frames, by index.
     pose_changes: dict[int, PoseChange]
-    cameras_agree: bool = True
+    cameras_agree: bool = True  # whether cameras agree on most of the points
 
 
 def measure_noise(

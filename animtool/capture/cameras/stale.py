@@ -30,19 +30,12 @@ MATCH_ERROR_RATIO = 0.05
 
 @dataclass(frozen=True, slots=True)
 class PoseChange:
-    """A change of a camera's pose.
+    """A change of a camera's pose."""
 
-    Attributes:
-        angle: Rotation [rad].
-        distance: Translation [m].
-        error_px: Median reprojection error after the change [px].
-        matching: Name of another camera whose calibration fits as well; or empty.
-    """
-
-    angle: float
-    distance: float
-    error_px: float
-    matching: str = ""
+    angle: float  # rotation [rad]
+    distance: float  # translation [m]
+    error_px: float  # median reprojection error after the change [px]
+    matching: str = ""  # name of a camera whose calibration fits as well; or empty
 
     def __str__(self) -> str:
         """Return the rotation and the shift as text."""
@@ -53,20 +46,14 @@ class PoseChange:
 
 @dataclass(frozen=True, slots=True)
 class PoseShift:
-    """A range of frames in which a camera does not fit its calibration.
+    """A range of frames in which a camera does not fit its calibration."""
 
-    Attributes:
-        first: Index of the first frame.
-        end: One past the last frame.
-        outliers: Fraction of its observations that are outliers [1].
-        change: The pose change that explains it; None if none does.
-        kept: Whether it is used anyway, because leaving it out improves nothing.
-    """
-
-    first: int
-    end: int
-    outliers: float
+    first: int  # index of the first frame
+    end: int  # one past the last frame
+    outliers: float  # fraction of its observations that are outliers [1]
+    # The pose change that explains it; None if none does.
     change: PoseChange | None = None
+    # Whether it is used anyway, because leaving it out improves nothing.
     kept: bool = False
     json_keys: ClassVar[str] = (
         "first=number last=end outliers kept "
@@ -81,17 +68,12 @@ class PoseShift:
 
 @dataclass(frozen=True, slots=True)
 class CameraDisagreement:
-    """A frame in which a camera does not agree with the others.
+    """A frame in which a camera does not agree with the others."""
 
-    Attributes:
-        frame: Frame index.
-        outliers: Fraction of its observations that are outliers [1].
-        error_px: Root mean square reprojection error of the other observations [px];
-            NaN without any.
-    """
-
-    frame: int
-    outliers: float
+    frame: int  # frame index
+    outliers: float  # fraction of its observations that are outliers [1]
+    # Root mean square reprojection error of the other observations [px]; NaN without
+    # any.
     error_px: float
     json_keys: ClassVar[str] = "frame=number outliers error_px"
 

@@ -44,26 +44,19 @@ MAX_POSITIONS = 200_000_000
 
 @dataclass(frozen=True, slots=True)
 class FaceCapture:
-    """Landmarks of a face over frames.
+    """Landmarks of a face over frames."""
 
-    Attributes:
-        path: The file.
-        names: Names of the landmarks; None where the file has none.
-        clock: Times of the frames.
-        points: World space [m] ``(F, N, 3)``, or of one camera [px] ``(F, N, 2)``; NaN
-            where missing.
-        up: The up axis of the world.
-        model: The face that the same file contains; None if it has none.
-        notices: Warnings.
-    """
-
-    path: Path
+    path: Path  # the file
+    # Names of the landmarks; None where the file has none.
     names: tuple[str, ...] | None
-    clock: Clock
+    clock: Clock  # times of the frames
+    # World space [m] ``(F, N, 3)``, or of one camera [px] ``(F, N, 2)``; NaN where
+    # missing.
     points: FloatArray
-    up: UpAxis = UpAxis.Y
+    up: UpAxis = UpAxis.Y  # the up axis of the world
+    # The face that the same file contains; None if it has none.
     model: FaceModel | None = None
-    notices: tuple[Fault, ...] = ()
+    notices: tuple[Fault, ...] = ()  # warnings
 
     @property
     def pixels(self) -> bool:

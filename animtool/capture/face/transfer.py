@@ -20,19 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TransferredWeights:
-    """Weights transferred to another face, with the shape links and the fit.
+    """Weights transferred to another face, with the shape links and the fit."""
 
-    Attributes:
-        weights: Weights of the target's shapes ``(F, S)``.
-        links: Source shapes of each target shape, by name.
-        fit: Fit to the target's landmarks, if they were used; else None.
-        notices: Shapes without a counterpart.
-    """
-
-    weights: FloatArray
-    links: ShapeLinks
+    weights: FloatArray  # weights of the target's shapes ``(F, S)``
+    links: ShapeLinks  # source shapes of each target shape, by name
+    # Fit to the target's landmarks, if they were used; else None.
     fit: FaceFit | None = None
-    notices: tuple[Fault, ...] = ()
+    notices: tuple[Fault, ...] = ()  # shapes without a counterpart
 
 
 def transfer_weights(

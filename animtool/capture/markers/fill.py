@@ -45,45 +45,31 @@ VALIDATION_BIAS = 1.6
 
 @dataclass(frozen=True, slots=True)
 class FilledGap:
-    """A gap of a marker, and the method that filled it, if any.
+    """A gap of a marker, and the method that filled it, if any."""
 
-    Attributes:
-        marker: Name of the marker.
-        first: First frame without a position, from 0.
-        last: Last frame.
-        method: ``skeleton`` by the pose, ``curve`` by the frames around, ``markers`` by
-            the other markers; empty if the gap was left.
-    """
-
-    marker: str
-    first: int
-    last: int
+    marker: str  # name of the marker
+    first: int  # first frame without a position, from 0
+    last: int  # last frame
+    # ``skeleton`` by the pose, ``curve`` by the frames around, ``markers`` by the other
+    # markers; empty if the gap was left.
     method: str
 
 
 @dataclass(frozen=True, slots=True)
 class FillReport:
-    """Result of completing markers: filled gaps, spikes and swaps.
+    """Result of completing markers: filled gaps, spikes and swaps."""
 
-    Attributes:
-        frames: Number of frames.
-        markers: Number of markers.
-        filled: Positions that were filled.
-        left: Positions that are still missing.
-        gaps: Every gap, by marker and frame.
-        spikes: Spikes that were removed and became gaps.
-        swaps: Spans in which two markers had each other's names.
-        notices: Warnings.
-    """
-
-    frames: int
-    markers: int
-    filled: int
-    left: int
+    frames: int  # number of frames
+    markers: int  # number of markers
+    filled: int  # positions that were filled
+    left: int  # positions that are still missing
+    # Every gap, by marker and frame.
     gaps: list[FilledGap] = field(default_factory=list)
+    # Spikes that were removed and became gaps.
     spikes: list[Spike] = field(default_factory=list)
+    # Spans in which two markers had each other's names.
     swaps: list[Swap] = field(default_factory=list)
-    notices: list[Fault] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)  # warnings
 
 
 def fill_markers(

@@ -17,15 +17,10 @@ PERCENTILES = (15.87, 50.0, 84.13)
 
 @dataclass(frozen=True, slots=True)
 class MarkerDistances:
-    """Mean and spread of the distances between M markers.
+    """Mean and spread of the distances between M markers."""
 
-    Attributes:
-        mean: Mean of each pair ``(M, M)`` [m]; NaN if never visible.
-        spread: How much each varies ``(M, M)`` [m], standard deviation.
-    """
-
-    mean: FloatArray
-    spread: FloatArray
+    mean: FloatArray  # mean of each pair ``(M, M)`` [m]; NaN if never visible
+    spread: FloatArray  # how much each varies ``(M, M)`` [m], standard deviation
 
 
 def marker_distances(positions: FloatArray) -> MarkerDistances:

@@ -165,49 +165,30 @@ BASE_SECONDS = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """Markers whose names could be exchanged.
+    """Markers whose names could be exchanged."""
 
-    Attributes:
-        markers: Names of the markers.
-        first: First frame in which all of them are visible, from 0.
-        last: Last such frame.
-        score: Evidence for the exchange [nat]: 0 if it equals that for the assigned
-            names, negative if less.
-    """
-
-    markers: tuple[str, ...]
-    first: int
-    last: int
+    markers: tuple[str, ...]  # names of the markers
+    first: int  # first frame in which all of them are visible, from 0
+    last: int  # last such frame
+    # Evidence for the exchange [nat]: 0 if it equals that for the assigned names,
+    # negative if less.
     score: float
 
 
 @dataclass(frozen=True, slots=True)
 class LabelReport:
-    """Result of labelling: named points, and names that stay in doubt.
+    """Result of labelling: named points, and names that stay in doubt."""
 
-    Attributes:
-        frames: Number of frames.
-        markers: Number of names.
-        points: Visible points over all frames.
-        labelled: Points that got a name.
-        rejected: Points that are not markers.
-        runs: Number of gapless runs.
-        missing: Names without a point in any frame.
-        coverage: Fraction of frames in which each name has a point.
-        doubts: Markers that neither distances nor shapes distinguish.
-        notices: Warnings.
-    """
-
-    frames: int
-    markers: int
-    points: int
-    labelled: int
-    rejected: int
-    runs: int
-    missing: list[str]
-    coverage: dict[str, float]
-    doubts: list[Doubt]
-    notices: list[Fault] = field(default_factory=list)
+    frames: int  # number of frames
+    markers: int  # number of names
+    points: int  # visible points over all frames
+    labelled: int  # points that got a name
+    rejected: int  # points that are not markers
+    runs: int  # number of gapless runs
+    missing: list[str]  # names without a point in any frame
+    coverage: dict[str, float]  # fraction of frames in which each name has a point
+    doubts: list[Doubt]  # markers that neither distances nor shapes distinguish
+    notices: list[Fault] = field(default_factory=list)  # warnings
 
     @property
     def fraction(self) -> float:

@@ -50,15 +50,10 @@ VALIDATION_SPANS = 6
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Predicted positions of a marker in a gap.
+    """Predicted positions of a marker in a gap."""
 
-    Attributes:
-        positions: ``(G, 3)`` [m].
-        error: Cross-validation error in spans of the same length [m].
-    """
-
-    positions: FloatArray
-    error: float
+    positions: FloatArray  # ``(G, 3)`` [m]
+    error: float  # cross-validation error in spans of the same length [m]
 
 
 @dataclass(frozen=True, slots=True)

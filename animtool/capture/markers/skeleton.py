@@ -23,47 +23,33 @@ DRIFT_PER_SECOND = (0.004, 0.008, 0.02)
 
 @dataclass(frozen=True, slots=True)
 class MarkerSubject:
-    """The subject wearing the markers.
+    """The subject wearing the markers."""
 
-    Attributes:
-        rig: A rig of roughly the subject's build.
-        template: Where the markers are on it, to a few centimetres.
-        static: A take of the subject standing roughly in the rest pose; or None.
-        options: How to solve.
-    """
-
-    rig: Rig
-    template: MarkerTemplate
+    rig: Rig  # a rig of roughly the subject's build
+    template: MarkerTemplate  # where the markers are on it, to a few centimetres
+    # A take of the subject standing roughly in the rest pose; or None.
     static: Markers | None = None
-    options: SolveOptions = field(default_factory=SolveOptions)
+    options: SolveOptions = field(default_factory=SolveOptions)  # how to solve
 
 
 @dataclass(frozen=True, slots=True)
 class SkeletonMarkers:
-    """Positions of M markers that are fixed to the joints of a skeleton, in F frames.
+    """Positions in F frames of M markers that are fixed to the joints of a skeleton."""
 
-    Attributes:
-        positions: ``(F, M, 3)`` [m], in the world of the take; NaN for markers that
-            the template lacks.
-        rotations: Rotations of the joints the markers are attached to ``(F, M, 3, 3)``.
-        origins: Origins of those joints ``(F, M, 3)`` [m].
-        parent_rotations: Rotations of the parents of those joints ``(F, M, 3, 3)``.
-        joints: Joint of each marker ``(M,)``; -1 for markers that the template lacks.
-        parent_joint: Parent of each joint ``(J,)``; -1 for the root.
-        has_free_rotation: Which joints rotate about any axis ``(J,)``.
-        determined_frames: Frames with enough markers for the pose ``(F,)``.
-        notices: Notices of calibration and solve.
-    """
-
+    # ``(F, M, 3)`` [m], in the world of the take; NaN for markers that the template
+    # lacks.
     positions: FloatArray
+    # Rotations of the joints the markers are attached to ``(F, M, 3, 3)``.
     rotations: FloatArray
-    origins: FloatArray
+    origins: FloatArray  # origins of those joints ``(F, M, 3)`` [m]
+    # Rotations of the parents of those joints ``(F, M, 3, 3)``.
     parent_rotations: FloatArray
+    # Joint of each marker ``(M,)``; -1 for markers that the template lacks.
     joints: IntArray
-    parent_joint: IntArray
-    has_free_rotation: BoolArray
-    determined_frames: BoolArray
-    notices: tuple[Fault, ...]
+    parent_joint: IntArray  # parent of each joint ``(J,)``; -1 for the root
+    has_free_rotation: BoolArray  # which joints rotate about any axis ``(J,)``
+    determined_frames: BoolArray  # frames with enough markers for the pose ``(F,)``
+    notices: tuple[Fault, ...]  # notices of calibration and solve
 
     def is_predicted(self, marker: int, frames: slice) -> bool:
         """Return whether the skeleton predicts a marker in all given frames."""

@@ -45,19 +45,12 @@ MAX_ROUNDS = 6
 
 @dataclass(frozen=True, slots=True)
 class Spike:
-    """A marker that deviates for a few frames.
+    """A marker that deviates for a few frames."""
 
-    Attributes:
-        marker: Name of the marker.
-        first: First frame, from 0.
-        last: Last frame.
-        size: Largest deviation in the spike [m].
-    """
-
-    marker: str
-    first: int
-    last: int
-    size: float
+    marker: str  # name of the marker
+    first: int  # first frame, from 0
+    last: int  # last frame
+    size: float  # largest deviation in the spike [m]
 
 
 def find_spikes(markers: Markers) -> list[Spike]:

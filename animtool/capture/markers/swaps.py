@@ -43,17 +43,11 @@ MIN_GAIN = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Swap:
-    """A span of frames in which two markers had each other's names.
+    """A span of frames in which two markers had each other's names."""
 
-    Attributes:
-        markers: The two, in the order of the file.
-        first: First frame, from 0.
-        last: Last frame.
-    """
-
-    markers: tuple[str, str]
-    first: int
-    last: int
+    markers: tuple[str, str]  # the two, in the order of the file
+    first: int  # first frame, from 0
+    last: int  # last frame
 
 
 def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
@@ -170,19 +164,12 @@ def _jump_pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class _SwapPath:
-    """A sequence of name exchanges between two markers, up to a frame.
+    """A sequence of name exchanges between two markers, up to a frame."""
 
-    Attributes:
-        cost: Negative log-likelihood.
-        is_swapped: 1 if the names are exchanged at its end, else 0.
-        changes: Frames in which the state changes.
-        past_positions: Last visible frames and positions of both markers.
-    """
-
-    cost: float
-    is_swapped: int
-    changes: tuple[int, ...]
-    past_positions: list[list[Any]]
+    cost: float  # negative log-likelihood
+    is_swapped: int  # 1 if the names are exchanged at its end, else 0
+    changes: tuple[int, ...]  # frames in which the state changes
+    past_positions: list[list[Any]]  # last visible frames and positions of both markers
 
 
 def _find_crossed_frames(

@@ -19,17 +19,11 @@ PAST_FRAMES = 3
 
 @dataclass(frozen=True, slots=True)
 class Tracklets:
-    """Points of a cloud joined to gapless runs.
+    """Points of a cloud joined to gapless runs."""
 
-    Attributes:
-        ids: Run of each point in each frame ``(F, P)``; -1 if not visible.
-        first: First frame of each run ``(T,)``.
-        last: Last frame of each run ``(T,)``.
-    """
-
-    ids: IntArray
-    first: IntArray
-    last: IntArray
+    ids: IntArray  # run of each point in each frame ``(F, P)``; -1 if not visible
+    first: IntArray  # first frame of each run ``(T,)``
+    last: IntArray  # last frame of each run ``(T,)``
 
     def trajectory(self, positions: FloatArray, run: int) -> FloatArray:
         """Return the positions of a run from first to last frame ``(L, 3)``."""

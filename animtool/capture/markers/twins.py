@@ -36,15 +36,10 @@ MAX_EXCHANGES = 12
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A name exchange that fits a take about as well as the chosen names.
+    """A name exchange that fits a take about as well as the chosen names."""
 
-    Attributes:
-        markers: The exchanged markers.
-        score: Evidence for the exchange [nat]; negative.
-    """
-
-    markers: tuple[int, ...]
-    score: float
+    markers: tuple[int, ...]  # the exchanged markers
+    score: float  # evidence for the exchange [nat]; negative
 
 
 def distinguish_twins(

@@ -30,19 +30,12 @@ WEIGHT_PER_JOINT = 0.3
 
 @dataclass(frozen=True)
 class MarkerProblem:
-    """E markers of a template that a capture has, on a rig of Q coordinates.
+    """E markers of a template that a capture has, on a rig of Q coordinates."""
 
-    Attributes:
-        problem: A position goal for each marker.
-        template: Template of these markers only, grouped by joint.
-        columns: Column of each marker in the capture ``(E,)``.
-        joints: Joint index of each marker ``(E,)``.
-    """
-
-    problem: Problem
-    template: MarkerTemplate
-    columns: IntArray
-    joints: IntArray
+    problem: Problem  # a position goal for each marker
+    template: MarkerTemplate  # template of these markers only, grouped by joint
+    columns: IntArray  # column of each marker in the capture ``(E,)``
+    joints: IntArray  # joint index of each marker ``(E,)``
 
     @property
     def rig(self) -> Rig:

@@ -18,66 +18,45 @@ MIN_FITTED_FRACTION = 0.5
 
 @dataclass(frozen=True, slots=True)
 class MarkerScore:
-    """Residuals and outliers of one marker.
+    """Residuals and outliers of one marker."""
 
-    Attributes:
-        name: Name in the template.
-        rms: Distance from its position on the bone [m], without outliers; NaN if
-            it is never visible.
-        seen: Fraction of frames in which it has a position.
-        outliers: Fraction of these frames in which the position is an outlier.
-    """
-
-    name: str
+    name: str  # name in the template
+    # Distance from its position on the bone [m], without outliers; NaN if it is never
+    # visible.
     rms: float
-    seen: float
-    outliers: float
+    seen: float  # fraction of frames in which it has a position
+    outliers: float  # fraction of these frames in which the position is an outlier
 
 
 @dataclass(frozen=True, slots=True)
 class ExchangedLabels:
-    """Frames in which a marker has the position of another label.
+    """Frames in which a marker has the position of another label."""
 
-    Attributes:
-        marker: The marker.
-        label: The name that the capture has there.
-        first: Index of the first frame.
-        last: Index of the last one.
-    """
-
-    marker: str
-    label: str
-    first: int
-    last: int
+    marker: str  # the marker
+    label: str  # the name that the capture has there
+    first: int  # index of the first frame
+    last: int  # index of the last one
 
 
 @dataclass
 class SolveScore:
-    """Residuals of the markers over F frames; complete when all frames are solved.
+    """Residuals of the markers over F frames; complete when all frames are solved."""
 
-    Attributes:
-        names: Names of the E markers.
-        frames: F.
-        noise: Typical deviation of each marker ``(E,)`` [m].
-        rms: Root mean square residual of the fitting markers of each frame ``(F,)``
-            [m], NaN without any.
-        sparse: Frames with fewer than 3 markers, by index.
-        poor: Frames most of whose markers do not fit, by index.
-        searched: Frames with a second search, by index.
-        markers: Fit by marker.
-        exchanged: Exchanged labels.
-        total: Root mean square residual over all fitting markers [m].
-    """
-
-    names: list[str]
-    frames: int
-    noise: FloatArray
+    names: list[str]  # names of the E markers
+    frames: int  # F
+    noise: FloatArray  # typical deviation of each marker ``(E,)`` [m]
+    # Root mean square residual of the fitting markers of each frame ``(F,)`` [m], NaN
+    # without any.
     rms: FloatArray = field(init=False)
-    sparse: IntArray = field(init=False)
+    sparse: IntArray = field(init=False)  # frames with fewer than 3 markers, by index
+    # Frames most of whose markers do not fit, by index.
     poor: IntArray = field(init=False)
-    searched: IntArray = field(init=False)
+    searched: IntArray = field(init=False)  # frames with a second search, by index
+    # Fit by marker.
     markers: list[MarkerScore] = field(init=False, default_factory=list)
+    # Exchanged labels.
     exchanged: list[ExchangedLabels] = field(init=False, default_factory=list)
+    # Root mean square residual over all fitting markers [m].
     total: float = field(init=False, default=float("nan"))
     _misses: FloatArray = field(init=False, repr=False)
     _target_indices: IntArray = field(init=False, repr=False)
