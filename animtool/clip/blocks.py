@@ -147,9 +147,7 @@ class _BlockLayout:
     def arrange(self, motion: Motion, skipped_frames: int) -> Motion:
         """Return a block's motion with the rest values and animated rows of the layout.
 
-        Args:
-            motion: Motion of the block.
-            skipped_frames: Number of leading frames that the previous block contains.
+        The first ``skipped_frames`` of the block are in the previous block already.
         """
         channels: dict[str, Any] = {
             part: self._arrange_channel(

@@ -53,10 +53,8 @@ class CurveReader:
     def read_channel(self, target: str, kind: str, unit: float) -> ClipChannel | None:
         """Return the channel of the curve; None if its values have the wrong width.
 
-        Args:
-            target: Target of the channel, also for messages.
-            kind: Target kind, such as ``angle``, ``translation`` or ``rotation``.
-            unit: Size of a value of 1.
+        ``kind`` is the target's, such as ``angle`` or ``rotation``; ``unit`` the size
+        of a value of 1.
         """
         model = self.model
         is_quaternion = kind == "rotation" and model.euler is None

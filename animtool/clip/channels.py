@@ -164,10 +164,6 @@ class ClipUnits:
     def unit_of(self, target: str, euler: str) -> float:
         """Return the unit of a target's values: [m], [rad] or [1].
 
-        Args:
-            target: Target of the channel.
-            euler: Euler order; empty for other values.
-
         >>> ClipUnits(0.01, 1.0).unit_of("joint/hips.translation", "")
         0.01
         """
@@ -234,11 +230,8 @@ def evaluate_channels(
 ) -> dict[str, FloatArray]:
     """Return the values of every target ``(F, D)``, or ``(1, D)`` if constant.
 
-    Rotations are quaternions (x, y, z, w); Euler angles are converted.
-
-    Args:
-        channels: One per target.
-        times: Times in any order [frame] ``(F,)``; ascending times are fastest.
+    There is one channel per target. Rotations are quaternions (x, y, z, w); Euler
+    angles are converted. Ascending times are fastest.
     """
     values: dict[str, FloatArray] = {}
     curves: list[ClipChannel] = []

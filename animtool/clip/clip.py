@@ -176,14 +176,10 @@ Choice = TypeVar("Choice", bound=Hashable)
 def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
     """Format a clip as the text of a clip file, in the units of its rig.
 
-    Numbers that do not round-trip exactly in the rig's unit are written in
-    metres or radians instead; the file says which.
-
-    Args:
-        clip: The clip; quaternions of its keys have unit length and continuous signs,
-            and free tangents have handles, as after `animtool.clip.file.load_clip`.
-        rig: Rig whose units are used.
-        rig_file: The rig file as named in the clip.
+    Numbers that do not round-trip exactly in the rig's unit are written in metres or
+    radians instead; the file says which. Quaternions of the clip's keys have unit
+    length and continuous signs, and free tangents have handles, as after
+    `animtool.clip.file.load_clip`. ``rig_file`` is the rig file as named in the clip.
     """
     units = _units_to_write(clip, rig)
     range_texts = [decimal_text(float(end)) for end in (clip.first, clip.last)]
@@ -231,9 +227,7 @@ def _round_trips(values: Iterable[float], unit: float) -> bool:
 def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
     """Yield the lines of a key curve, without its target.
 
-    Args:
-        channel: The curve.
-        unit: Size of a value of 1: [m], [rad] or [1].
+    Values are written in ``unit``: [m], [rad] or [1].
     """
     interp = _most_common(channel.interps, Interp.LINEAR)
     tangent_rules = [t for t in chain(*channel.tangents) if t is not Tangent.FREE]

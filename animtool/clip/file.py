@@ -132,12 +132,7 @@ def _load_keys(
 
 
 def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
-    """Return the rig of a clip file.
-
-    Args:
-        file: The clip.
-        path: The rig file; None uses the rig named by the clip.
-    """
+    """Return a clip file's rig: the file at ``path``, or else the one it names."""
     rig_path = file.required_rig() if path is None else path
     if path is None and not exists(rig_path):
         _raise_missing_rig(file)
@@ -165,12 +160,7 @@ def _raise_missing_rig(file: ClipFile) -> NoReturn:
 
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:
-    """Check a clip file against a rig and return the clip.
-
-    Args:
-        file: Content of the file.
-        rig: Rig whose controls, shapes and joints are the targets.
-    """
+    """Check a clip file against a rig and return the clip."""
     return _ClipReader(file.document, file.model, rig, file.rig).read_clip()
 
 

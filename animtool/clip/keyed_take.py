@@ -92,13 +92,8 @@ def fit_take_keys(
     slide, translation or rotation relative to rest, or the local transform if a joint
     moves beyond its type.
 
-    Args:
-        take: A take of at least one frame.
-        rig: Rig of the take, as read with the clip.
-        name: Name of the clip.
-        tolerance: Largest error of any joint > 0 [m].
-        joint_tolerances: Tolerances by joint name or pattern > 0 [m].
-        base: Base of an additive take; its controls stay at their defaults.
+    The tolerances are the largest errors of joints [m], of all or by name or pattern.
+    Controls of an additive take, one with a ``base``, stay at their defaults.
     """
     other_tolerances = joint_tolerances or {}
     bounds = joint_bounds(rig, tolerance, other_tolerances)

@@ -72,11 +72,8 @@ def sample_channels(
     product of its drivers, plus the values of keys and controls. Drivers of the rig
     that read joint coordinates override keys.
 
-    Args:
-        channels: Channels of the clip.
-        rig: Rig of the clip.
-        times: Times in any order; ascending times are fastest.
-        clamp: Clamp controls to their ranges and joints to their limits.
+    Ascending times are fastest. ``clamp`` keeps controls in their ranges and joints
+    within their limits.
     """
     values = evaluate_channels(channels, times)
     sampled_motion = sample_values(values, rig, times, clamp=clamp)
@@ -130,14 +127,9 @@ def sample_values(
 ) -> SampledMotion:
     """Return the motion of a rig from target values; see `sample_channels`.
 
-    Args:
-        keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
-            rotations as quaternions.
-        rig: Rig of the targets.
-        times: Times of the values ``(F,)``.
-        clamp: Bring controls into their ranges and joints into their limits.
-        run: Evaluates the rig's drivers and collects their notices, if the times
-            continue earlier ones.
+    The values are ``(F, D)`` by target, or ``(1, D)`` where one never moves; rotations
+    are quaternions. ``run`` evaluates the rig's drivers and collects their notices, if
+    the times continue earlier ones.
     """
     count = len(times)
     notices: list[ClipNotice] = []

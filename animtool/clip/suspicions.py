@@ -92,16 +92,7 @@ def warn_of_numbers(
     *,
     has_unit: bool,
 ) -> None:
-    """Warn of quaternions, angles, lengths and speeds that look mistaken.
-
-    Args:
-        document: The clip file.
-        channels: Channels of the clip.
-        fps: Frames per second of the clip.
-        units: Units of its numbers.
-        rig: Rig of the clip, if it is known.
-        has_unit: Whether the file names its unit of length.
-    """
+    """Warn of quaternions, angles, lengths and speeds that look mistaken."""
     _warn_of_order(document, channels)
     _warn_of_angles(document, channels, units, rig)
     _warn_of_weights(document, channels)
@@ -207,13 +198,8 @@ def warn_of_angle_keys(
 ) -> None:
     """Warn of keys in radians where degrees are declared, and vice versa (CLIP107).
 
-    Args:
-        document: The file.
-        curves: Keyed angles of the file.
-        label: What the keys are called, such as ``rotation keys of``.
-        noun: What has them, such as ``channel``.
-        units: Units of the file's numbers.
-        rig: Rig whose limits show units of pins, if it is known.
+    The messages call the keys ``label``, such as ``rotation keys of``, and what has
+    them ``noun``, such as ``channel``. The rig's limits show the units of pins.
     """
     angles = [(curve, curve.values / units.angle) for curve in curves]
     angles = [(curve, values) for curve, values in angles if values.any()]

@@ -64,10 +64,8 @@ def seconds_texts(
 ) -> tuple[str, str] | None:
     """Return a message about times in seconds and a hint, or None (CLIP110).
 
-    Args:
-        times: Ascending times of each curve.
-        fps: Frames per second.
-        frames: First and last frame of the file's range; None without a range.
+    The times of each curve ascend; ``frames`` are the first and last of the file's
+    range.
     """
     if not times:
         return None

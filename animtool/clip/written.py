@@ -26,10 +26,8 @@ MAX_NAMES = 6
 def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     """Return the files of a take: a sparse clip, its rig, and the rig's arrays.
 
-    Args:
-        take: The take; deltas for an additive take.
-        path: The clip file.
-        options: ``tolerance`` defaults to half a millimetre.
+    ``tolerance`` of the options defaults to half a millimetre. An additive take has
+    deltas.
     """
     skipped_content_warnings = _skipped_content_warnings(take)
     base_take = options.base

@@ -93,11 +93,8 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
 def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
     """Convert another take to the up axis, shape order and control order of a rig.
 
-    Args:
-        rig: The rig.
-        other: A take of the same joints.
-        is_additive: Whether its values are deltas: rotations of these are in the frames
-            of the joints, whatever the up axis.
+    Both have the same joints. Deltas are rotations in the frames of the joints,
+    whatever the up axis.
     """
     check_same_rig(rig, other.rig)
     shapes = _part_order("shapes", rig.shapes, other.rig.shapes)

@@ -68,11 +68,8 @@ def seconds_hint(
 ) -> str | None:
     """Return a hint with the frames for options that look like seconds, or None.
 
-    Args:
-        options: Values of options by name; at least one must be fractional.
-        start: First time code of the take.
-        fps: Frames per second.
-        last: Last time code; None if it is unknown.
+    At least one of the options must be fractional. The take has time codes from
+    ``start`` to ``last``, None if the end is unknown.
     """
     values = list(options.values())
     if all(value == round(value) for value in values) or min(values) < 0:

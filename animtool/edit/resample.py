@@ -160,12 +160,7 @@ def missing_frames_fault(
 ) -> Fault:
     """Return the fault of frames that a take does not have (CLI005).
 
-    Args:
-        frame_range: The frames.
-        first: First frame of the take.
-        last: Last frame of the take.
-        name: Argument that names the frames.
-        noun: Noun for the object that has the frames.
+    The argument ``name`` names the frames of an object called ``noun``.
 
     >>> missing = FrameRange(0, 0)
     >>> missing_frames_fault(missing, Fraction(1), Fraction(64), name="rest").message

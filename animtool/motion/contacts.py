@@ -78,15 +78,9 @@ def find_contacts(
 ) -> FootContacts:
     """Detect the frames in which ankle and toe of a foot are planted.
 
-    Speeds are of smoothed positions; the smoothing widens for takes whose jitter would
-    hide contacts. The ground height is measured: the foot is lowest there while slow.
-
-    Args:
-        ankle: Positions ``(F, 3)`` [m].
-        toe: Toe positions ``(F, 3)``; None if there is no toe.
-        fps: Frames a second.
-        leg_length: Length of thigh plus shin [m].
-        up_axis: Index of the up axis.
+    Speeds are of smoothed positions ``(F, 3)`` [m]; the smoothing widens for takes
+    whose jitter would hide contacts. The ground height is measured: the foot is lowest
+    there while slow. ``leg_length`` is that of thigh plus shin [m].
     """
     max_speed = MAX_STANDING_SPEED * leg_length
     points = [ankle] if toe is None else [ankle, toe]

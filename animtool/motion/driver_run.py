@@ -74,11 +74,9 @@ class DriverRun:
     ) -> Motion:
         """Return a motion with driven joints, shapes and controls evaluated.
 
-        Args:
-            motion: Consecutive frames.
-            times: Times of its frames, for reports ``(F,)``.
-            coordinates: Unwrapped joint coordinates that override the motion's, by name
-                such as ``elbow.angle``.
+        The motion's frames continue those before; the times are for reports.
+        ``coordinates`` are unwrapped joint coordinates by name, such as
+        ``elbow.angle``, that override the motion's.
         """
         if motion.frames == 1:
             # Twice, as one frame does not distinguish moving from static values.

@@ -40,11 +40,8 @@ def drive_take(take: Take) -> Take:
 def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeStream:
     """Return a stream with driven joints, shapes and controls evaluated.
 
-    Warnings of drivers are added to its notices once the blocks are read.
-
-    Args:
-        stream: Take of any rig; without drivers it is returned unchanged.
-        report_replaced: Whether to report source motion that drivers replace.
+    Warnings of drivers are added to its notices once the blocks are read;
+    ``report_replaced`` adds those of source motion that drivers replace.
     """
     if not stream.rig.is_driven:
         return stream
@@ -94,10 +91,7 @@ def combine_missing_weights(
 ) -> Channel:
     """Return shape weights, with missing combination shapes set to their products.
 
-    Args:
-        weights: Weights of S shapes; 0 for the missing ones.
-        shapes: The shapes of the rig.
-        missing_shapes: Indices of shapes that the motion lacks.
+    The weights of shapes that the motion lacks are 0 before.
 
     >>> shapes = [Shape("a"), Shape("b", combine=("a",)), Shape("c", combine=("a",))]
     >>> weights = Channel(np.zeros((3, 1)), np.array([0]), np.full((2, 1, 1), 0.5))

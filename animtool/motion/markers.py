@@ -95,9 +95,8 @@ class Markers:
     def rearrange(self, slots: IntArray, names: tuple[str, ...]) -> Markers:
         """Return markers whose columns are taken from other columns in each frame.
 
-        Args:
-            slots: Column of each new marker in each frame ``(F, N)``; -1 for none.
-            names: Names of the new markers.
+        ``slots`` are the columns of the new markers in each frame ``(F, N)``; -1 for
+        none.
         """
 
         def take(values: Any) -> Any:

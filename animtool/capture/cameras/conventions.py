@@ -83,13 +83,9 @@ def better_convention(
 ) -> tuple[Convention, float, float] | None:
     """Return the convention in which cameras agree, its noise, and the noise as read.
 
-    Return None if no convention is `MIN_IMPROVEMENT` times better than the poses as
-    read.
-
-    Args:
-        cameras: The cameras as read.
-        noise: Measures how far the rays of cameras miss each other [px].
-        limit: The largest noise of cameras that agree [px].
+    ``noise`` measures how far the rays of cameras miss each other [px]; ``limit`` is
+    its largest value for cameras that agree. Return None if no convention is
+    `MIN_IMPROVEMENT` times better than the poses as read.
     """
     as_read = noise(cameras)
     noises = [noise([c.camera(camera) for camera in cameras]) for c in CONVENTIONS]

@@ -77,13 +77,8 @@ def track_people(
 ) -> FloatArray:
     """Track people; return x, y and confidence of keypoints ``(F, C, P * M, 3)``.
 
-    Args:
-        detections: People by frame and camera ``(M, 3)``, NaN for invisible keypoints.
-        cameras: Camera calibrations.
-        rate: Frames a second.
-        keypoints: M.
-        max_people: Largest number of people to keep, most visible first; None keeps
-            all.
+    ``detections`` are people by frame and camera ``(M, 3)``, NaN for invisible
+    keypoints. The ``max_people`` that are most visible are kept; None keeps all.
     """
     tracks: list[_PersonTrack] = []
     max_lost_frames = max(1, round(MAX_LOST_SECONDS * rate))

@@ -66,12 +66,7 @@ def warn_of_spread(
 ) -> None:
     """Warn of cameras that are too far apart, or too close (CAM113).
 
-    Args:
-        document: Camera file.
-        location: Where it states the unit, or else the first translation.
-        cameras: The cameras.
-        unit: The unit that translations are read in.
-        is_stated: Whether the file states it.
+    ``location`` is where the file states the unit, or else the first translation.
     """
     positions = np.array([camera.position for camera in cameras]).reshape(-1, 3)
     offsets = positions[:, None] - positions

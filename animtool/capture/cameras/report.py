@@ -209,11 +209,8 @@ def lost_frames(
 ) -> Iterator[Fault]:
     """Yield warnings about frames in which most visible points have no position.
 
-    Args:
-        positions: ``(F, M, 3)``, NaN for a gap.
-        is_visible: Points visible to two or more cameras ``(F, M)``.
-        clock: Clock of the frames.
-        path: Path of the observations.
+    Positions ``(F, M, 3)`` are NaN in a gap; ``is_visible`` ``(F, M)`` marks points
+    that two or more cameras see.
     """
     lost_counts = (is_visible & np.isnan(positions[..., 0])).sum(axis=1)
     frames = np.flatnonzero(

@@ -91,13 +91,9 @@ def find_shifted_ranges(
 ) -> tuple[int, list[PoseShift]] | None:
     """Return the worst-fitting camera and its frame ranges; None if all fit.
 
-    A camera is skipped if fewer than two cameras would remain without it.
-
-    Args:
-        triangulated_counts: Observations of triangulated points ``(F, C)``.
-        rejected: Outliers among these observations ``(F, C)``.
-        active: Whether each camera is used ``(F, C)``.
-        rate: Frames a second.
+    Counts of observations of triangulated points, outliers among them and use of the
+    cameras are ``(F, C)``. A camera is skipped if fewer than two would remain without
+    it.
     """
     window = max(1, min(len(triangulated_counts), round(MIN_SECONDS * rate)))
     worst_fit: tuple[int, list[PoseShift]] | None = None
@@ -145,11 +141,8 @@ def find_disagreements(
 ) -> list[CameraDisagreement]:
     """Return single frames in which a camera does not agree with the others.
 
-    Args:
-        values: Tallies of the kernel ``(F, C, 8)``.
-        camera: Camera index.
-        noise: Noise of its observations, as a standard deviation of an axis [px].
-        is_active: Whether the camera is used in each frame ``(F,)``.
+    ``values`` are tallies of the kernel ``(F, C, 8)``; the noise is the standard
+    deviation of an axis of the camera's observations [px].
     """
     _, used, triangulated_counts, rejected, _, pixels, *_ = values[:, camera].T
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -178,15 +171,10 @@ def truncated_error(
 ) -> float:
     """Return the truncated mean squared reprojection error over its expectation.
 
-    Residuals beyond the gate are set to the gate, and so are those of points without a
-    position.
-
-    Args:
-        residuals: ``(F, C, M, 2)`` [px], NaN where a point is not found.
-        visible: Which observations are counted ``(F, C, M)``.
-        noise: Noise of each camera [px] ``(C,)``.
-        gate: Outlier threshold, over the noise.
-        has_extra_camera: Whether one more camera is used for a point ``(F, M)``.
+    Residuals ``(F, C, M, 2)`` [px] beyond the gate, a multiple of the noise ``(C,)``
+    [px], are set to the gate, and so are NaN ones of points without a position. Only
+    ``visible`` observations count; ``has_extra_camera`` ``(F, M)`` marks points that
+    one more camera is used for.
     """
     squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
     squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
@@ -242,13 +230,9 @@ def fit_pose_change(
 ) -> PoseChange | None:
     """Return the pose change that fits a camera's pixels best; None if none fits.
 
-    Gauss-Newton steps with residuals weighted by 1 / (1 + r / s), s their median.
-
-    Args:
-        camera: The camera with its calibrated pose.
-        points: World positions [m] ``(F, M, 3)``, NaN for gaps.
-        pixels: Pixels of the points ``(F, M, 2)``, NaN if not visible.
-        others: Cameras that the pixels may belong to instead.
+    Gauss-Newton steps with residuals weighted by 1 / (1 + r / s), s their median. World
+    positions ``(F, M, 3)`` [m] and pixels ``(F, M, 2)`` are NaN where missing; the
+    pixels may belong to one of the other cameras instead.
     """
     is_valid = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[is_valid], pixels[is_valid]

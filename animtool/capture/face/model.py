@@ -132,11 +132,8 @@ class FaceModel:
     def with_proportions(self, captured: FloatArray) -> FaceModel:
         """Return the model with the proportions of a captured neutral face.
 
-        Deltas scale with the sizes of the two faces. Landmarks that were not visible
-        keep their model position.
-
-        Args:
-            captured: Landmarks of the neutral frame [m] ``(N, 3)``, NaN where missing.
+        The captured landmarks ``(N, 3)`` [m] are NaN where not visible and keep their
+        model position there. Deltas scale with the sizes of the two faces.
         """
         visible = np.isfinite(captured).all(axis=1)
         scale = rms_spread(captured[visible]) / rms_spread(self.neutral[visible])

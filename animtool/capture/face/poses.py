@@ -15,12 +15,8 @@ PERSPECTIVE_ROUNDS = 30
 def estimate_head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
     """Return a head pose per frame, quaternion (x, y, z, w) and translation ``(F, 7)``.
 
-    Landmarks that move most have the least weight. Frames with fewer than three
-    landmarks repeat the last known pose.
-
-    Args:
-        neutral: Landmarks at rest ``(N, 3)``.
-        observed: Landmarks in the world ``(F, N, 3)``, NaN where missing.
+    Landmarks ``(F, N, 3)`` are NaN where missing. Those that move most have the least
+    weight; frames with fewer than three repeat the last known pose.
     """
     visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     points = np.where(visible[..., None], observed, 0.0)
@@ -74,14 +70,11 @@ def estimate_camera_pose(
 ) -> FloatArray | None:
     """Return a head's pose before a camera ``(7,)``; None if not found.
 
-    Args:
-        neutral: Landmarks at rest ``(N, 3)``.
-        pixels: Their pixels ``(N, 2)``, free of lens distortion, NaN where missing.
-        camera: fx, fy, cx, cy [px].
+    The pixels ``(N, 2)`` are free of lens distortion, NaN where missing; the camera is
+    fx, fy, cx, cy [px].
 
-    References:
-        D. F. DeMenthon and L. S. Davis, Model-based object pose in 25 lines of code,
-        1995.
+    After D. F. DeMenthon and L. S. Davis, Model-based object pose in 25 lines of code,
+    1995.
     """
     visible: BoolArray = np.asarray(np.isfinite(pixels).all(axis=1))
     if visible.sum() < 4:

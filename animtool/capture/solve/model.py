@@ -130,11 +130,8 @@ def marker_model(
 ) -> MarkerProblem:
     """Return the model of the markers in a capture.
 
-    Args:
-        rig: The rig; joints without a type in the file rotate.
-        template: M markers.
-        columns: Index of each marker in the capture ``(M,)``, -1 if it is
-            missing, as `animtool.capture.templates.match_markers` finds them.
+    ``columns`` are the indices of the template's markers in the capture, -1 if missing.
+    Joints without a type in the rig file rotate.
     """
     rig = with_types(rig)
     joints = template.joints(rig)
@@ -168,12 +165,9 @@ def fit_rigid_motions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations ``(F, 4)`` and translations ``(F, 3)`` between point sets.
 
-    The motions minimise the weighted sum of squared distances (W. Kabsch, 1976).
-
-    Args:
-        points: ``(E, 3)``.
-        positions: ``(F, E, 3)``.
-        weights: ``(F, E)``; if all are 0, the rotation is identity.
+    The motions of points ``(E, 3)`` to positions ``(F, E, 3)`` minimise the sum of
+    squared distances with weights ``(F, E)`` (W. Kabsch, 1976). If all weights are 0,
+    the rotation is identity.
     """
     weight_sums = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
     fractions = weights / weight_sums

@@ -50,12 +50,8 @@ def sampled_poses(
 def typical_noise(misses: FloatArray, min_noise: float) -> FloatArray:
     """Return the standard deviation per axis of each marker ``(E,)`` [m].
 
-    A marker with tiny residuals, such as the only marker on its joints, is assumed to
-    be half as noisy as the others.
-
-    Args:
-        misses: ``(F, E)`` [m], NaN where a marker is missing.
-        min_noise: Lower bound [m].
+    Residuals ``(F, E)`` [m] are NaN where a marker is missing. A marker with tiny ones,
+    such as the only marker on its joints, is assumed to be half as noisy as the others.
     """
     is_known = np.isfinite(misses)
     median = min_noise

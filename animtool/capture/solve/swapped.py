@@ -24,11 +24,8 @@ def swapped_side_notices(
 ) -> list[Fault]:
     """Return a warning if all or several left and right markers are swapped (SOL109).
 
-    Args:
-        model: E markers.
-        sample: Positions of markers in sampled frames ``(F, E, 3)`` [m].
-        noise: Noise of the markers ``(E,)`` [m].
-        min_noise: Lower bound of the noise [m].
+    The sampled positions are ``(F, E, 3)`` [m]; noise ``(E,)`` and its lower bound in
+    metres.
     """
     names = model.template.names
     pairs = pair_sides(names)

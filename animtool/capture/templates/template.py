@@ -123,10 +123,8 @@ class MarkerTemplate:
 def template_text(template: MarkerTemplate, title: str, rig: str | None = None) -> str:
     """Format a template as the text of a template file.
 
-    Args:
-        template: The markers.
-        title: Comment on the first line.
-        rig: Path of the rig file to write; None omits it.
+    The title is a comment on the first line; ``rig`` the path of the rig file, None
+    omits it.
     """
     return "\n".join(_template_lines(template, title, rig)) + "\n"
 

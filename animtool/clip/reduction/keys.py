@@ -93,12 +93,8 @@ def fitted_channel(
 ) -> ClipChannel:
     """Return fitted keys as a channel of Hermite keys.
 
-    Args:
-        target: Target of the channel.
-        keys: Keys in metres, degrees or [1]; frames from 0.
-        clock: Clock of the frames.
-        unit: Unit of written values [m], [rad] or [1].
-        euler: Euler order; empty for other values.
+    The keys are in metres, degrees or [1], with frames from 0; written values in
+    ``unit``.
     """
     # Unit of the fitted keys relative to the unit of the file.
     is_rotation = bool(euler) or target.endswith(".angle")

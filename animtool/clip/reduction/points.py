@@ -29,11 +29,8 @@ def joint_bounds(
 ) -> FloatArray:
     """Return the tolerance of every joint ``(J,)`` [m].
 
-    Args:
-        rig: J joints.
-        tolerance: Tolerance of all other joints [m].
-        tolerances_by_pattern: Tolerances by joint name or pattern such as ``hand_*``;
-            the last match counts [m].
+    ``tolerances_by_pattern`` has other tolerances [m] by joint name or pattern such as
+    ``hand_*``; the last match counts.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("upper", -1), Joint("hand", 0)))
@@ -70,12 +67,8 @@ def joint_bounds(
 def attached_points(rig: Rig, shell: float) -> FloatArray:
     """Return points attached to each joint, in the joint's frame ``(J, P, 3)`` [m].
 
-    These are the joint's origin, one point along each axis, and the tips of its bone.
-    Joints with fewer tips repeat their origin.
-
-    Args:
-        rig: J joints.
-        shell: Distance of the axis points from the origin [m].
+    These are the joint's origin, one point at the distance ``shell`` along each axis,
+    and the tips of its bone. Joints with fewer tips repeat their origin.
 
     >>> from animtool.rig.skeleton import Joint
     >>> attached_points(Rig("r", (Joint("a", -1),)), 0.03)[0].tolist()[:2]
@@ -100,10 +93,8 @@ def point_errors(
 ) -> FloatArray:
     """Return the largest point error of each joint ``(F, J)`` [m].
 
-    Args:
-        points: ``(J, P, 3)`` [m], in the joints' frames.
-        truth: Original world transforms.
-        reduced: Reduced world transforms.
+    The points ``(J, P, 3)`` [m] are in the joints' frames, moved by the original world
+    transforms and by the reduced ones.
     """
     return _kernels.point_errors(
         points, truth.positions, truth.linear, reduced.positions, reduced.linear
