@@ -64,10 +64,8 @@ class CurveReader:
             self._add("CLIP009", ("euler",), message, "remove euler")
         allowed_interps = _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS
         default_interp = Interp.SPLINE if is_quaternion else Interp.BEZIER
-        interp, tangent = (
-            Interp(model.interp or default_interp),
-            Tangent(model.tangents),
-        )
+        interp = Interp(model.interp or default_interp)
+        tangent = Tangent(model.tangents)
         repeats = components if kind == "scale" else 1  # of a single number
         keys, array_name = model.keys, ""
         if isinstance(keys, PlainKeys):

@@ -33,6 +33,21 @@ class UpAxis(StrEnum):
         return (0.0, 0.0, 1.0) if self is UpAxis.Z else (0.0, 1.0, 0.0)
 
 
+def likely_unit(
+    size: float, unit: LengthUnit, typical_size: float
+) -> tuple[LengthUnit, float]:
+    """Return the unit in which a size is most like a typical one, and that size [m].
+
+    ``size``, not 0, is a number read in ``unit`` [m].
+
+    >>> likely_unit(2000.0, LengthUnit.M, 1.0)
+    (<LengthUnit.MM: 'mm'>, 2.0)
+    """
+    sizes = {other: size * other.meters / unit.meters for other in LengthUnit}
+    likely = min(sizes, key=lambda other: abs(math.log(sizes[other] / typical_size)))
+    return likely, sizes[likely]
+
+
 def unit_name(meters: float) -> str:
     """Return the name of a length unit.
 

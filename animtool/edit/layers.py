@@ -404,10 +404,8 @@ class _Displacements:
             distances = np.where(np.isin(times, placed.times), distances, 0.0)
             worst_frame = int(distances.argmax())
             if distances[worst_frame] > self.largest:
-                self.largest, self.effector = (
-                    float(distances[worst_frame]),
-                    placed.effector,
-                )
+                self.largest = float(distances[worst_frame])
+                self.effector = placed.effector
                 self.time = float(times[worst_frame])
 
     def warnings(self) -> list[Fault]:

@@ -10,7 +10,7 @@ import numpy as np
 from animtool.capture.cameras.camera import Camera
 from animtool.core.arguments import argument
 from animtool.core.quantities import length_text
-from animtool.core.units import LengthUnit
+from animtool.core.units import LengthUnit, likely_unit
 from animtool.documents.document import Document, Location
 
 # Range of the largest distance of two cameras, from a stereo camera to a stadium [m].
@@ -73,17 +73,11 @@ def warn_of_spread(
     spread = float(np.linalg.norm(offsets, axis=-1).max(initial=0.0))
     if len(cameras) < 2 or spread == 0 or MIN_SPREAD <= spread <= MAX_SPREAD:
         return
-
-    def spread_in(other: LengthUnit) -> float:
-        return spread * other.meters / unit.meters
-
-    likely = min(
-        LengthUnit, key=lambda other: abs(math.log(spread_in(other) / TYPICAL_SPREAD))
-    )
+    likely, likely_spread = likely_unit(spread, unit, TYPICAL_SPREAD)
     message = f"the cameras are up to {length_text(spread)} apart"
     hint = f"are the translations in {unit}?"
-    if MIN_SPREAD <= spread_in(likely) <= MAX_SPREAD:
-        message += f"; in {likely} it would be {length_text(spread_in(likely))}"
+    if MIN_SPREAD <= likely_spread <= MAX_SPREAD:
+        message += f"; in {likely} it would be {length_text(likely_spread)}"
         hint = f"write units: {{length: {likely}}} in the file"
         if not is_stated:
             hint += f", or set {argument('source.unit', likely)}"

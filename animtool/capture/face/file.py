@@ -241,12 +241,11 @@ def _displacement(
             offsets[:] = values
         else:
             offsets[matching_shape.vertices] = values
-        return np.stack(
-            [
-                weights @ offsets[vertices] if mesh == shape.mesh else np.zeros(3)
-                for mesh, vertices, weights in rows
-            ]
-        )
+        rows_of_mesh = [
+            weights @ offsets[vertices] if mesh == shape.mesh else np.zeros(3)
+            for mesh, vertices, weights in rows
+        ]
+        return np.stack(rows_of_mesh)
 
     inbetweens = tuple(
         InbetweenDeltas(inbetween.at, at_landmarks(inbetween.deltas))

@@ -276,14 +276,9 @@ def _prediction_weights(
     their weights, the inverse variance of the prediction error, and the quadratic form
     of their residuals.
     """
-    offsets_around = np.array(
-        [
-            *range(SUPPORT_FRAMES),
-            *range(SUPPORT_FRAMES + length, 2 * SUPPORT_FRAMES + length),
-        ]
-    )
-    offsets = offsets_around[[bool(code >> k & 1) for k in range(2 * SUPPORT_FRAMES)]]
     span = np.arange(SUPPORT_FRAMES, SUPPORT_FRAMES + length)
+    offsets_around = np.delete(np.arange(2 * SUPPORT_FRAMES + length), span)
+    offsets = offsets_around[[bool(code >> k & 1) for k in range(2 * SUPPORT_FRAMES)]]
     frames = np.concatenate([offsets, span]) + 1.0
     # White noise integrated three times: its expected curve is a quintic spline.
     earlier_frame = np.minimum(frames[:, None], frames)

@@ -132,11 +132,8 @@ def _expected_positions(
         velocity[is_usable] = displacement / samples_back
         has_velocity = is_usable if samples_back == 1 else has_velocity
     time = frames_since / rate
-    tolerance = (
-        NOISE
-        + 0.5 * acceleration * time**2
-        + np.where(has_velocity, 0.0, SPEED_ERROR * time)
-    )
+    tolerance = NOISE + 0.5 * acceleration * time**2
+    tolerance += np.where(has_velocity, 0.0, SPEED_ERROR * time)
     return last_position + velocity * frames_since[..., None], tolerance, is_known
 
 
@@ -198,15 +195,7 @@ def _find_crossed_frames(
     event_ends = [*events[1:], len(pair_positions)]
     initial_path = _SwapPath(0.0, 0, (), [[], []])
     paths = [initial_path, _SwapPath(CHANGE_COST, 1, (0,), [[], []])]
-    points: list[list[Any]] = [
-        [
-            position if is_visible else None
-            for position, is_visible in zip(row, visible_row, strict=True)
-        ]
-        for row, visible_row in zip(
-            pair_positions.tolist(), visible.tolist(), strict=True
-        )
-    ]
+    points, is_visible = pair_positions.tolist(), visible.tolist()
     for start, end in zip(events, event_ends, strict=True):
         shape_gain = _shape_gain(positions, a, b, start, end, lengths)
         length = int(visible[start:end].any(axis=1).sum())
@@ -228,13 +217,14 @@ def _find_crossed_frames(
                 cost, changes = cost + CHANGE_COST, (*changes, start)
             past_positions = []
             for marker, past in enumerate(path.past_positions):
-                point = points[start][marker ^ state]
-                if start and point is not None:
+                column = marker ^ state
+                if start and is_visible[start][column]:
+                    point = points[start][column]
                     cost += _position_cost(past, start, point, rate, acceleration)
                 new_positions = [
-                    (frame, points[frame][marker ^ state])
+                    (frame, points[frame][column])
                     for frame in range(max(start, end - PAST_SAMPLES), end)
-                    if points[frame][marker ^ state] is not None
+                    if is_visible[frame][column]
                 ]
                 past_positions.append([*past, *new_positions][-PAST_SAMPLES:])
             return _SwapPath(cost, state, changes, past_positions)
@@ -260,13 +250,8 @@ def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
     finite_differences = second_differences[np.isfinite(second_differences)]
     if not len(finite_differences):
         return DEFAULT_ACCELERATION
-    return float(
-        np.clip(
-            ACCELERATION_FACTOR * np.median(finite_differences) * rate**2,
-            MIN_ACCELERATION,
-            DEFAULT_ACCELERATION,
-        )
-    )
+    largest = ACCELERATION_FACTOR * np.median(finite_differences) * rate**2
+    return float(np.clip(largest, MIN_ACCELERATION, DEFAULT_ACCELERATION))
 
 
 def _position_cost(
@@ -290,11 +275,9 @@ def _position_cost(
         for p, x, y in zip(point, last_position, first_position, strict=True)
     )
     time = age / rate
-    tolerance = (
-        NOISE
-        + 0.5 * acceleration * time**2
-        + (0.0 if frames_between else SPEED_ERROR * time)
-    )
+    tolerance = NOISE + 0.5 * acceleration * time**2
+    if not frames_between:
+        tolerance += SPEED_ERROR * time
     log_volume = 3.0 * math.log(tolerance / NOISE)
     cost: float = 0.5 * squared_distance / tolerance**2 + log_volume
     return min(cost, ARBITRARY_COST)

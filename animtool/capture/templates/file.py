@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,7 +14,7 @@ from animtool.core.config import project_roots
 from animtool.core.errors import counted, listed
 from animtool.core.options import key
 from animtool.core.quantities import length_text
-from animtool.core.units import LengthUnit
+from animtool.core.units import LengthUnit, likely_unit
 from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector
@@ -136,16 +135,11 @@ def _warn_of_offsets(
     sizes = [max(map(abs, marker.offset)) for marker in markers]
     i = max(range(len(sizes)), key=lambda i: sizes[i])
     largest = sizes[i]
-    likely = min(
-        LengthUnit,
-        key=lambda other: (
-            abs(math.log(_in_unit(largest, unit, other) / TYPICAL_OFFSET))
-            if largest
-            else 0.0
-        ),
-    )
-    expected = length_text(_in_unit(largest, unit, likely))
-    hint = f"write units: {{length: {likely}}} in the template: then it is {expected}"
+    if not largest:
+        return
+    likely, expected = likely_unit(largest, unit, TYPICAL_OFFSET)
+    hint = f"write units: {{length: {likely}}} in the template: then it is "
+    hint += length_text(expected)
     if largest > MAX_OFFSET:
         message = f"{markers[i].name!r} is {length_text(largest)} off its joint"
         count = sum(size > MAX_OFFSET for size in sizes)
@@ -186,8 +180,3 @@ def _warn_of_sides(document: Document, markers: Sequence[TemplateMarker]) -> Non
     message += f"the other side: {listed(names, 4)}"
     hint = f"for {marker.name} write joint: {other}"
     document.warn("MKT005", ("marker_set", first, "joint"), message, hint)
-
-
-def _in_unit(size: float, unit: LengthUnit, other: LengthUnit) -> float:
-    """Reinterpret the number of a size [m] in another unit; return metres."""
-    return size * other.meters / unit.meters
