@@ -11,7 +11,13 @@ import pytest
 from support.cli import animtool
 
 from animtool import bake, open_source
-from animtool.core.errors import AnimtoolError, FormatError, OptionError, Severity, StrictError
+from animtool.core.errors import (
+    AnimtoolError,
+    FormatError,
+    OptionError,
+    Severity,
+    StrictError,
+)
 from animtool.motion.passes import PASSES, FrameScope, Pass, PassContext
 from animtool.motion.take import Take
 from animtool.scene.bake.bake import bake_outputs
