@@ -103,13 +103,13 @@ def largest_influences(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     """Return the joints and weights of the four largest influences ``(V, 4)``."""
     influences = skin.influences
     counts = np.diff(influences.row_starts)
-    rows = np.repeat(np.arange(skin.vertices), counts)
+    rows = np.repeat(np.arange(skin.vertex_count), counts)
     ranks = np.arange(len(influences.joints)) - np.repeat(
         influences.row_starts[:-1], counts
     )
     is_kept = ranks < MAX_INFLUENCES
-    joints = np.zeros((skin.vertices, MAX_INFLUENCES), np.int64)
-    weights = np.zeros((skin.vertices, MAX_INFLUENCES))
+    joints = np.zeros((skin.vertex_count, MAX_INFLUENCES), np.int64)
+    weights = np.zeros((skin.vertex_count, MAX_INFLUENCES))
     joints[rows[is_kept], ranks[is_kept]] = influences.joints[is_kept]
     weights[rows[is_kept], ranks[is_kept]] = influences.weights[is_kept]
     return joints, weights
@@ -200,7 +200,9 @@ def _shape_entries(
         for name, knots in zip(shapes.names, shapes.knots, strict=True)
         for at in knots[knots != 0].tolist()
     ]
-    vertex_of_entry = np.repeat(np.arange(shapes.vertices), np.diff(columns.row_starts))
+    vertex_of_entry = np.repeat(
+        np.arange(shapes.vertex_count), np.diff(columns.row_starts)
+    )
     dense_rows = {
         column: row for row, column in enumerate(np.flatnonzero(columns.is_dense), 1)
     }

@@ -1,4 +1,4 @@
-"""Prepares the meshes of a rig for deformation."""
+"""Meshes and strands of a rig, prepared for deformation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.record import dataclass
 from animtool.rig.surfaces import Strands, Surface, SurfaceShape
 from animtool.skin.deform import DeformedMesh
-from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
+from animtool.skin.shapes import prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 
 
@@ -23,8 +23,9 @@ class CharacterMesh:
 
     name: str  # name in the rig
     mesh: DeformedMesh  # prepared mesh, in [m]
-    # Index of each mesh shape among the rig's shapes ``(S,)``; -1 if always 0.
-    columns: IntArray
+    # Column of each mesh shape in the weights of the rig's shapes ``(S,)``; -1 if
+    # its weight is always 0.
+    shape_columns: IntArray
 
     def weights(self, rig_weights: FloatArray | None) -> FloatArray | None:
         """Return the weights of the mesh's shapes ``(F, S)``; None if all are 0.
@@ -32,10 +33,10 @@ class CharacterMesh:
         Args:
             rig_weights: Weights of the rig's shapes, in rig order ``(F, shapes)`` [1].
         """
-        if rig_weights is None or not (self.columns >= 0).any():
+        if rig_weights is None or not (self.shape_columns >= 0).any():
             return None
-        mesh_weights = rig_weights[:, self.columns]
-        mesh_weights[:, self.columns < 0] = 0.0
+        mesh_weights = rig_weights[:, self.shape_columns]
+        mesh_weights[:, self.shape_columns < 0] = 0.0
         return mesh_weights
 
 
@@ -45,7 +46,7 @@ def character_meshes(
     bind: FloatArray,
     shapes: Sequence[str],
 ) -> list[CharacterMesh]:
-    """Return meshes prepared for joints and shape weights.
+    """Return meshes prepared for deformation by joints and shape weights.
 
     Args:
         surfaces: The meshes.
@@ -58,13 +59,13 @@ def character_meshes(
     meshes: list[CharacterMesh] = []
     faults: list[Fault] = []
     for surface in surfaces:
-        shape_columns = [
+        columns = [
             _shape_column(surface, shape, column_of_shape) for shape in surface.shapes
         ]
         with _collect_faults(faults, f"mesh {surface.name!r}"):
             mesh = _prepare_mesh(surface, joint_indices, bind)
             meshes.append(
-                CharacterMesh(surface.name, mesh, np.array(shape_columns, np.int64))
+                CharacterMesh(surface.name, mesh, np.array(columns, np.int64))
             )
     if faults:
         raise FormatError(faults)
@@ -74,7 +75,7 @@ def character_meshes(
 def character_strands(
     strands: Sequence[Strands], joints: Sequence[str], bind: FloatArray
 ) -> list[CharacterMesh]:
-    """Return strands prepared to follow a joint rigidly.
+    """Return strands prepared to move rigidly with their joint.
 
     Args:
         strands: ``(S, K, 3)`` points each, flattened to one row of vertices.
@@ -84,14 +85,14 @@ def character_strands(
     meshes: list[CharacterMesh] = []
     faults: list[Fault] = []
     no_shapes = np.zeros(0, np.int64)
-    for entry in strands:
-        points = entry.points.reshape(-1, 3)
-        carrier_joint = np.array([joints.index(entry.joint)])
+    for strand_set in strands:
+        points = strand_set.points.reshape(-1, 3)
+        carrier_joint = np.array([joints.index(strand_set.joint)])
         binding = Binding([[0]], [[1.0]], bind, carrier_joint)
-        with _collect_faults(faults, f"strands {entry.name!r}"):
+        with _collect_faults(faults, f"strands {strand_set.name!r}"):
             skin = prepare_skin(binding, len(points))
             mesh = DeformedMesh(np.ascontiguousarray(points), skin=skin)
-            meshes.append(CharacterMesh(entry.name, mesh, no_shapes))
+            meshes.append(CharacterMesh(strand_set.name, mesh, no_shapes))
     if faults:
         raise FormatError(faults)
     return meshes
@@ -99,7 +100,7 @@ def character_strands(
 
 @contextmanager
 def _collect_faults(faults: list[Fault], label: str) -> Iterator[None]:
-    """In a block, record faults, with a label before their messages."""
+    """Return a context that collects faults, with a label before their messages."""
     try:
         yield
     except FormatError as error:
@@ -123,8 +124,7 @@ def _prepare_mesh(
     """Return a surface prepared for deformation, with its shapes and skin."""
     shapes = skin = None
     if surface.shapes:
-        deltas = [_shape_deltas(shape) for shape in surface.shapes]
-        shapes = prepare_shapes(deltas, surface.points, surface.normals)
+        shapes = prepare_shapes(surface.shapes, surface.points, surface.normals)
     if surface.skin is not None:
         binding = Binding(
             surface.skin.indices,
@@ -136,17 +136,3 @@ def _prepare_mesh(
         )
         skin = prepare_skin(binding, len(surface.points))
     return DeformedMesh(surface.points, shapes, skin, surface.normals)
-
-
-def _shape_deltas(shape: SurfaceShape) -> ShapeDeltas:
-    """Return the blend shape of a surface as offsets, with its inbetweens."""
-    return ShapeDeltas(
-        shape.name,
-        shape.deltas,
-        shape.vertices,
-        shape.normals,
-        tuple(
-            InbetweenDeltas(step.at, step.deltas, step.normals)
-            for step in shape.inbetweens
-        ),
-    )

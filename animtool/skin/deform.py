@@ -1,4 +1,4 @@
-"""Deforms meshes over frames: shapes, then skin, with extents and velocities."""
+"""Deforms meshes over frames by shapes and skin; computes extents and velocities."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
 from animtool.maths.faces import triangulate
@@ -37,10 +37,7 @@ class DeformedMesh:
     # Prepared on the same points (and normals); None without shapes.
     shapes: PreparedShapes | None = None
     skin: PreparedSkin | None = None  # prepared for V vertices; None if not skinned
-    normals: FloatArray | None = None  # ``(N, 3)`` at rest; None without normals
-    # The vertex of each normal ``(N,)``, for normals of face corners; None is one per
-    # vertex. Shapes change vertex normals only.
-    normal_vertices: IntArray | None = None
+    normals: FloatArray | None = None  # ``(V, 3)`` at rest; None without normals
 
     def __post_init__(self) -> None:
         """Check that shapes, skin and normals match the points."""
@@ -48,40 +45,24 @@ class DeformedMesh:
         object.__setattr__(self, "points", points)
         faults = [
             Fault(
-                "SKIN001", f"{name} for {prepared.vertices} vertices, not {len(points)}"
+                "SKIN001",
+                f"{name} for {prepared.vertex_count} vertices, not {len(points)}",
             )
             for name, prepared in (("shapes", self.shapes), ("skin", self.skin))
-            if prepared is not None and prepared.vertices != len(points)
+            if prepared is not None and prepared.vertex_count != len(points)
         ]
-        not_finite = np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist()
-        if not_finite:
-            faults.append(Fault("SKIN003", f"points not finite: {listed(not_finite)}"))
-        faults += self._normal_faults()
+        not_finite_vertices = np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist()
+        if not_finite_vertices:
+            faults.append(
+                Fault("SKIN003", f"points not finite: {listed(not_finite_vertices)}")
+            )
+        if self.normals is not None and np.shape(self.normals) != (len(points), 3):
+            message = (
+                f"normals are {np.shape(self.normals)}, but must be ({len(points)}, 3)"
+            )
+            faults.append(Fault("SKIN001", message))
         if faults:
             raise FormatError(faults)
-
-    def _normal_faults(self) -> list[Fault]:
-        """Return the faults of the normals' shape and vertices."""
-        if self.normals is None:
-            return []
-        normal_vertices = self.normal_vertices
-        expected = len(self.points) if normal_vertices is None else len(normal_vertices)
-        if np.shape(self.normals) != (expected, 3):
-            message = (
-                f"normals are {np.shape(self.normals)}, but must be ({expected}, 3)"
-            )
-            return [Fault("SKIN001", message)]
-        if (
-            normal_vertices is not None
-            and normal_vertices.size
-            and not 0
-            <= normal_vertices.min()
-            <= normal_vertices.max()
-            < len(self.points)
-        ):
-            message = f"normals of vertices outside 0…{len(self.points) - 1}"
-            return [Fault("SKIN002", message)]
-        return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +72,7 @@ class DeformedFrames:
     # ``(F, V, 3)``; skeleton space if skinned, else mesh space.
     points: FloatArray
     extents: FloatArray  # minimum and maximum coordinates ``(F, 2, 3)``
-    # Unit normals ``(F, N, 3)``; None unless requested.
+    # Unit normals ``(F, V, 3)``; None unless requested.
     normals: FloatArray | None = None
     # ``(F, V, 3)`` [unit of the points / s]; None unless requested.
     velocities: FloatArray | None = None
@@ -114,7 +95,7 @@ def deform(
     normals: bool = False,
     times: ArrayLike | None = None,
 ) -> DeformedFrames:
-    """Return a mesh deformed in every frame: shapes first, then the skin.
+    """Return a mesh deformed in every frame, first by its shapes, then by its skin.
 
     Args:
         mesh: V vertices.
@@ -146,12 +127,14 @@ def _deform_into(
     buffers: _DeformBuffers | None,
 ) -> DeformedFrames:
     """Return the deformed mesh like `deform`, reusing buffers if given."""
-    frames = _frame_count(weights, world)
-    points = _deform_points(mesh, weights, world, frames, buffers)
+    frame_count = _frame_count(weights, world)
+    points = _deform_points(mesh, weights, world, frame_count, buffers)
     return DeformedFrames(
         points,
         extents(points),
-        _deform_normals(mesh, weights, world, frames, buffers) if normals else None,
+        _deform_normals(mesh, weights, world, frame_count, buffers)
+        if normals
+        else None,
         None if times is None else _point_velocities(points, times),
     )
 
@@ -162,16 +145,18 @@ class _DeformBuffers:
 
     unskinned: FloatArray  # points or normals before skinning ``(F, V, 3)``
     points: FloatArray  # ``(F, V, 3)``
-    normals: FloatArray  # ``(F, N, 3)``
+    normals: FloatArray  # ``(F, V, 3)``, or empty
 
     @classmethod
     def allocate(
-        cls, mesh: DeformedMesh, frames: int, *, normals: bool
+        cls, mesh: DeformedMesh, frame_count: int, *, normals: bool
     ) -> _DeformBuffers:
-        """Return buffers for a number of frames; without normals unless requested."""
-        count = 0 if mesh.normals is None or not normals else len(mesh.normals)
-        shape = (frames, *mesh.points.shape)
-        return cls(np.zeros(shape), np.zeros(shape), np.zeros((frames, count, 3)))
+        """Return buffers for a number of frames, with normals only if requested."""
+        normal_count = 0 if mesh.normals is None or not normals else len(mesh.normals)
+        shape = (frame_count, *mesh.points.shape)
+        return cls(
+            np.zeros(shape), np.zeros(shape), np.zeros((frame_count, normal_count, 3))
+        )
 
 
 def deform_blocks(
@@ -181,35 +166,25 @@ def deform_blocks(
     *,
     normals: bool = False,
     times: ArrayLike | None = None,
-    block: int | None = None,
 ) -> Iterator[DeformedFrames]:
-    """Yield a deformed mesh in blocks of consecutive frames; see `deform`.
+    """Yield a deformed mesh in blocks of consecutive frames; arguments as for `deform`.
 
-    Args:
-        mesh: V vertices.
-        weights: As for `deform`.
-        world: As for `deform`.
-        normals: As for `deform`.
-        times: As for `deform`.
-        block: Frames per block; None is as many as fit 4 MB.
-
-    Returns:
-        Blocks that share memory: each must be used before the next is requested.
+    Blocks share memory: each must be used before the next is requested.
     """
     weights_array = (
         None if weights is None else as_floats(weights, ("F", "S"), "weights")
     )
-    frames = _frame_count(weights_array, world)
-    size = block or block_frames(len(mesh.points))
+    frame_count = _frame_count(weights_array, world)
+    block_size = block_frames(len(mesh.points))
     # Central differences need the frame on either side.
     frame_times = _times_array(times)
     margin = 0 if frame_times is None else 1
     buffers = _DeformBuffers.allocate(
-        mesh, min(frames, size + 2 * margin), normals=normals
+        mesh, min(frame_count, block_size + 2 * margin), normals=normals
     )
-    for begin in range(0, frames, size):
-        end = min(begin + size, frames)
-        first, stop = max(begin - margin, 0), min(end + margin, frames)
+    for begin in range(0, frame_count, block_size):
+        end = min(begin + block_size, frame_count)
+        first, stop = max(begin - margin, 0), min(end + margin, frame_count)
         deformed = _deform_into(
             mesh,
             None if weights_array is None else weights_array[first:stop],
@@ -223,14 +198,14 @@ def deform_blocks(
         yield deformed.select(slice(begin - first, end - first))
 
 
-def block_frames(vertices: int) -> int:
-    """Return the number of frames of a mesh that fit 4 MB: a multiple of 4, at least 4.
+def block_frames(vertex_count: int) -> int:
+    """Return how many frames of a mesh fit in 4 MB: a multiple of 4, at least 4.
 
     >>> block_frames(10_000)
     16
     """
-    count = BLOCK_BYTES // max(24 * vertices, 1)
-    return max(MIN_BLOCK_FRAMES, count // MIN_BLOCK_FRAMES * MIN_BLOCK_FRAMES)
+    frame_count = BLOCK_BYTES // max(24 * vertex_count, 1)
+    return max(MIN_BLOCK_FRAMES, frame_count // MIN_BLOCK_FRAMES * MIN_BLOCK_FRAMES)
 
 
 def extents(points: ArrayLike) -> FloatArray:
@@ -244,45 +219,49 @@ def extents(points: ArrayLike) -> FloatArray:
 
 def _frame_count(weights: FloatArray | None, world: WorldTransforms | None) -> int:
     """Return the common frame count of weights and joints; raise if they differ."""
-    counts = set()
+    frame_counts = set()
     if weights is not None:
-        counts.add(len(weights))
+        frame_counts.add(len(weights))
     if world is not None:
-        counts.add(len(world.positions))
-    if len(counts) != 1:
+        frame_counts.add(len(world.positions))
+    if len(frame_counts) != 1:
         raise ValueError("weights and joints need the same number of frames")
-    return counts.pop()
+    return frame_counts.pop()
 
 
 def _deform_points(
     mesh: DeformedMesh,
     weights: FloatArray | None,
     world: WorldTransforms | None,
-    frames: int,
+    frame_count: int,
     buffers: _DeformBuffers | None,
 ) -> FloatArray:
     """Return the deformed points ``(F, V, 3)``."""
     points = mesh.points[None]
     is_skinned = mesh.skin is not None and world is not None
-    out = None if buffers is None else buffers.points[:frames]
+    out = None if buffers is None else buffers.points[:frame_count]
     if mesh.shapes is not None and weights is not None and weights.any():
         unskinned = (
-            buffers.unskinned[:frames] if is_skinned and buffers is not None else out
+            buffers.unskinned[:frame_count]
+            if is_skinned and buffers is not None
+            else out
         )
         points = blend_points(mesh.shapes, weights, out=unskinned)
     if mesh.skin is not None and world is not None:
         return skin_points(mesh.skin, points, world, out=out)
-    return np.ascontiguousarray(np.broadcast_to(points, (frames, *points.shape[1:])))
+    return np.ascontiguousarray(
+        np.broadcast_to(points, (frame_count, *points.shape[1:]))
+    )
 
 
 def _deform_normals(
     mesh: DeformedMesh,
     weights: FloatArray | None,
     world: WorldTransforms | None,
-    frames: int,
+    frame_count: int,
     buffers: _DeformBuffers | None,
 ) -> FloatArray:
-    """Return the deformed unit normals ``(F, N, 3)``."""
+    """Return the deformed unit normals ``(F, V, 3)``."""
     if mesh.normals is None:
         raise ValueError("the mesh has no normals")
     normals = np.asarray(mesh.normals, np.float64)[None]
@@ -290,15 +269,15 @@ def _deform_normals(
     has_normal_offsets = shapes is not None and shapes.normals is not None
     if has_normal_offsets and weights is not None and weights.any():
         assert shapes is not None
-        shaped_out = None if buffers is None else buffers.unskinned[:frames]
-        normals = blend_normals(shapes, weights, out=shaped_out)
+        unskinned = None if buffers is None else buffers.unskinned[:frame_count]
+        normals = blend_normals(shapes, weights, out=unskinned)
     if mesh.skin is not None and world is not None:
-        out = None if buffers is None else buffers.normals[:frames]
-        return skin_normals(
-            mesh.skin, normals, world, vertices=mesh.normal_vertices, out=out
-        )
+        out = None if buffers is None else buffers.normals[:frame_count]
+        return skin_normals(mesh.skin, normals, world, out=out)
     normals = unit_normals(normals)
-    return np.ascontiguousarray(np.broadcast_to(normals, (frames, *normals.shape[1:])))
+    return np.ascontiguousarray(
+        np.broadcast_to(normals, (frame_count, *normals.shape[1:]))
+    )
 
 
 def _times_array(times: ArrayLike | None) -> FloatArray | None:
@@ -307,7 +286,7 @@ def _times_array(times: ArrayLike | None) -> FloatArray | None:
 
 
 def _point_velocities(points: FloatArray, times: FloatArray) -> FloatArray:
-    """Return velocities ``(F, V, 3)``, zero for a single frame."""
+    """Return the velocities of points ``(F, V, 3)``; zero for a single frame."""
     if len(points) < 2:
         return np.zeros_like(points)
     return np.asarray(np.gradient(points, times, axis=0))
@@ -367,21 +346,21 @@ def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
         surface: Mesh with the faces.
         points: Points of the vertices ``(F, V, 3)``.
     """
-    corners = triangulate(surface.counts, surface.indices)
-    a, b, c = (points[:, corners[:, k]] for k in range(3))
+    triangles = triangulate(surface.counts, surface.indices)
+    a, b, c = (points[:, triangles[:, k]] for k in range(3))
     area_vectors = np.cross(b - a, c - a)
     normal_sums = np.zeros_like(points)
     sums_by_vertex = np.moveaxis(normal_sums, 1, 0)
     for k in range(3):
-        np.add.at(sums_by_vertex, corners[:, k], np.moveaxis(area_vectors, 1, 0))
+        np.add.at(sums_by_vertex, triangles[:, k], np.moveaxis(area_vectors, 1, 0))
     return unit_normals(normal_sums)
 
 
 def unit_normals(normals: FloatArray) -> FloatArray:
-    """Return normals ``(..., 3)`` with length 1; those with length 0 stay zero.
+    """Return normals ``(..., 3)`` scaled to length 1; zero vectors stay zero.
 
     >>> unit_normals(np.array([[0.0, 2.0, 0.0], [0.0, 0.0, 0.0]])).tolist()
     [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
     """
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.asarray(normals / np.where(length > 0, length, 1.0))
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.asarray(normals / np.where(lengths > 0, lengths, 1.0))

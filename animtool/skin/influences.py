@@ -1,4 +1,4 @@
-"""Joint influences of vertices: checked and normalised."""
+"""Checks and normalises the joint influences of vertices."""
 
 from __future__ import annotations
 
@@ -23,29 +23,16 @@ class Influences:
     weights: FloatArray  # ``(K,)`` [1], not zero; they sum to 1 per vertex
 
     @property
-    def vertices(self) -> int:
+    def vertex_count(self) -> int:
         """Number of vertices."""
         return len(self.row_starts) - 1
-
-    def select(self, vertices: IntArray) -> Influences:
-        """Return the influences of selected vertices, in their order.
-
-        Args:
-            vertices: Vertex indices ``(N,)``, possibly repeated.
-        """
-        counts = np.diff(self.row_starts)[vertices]
-        row_starts = np.concatenate([[0], np.cumsum(counts)])
-        entries = np.arange(row_starts[-1]) + np.repeat(
-            self.row_starts[vertices] - row_starts[:-1], counts
-        )
-        return Influences(row_starts, self.joints[entries], self.weights[entries])
 
 
 @dataclass(frozen=True, slots=True)
 class InfluenceReport:
     """Corrections applied to influences on reading."""
 
-    normalized: int  # number of vertices with a weight sum off by more than 1e-6
+    normalized_count: int  # number of vertices with a weight sum off by more than 1e-6
     sum_error: float  # largest difference of a vertex's weight sum from 1, as read
     sum_vertex: int  # the vertex with the largest difference
 
@@ -53,11 +40,11 @@ class InfluenceReport:
 def read_influences(
     indices: ArrayLike,
     weights: ArrayLike,
-    joints: int,
+    joint_count: int,
     *,
-    vertices: int | None = None,
+    vertex_count: int | None = None,
 ) -> tuple[Influences, InfluenceReport]:
-    """Return the influences of a mesh, and the corrections applied.
+    """Return the normalised influences of a mesh, and a report of the corrections.
 
     Influences of zero weight are removed, duplicate joints of a vertex are merged, and
     the weights of each vertex are normalised to the sum 1.
@@ -65,45 +52,45 @@ def read_influences(
     Args:
         indices: ``(V, I)`` joint indices, or ``(1, I)`` for all vertices.
         weights: The same shape [1].
-        joints: Number of joints.
-        vertices: Expected number of vertices; None is the number of rows.
+        joint_count: Number of joints.
+        vertex_count: Expected number of vertices; None is the number of rows.
 
-    >>> influences, report = read_influences([[0, 1]], [[3.0, 1.0]], joints=2)
-    >>> influences.weights.tolist(), report.normalized, report.sum_error
+    >>> influences, report = read_influences([[0, 1]], [[3.0, 1.0]], joint_count=2)
+    >>> influences.weights.tolist(), report.normalized_count, report.sum_error
     ([0.75, 0.25], 1, 3.0)
     """
     joint_indices, weights_array = np.asarray(indices), np.asarray(weights, np.float64)
-    _check_shapes(joint_indices, weights_array, vertices)
-    if vertices is not None and len(joint_indices) == 1:
+    _check_shapes(joint_indices, weights_array, vertex_count)
+    if vertex_count is not None and len(joint_indices) == 1:
         joint_indices = np.broadcast_to(
-            joint_indices, (vertices, joint_indices.shape[1])
+            joint_indices, (vertex_count, joint_indices.shape[1])
         )
         weights_array = np.broadcast_to(weights_array, joint_indices.shape)
-    _check_values(joint_indices, weights_array, joints)
-    count = len(joint_indices)
-    rows, joints_of_rows, sorted_weights = _merge_duplicates(
-        joint_indices.astype(np.int64), weights_array, max(joints, 1)
+    _check_values(joint_indices, weights_array, joint_count)
+    row_count = len(joint_indices)
+    vertices, joints, sorted_weights = _merge_duplicates(
+        joint_indices.astype(np.int64), weights_array, max(joint_count, 1)
     )
-    weight_sums = np.bincount(rows, sorted_weights, count).astype(np.float64)
+    weight_sums = np.bincount(vertices, sorted_weights, row_count).astype(np.float64)
     _raise_vertex_faults(
         ("SKIN004", np.asarray(weight_sums <= 0), "no weight on any joint")
     )
     errors = np.abs(weight_sums - 1)
     report = InfluenceReport(
-        normalized=int(np.count_nonzero(errors > SUM_TOLERANCE)),
+        normalized_count=int(np.count_nonzero(errors > SUM_TOLERANCE)),
         sum_error=float(errors.max(initial=0.0)),
-        sum_vertex=int(np.argmax(errors)) if count else 0,
+        sum_vertex=int(np.argmax(errors)) if row_count else 0,
     )
-    row_starts = np.searchsorted(rows, np.arange(count + 1))
-    normalized = sorted_weights / weight_sums[rows]
-    influences = Influences(row_starts, joints_of_rows.astype(np.int32), normalized)
+    row_starts = np.searchsorted(vertices, np.arange(row_count + 1))
+    normalized_weights = sorted_weights / weight_sums[vertices]
+    influences = Influences(row_starts, joints.astype(np.int32), normalized_weights)
     return influences, report
 
 
 def _merge_duplicates(
-    joint_indices: IntArray, weights: FloatArray, joints: int
+    joint_indices: IntArray, weights: FloatArray, joint_count: int
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return vertex, joint and weight of each influence, duplicates merged.
+    """Return the vertex, joint and weight of each influence, with duplicates merged.
 
     Sorted by vertex, then by descending weight; ties keep the order of the input.
     """
@@ -111,20 +98,24 @@ def _merge_duplicates(
     sorted_weights = np.take_along_axis(weights, order, axis=1)
     sorted_joints = np.take_along_axis(joint_indices, order, axis=1)
     is_nonzero = sorted_weights != 0
-    rows = np.nonzero(is_nonzero)[0]
+    vertices = np.nonzero(is_nonzero)[0]
     sorted_joints = sorted_joints[is_nonzero]
     sorted_weights = sorted_weights[is_nonzero]
     if not _has_duplicates(joint_indices, weights):
-        return rows, sorted_joints, sorted_weights
-    pairs = rows * joints + sorted_joints
-    unique, first_indices, inverse = np.unique(
-        pairs, return_index=True, return_inverse=True
+        return vertices, sorted_joints, sorted_weights
+    keys = vertices * joint_count + sorted_joints
+    unique_keys, first_indices, inverse = np.unique(
+        keys, return_index=True, return_inverse=True
     )
-    merged_weights = np.bincount(inverse, sorted_weights, len(unique)).astype(
+    merged_weights = np.bincount(inverse, sorted_weights, len(unique_keys)).astype(
         np.float64
     )
     order = np.argsort(first_indices)
-    return unique[order] // joints, unique[order] % joints, merged_weights[order]
+    return (
+        unique_keys[order] // joint_count,
+        unique_keys[order] % joint_count,
+        merged_weights[order],
+    )
 
 
 def _has_duplicates(joint_indices: IntArray, weights: FloatArray) -> bool:
@@ -136,7 +127,9 @@ def _has_duplicates(joint_indices: IntArray, weights: FloatArray) -> bool:
 
 
 def _check_shapes(
-    joint_indices: npt.NDArray[np.generic], weights: FloatArray, vertices: int | None
+    joint_indices: npt.NDArray[np.generic],
+    weights: FloatArray,
+    vertex_count: int | None,
 ) -> None:
     """Check that joint indices and weights have the same, expected shape."""
     if joint_indices.ndim != 2 or joint_indices.shape != weights.shape:
@@ -145,9 +138,9 @@ def _check_shapes(
             "both be (vertices, influences)"
         )
         raise FormatError(Fault("SKIN001", message))
-    if vertices is not None and len(joint_indices) not in {1, vertices}:
+    if vertex_count is not None and len(joint_indices) not in {1, vertex_count}:
         message = (
-            f"influences of {len(joint_indices)} vertices, but there are {vertices}"
+            f"influences of {len(joint_indices)} vertices, but there are {vertex_count}"
         )
         raise FormatError(Fault("SKIN001", message))
     if not np.issubdtype(joint_indices.dtype, np.integer):
@@ -156,29 +149,33 @@ def _check_shapes(
 
 
 def _check_values(
-    joint_indices: npt.NDArray[np.generic], weights: FloatArray, joints: int
+    joint_indices: npt.NDArray[np.generic], weights: FloatArray, joint_count: int
 ) -> None:
     """Check that joint indices are in range and weights are finite."""
     integers = joint_indices.astype(np.int64)
-    out_of_range = np.asarray(((integers < 0) | (integers >= joints)).any(axis=1))
+    out_of_range = np.asarray(((integers < 0) | (integers >= joint_count)).any(axis=1))
     not_finite = np.asarray(~np.isfinite(weights).all(axis=1))
     _raise_vertex_faults(
-        ("SKIN002", out_of_range, f"a joint index outside 0…{joints - 1}"),
+        ("SKIN002", out_of_range, f"a joint index outside 0…{joint_count - 1}"),
         ("SKIN003", not_finite, "a weight that is not finite"),
     )
 
 
 def _raise_vertex_faults(*checks: tuple[str, BoolArray, str]) -> None:
-    """Raise a fault per check that lists its invalid vertices.
+    """Raise one fault per failed check, listing its invalid vertices.
 
     A check has a code, a mask of the invalid vertices ``(V,)``, and their problem.
     """
     faults = []
     for code, is_invalid, problem in checks:
-        vertices = np.flatnonzero(is_invalid).tolist()
-        if vertices:
-            noun = "vertex" if len(vertices) == 1 else f"{len(vertices)} vertices"
-            message = f"{noun} with {problem}: {listed(vertices)}"
+        invalid_vertices = np.flatnonzero(is_invalid).tolist()
+        if invalid_vertices:
+            noun = (
+                "vertex"
+                if len(invalid_vertices) == 1
+                else f"{len(invalid_vertices)} vertices"
+            )
+            message = f"{noun} with {problem}: {listed(invalid_vertices)}"
             faults.append(Fault(code, message))
     if faults:
         raise FormatError(faults)

@@ -9,8 +9,6 @@ that move a region.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +24,7 @@ from animtool.core.array_types import (
 )
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
+from animtool.rig.surfaces import SurfaceInbetween, SurfaceShape
 
 # Minimum distance of inbetween weights from 0, 1 and each other; UsdSkel skips closer
 # ones.
@@ -37,7 +36,7 @@ MIN_INBETWEEN_DISTANCE = 1e-6
 # both takes another pass over the points, 11.6 us. So sparse is cheaper while fewer
 # than 40 % of the vertices move.
 SPARSE_COST = 2.5
-PASS_COLUMNS = 6.6
+SPARSE_PASS_COST = 6.6
 
 # Rows of the dense table are copied to leave out inactive columns. Copying a row costs
 # as much as its product over this many frames (measured: 6.7).
@@ -45,34 +44,8 @@ MIN_COPY_FRAMES = 7
 
 
 @dataclass(frozen=True, slots=True)
-class InbetweenDeltas:
-    """The offsets of a shape at an inbetween weight."""
-
-    weight: float  # weight of the full offsets [1], neither 0 nor 1
-    # ``(D, 3)`` at the vertices of the shape; None moves no points.
-    offsets: ArrayLike | None
-    normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None keeps normals
-
-
-@dataclass(frozen=True, slots=True)
-class ShapeDeltas:
-    """A blend shape as stored in files."""
-
-    name: str  # name of the shape, for messages
-    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None if the
-    # shape changes normals only.
-    offsets: ArrayLike | None
-    # Vertices of the offsets ``(D,)``; None is every vertex.
-    indices: ArrayLike | None = None
-    # Normal offsets ``(D, 3)``; None leaves the normals unchanged.
-    normal_offsets: ArrayLike | None = None
-    # Offsets at weights other than 0 and 1, in any order.
-    inbetweens: tuple[InbetweenDeltas, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class _Columns:
-    """Rest values and offsets of C columns, each dense or sparse."""
+    """Rest values of vertices, and C columns of offsets, each dense or sparse."""
 
     rest: FloatArray  # ``(1, V, 3)``
     is_dense: BoolArray  # whether each column is dense ``(C,)``
@@ -93,13 +66,13 @@ class PreparedShapes:
     normals: _Columns | None  # columns of the normals; None without normals
 
     @property
-    def vertices(self) -> int:
+    def vertex_count(self) -> int:
         """Number of vertices."""
         return int(self.points.rest.shape[1])
 
 
 def prepare_shapes(
-    shapes: Sequence[ShapeDeltas], points: ArrayLike, normals: ArrayLike | None = None
+    shapes: Sequence[SurfaceShape], points: ArrayLike, normals: ArrayLike | None = None
 ) -> PreparedShapes:
     """Return shapes prepared for evaluation on a mesh.
 
@@ -108,7 +81,7 @@ def prepare_shapes(
         points: Points at rest ``(V, 3)``.
         normals: Normals at rest ``(V, 3)``; None without normals.
 
-    >>> smile = ShapeDeltas("smile", [[0.0, 2.0, 0.0]], indices=[1])
+    >>> smile = SurfaceShape("smile", np.array([[0.0, 2.0, 0.0]]), np.array([1]))
     >>> shapes = prepare_shapes([smile], np.zeros((2, 3)))
     >>> blend_points(shapes, [[0.5]])[0].tolist()
     [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
@@ -117,29 +90,25 @@ def prepare_shapes(
     faults = [fault for shape in shapes for fault in _shape_faults(shape, len(rest))]
     if faults:
         raise FormatError(faults)
-    sorted_shapes = [_offsets_by_weight(shape) for shape in shapes]
-    knots = tuple(
-        np.array([offset.weight for offset in shape_offsets])
-        for shape_offsets in sorted_shapes
-    )
+    columns = [
+        (shape, inbetween) for shape in shapes for inbetween in _deltas_by_weight(shape)
+    ]
+    prepared_normals = None
+    if normals is not None:
+        prepared_normals = _prepare_columns(
+            [_nonzero_offsets(s, i.normals, len(rest)) for s, i in columns],
+            as_floats(normals, (len(rest), 3), "normals"),
+        )
     return PreparedShapes(
         tuple(shape.name for shape in shapes),
-        tuple(np.sort(np.append(weights, 0.0)) for weights in knots),
+        tuple(
+            np.sort([0.0, *(inbetween.at for inbetween in _deltas_by_weight(shape))])
+            for shape in shapes
+        ),
         _prepare_columns(
-            shapes,
-            [[p.offsets for p in shape_offsets] for shape_offsets in sorted_shapes],
-            rest,
+            [_nonzero_offsets(s, i.deltas, len(rest)) for s, i in columns], rest
         ),
-        None
-        if normals is None
-        else _prepare_columns(
-            shapes,
-            [
-                [p.normal_offsets for p in shape_offsets]
-                for shape_offsets in sorted_shapes
-            ],
-            as_floats(normals, (len(rest), 3), "normals"),
-        ),
+        prepared_normals,
     )
 
 
@@ -233,17 +202,17 @@ def _add_dense_columns(
 
 
 def _active_offsets(
-    columns: _Columns, is_active: BoolArray
+    columns: _Columns, is_active_column: BoolArray
 ) -> tuple[IntArray, npt.NDArray[np.int32], FloatArray]:
     """Return the sparse offsets of the active columns."""
-    is_kept = is_active[columns.columns]
-    if is_kept.all():
+    is_active_offset = is_active_column[columns.columns]
+    if is_active_offset.all():
         return columns.row_starts, columns.columns, columns.offsets
-    kept_before = np.concatenate([[0], np.cumsum(is_kept)])
+    offset_counts = np.concatenate([[0], np.cumsum(is_active_offset)])
     return (
-        kept_before[columns.row_starts],
-        columns.columns[is_kept],
-        columns.offsets[is_kept],
+        offset_counts[columns.row_starts],
+        columns.columns[is_active_offset],
+        columns.offsets[is_active_offset],
     )
 
 
@@ -252,61 +221,46 @@ def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
     last_segment = len(knots) - 2
     segments = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last_segment)
     fraction = (weights - knots[segments]) / (knots[segments + 1] - knots[segments])
-    hats = np.zeros((len(weights), len(knots)))
+    hat_weights = np.zeros((len(weights), len(knots)))
     frames = np.arange(len(weights))
-    hats[frames, segments] = 1.0 - fraction
-    hats[frames, segments + 1] = fraction
-    return hats[:, knots != 0]
+    hat_weights[frames, segments] = 1.0 - fraction
+    hat_weights[frames, segments + 1] = fraction
+    return hat_weights[:, knots != 0]
 
 
-def _offsets_by_weight(shape: ShapeDeltas) -> list[InbetweenDeltas]:
-    """Return the offsets of a shape at all inbetween weights and 1, by weight.
-
-    Empty offsets with normal offsets mean a shape of normals only.
-    """
-    full_offsets = InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)
-    all_offsets = [
-        replace(offset, offsets=None)
-        if offset.normal_offsets is not None
-        and np.size(cast("Any", offset.offsets)) == 0
-        else offset
-        for offset in (*shape.inbetweens, full_offsets)
-    ]
-    return sorted(all_offsets, key=lambda offset: offset.weight)
+def _deltas_by_weight(shape: SurfaceShape) -> list[SurfaceInbetween]:
+    """Return the deltas of a shape at its inbetween weights and 1, ascending."""
+    full_deltas = SurfaceInbetween(1.0, shape.deltas, shape.normals)
+    return sorted((*shape.inbetweens, full_deltas), key=lambda deltas: deltas.at)
 
 
 def _prepare_columns(
-    shapes: Sequence[ShapeDeltas],
-    offsets: Sequence[Sequence[ArrayLike | None]],
-    rest: FloatArray,
+    nonzero_offsets: Sequence[tuple[IntArray, FloatArray]], rest: FloatArray
 ) -> _Columns:
-    """Return the dense and sparse columns of all shapes' offsets."""
-    nonzero_offsets: list[tuple[IntArray, FloatArray]] = []
-    for shape, shape_offsets in zip(shapes, offsets, strict=True):
-        for shape_values in shape_offsets:
-            nonzero_offsets.append(_nonzero_offsets(shape, shape_values, len(rest)))
+    """Return dense and sparse columns from the vertices and offsets of each column."""
     density = np.array([len(vertices) for vertices, _ in nonzero_offsets]) / max(
         len(rest), 1
     )
     is_dense = _is_dense(density)
     dense_table = np.zeros((1 + int(is_dense.sum()), *rest.shape))
     dense_table[0] = rest
-    for row, i in enumerate(np.flatnonzero(is_dense), 1):
-        vertices, shape_values = nonzero_offsets[i]
+    for row, i in enumerate(np.flatnonzero(is_dense).tolist(), 1):
+        vertices, offsets = nonzero_offsets[i]
         if (vertices[1:] > vertices[:-1]).all():
-            dense_table[row, vertices] = shape_values
+            dense_table[row, vertices] = offsets
         else:
-            np.add.at(dense_table[row], vertices, shape_values)
-    sparse = np.flatnonzero(~is_dense)
+            np.add.at(dense_table[row], vertices, offsets)
+    sparse_columns = np.flatnonzero(~is_dense).tolist()
     sparse_vertices = np.concatenate(
-        [np.zeros(0, np.int64), *(nonzero_offsets[i][0] for i in sparse)]
+        [np.zeros(0, np.int64), *(nonzero_offsets[i][0] for i in sparse_columns)]
     )
     sparse_offsets = np.concatenate(
-        [np.zeros((0, 3)), *(nonzero_offsets[i][1] for i in sparse)]
+        [np.zeros((0, 3)), *(nonzero_offsets[i][1] for i in sparse_columns)]
     )
     column_indices = np.repeat(
-        sparse, [len(nonzero_offsets[i][0]) for i in sparse]
-    ).astype(np.int32)
+        np.array(sparse_columns, np.int32),
+        [len(nonzero_offsets[i][0]) for i in sparse_columns],
+    )
     order = np.argsort(sparse_vertices, kind="stable")
     counts = np.bincount(sparse_vertices, minlength=len(rest))
     return _Columns(
@@ -320,23 +274,25 @@ def _prepare_columns(
 
 
 def _is_dense(density: FloatArray) -> BoolArray:
-    """Return a mask of the columns for which the dense product is faster."""
+    """Return a mask of the columns that are faster to evaluate as dense."""
     cost = density * SPARSE_COST
     is_dense = np.asarray(cost >= 1.0)
     saved_cost = float((1.0 - cost[~is_dense]).sum())
-    if is_dense.any() and saved_cost < PASS_COLUMNS:
+    if is_dense.any() and saved_cost < SPARSE_PASS_COST:
         return np.ones(len(density), np.bool_)
     return is_dense
 
 
 def _nonzero_offsets(
-    shape: ShapeDeltas, values: ArrayLike | None, count: int
+    shape: SurfaceShape, values: FloatArray | None, vertex_count: int
 ) -> tuple[IntArray, FloatArray]:
     """Return the indices of vertices with a nonzero offset, and their offsets."""
-    if values is None:
+    if values is None or not np.size(values):
         return np.zeros(0, np.int64), np.zeros((0, 3))
     offsets = np.asarray(values, np.float64)
-    vertices = np.arange(count) if shape.indices is None else np.asarray(shape.indices)
+    vertices = np.arange(vertex_count)
+    if shape.vertices is not None:
+        vertices = np.asarray(shape.vertices)
     x, y, z = offsets.T
     is_nonzero = (x != 0) | (y != 0) | (z != 0)
     if is_nonzero.all():
@@ -344,13 +300,13 @@ def _nonzero_offsets(
     return vertices[is_nonzero].astype(np.int64), offsets[is_nonzero]
 
 
-def _shape_faults(shape: ShapeDeltas, count: int) -> list[Fault]:
+def _shape_faults(shape: SurfaceShape, vertex_count: int) -> list[Fault]:
     """Return the faults of a shape's vertices, offsets and inbetweens."""
     label = f"shape {shape.name!r}"
     faults = []
-    length = count
-    if shape.indices is not None:
-        vertices = np.asarray(shape.indices)
+    offset_count = vertex_count
+    if shape.vertices is not None:
+        vertices = np.asarray(shape.vertices)
         if vertices.ndim != 1 or not (
             vertices.size == 0 or np.issubdtype(vertices.dtype, np.integer)
         ):
@@ -359,29 +315,32 @@ def _shape_faults(shape: ShapeDeltas, count: int) -> list[Fault]:
                 "integers (D,)"
             )
             return [Fault("SKIN001", message)]
-        length = len(vertices)
-        out_of_range = vertices[(vertices < 0) | (vertices >= count)].tolist()
+        offset_count = len(vertices)
+        out_of_range = vertices[(vertices < 0) | (vertices >= vertex_count)].tolist()
         if out_of_range:
             message = (
-                f"{label} moves vertices outside 0…{count - 1}: {listed(out_of_range)}"
+                f"{label} moves vertices outside 0…{vertex_count - 1}: "
+                f"{listed(out_of_range)}"
             )
             faults.append(Fault("SKIN002", message))
-    for offset in _offsets_by_weight(shape):
+    for inbetween in _deltas_by_weight(shape):
+        # Empty offsets with normal offsets are a shape that changes normals only.
+        changes_points = inbetween.normals is None or np.size(inbetween.deltas)
         for array_name, values in (
-            ("offsets", offset.offsets),
-            ("normal offsets", offset.normal_offsets),
+            ("offsets", inbetween.deltas if changes_points else None),
+            ("normal offsets", inbetween.normals),
         ):
             if values is not None:
-                name = f"{label}: {array_name} at {offset.weight:g}"
-                faults += _offset_faults(name, values, length)
+                name = f"{label}: {array_name} at {inbetween.at:g}"
+                faults += _offset_faults(name, values, offset_count)
     return faults + _knot_faults(label, shape)
 
 
-def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
+def _offset_faults(name: str, values: FloatArray, offset_count: int) -> list[Fault]:
     """Return the faults of offsets: wrong shape, or not finite."""
     array = np.asarray(values, np.float64)
-    if array.shape != (length, 3):
-        message = f"{name} are {array.shape}, but must be ({length}, 3)"
+    if array.shape != (offset_count, 3):
+        message = f"{name} are {array.shape}, but must be ({offset_count}, 3)"
         return [Fault("SKIN001", message)]
     is_finite = np.isfinite(array)
     if is_finite.all():
@@ -390,12 +349,12 @@ def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
     return [Fault("SKIN003", f"{name} are not finite in rows {listed(not_finite)}")]
 
 
-def _knot_faults(label: str, shape: ShapeDeltas) -> list[Fault]:
+def _knot_faults(label: str, shape: SurfaceShape) -> list[Fault]:
     """Return a fault if inbetweens share a weight, or are at 0 or 1."""
-    knots = np.sort([0.0, 1.0, *(inbetween.weight for inbetween in shape.inbetweens)])
+    knots = np.sort([0.0, 1.0, *(inbetween.at for inbetween in shape.inbetweens)])
     if (np.diff(knots) > MIN_INBETWEEN_DISTANCE).all():
         return []
-    weights = listed([f"{inbetween.weight:g}" for inbetween in shape.inbetweens])
+    weights = listed([f"{inbetween.at:g}" for inbetween in shape.inbetweens])
     message = f"{label} has inbetweens at {weights}"
     hint = "each needs its own weight, other than 0 and 1"
     return [Fault("SKIN006", message, hint=hint)]

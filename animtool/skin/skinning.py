@@ -31,7 +31,7 @@ STRETCH_TOLERANCE = 1e-6
 
 
 class SkinMethod(StrEnum):
-    """How the transforms of joints are blended."""
+    """Method of blending joint transforms."""
 
     LINEAR = "linear"
     DUAL_QUATERNION = "dual_quaternion"
@@ -65,12 +65,12 @@ class PreparedSkin:
     world_from_points: FloatArray  # transform of the points at bind time ``(4, 4)``
 
     @property
-    def vertices(self) -> int:
+    def vertex_count(self) -> int:
         """Number of vertices."""
-        return self.influences.vertices
+        return self.influences.vertex_count
 
 
-def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
+def prepare_skin(binding: Binding, vertex_count: int) -> PreparedSkin:
     """Return a binding prepared for evaluation, with only the joints it uses."""
     bind = np.asarray(binding.bind, np.float64)
     geom_bind = (
@@ -83,7 +83,7 @@ def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
         mesh_joints = np.asarray(binding.joints)
         _check_mesh_joints(mesh_joints, len(bind))
     influences, _ = read_influences(
-        binding.indices, binding.weights, len(mesh_joints), vertices=vertices
+        binding.indices, binding.weights, len(mesh_joints), vertex_count=vertex_count
     )
     used_joints, compact_joints = np.unique(influences.joints, return_inverse=True)
     joints = mesh_joints[used_joints].astype(np.int64)
@@ -91,8 +91,10 @@ def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
     used_influences = Influences(
         influences.row_starts, compact_joints.astype(np.int32), influences.weights
     )
-    inverse = np.linalg.inv(bind[joints]).astype(np.float64)
-    return PreparedSkin(binding.method, used_influences, joints, inverse, geom_bind)
+    joint_from_world = np.linalg.inv(bind[joints]).astype(np.float64)
+    return PreparedSkin(
+        binding.method, used_influences, joints, joint_from_world, geom_bind
+    )
 
 
 def skin_points(
@@ -118,8 +120,8 @@ def skin_points(
     ``points``: ``(F, V, 3)``, or ``(1, V, 3)`` if they are equal in all frames;
     ``out`` ``(F, V, 3)``.
     """
-    source = as_floats(points, ("F", skin.vertices, 3), "points")
-    return _skin_values(skin, skin.influences, source, world, out, normals=False)
+    source = as_floats(points, ("F", skin.vertex_count, 3), "points")
+    return _skin_values(skin, source, world, out, are_normals=False)
 
 
 def skin_normals(
@@ -127,40 +129,36 @@ def skin_normals(
     normals: ArrayLike,
     world: WorldTransforms,
     *,
-    vertices: IntArray | None = None,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """Return skinned unit normals ``(F, N, 3)``.
+    """Return skinned unit normals ``(F, V, 3)``.
 
     Linear blend sums the inverse transposes of joint transforms, as in UsdSkel; dual
     quaternions rotate by the blended rotation, after the inverse stretch. A normal that
     a joint of zero scale leaves without direction is zero.
 
-    ``normals``: ``(F, N, 3)``, or ``(1, N, 3)`` if they are equal in all frames;
-    ``vertices`` ``(N,)``; ``out`` ``(F, N, 3)``.
+    ``normals``: ``(F, V, 3)``, or ``(1, V, 3)`` if they are equal in all frames;
+    ``out`` ``(F, V, 3)``.
     """
-    influences = (
-        skin.influences if vertices is None else skin.influences.select(vertices)
-    )
-    source = as_floats(normals, ("F", influences.vertices, 3), "normals")
-    return _skin_values(skin, influences, source, world, out, normals=True)
+    source = as_floats(normals, ("F", skin.vertex_count, 3), "normals")
+    return _skin_values(skin, source, world, out, are_normals=True)
 
 
 def _skin_values(
     skin: PreparedSkin,
-    influences: Influences,
     source: FloatArray,
     world: WorldTransforms,
     out: FloatArray | None,
     *,
-    normals: bool,
+    are_normals: bool,
 ) -> FloatArray:
-    """Return skinned points or normals ``(F, N, 3)``."""
-    skinned = output_array(out, (len(world.positions), influences.vertices, 3))
+    """Return skinned points or normals ``(F, V, 3)``."""
+    influences = skin.influences
+    skinned = output_array(out, (len(world.positions), influences.vertex_count, 3))
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
         transforms = _skinning_matrices(skin, offsets[:, :3], world)
-        if normals:
+        if are_normals:
             transforms[..., :3] = _inverse_transposes(transforms[..., :3])
             transforms[..., 3] = 0.0
         _kernels.skin_linear(
@@ -169,7 +167,7 @@ def _skin_values(
             influences.joints,
             influences.weights,
             transforms,
-            normals,
+            are_normals,
             skinned,
         )
         return skinned
@@ -178,7 +176,7 @@ def _skin_values(
         np.ascontiguousarray(transforms[..., :3])
     )
     translations = np.ascontiguousarray(transforms[..., 3])
-    if normals:
+    if are_normals:
         normal_transform = _inverse_transposes(skin.world_from_points[:3, :3])
         source = source @ normal_transform.T
         stretches = _inverse_transposes(stretches)
@@ -193,7 +191,7 @@ def _skin_values(
         rotations,
         translations,
         _remove_rounding(stretches),
-        normals,
+        are_normals,
         skinned,
     )
     return skinned
@@ -250,14 +248,16 @@ def _check_matrices(bind: FloatArray, geom_bind: FloatArray) -> None:
             message = f"{name}: shape {matrix.shape}, but must be {shape}"
             faults.append(Fault("SKIN001", message))
         elif not np.isfinite(matrix).all():
-            rows = np.flatnonzero(~np.isfinite(matrix).all(axis=(-2, -1))).tolist()
-            joints = f", of joints {listed(rows)}" if matrix.ndim == 3 else ""
+            invalid_joints = np.flatnonzero(
+                ~np.isfinite(matrix).all(axis=(-2, -1))
+            ).tolist()
+            joints = f", of joints {listed(invalid_joints)}" if matrix.ndim == 3 else ""
             faults.append(Fault("SKIN003", f"{name} are not finite{joints}"))
     if faults:
         raise FormatError(faults)
 
 
-def _check_mesh_joints(mesh_joints: IntArray, joints: int) -> None:
+def _check_mesh_joints(mesh_joints: IntArray, joint_count: int) -> None:
     """Check that a mesh's joints are indices of skeleton joints."""
     if mesh_joints.ndim != 1 or not np.issubdtype(mesh_joints.dtype, np.integer):
         message = (
@@ -265,9 +265,11 @@ def _check_mesh_joints(mesh_joints: IntArray, joints: int) -> None:
             "integers (U,)"
         )
         raise FormatError(Fault("SKIN001", message))
-    out_of_range = mesh_joints[(mesh_joints < 0) | (mesh_joints >= joints)].tolist()
+    out_of_range = mesh_joints[
+        (mesh_joints < 0) | (mesh_joints >= joint_count)
+    ].tolist()
     if out_of_range:
-        message = f"the mesh's joint order has joints outside 0…{joints - 1}: "
+        message = f"the mesh's joint order has joints outside 0…{joint_count - 1}: "
         raise FormatError(Fault("SKIN002", message + listed(out_of_range)))
 
 
@@ -277,8 +279,8 @@ def _check_regular(bind: FloatArray, joints: IntArray) -> None:
     largest = np.abs(linear).max(axis=(1, 2), initial=0.0)
     is_singular = np.abs(np.linalg.det(linear)) <= SINGULAR_DETERMINANT * largest**3
     if is_singular.any():
-        joints_text = listed(joints[is_singular].tolist())
-        message = f"bind transforms of joints {joints_text} have no inverse"
+        singular_joints = listed(joints[is_singular].tolist())
+        message = f"bind transforms of joints {singular_joints} have no inverse"
         hint = "none of their axes may have length 0"
         raise FormatError(Fault("USD226", message, hint=hint))
 

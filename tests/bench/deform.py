@@ -45,9 +45,10 @@ from pxr import Usd, UsdGeom
 
 from animtool import _kernels
 from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.surfaces import SurfaceShape
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
+from animtool.skin.shapes import blend_points, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin, skin_points
 
 ERROR = "largest error [1e-6]"
@@ -154,7 +155,7 @@ def floor_peers(
 def measure_shapes(
     section: str,
     points: Array,
-    shapes: list[ShapeDeltas],
+    shapes: list[SurfaceShape],
     options: argparse.Namespace,
     *,
     against_product: bool,
@@ -165,7 +166,7 @@ def measure_shapes(
     made = prepare_shapes(shapes, points)
     matrix = np.zeros((len(shapes), *points.shape))
     for row, shape in zip(matrix, shapes, strict=True):
-        row[shape.indices] = shape.offsets
+        row[shape.vertices] = shape.deltas
     matrix = matrix.reshape(len(shapes), -1)
     truth = (weights[:4] @ matrix).reshape(4, *points.shape) + points
     bound = Bound(True, 1 / 1.5) if against_product else None
@@ -181,9 +182,9 @@ def measure_shapes(
         "shapes",
         (
             *(points, len(points), weights, len(shapes)),
-            np.cumsum([0, *(len(shape.indices) for shape in shapes)]).astype(np.int64),
-            np.concatenate([shape.indices for shape in shapes]).astype(np.int64),
-            np.concatenate([np.asarray(shape.offsets, float) for shape in shapes]),
+            np.cumsum([0, *(len(shape.vertices) for shape in shapes)]).astype(np.int64),
+            np.concatenate([shape.vertices for shape in shapes]).astype(np.int64),
+            np.concatenate([np.asarray(shape.deltas, float) for shape in shapes]),
         ),
         np.ones((options.frames, *points.shape)),
         options,

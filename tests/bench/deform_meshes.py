@@ -15,7 +15,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from animtool.core.files.output import replacement_path
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
-from animtool.skin.shapes import ShapeDeltas
+from animtool.rig.surfaces import SurfaceShape
 from animtool.skin.skinning import Binding, SkinMethod
 
 Array = npt.NDArray[np.float64]
@@ -30,17 +30,17 @@ def float32(values: Array) -> Array:
 
 def make_shapes(
     rng: np.random.Generator, vertices: int, densities: Array
-) -> list[ShapeDeltas]:
+) -> list[SurfaceShape]:
     """Return a shape a density, each at random vertices."""
     shapes = []
     for i, density in enumerate(densities):
         at = np.flatnonzero(rng.random(vertices) < density)
         offsets = float32(rng.normal(0, 0.01, (len(at), 3)))
-        shapes.append(ShapeDeltas(f"shape_{i}", offsets, at))
+        shapes.append(SurfaceShape(f"shape_{i}", offsets, at))
     return shapes
 
 
-def face_shapes(path: Path) -> tuple[Array, list[ShapeDeltas]]:
+def face_shapes(path: Path) -> tuple[Array, list[SurfaceShape]]:
     """Return points and shapes of an npz with ptr, indices and offsets."""
     face = np.load(path)
     shapes = []
@@ -49,11 +49,11 @@ def face_shapes(path: Path) -> tuple[Array, list[ShapeDeltas]]:
     ):
         offsets = face["offsets"][low:high].astype(np.float64)
         at = face["indices"][low:high].astype(np.int64)
-        shapes.append(ShapeDeltas(f"shape_{i}", offsets, at))
+        shapes.append(SurfaceShape(f"shape_{i}", offsets, at))
     return face["points"].astype(np.float64), shapes
 
 
-def usd_blend(points: Array, shapes: list[ShapeDeltas], weights: Array) -> Work:
+def usd_blend(points: Array, shapes: list[SurfaceShape], weights: Array) -> Work:
     """Return UsdSkel's route over all frames, everything it can prepare prepared."""
     stage = Usd.Stage.CreateInMemory()
     root = UsdSkel.Root.Define(stage, "/root")
@@ -61,9 +61,9 @@ def usd_blend(points: Array, shapes: list[ShapeDeltas], weights: Array) -> Work:
     targets = []
     for shape in shapes:
         prim = UsdSkel.BlendShape.Define(stage, f"/root/mesh/{shape.name}")
-        offsets = np.asarray(shape.offsets, np.float32)
+        offsets = np.asarray(shape.deltas, np.float32)
         prim.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(offsets))
-        at = np.asarray(shape.indices, np.int32)
+        at = np.asarray(shape.vertices, np.int32)
         prim.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(at))
         targets.append(prim.GetPath())
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())

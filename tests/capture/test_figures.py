@@ -46,7 +46,8 @@ from animtool.capture.solve import solve_markers
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.rig.parts import Shape
-from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
+from animtool.rig.surfaces import SurfaceInbetween, SurfaceShape
+from animtool.skin.shapes import prepare_shapes
 
 FPS = 100.0
 
@@ -319,11 +320,11 @@ def test_weights_of_a_bent_face() -> None:
         Shape("b", "face", deltas[1]),
         Shape("ab", "face", deltas[2], combine=("a", "b")),
     )
-    middle = InbetweenDeltas(0.25, deltas[1] * 0.6 + 0.001)
+    middle = SurfaceInbetween(0.25, deltas[1] * 0.6 + 0.001)
     bent = [
-        ShapeDeltas("a", deltas[0]),
-        ShapeDeltas("b", deltas[1], inbetweens=(middle,)),
-        ShapeDeltas("ab", deltas[2]),
+        SurfaceShape("a", deltas[0]),
+        SurfaceShape("b", deltas[1], inbetweens=(middle,)),
+        SurfaceShape("ab", deltas[2]),
     ]
     prepared = prepare_shapes(bent, plain.neutral)
     model = FaceModel(

@@ -3,14 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from support.faults import raises
 from support.skins import Array, random_case
 
 from animtool.core.errors import FormatError
 from animtool.motion.motion import Channel
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import Subdivision
-from animtool.rig.surfaces import Surface
+from animtool.rig.surfaces import Surface, SurfaceShape
 from animtool.skin.deform import (
     DeformedFrames,
     DeformedMesh,
@@ -20,7 +19,7 @@ from animtool.skin.deform import (
     replace_points,
     vertex_normals,
 )
-from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
+from animtool.skin.shapes import blend_points, prepare_shapes
 from animtool.skin.skinning import prepare_skin, skin_normals, skin_points
 
 FRAMES = 11
@@ -32,8 +31,8 @@ def mesh_and_motion() -> tuple[DeformedMesh, Array, WorldTransforms]:
     rng = np.random.default_rng(8)
     normals = rng.normal(size=case.points.shape)
     shapes = [
-        ShapeDeltas("a", rng.normal(size=(3, 3)), [1, 5, 6], rng.normal(size=(3, 3))),
-        ShapeDeltas("b", rng.normal(size=case.points.shape)),
+        SurfaceShape("a", rng.normal(size=(3, 3)), [1, 5, 6], rng.normal(size=(3, 3))),
+        SurfaceShape("b", rng.normal(size=case.points.shape)),
     ]
     mesh = DeformedMesh(
         case.points,
@@ -58,15 +57,17 @@ def test_shapes_come_before_the_skin() -> None:
 
 
 @pytest.mark.parametrize("block", [1, 2, 4, 5, 100, None])
-def test_blocks_are_the_whole_in_pieces(block: int | None) -> None:
+def test_blocks_are_the_whole_in_pieces(
+    block: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if block is not None:
+        monkeypatch.setattr("animtool.skin.deform.block_frames", lambda _: block)
     mesh, weights, world = mesh_and_motion()
     whole = deform(mesh, weights, world, normals=True, times=SECONDS)
     names = ("points", "extents", "normals", "velocities")
     parts = [
         {name: getattr(part, name).copy() for name in names}
-        for part in deform_blocks(
-            mesh, weights, world, normals=True, times=SECONDS, block=block
-        )
+        for part in deform_blocks(mesh, weights, world, normals=True, times=SECONDS)
     ]
     for name in names:
         joined = np.concatenate([part[name] for part in parts])
@@ -159,11 +160,6 @@ def test_parts_that_do_not_fit_are_refused() -> None:
         )
     codes = [fault.code for fault in caught.value.faults]
     assert codes == ["SKIN001", "SKIN001", "SKIN003", "SKIN001"]
-
-
-def test_normals_of_vertices_that_are_not_there_are_refused() -> None:
-    with raises(FormatError, "SKIN002"):
-        DeformedMesh(np.eye(3), normals=np.eye(3)[:1], normal_vertices=np.array([3]))
 
 
 def square() -> Surface:

@@ -9,10 +9,9 @@ from support.faults import raises
 from support.skins import Array
 
 from animtool.core.errors import FormatError
+from animtool.rig.surfaces import SurfaceInbetween, SurfaceShape
 from animtool.skin.shapes import (
-    InbetweenDeltas,
     PreparedShapes,
-    ShapeDeltas,
     blend_normals,
     blend_points,
     column_weights,
@@ -22,7 +21,7 @@ from animtool.skin.shapes import (
 seeds = st.integers(0, 2**32 - 1)
 
 
-def random_shapes(rng: np.random.Generator, vertices: int) -> list[ShapeDeltas]:
+def random_shapes(rng: np.random.Generator, vertices: int) -> list[SurfaceShape]:
     """Return dense and sparse shapes, enough of each for both products."""
     shapes = []
     for i in range(30):
@@ -30,31 +29,35 @@ def random_shapes(rng: np.random.Generator, vertices: int) -> list[ShapeDeltas]:
         at = None if i % 2 else rng.permutation(vertices)[:count]
         knots = [[], [0.5], [0.2, -0.3, 1.4]][i % 3]
         between = tuple(
-            InbetweenDeltas(k, rng.normal(size=(count, 3)), rng.normal(size=(count, 3)))
+            SurfaceInbetween(
+                k, rng.normal(size=(count, 3)), rng.normal(size=(count, 3))
+            )
             for k in knots
         )
         offsets, turns = rng.normal(size=(2, count, 3))
-        shapes.append(ShapeDeltas(f"s{i}", offsets, at, turns, between))
+        shapes.append(SurfaceShape(f"s{i}", offsets, at, turns, between))
     return shapes
 
 
 def plain(
-    shapes: list[ShapeDeltas], rest: Array, weights: Array, what: str = "offsets"
+    shapes: list[SurfaceShape], rest: Array, weights: Array, what: str = "deltas"
 ) -> Array:
     """Return points one shape, one frame after the other."""
     made = np.repeat(rest[None], len(weights), axis=0)
     for f, row in enumerate(weights):
         for shape, weight in zip(shapes, row, strict=True):
-            parts = [InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)]
+            parts = [SurfaceInbetween(1.0, shape.deltas, shape.normals)]
             parts += shape.inbetweens
-            knots = {part.weight: np.asarray(getattr(part, what)) for part in parts}
+            knots = {part.at: np.asarray(getattr(part, what)) for part in parts}
             knots[0.0] = np.zeros_like(knots[1.0])
             at = sorted(knots)
             i = max(sum(knot <= weight for knot in at) - 1, 0)
             i = min(i, len(at) - 2)
             share = (weight - at[i]) / (at[i + 1] - at[i])
             offset = (1 - share) * knots[at[i]] + share * knots[at[i + 1]]
-            where = slice(None) if shape.indices is None else np.asarray(shape.indices)
+            where = (
+                slice(None) if shape.vertices is None else np.asarray(shape.vertices)
+            )
             made[f, where] += offset
     return made
 
@@ -70,7 +73,7 @@ def test_points_and_normals_written_out(seed: int, frames: int, vertices: int) -
     assert_allclose(
         blend_points(made, weights), plain(shapes, rest, weights), atol=1e-12
     )
-    expected = plain(shapes, normals, weights, "normal_offsets")
+    expected = plain(shapes, normals, weights, "normals")
     assert_allclose(blend_normals(made, weights), expected, atol=1e-12)
 
 
@@ -89,9 +92,9 @@ def test_shapes_without_inbetweens_are_linear(seed: int) -> None:
 
 
 def one(knots: list[float]) -> PreparedShapes:
-    parts = tuple(InbetweenDeltas(k, [[k * 10 + 1, 0, 0]]) for k in knots)
+    parts = tuple(SurfaceInbetween(k, [[k * 10 + 1, 0, 0]]) for k in knots)
     return prepare_shapes(
-        [ShapeDeltas("s", [[3.0, 0, 0]], inbetweens=parts)], [[0, 0, 0]]
+        [SurfaceShape("s", [[3.0, 0, 0]], inbetweens=parts)], [[0, 0, 0]]
     )
 
 
@@ -118,8 +121,8 @@ def test_columns_of_a_shape_are_its_knots_but_zero() -> None:
 
 
 def test_what_moves_most_is_dense_and_the_rest_sparse() -> None:
-    full = ShapeDeltas("full", np.ones((100, 3)))
-    tiny = [ShapeDeltas(f"t{i}", np.ones((1, 3)), [i]) for i in range(40)]
+    full = SurfaceShape("full", np.ones((100, 3)))
+    tiny = [SurfaceShape(f"t{i}", np.ones((1, 3)), [i]) for i in range(40)]
     made = prepare_shapes([full, *tiny], np.zeros((100, 3)))
     assert_array_equal(np.flatnonzero(made.points.is_dense), [0])
     few = prepare_shapes([full, *tiny[:3]], np.zeros((100, 3)))
@@ -131,7 +134,7 @@ def test_what_moves_most_is_dense_and_the_rest_sparse() -> None:
 def test_offsets_of_zero_are_not_stored() -> None:
     offsets = np.zeros((100, 3))
     offsets[7] = 1
-    made = prepare_shapes([ShapeDeltas("s", offsets)], np.zeros((100, 3)))
+    made = prepare_shapes([SurfaceShape("s", offsets)], np.zeros((100, 3)))
     assert len(made.points.offsets) == 1
 
 
@@ -141,7 +144,7 @@ def test_shapes_that_never_show_change_no_bit(dense: bool) -> None:
     rest = rng.normal(size=(60, 3))
     count = 60 if dense else 5
     shapes = [
-        ShapeDeltas(f"s{i}", rng.normal(size=(count, 3)), np.arange(count))
+        SurfaceShape(f"s{i}", rng.normal(size=(count, 3)), np.arange(count))
         for i in range(20)
     ]
     weights = np.zeros((64, 20))
@@ -156,7 +159,7 @@ def test_each_frame_alone_is_the_same() -> None:
     """Of sparse shapes, some of which are inactive in a frame."""
     rng = np.random.default_rng(4)
     shapes = [
-        ShapeDeltas(f"s{i}", rng.normal(size=(5, 3)), rng.permutation(60)[:5])
+        SurfaceShape(f"s{i}", rng.normal(size=(5, 3)), rng.permutation(60)[:5])
         for i in range(20)
     ]
     made = prepare_shapes(shapes, rng.normal(size=(60, 3)))
@@ -199,8 +202,8 @@ def test_normals_that_were_not_prepared_are_refused() -> None:
         blend_normals(one([]), [[1.0]])
 
 
-def between(at: float, offsets: object = ((0, 0, 0),)) -> tuple[InbetweenDeltas, ...]:
-    return (InbetweenDeltas(at, np.asarray(offsets)),)
+def between(at: float, offsets: object = ((0, 0, 0),)) -> tuple[SurfaceInbetween, ...]:
+    return (SurfaceInbetween(at, np.asarray(offsets)),)
 
 
 ROW = [[0.0, 0.0, 0.0]]
@@ -209,27 +212,27 @@ ROW = [[0.0, 0.0, 0.0]]
 @pytest.mark.parametrize(
     ("shape", "code"),
     [
-        (ShapeDeltas("s", ROW), "SKIN001"),
-        (ShapeDeltas("s", ROW, [0, 1]), "SKIN001"),
-        (ShapeDeltas("s", ROW, [[0]]), "SKIN001"),
-        (ShapeDeltas("s", ROW, [0.5]), "SKIN001"),
-        (ShapeDeltas("s", ROW, [0], inbetweens=between(0.5, np.eye(3))), "SKIN001"),
-        (ShapeDeltas("s", ROW, [0], np.eye(3)), "SKIN001"),
-        (ShapeDeltas("s", ROW, [2]), "SKIN002"),
-        (ShapeDeltas("s", ROW, [-1]), "SKIN002"),
-        (ShapeDeltas("s", [[np.nan, 0, 0]], [0]), "SKIN003"),
-        (ShapeDeltas("s", ROW, [0], inbetweens=between(1.0)), "SKIN006"),
-        (ShapeDeltas("s", ROW, [0], inbetweens=between(0.0)), "SKIN006"),
-        (ShapeDeltas("s", ROW, [0], inbetweens=2 * between(0.5)), "SKIN006"),
+        (SurfaceShape("s", ROW), "SKIN001"),
+        (SurfaceShape("s", ROW, [0, 1]), "SKIN001"),
+        (SurfaceShape("s", ROW, [[0]]), "SKIN001"),
+        (SurfaceShape("s", ROW, [0.5]), "SKIN001"),
+        (SurfaceShape("s", ROW, [0], inbetweens=between(0.5, np.eye(3))), "SKIN001"),
+        (SurfaceShape("s", ROW, [0], np.eye(3)), "SKIN001"),
+        (SurfaceShape("s", ROW, [2]), "SKIN002"),
+        (SurfaceShape("s", ROW, [-1]), "SKIN002"),
+        (SurfaceShape("s", [[np.nan, 0, 0]], [0]), "SKIN003"),
+        (SurfaceShape("s", ROW, [0], inbetweens=between(1.0)), "SKIN006"),
+        (SurfaceShape("s", ROW, [0], inbetweens=between(0.0)), "SKIN006"),
+        (SurfaceShape("s", ROW, [0], inbetweens=2 * between(0.5)), "SKIN006"),
     ],
 )
-def test_a_fault_is_named(shape: ShapeDeltas, code: str) -> None:
+def test_a_fault_is_named(shape: SurfaceShape, code: str) -> None:
     with raises(FormatError, code, match="'s'"):
         prepare_shapes([shape], np.zeros((2, 3)))
 
 
 def test_the_faults_of_all_shapes_are_told_at_once() -> None:
-    shapes = [ShapeDeltas("a", ROW, [9]), ShapeDeltas("b", [[np.inf, 0, 0]], [0])]
+    shapes = [SurfaceShape("a", ROW, [9]), SurfaceShape("b", [[np.inf, 0, 0]], [0])]
     with pytest.raises(FormatError) as caught:
         prepare_shapes(shapes, np.zeros((2, 3)))
     assert [fault.code for fault in caught.value.faults] == ["SKIN002", "SKIN003"]
@@ -238,8 +241,8 @@ def test_the_faults_of_all_shapes_are_told_at_once() -> None:
 @pytest.mark.parametrize("offsets", [None, [], np.zeros((0, 3))])
 def test_a_shape_may_turn_normals_alone(offsets: object) -> None:
     turned = [[0.0, 0.5, 0.0]]
-    half = (InbetweenDeltas(0.5, offsets, [[0.0, 0.1, 0.0]]),)
-    shape = ShapeDeltas("crease", offsets, [1], turned, half)
+    half = (SurfaceInbetween(0.5, offsets, [[0.0, 0.1, 0.0]]),)
+    shape = SurfaceShape("crease", offsets, [1], turned, half)
     made = prepare_shapes([shape], np.zeros((2, 3)), [[0.0, 0.0, 1.0]] * 2)
     weights = [[0.5], [1.0]]
     np.testing.assert_array_equal(blend_points(made, weights), np.zeros((2, 2, 3)))

@@ -282,16 +282,6 @@ def test_normals_stay_square_to_what_they_stand_on(method: SkinMethod) -> None:
         assert np.abs(((other - start) * turned).sum(axis=-1)).max() < 1e-11
 
 
-def test_normals_of_face_corners() -> None:
-    case = random_case(6)
-    corners = np.array([3, 3, 0, 16])
-    normals = np.random.default_rng(2).normal(size=(17, 3))
-    skin = prepare_skin(case.binding, 17)
-    each = skin_normals(skin, normals[None], case.world)
-    some = skin_normals(skin, normals[None, corners], case.world, vertices=corners)
-    assert_array_equal(some, each[:, corners])
-
-
 def test_a_normal_on_a_joint_of_no_size_is_zero() -> None:
     case = random_case(1, influences=1)
     flat = WorldTransforms(case.world.positions, np.zeros_like(case.world.linear))
@@ -339,7 +329,7 @@ def test_a_fault_of_a_binding_is_named(changed: dict[str, object], code: str) ->
 def test_a_singular_bind_of_a_joint_that_nothing_follows_is_no_fault() -> None:
     bind = np.tile(np.eye(4), (2, 1, 1))
     bind[1] = 0
-    assert prepare_skin(Binding([[0]], [[1.0]], bind), 3).vertices == 3
+    assert prepare_skin(Binding([[0]], [[1.0]], bind), 3).vertex_count == 3
 
 
 @methods

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
-from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas
+from animtool.rig.surfaces import SurfaceInbetween, SurfaceShape
 from animtool.skin.skinning import Binding, SkinMethod
 
 Array = npt.NDArray[np.float64]
@@ -33,7 +33,7 @@ class OracleRig:
     points: Array
     world: WorldTransforms
     weights: Array
-    shapes: list[ShapeDeltas]
+    shapes: list[SurfaceShape]
     binding: Binding
     joint_skel: Array
     blended: Array
@@ -60,12 +60,12 @@ def read_oracle(path: Path) -> OracleRig:
         np.array([frame["scales"] for frame in frames]),
     )
     shapes = [
-        ShapeDeltas(
+        SurfaceShape(
             shape["name"],
             shape["offsets"],
             np.array(shape["indices"], np.int64),
             inbetweens=tuple(
-                InbetweenDeltas(between["weight"], between["offsets"])
+                SurfaceInbetween(between["weight"], between["offsets"])
                 for between in shape["inbetweens"]
             ),
         )

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 
 from animtool.rig.kinematics import WorldTransforms
-from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas
+from animtool.rig.surfaces import SurfaceInbetween, SurfaceShape
 from animtool.skin.skinning import Binding, SkinMethod
 
 Array = npt.NDArray[np.float64]
@@ -28,7 +28,7 @@ class SkinnedPrim:
 
     prim: Usd.Prim
     points: Array
-    shapes: list[ShapeDeltas]
+    shapes: list[SurfaceShape]
     weights: Array
     binding: Binding | None
     world: WorldTransforms
@@ -101,7 +101,7 @@ def _binding(
 
 def _shapes(
     skeleton: UsdSkel.SkeletonQuery, query: UsdSkel.SkinningQuery, times: list[float]
-) -> tuple[list[ShapeDeltas], Array]:
+) -> tuple[list[SurfaceShape], Array]:
     if not query.HasBlendShapes():
         return [], np.zeros((len(times), 0))
     blend = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(query.GetPrim()))
@@ -110,11 +110,11 @@ def _shapes(
         shape = blend.GetBlendShape(i)
         indices = shape.GetPointIndicesAttr().Get()
         inbetweens = [
-            InbetweenDeltas(between.GetWeight(), np.array(between.GetOffsets()))
+            SurfaceInbetween(between.GetWeight(), np.array(between.GetOffsets()))
             for between in shape.GetInbetweens()
         ]
         shapes.append(
-            ShapeDeltas(
+            SurfaceShape(
                 shape.GetPrim().GetName(),
                 np.array(shape.GetOffsetsAttr().Get()),
                 None if indices is None else np.array(indices, np.int64),

@@ -20,8 +20,8 @@ from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.documents.references import resolve_input
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Surface, surfaces_of
-from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
+from animtool.rig.surfaces import Surface, SurfaceInbetween, SurfaceShape, surfaces_of
+from animtool.skin.shapes import prepare_shapes
 
 # Tolerance for the sum of a landmark's weights, since text is rounded.
 SUM_TOLERANCE = 1e-3
@@ -142,7 +142,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     neutral = np.stack(
         [weights @ surfaces[mesh].points[vertices] for mesh, vertices, weights in rows]
     )
-    shape_deltas: list[ShapeDeltas] = []
+    shape_deltas: list[SurfaceShape] = []
     deltas: list[FloatArray] = []
     solved_indices: list[int] = []
     is_nonlinear = False
@@ -151,7 +151,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         if displacement is None:
             continue
         offsets, inbetweens = displacement
-        shape_deltas.append(ShapeDeltas(shape.name, offsets, inbetweens=inbetweens))
+        shape_deltas.append(SurfaceShape(shape.name, offsets, inbetweens=inbetweens))
         is_nonlinear = is_nonlinear or bool(shape.combine or inbetweens)
         if not shape.combine:
             solved_indices.append(i)
@@ -220,7 +220,7 @@ def _landmark_rows(
     return rows
 
 
-_Displacement = tuple[FloatArray, tuple[InbetweenDeltas, ...]]
+_Displacement = tuple[FloatArray, tuple[SurfaceInbetween, ...]]
 
 
 def _displacement(
@@ -248,7 +248,7 @@ def _displacement(
         return np.stack(rows_of_mesh)
 
     inbetweens = tuple(
-        InbetweenDeltas(inbetween.at, at_landmarks(inbetween.deltas))
+        SurfaceInbetween(inbetween.at, at_landmarks(inbetween.deltas))
         for inbetween in matching_shape.inbetweens
     )
     return at_landmarks(matching_shape.deltas), inbetweens

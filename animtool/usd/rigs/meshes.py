@@ -251,10 +251,10 @@ def _pad_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
 
 
 def _influence_notices(mesh: str, report: InfluenceReport) -> list[Fault]:
-    if not report.normalized:
+    if not report.normalized_count:
         return []
     message = (
-        f"mesh {mesh!r}: the weights of {report.normalized} vertices were normalised "
+        f"mesh {mesh!r}: the weights of {report.normalized_count} vertices were normalised "
         f"to the sum 1; that of vertex {report.sum_vertex} was off by "
         f"{report.sum_error:.3g}"
     )

@@ -24,11 +24,11 @@ from animtool.rig.kinematics import (
 )
 from animtool.rig.parts import LoadedArray, Mesh
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.rig.surfaces import Surface, SurfaceInbetween, SurfaceShape, surfaces_of
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
 from animtool.skin.deform import DeformedMesh, deform
-from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
+from animtool.skin.shapes import prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 from animtool.usd.rigs.layer import write_rig_layer
 from animtool.usd.rigs.meshes import bone_segments
@@ -50,12 +50,12 @@ def prepared(rig: Rig, surface: Surface) -> DeformedMesh:
     bind = bind_matrices(rig)
     shapes = prepare_shapes(
         [
-            ShapeDeltas(
+            SurfaceShape(
                 shape.name,
                 shape.deltas,
                 shape.vertices,
                 shape.normals,
-                tuple(InbetweenDeltas(s.at, s.deltas) for s in shape.inbetweens),
+                tuple(SurfaceInbetween(s.at, s.deltas) for s in shape.inbetweens),
             )
             for shape in surface.shapes
         ],
