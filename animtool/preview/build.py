@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import field
 from fractions import Fraction
@@ -11,7 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.clock import time_codes
+from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, counted
 from animtool.core.files.output import check_outputs, protect_inputs, write_parts
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameList
@@ -21,12 +23,6 @@ from animtool.motion.markers import Markers
 from animtool.motion.take import TakeStream
 from animtool.preview.channels import add_channels
 from animtool.preview.draft import PageDraft
-from animtool.preview.findings import (
-    MAX_FINDINGS,
-    errors_first,
-    find_faults,
-    finding_entry,
-)
 from animtool.preview.meshes import add_character
 from animtool.preview.open_file import OpenFile, open_file
 from animtool.preview.options import PreviewOptions
@@ -40,13 +36,15 @@ from animtool.preview.timing import (
     fit_to_page,
     timeline_of,
 )
-from animtool.preview.visibility import add_visibility
 
 # Limit of a page's streams before compression [byte].
 MAX_BYTES = 1_000_000_000
 # Larger pages get a warning: browsers open them slowly [byte].
-LARGE_PAGE = 64_000_000
-MAX_TITLE = 120
+LARGE_PAGE_BYTES = 64_000_000
+MAX_TITLE_LENGTH = 120
+# Maximum number of findings listed on a page; the others are only counted.
+MAX_FINDINGS = 500
+_QUOTED_TEXT = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +138,7 @@ def write_page(
 
 
 def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -> None:
-    """Refuse an output path that cannot or must not be written."""
+    """Raise an error if the output path is not a page or must not be overwritten."""
     if output.suffix.lower() not in PAGE_SUFFIXES:
         message = f"a page is an .html file, but the name is {output.name!r}"
         raise OptionError(
@@ -152,7 +150,7 @@ def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -
 def make_page(
     files: Sequence[Path], options: PreviewOptions | None = None
 ) -> PreviewPage:
-    """Return the page of files; see `write_page`."""
+    """Return a page that shows files; see `write_page`."""
     options = options or PreviewOptions()
     with ExitStack() as context:
         open_files = [open_file(path, options, files, context) for path in files]
@@ -164,7 +162,7 @@ def make_page(
 
 
 def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
-    """Return the page of a take in memory."""
+    """Return a page that shows a take in memory."""
     from animtool.preview.open_file import take_of_stream
 
     file = OpenFile(Path(name), "m", stream.rig.up, [take_of_stream(name, stream)])
@@ -175,7 +173,7 @@ def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
 def _build_page(
     draft: PageDraft, names: list[str], files: list[OpenFile], notices: list[Fault]
 ) -> PreviewPage:
-    """Return the page of a draft; refuse a page that is too large."""
+    """Return the finished page of a draft; raise an error if it is too large."""
     title = ", ".join(names)
     source = {
         "files": names,
@@ -187,10 +185,13 @@ def _build_page(
         message = f"the page would hold {size:.0f} MB of frames"
         raise OptionError(Fault("PRV003", message, hint=FEWER_FRAMES_HINT))
     manifest, blocks = draft.manifest(
-        title if len(title) <= MAX_TITLE else title[: MAX_TITLE - 1] + "…", source
+        title
+        if len(title) <= MAX_TITLE_LENGTH
+        else title[: MAX_TITLE_LENGTH - 1] + "…",
+        source,
     )
     size = sum(map(len, blocks))
-    if size > LARGE_PAGE:
+    if size > LARGE_PAGE_BYTES:
         message = f"the page has {size / 1e6:.0f} MB, which browsers open slowly"
         notices.append(
             Fault("PRV102", message, hint=FEWER_FRAMES_HINT, severity=Severity.WARNING)
@@ -201,12 +202,12 @@ def _build_page(
 def _collect_contents(
     files: list[OpenFile], options: PreviewOptions
 ) -> tuple[PageDraft, list[Fault]]:
-    """Read files into a draft on one timeline; return it with notices."""
+    """Return a draft with the contents of all files on one timeline, and notices."""
     notices = [file.at_scene(notice) for file in files for notice in file.notices]
     fps = next((rate for file in files if (rate := file.fps)), Fraction(24))
     timeline_takes = [
-        fit_to_page(number, file, take, fps, options, notices)
-        for number, file in enumerate(files)
+        fit_to_page(file_index, file, take, fps, options, notices)
+        for file_index, file in enumerate(files)
         for take in file.takes
     ]
     notices += align_takes(timeline_takes)
@@ -218,7 +219,9 @@ def _collect_contents(
     ]
     for timeline_take, page_take in page_takes:
         add_character(draft, timeline_take.take, page_take)
-        add_visibility(draft, files[timeline_take.file_index], timeline_take, page_take)
+        _add_visibility(
+            draft, files[timeline_take.file_index], timeline_take, page_take
+        )
         add_channels(
             draft, page_take, timeline_take.take.clip, timeline_take.clip_origin
         )
@@ -254,11 +257,45 @@ def _add_timeline_take(draft: PageDraft, timeline_take: TimelineTake) -> PageTak
     return page_take
 
 
+def _add_visibility(
+    draft: PageDraft, file: OpenFile, timeline_take: TimelineTake, page_take: PageTake
+) -> None:
+    """Add the frames in which a take and its meshes are visible.
+
+    Args:
+        draft: The page, with the take and its meshes.
+        file: The file of the take.
+        timeline_take: The take on the timeline.
+        page_take: The take on the page.
+    """
+    contents, prim = file.contents, timeline_take.take.prim
+    if contents is None or not prim:
+        return
+    codes = time_codes(
+        timeline_take.first_frame - timeline_take.shift,
+        timeline_take.stream.step,
+        page_take.frames,
+    )
+    codes = codes * float(contents.fps / draft.timeline.fps)
+    is_visible = contents.visibility(prim, codes)
+    page_take.entry["visible"] = draft.add_mask(is_visible)
+    if not is_visible.any():
+        draft.add_notice(
+            f"{timeline_take.take.name!r} is hidden in every frame: it is not drawn"
+        )
+    meshes = [mesh for mesh in draft.meshes if mesh["take"] == page_take.index]
+    visibility_by_mesh = contents.mesh_visibility(prim, codes) if meshes else {}
+    for mesh in meshes:
+        is_mesh_visible = visibility_by_mesh.get(mesh["name"], is_visible)
+        if not np.array_equal(is_mesh_visible, is_visible):
+            mesh["visible"] = draft.add_mask(is_mesh_visible)
+
+
 def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
     """Add markers to a page, sampled at the nearest frames."""
     clock = markers.clock
-    ratio = float(clock.fps / draft.timeline.fps)
-    frame_positions = (draft.timeline.codes * ratio - float(clock.start)) / float(
+    rate_ratio = float(clock.fps / draft.timeline.fps)
+    frame_positions = (draft.timeline.codes * rate_ratio - float(clock.start)) / float(
         clock.step
     )
     frames = np.clip(np.rint(frame_positions), 0, clock.count - 1).astype(np.int64)
@@ -266,27 +303,63 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
     up_rotation = up_from_up(UpAxis.Y, markers.up)
     if up_rotation is not None:
         positions = so3.rotate(np.array(up_rotation), positions)
-    draft.points.append(
-        {
-            "name": name,
-            "positions": draft.add_positions(positions),
-            "radius": 0.0,
-            "radii": None,
-            "color": None,
-            "colors": None,
-            "names": list(markers.names),
-        }
-    )
+    draft.add_points(name, draft.add_positions(positions), names=list(markers.names))
 
 
 def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
-    """Add the findings of `validate`, each linked to the takes it concerns."""
-    faults = errors_first(find_faults(files))
+    """Add the findings of `validate`, each linked to the take of its file."""
+    faults = _errors_first(_find_faults(files))
     takes: dict[str, tuple[int, Sequence[str]]] = {}
-    for number, entry in enumerate(draft.takes):
+    for take_index, entry in enumerate(draft.takes):
         path = str(files[entry["file"]])
-        takes.setdefault(path, (number, entry["skeleton"]["names"]))
-    draft.findings += [finding_entry(fault, takes) for fault in faults[:MAX_FINDINGS]]
+        takes.setdefault(path, (take_index, entry["skeleton"]["names"]))
+    draft.findings += [_finding_entry(fault, takes) for fault in faults[:MAX_FINDINGS]]
     if len(faults) > MAX_FINDINGS:
-        omitted_text = counted(len(faults) - MAX_FINDINGS, "finding")
-        draft.add_notice(f"{omitted_text} more: animtool validate lists them")
+        omitted_findings = counted(len(faults) - MAX_FINDINGS, "finding")
+        draft.add_notice(f"{omitted_findings} more: animtool validate lists them")
+
+
+def _find_faults(files: Sequence[Path]) -> list[Fault]:
+    """Return the findings of `validate` in files, skipping files it cannot check."""
+    from animtool.validation.options import ValidateOptions
+    from animtool.validation.run import validate_files
+
+    faults: list[Fault] = []
+    for path in files:
+        try:
+            report = validate_files([path], ValidateOptions(jobs=1))
+        except AnimtoolError:
+            continue
+        faults += report.findings
+    return faults
+
+
+def _finding_entry(
+    fault: Fault, takes: Mapping[str, tuple[int, Sequence[str]]]
+) -> dict[str, Any]:
+    """Return the entry of a finding in the page manifest.
+
+    ``takes`` maps the path of a file to the index of its take and the names of its
+    joints.
+    """
+    take, joints = takes.get(fault.path or "", (None, ()))
+    joint = fault.joint
+    if joint is None:
+        # Rules quote the joints concerned in their messages.
+        quoted_texts = [a or b for a, b in _QUOTED_TEXT.findall(fault.message)]
+        joint = next((name for name in quoted_texts if name in set(joints)), None)
+    hint = f"; {fault.hint}" if fault.hint else ""
+    return {
+        "code": fault.code,
+        "severity": str(fault.severity),
+        "message": f"{fault.message}{hint}",
+        "frame": fault.frame,
+        "joint": joint,
+        "take": take,
+    }
+
+
+def _errors_first(faults: Sequence[Fault]) -> list[Fault]:
+    """Return the distinct findings, with errors first and notes last."""
+    rank = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
+    return sorted(dict.fromkeys(faults), key=lambda fault: rank[fault.severity])

@@ -1,4 +1,4 @@
-"""Curves of a page: keyed clip channels, controls, and shape weights."""
+"""Animation curves of a page: clip channels, controls and shape weights."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ def add_channels(
     ]
     if not curves or not page_take.frames:
         return
-    total = sum(0 if curve.keys is None else len(curve.keys) for curve in curves)
-    if total > MAX_KEYS:
-        draft.add_notice(f"{total} keys: curves are drawn without them")
+    key_count = sum(0 if curve.keys is None else len(curve.keys) for curve in curves)
+    if key_count > MAX_KEYS:
+        draft.add_notice(f"{key_count} keys: curves are drawn without them")
     stacked_values = np.stack([curve.values for curve in curves], axis=1)
     stream = draft.packer.add(Quantized(stacked_values.astype("<f4"), "f32"))
-    size = rest_size(page_take.rig) or 1.0
+    rig_size = rest_size(page_take.rig) or 1.0
     for column, curve in enumerate(curves):
-        keys = curve.keys if total <= MAX_KEYS else None
+        keys = curve.keys if key_count <= MAX_KEYS else None
         draft.channels.append(
             {
                 "name": curve.name,
@@ -66,18 +66,18 @@ def add_channels(
                 "column": column,
                 "keys": None if keys is None else json_numbers(keys),
                 "interp": curve.interp,
-                "moves": json_number(round(_curve_range(curve, size), 4)),
+                "moves": json_number(round(_curve_range(curve, rig_size), 4)),
                 "take": page_take.index,
             }
         )
 
 
-def _curve_range(curve: ChannelCurve, size: float) -> float:
-    """Return the range of a curve's values in comparable units [1].
+def _curve_range(curve: ChannelCurve, rig_size: float) -> float:
+    """Return how far the values of a curve vary, in comparable units [1].
 
     Angles are in radians, lengths relative to the size of the rig.
     """
-    scale = {"deg": float(np.degrees(1.0)), "m": size}.get(curve.unit, 1.0)
+    scale = {"deg": float(np.degrees(1.0)), "m": rig_size}.get(curve.unit, 1.0)
     values = curve.values[np.isfinite(curve.values)]
     return float(np.ptp(values)) / scale if len(values) else 0.0
 
@@ -100,16 +100,18 @@ def _clip_curves(
     curves = []
     for channel in clip.channels:
         width = channel.values.shape[1]
-        rows = np.broadcast_to(values[channel.target], (page_take.frames, width))
+        component_values = np.broadcast_to(
+            values[channel.target], (page_take.frames, width)
+        )
         unit, factor = _display_unit(channel.target, width)
-        times_of_keys = origin + (channel.times - first_frame) / frame_ratio
+        key_times = origin + (channel.times - first_frame) / frame_ratio
         axes = channel.euler.lower() or _AXIS_NAMES
         curves += [
             ChannelCurve(
                 channel.target + (f".{axes[i]}" if width > 1 else ""),
                 unit,
-                rows[:, i] * factor,
-                np.stack([times_of_keys, channel.values[:, i] * factor], axis=1),
+                component_values[:, i] * factor,
+                np.stack([key_times, channel.values[:, i] * factor], axis=1),
                 str(channel.interps[0]) if channel.interps else None,
             )
             for i in range(width)
@@ -133,13 +135,13 @@ def _control_curves(page_take: PageTake, clip: Clip | None) -> list[ChannelCurve
     )
     rig = page_take.rig
     curves = []
-    for kind, names, rows in (
+    for kind, names, values in (
         ("control", [control.name for control in rig.controls], page_take.controls),
         ("shape", [shape.name for shape in rig.shapes], page_take.weights),
     ):
-        for i, name in enumerate(names if rows is not None else ()):
-            assert rows is not None
+        for i, name in enumerate(names if values is not None else ()):
+            assert values is not None
             target = f"{kind}/{name}"
-            if target not in keyed_targets and (rows[:, i] != 0).any():
-                curves.append(ChannelCurve(target, "", rows[:, i]))
+            if target not in keyed_targets and (values[:, i] != 0).any():
+                curves.append(ChannelCurve(target, "", values[:, i]))
     return curves

@@ -1,8 +1,8 @@
-"""A page under construction: its timeline, streams and manifest entries."""
+"""A page while it is built: its timeline, streams and manifest entries."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import field
 from fractions import Fraction
@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import time_codes
 from animtool.core.errors import AnimtoolError, counted
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.preview.streams import Array, StreamPacker, quantize_range
+from animtool.preview.streams import Array, Quantized, StreamPacker, quantize_range
 
 FORMAT_VERSION = 1
 
@@ -102,6 +102,47 @@ class PageDraft:
         self.record_error(position=quantized.error)
         return self.packer.add(quantized)
 
+    def add_mask(self, visible: BoolArray) -> int | None:
+        """Add a visibility mask ``(F,)``; return its stream, None if always visible."""
+        if visible.all():
+            return None
+        rows = visible[:, None] if visible.any() else visible[:1, None]
+        return self.packer.add(Quantized(rows.astype("<u1"), "u8"))
+
+    def add_points(
+        self,
+        name: str,
+        positions: int,
+        *,
+        radius: float = 0.0,
+        radii: int | None = None,
+        color: Sequence[float] | None = None,
+        colors: int | None = None,
+        names: Sequence[str] | None = None,
+    ) -> None:
+        """Add points, drawn as balls.
+
+        Args:
+            name: Name of the set of points.
+            positions: Index of the stream of positions.
+            radius: Radius of all points [m].
+            radii: Index of the stream of their radii; None uses ``radius``.
+            color: Color of all points; None is the default color.
+            colors: Index of the stream of their colors; None uses ``color``.
+            names: Name of each point; None without names.
+        """
+        self.points.append(
+            {
+                "name": name,
+                "positions": positions,
+                "radius": radius,
+                "radii": radii,
+                "color": None if color is None else list(color),
+                "colors": colors,
+                "names": names,
+            }
+        )
+
     def manifest(
         self, title: str, source: dict[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
@@ -131,7 +172,7 @@ class PageDraft:
 
 @contextmanager
 def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
-    """Return a context that skips unreadable content and adds a notice."""
+    """Return a context that skips unreadable content with a notice."""
     try:
         yield
     except AnimtoolError as error:

@@ -1,4 +1,4 @@
-"""Meshes and strands of characters, skinned by the viewer or as point caches."""
+"""Adds meshes and strands of characters, which the viewer skins or plays as caches."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) 
     meshes = character_meshes(
         character.surfaces, page_take.rig.names, character.bind, names
     )
-    columns: list[FloatArray] = []
-    labels: list[str] = []
+    visible_weights: list[FloatArray] = []
+    shape_labels: list[str] = []
     for surface, mesh in zip(character.surfaces, meshes, strict=True):
         colors = character.colors.get(surface.name)
         entry = _mesh_entry(draft, page_take, surface, colors)
         draft.meshes.append(entry)
-        if needs_points(mesh.mesh.skin):
+        if needs_point_cache(mesh.mesh.skin):
             draft.add_notice(
                 f"mesh {surface.name!r} is drawn from its points: the viewer skins "
                 "linearly with four joints per vertex"
@@ -54,18 +54,18 @@ def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) 
             entry["skin"] = _skin_entry(draft, mesh.mesh.skin)
         weights = mesh.weights(page_take.weights)
         if mesh.mesh.shapes is not None and weights is not None:
-            by_shape = column_weights(mesh.mesh.shapes, weights)
-            visible = np.flatnonzero(by_shape.any(axis=0))
+            by_column = column_weights(mesh.mesh.shapes, weights)
+            active = np.flatnonzero(by_column.any(axis=0))
             entry["shapes"] = _shape_entries(
-                draft, mesh.mesh.shapes, visible, len(labels)
+                draft, mesh.mesh.shapes, active, len(shape_labels)
             )
-            labels += [entry["shapes"][i]["name"] for i in range(len(visible))]
-            columns.append(by_shape[:, visible])
-    if labels:
-        all_weights = np.concatenate(columns, axis=1)
+            shape_labels += [entry["shapes"][i]["name"] for i in range(len(active))]
+            visible_weights.append(by_column[:, active])
+    if shape_labels:
+        all_weights = np.concatenate(visible_weights, axis=1)
         quantized = quantize_range(all_weights, WEIGHT_ERROR)
         page_take.entry["shapes"] = {
-            "names": labels,
+            "names": shape_labels,
             "weights": draft.packer.add(quantized),
         }
     for strands in character.strands:
@@ -89,8 +89,8 @@ def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) 
         )
 
 
-def needs_points(skin: PreparedSkin | None) -> bool:
-    """Return whether the viewer cannot skin a mesh correctly."""
+def needs_point_cache(skin: PreparedSkin | None) -> bool:
+    """Return whether a mesh needs a point cache, since the viewer cannot skin it."""
     if skin is None:
         return False
     if skin.method is SkinMethod.DUAL_QUATERNION:
@@ -103,15 +103,19 @@ def largest_influences(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     """Return the joints and weights of the four largest influences ``(V, 4)``."""
     influences = skin.influences
     counts = np.diff(influences.row_starts)
-    rows = np.repeat(np.arange(skin.vertex_count), counts)
+    vertices = np.repeat(np.arange(skin.vertex_count), counts)
     ranks = np.arange(len(influences.joints)) - np.repeat(
         influences.row_starts[:-1], counts
     )
-    is_kept = ranks < MAX_INFLUENCES
+    is_strongest = ranks < MAX_INFLUENCES
     joints = np.zeros((skin.vertex_count, MAX_INFLUENCES), np.int64)
     weights = np.zeros((skin.vertex_count, MAX_INFLUENCES))
-    joints[rows[is_kept], ranks[is_kept]] = influences.joints[is_kept]
-    weights[rows[is_kept], ranks[is_kept]] = influences.weights[is_kept]
+    joints[vertices[is_strongest], ranks[is_strongest]] = influences.joints[
+        is_strongest
+    ]
+    weights[vertices[is_strongest], ranks[is_strongest]] = influences.weights[
+        is_strongest
+    ]
     return joints, weights
 
 
@@ -178,9 +182,9 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
         weights, weight_sums, out=np.zeros_like(weights), where=weight_sums > 0
     )
     # Weights are rounded to a sum of 1: the strongest takes the remainder.
-    steps = np.rint(weights * 65535)
-    steps[:, 0] += np.where(weight_sums[:, 0] > 0, 65535 - steps.sum(axis=1), 0)
-    stored_weights = steps.reshape(1, -1).astype("<u2")
+    integers = np.rint(weights * 65535)
+    integers[:, 0] += np.where(weight_sums[:, 0] > 0, 65535 - integers.sum(axis=1), 0)
+    stored_weights = integers.reshape(1, -1).astype("<u2")
     bind = skin.joint_from_world @ skin.world_from_points
     return {
         "palette": skin.joints.tolist(),
@@ -191,14 +195,14 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
 
 
 def _shape_entries(
-    draft: PageDraft, shapes: PreparedShapes, visible: IntArray, first: int
+    draft: PageDraft, shapes: PreparedShapes, active: IntArray, first_column: int
 ) -> list[dict[str, Any]]:
     """Return the manifest entries of shapes, with sparse point offsets."""
     columns = shapes.points
     names = [
-        name if at == 1.0 else f"{name} at {at:g}"
+        name if weight == 1.0 else f"{name} at {weight:g}"
         for name, knots in zip(shapes.names, shapes.knots, strict=True)
-        for at in knots[knots != 0].tolist()
+        for weight in knots[knots != 0].tolist()
     ]
     vertex_of_entry = np.repeat(
         np.arange(shapes.vertex_count), np.diff(columns.row_starts)
@@ -207,18 +211,21 @@ def _shape_entries(
         column: row for row, column in enumerate(np.flatnonzero(columns.is_dense), 1)
     }
     entries = []
-    for index, column in enumerate(visible.tolist()):
+    for index, column in enumerate(active.tolist()):
         if column in dense_rows:
             offsets = columns.dense_table[dense_rows[column]].reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))
             offsets = offsets[vertices]
         else:
-            rows = columns.columns == column
-            vertices, offsets = vertex_of_entry[rows], columns.offsets[rows]
+            is_in_column = columns.columns == column
+            vertices, offsets = (
+                vertex_of_entry[is_in_column],
+                columns.offsets[is_in_column],
+            )
         entries.append(
             {
                 "name": names[column],
-                "column": first + index,
+                "column": first_column + index,
                 "vertices": draft.packer.add_static(vertices, "u32"),
                 "offsets": draft.packer.add_static_range(offsets),
             }

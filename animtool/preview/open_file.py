@@ -1,4 +1,4 @@
-"""Opens files for a page by their kind."""
+"""Opens files of every kind for a page."""
 
 from __future__ import annotations
 
@@ -105,11 +105,11 @@ class OpenFile:
 
     def at_scene(self, fault: Fault) -> Fault:
         """Return a fault located at the scene instead of its temporary layer."""
-        where = fault.path
+        fault_path = fault.path
         if (
             self.folder is None
-            or not where
-            or not Path(where).is_relative_to(self.folder)
+            or not fault_path
+            or not Path(fault_path).is_relative_to(self.folder)
         ):
             return fault
         return replace(fault, path=str(self.path))
@@ -124,11 +124,6 @@ class OpenFile:
         if self.targets is not None:
             return self.targets.clock.fps
         return None if self.contents is None else self.contents.fps
-
-
-def _takes_overlays(path: Path) -> bool:
-    """Return whether overlay layers apply to a file: it is a stage or a scene."""
-    return is_usd(path) or has_kind_suffix(path, "scene")
 
 
 def open_file(
@@ -146,7 +141,9 @@ def open_file(
         if has_kind_suffix(path, kind):
             message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
-    if options.over and not any(map(_takes_overlays, all_files)):
+    if options.over and not any(
+        is_usd(file) or has_kind_suffix(file, "scene") for file in all_files
+    ):
         message = f"a layer goes over a USD file or a scene, and {path} is neither"
         hint = f"animtool bake {path} -o {source_stem(path)}.usdc writes a USD file"
         raise OptionError(Fault("PRV006", message, hint=hint, where="over"))
@@ -185,11 +182,9 @@ def open_file(
 def take_of_stream(
     name: str, stream: TakeStream, clip: Clip | None = None
 ) -> TakeToShow:
-    """Return a take with the meshes of its rig."""
+    """Return a take, rotated to Y up, with the meshes of its rig."""
     stream = reorient(stream, UpAxis.Y)
     rig = stream.rig
-    if not rig.meshes and not rig.attach:
-        return TakeToShow(name, stream, bind_matrices(rig), clip=clip)
     bind = bind_matrices(rig)
     return TakeToShow(name, stream, bind, surfaces_of(rig), strands_of(rig), clip)
 
@@ -200,8 +195,8 @@ def rest_take(rig: Rig) -> TakeStream:
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
     )
-    rate = Fraction(1)
-    return TakeStream(rig, Fraction(24), rate, rate, iter([motion]))
+    one = Fraction(1)
+    return TakeStream(rig, Fraction(24), one, one, iter([motion]))
 
 
 def _open_rig(path: Path) -> OpenFile:
@@ -215,7 +210,7 @@ def _open_rig(path: Path) -> OpenFile:
 
 
 def _open_targets(path: Path, *, is_only_file: bool) -> OpenFile:
-    """Open a targets file; warn if no rig is shown with it."""
+    """Open a targets file, with a notice if no rig is shown with it."""
     note_input(path)
     file = OpenFile(path, targets=load_targets(path))
     assert file.targets is not None
@@ -275,10 +270,10 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         file.notices += meshes.notices
         bind = meshes.bind if len(meshes.bind) else bind_matrices(stream_y_up.rig)
         bones = contents.bone_names
-        unskinned = [
+        visible_surfaces = [
             surface for surface in meshes.surfaces if surface.name not in bones
         ]
-        surfaces = contents.surfaces_to_y_up(unskinned)
+        surfaces = contents.surfaces_to_y_up(visible_surfaces)
         colors = contents.bound_colors(prim)
         file.takes.append(
             TakeToShow(
@@ -313,7 +308,7 @@ def _read_characters(
 
 
 def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
-    """Return a notice of the takes in a clip library that are not shown."""
+    """Return a notice about the takes of a clip library that are not shown."""
     names = stream.details.get("takes")
     if not isinstance(names, list) or len(names) < 2:
         return []
@@ -341,7 +336,7 @@ def _combined_stage(
 
 
 def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> OpenFile:
-    """Bake a scene to a temporary layer, and open that."""
+    """Bake a scene to a temporary layer, and open the layer."""
     from animtool.scene.bake.bake import bake_outputs
     from animtool.scene.file.read import load_scene
 
@@ -356,12 +351,12 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
     bake = output.bake
     folder = Path(context.enter_context(tempfile.TemporaryDirectory("animtool")))
     layer = folder / f"{source_stem(path)}.usdc"
-    bones = folder / "bones" / layer.name
+    joints_layer = folder / "bones" / layer.name
     outputs = [replace(output, path=layer, bake=bake)]
     if bake.deform and scene.sources:
-        bones.parent.mkdir()
-        joints = replace(bake, deform=False)
-        outputs.append(replace(output, path=bones, bake=joints, systems=()))
+        joints_layer.parent.mkdir()
+        joints_bake = replace(bake, deform=False)
+        outputs.append(replace(output, path=joints_layer, bake=joints_bake, systems=()))
     reports = bake_outputs(replace(scene, outputs=tuple(outputs)))
     stage_path = layer
     if bake.rig_layer is not None or options.over:
@@ -371,7 +366,7 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
     file.path, file.folder = path, folder
     if len(outputs) > 1:
         # Meshes are shown as point caches, since their skeleton is in a separate layer.
-        takes = _open_stage(bones, path.name, SourceOptions()).takes
+        takes = _open_stage(joints_layer, path.name, SourceOptions()).takes
         file.takes += [
             replace(take, surfaces=(), strands=(), prim="") for take in takes
         ]

@@ -1,4 +1,4 @@
-"""Plans a page without building it: files to read, contents and output path."""
+"""Lists the steps of a page without building it."""
 
 from __future__ import annotations
 
@@ -25,16 +25,15 @@ _KIND_NOUNS = {
 
 
 def page_steps(
-    files: Sequence[Path], output: Path | None, options: PreviewOptions | None = None
+    files: Sequence[Path], output: Path | None, options: PreviewOptions
 ) -> list[PlanStep]:
-    """Return the steps of a page; files are read, scenes are not baked.
+    """Return the steps of building a page; this reads files but bakes no scene.
 
     Args:
         files: As in `animtool.preview.build.write_page`.
         output: Path of the page; None is a temporary file.
         options: What the page shows.
     """
-    options = options or PreviewOptions()
     steps: list[PlanStep] = []
     with ExitStack() as context:
         for path in files:

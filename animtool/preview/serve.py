@@ -40,7 +40,7 @@ class WatchedPage:
     page: PreviewPage | None = None
     version: int = 0
     error: str | None = None
-    _states: dict[Path, FileState | None] = field(default_factory=dict)
+    _input_states: dict[Path, FileState | None] = field(default_factory=dict)
     _body: bytes = b""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -54,24 +54,26 @@ class WatchedPage:
             try:
                 page = self.build_page()
             except AnimtoolError as error:
-                self._record_states(inputs, keep=True)
+                self._record_states(inputs, keep_previous=True)
                 self.error = str(error)
                 raise
-        self._record_states(inputs, keep=False)
+        self._record_states(inputs, keep_previous=False)
         with self._lock:
             self.version += 1
             self.page, self.error = page, None
             watch = {"url": f"/{self.secret}/state", "version": self.version}
             self._body = b"".join(page.chunks(watch))
 
-    def _record_states(self, inputs: Inputs, *, keep: bool) -> None:
+    def _record_states(self, inputs: Inputs, *, keep_previous: bool) -> None:
         """Record the state that each input file had when it was read."""
-        if not keep:
-            self._states.clear()
+        if not keep_previous:
+            self._input_states.clear()
         else:
-            self._states = {path: FileState.of(path) for path in self._states}
+            self._input_states = {
+                path: FileState.of(path) for path in self._input_states
+            }
         # Files of a scene's temporary bake no longer exist.
-        self._states |= {
+        self._input_states |= {
             path: state
             for path, state in inputs.states.items()
             if state is None or path.exists()
@@ -81,16 +83,16 @@ class WatchedPage:
         """Return whether any input file changed since it was read."""
         return any(
             FileState.of(path) != previous_state
-            for path, previous_state in self._states.items()
+            for path, previous_state in self._input_states.items()
         )
 
     def response_body(self) -> bytes:
-        """Return the body of the HTTP response for the page."""
+        """Return the page as the body of an HTTP response."""
         with self._lock:
             return self._body
 
     def polled_state(self) -> bytes:
-        """Return the page version and the current error as JSON."""
+        """Return the version of the page and the last error as JSON."""
         with self._lock:
             values = {"version": self.version, "error": self.error}
         return json.dumps(values).encode()
@@ -132,10 +134,10 @@ class _Handler(BaseHTTPRequestHandler):
             tokens[0].encode("utf-8", "replace"), secret
         )
 
-    def _send(self, code: int, body: bytes, kind: str) -> None:
+    def _send(self, code: int, body: bytes, content_type: str) -> None:
         """Send a response that is never cached."""
         self.send_response(code)
-        self.send_header("Content-Type", kind)
+        self.send_header("Content-Type", content_type)
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Cache-Control", "no-store")
         self.send_header("Referrer-Policy", "no-referrer")

@@ -1,4 +1,4 @@
-"""Adds a stage's visible prims to a page: meshes, caches, curves, points, cameras."""
+"""Adds the visible prims of a stage to a page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from animtool.preview.streams import (
     quantize_range,
     quantize_units,
 )
-from animtool.preview.visibility import visibility_stream
 from animtool.usd.caches.reader import PointSample
 from animtool.usd.caches.shown import ShownMesh, ShownPrim, StageContents
 from animtool.usd.layers.sdf import usd_errors
@@ -50,34 +49,34 @@ def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
         )
         _add_points(draft, prim, codes)
         return
-    faces = prim.local_mesh()
-    if faces is None:
+    mesh = prim.local_mesh()
+    if mesh is None:
         draft.add_notice(f"mesh {prim.name!r} has no valid faces: it is not drawn")
         return
     if not prim.is_deforming:
-        _add_rigid(draft, prim, faces, codes)
+        _add_rigid(draft, prim, mesh, codes)
         return
-    entry = _stage_mesh_entry(draft, prim.name, faces)
-    entry["cache"] = _point_stream(draft, prim, codes, len(faces.points))
-    entry["visible"] = visibility_stream(draft, prim.visibility(codes))
+    entry = _stage_mesh_entry(draft, prim.name, mesh)
+    entry["cache"] = _point_stream(draft, prim, codes, len(mesh.points))
+    entry["visible"] = draft.add_mask(prim.visibility(codes))
     draft.meshes.append(entry)
 
 
-def _stage_mesh_entry(draft: PageDraft, name: str, faces: ShownMesh) -> dict[str, Any]:
+def _stage_mesh_entry(draft: PageDraft, name: str, mesh: ShownMesh) -> dict[str, Any]:
     """Return the manifest entry of a stage's mesh."""
     return mesh_entry(
         draft,
         name,
-        faces.points,
-        faces.counts,
-        faces.indices,
-        faces.color,
-        colors=faces.colors,
+        mesh.points,
+        mesh.counts,
+        mesh.indices,
+        mesh.color,
+        colors=mesh.colors,
     )
 
 
 def _add_rigid(
-    draft: PageDraft, prim: ShownPrim, faces: ShownMesh, codes: FloatArray
+    draft: PageDraft, prim: ShownPrim, mesh: ShownMesh, codes: FloatArray
 ) -> None:
     """Add a mesh that only moves rigidly, as an instanced mesh with one instance."""
     times = codes if prim.is_moving else codes[:1]
@@ -87,16 +86,14 @@ def _add_rigid(
             f"{prim.name!r} has a transform that is not finite: it is not drawn"
         )
         return
-    visibility = visibility_stream(draft, prim.visibility(codes))
+    visibility = draft.add_mask(prim.visibility(codes))
     if not prim.is_moving and visibility is None:
-        placed_points = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
-        rigid_mesh = replace(faces, points=placed_points)
+        world_points = mesh.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
+        rigid_mesh = replace(mesh, points=world_points)
         draft.meshes.append(_stage_mesh_entry(draft, prim.name, rigid_mesh))
         return
     rotations, scales = so3.split_scale(matrices[:, :3, :3])
-    draft.meshes.append(
-        _stage_mesh_entry(draft, prim.name, faces) | {"prototype": True}
-    )
+    draft.meshes.append(_stage_mesh_entry(draft, prim.name, mesh) | {"prototype": True})
     draft.instances.append(
         {
             "name": prim.name,
@@ -113,23 +110,26 @@ def _instance_streams(
     draft: PageDraft, positions: FloatArray, rotations: FloatArray, scales: FloatArray
 ) -> dict[str, Any]:
     """Add streams of positions, rotations and scales; return their manifest entry."""
-    frames = len(positions)
-    rotations_stored = quantize_units(so3.align_signs(rotations).reshape(frames, -1))
-    draft.record_error(rotation=2 * rotations_stored.error)
-    sizes = scales.reshape(frames, -1)
+    frame_count = len(positions)
+    units = quantize_units(so3.align_signs(rotations).reshape(frame_count, -1))
+    draft.record_error(rotation=2 * units.error)
+    flat_scales = scales.reshape(frame_count, -1)
     return {
         "t": draft.add_positions(positions),
-        "r": draft.packer.add(rotations_stored),
+        "r": draft.packer.add(units),
         "s": None
-        if np.allclose(sizes, 1.0, atol=1e-6)
-        else draft.packer.add(quantize_range(sizes, SCALE_ERROR, period=3)),
+        if np.allclose(flat_scales, 1.0, atol=1e-6)
+        else draft.packer.add(quantize_range(flat_scales, SCALE_ERROR, period=3)),
     }
 
 
 def _point_stream(
     draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int
 ) -> int:
-    """Return the stream index of animated points; wrong counts repeat a sample."""
+    """Return the stream index of animated points.
+
+    A sample with another number of points is replaced by the previous one.
+    """
     rows = np.empty((len(codes), 3 * count), np.float32)
     for i, code in enumerate(codes.tolist()):
         points = prim.points(code)
@@ -172,29 +172,26 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
 
 
 def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    """Add points with widths and colors; each point keeps one slot."""
+    """Add points with widths and colors; each point keeps its slot."""
     times = (codes if prim.is_animated else codes[:1]).tolist()
-    point_slots = PointSlots()
-    rows = [(point_slots.assign(prim.ids(t), p := prim.points(t)), p) for t in times]
-    if not point_slots.count:
+    slots = PointSlots()
+    frames = [(slots.assign(prim.ids(t), p := prim.points(t)), p) for t in times]
+    if not slots.count:
         return
-    positions = _spread_to_slots(rows, point_slots.count)
-    widths = _slot_values(rows, [prim.widths(t) for t in times], point_slots.count)
-    colors = _slot_values(rows, [prim.colors(t) for t in times], point_slots.count)
-    draft.points.append(
-        {
-            "name": prim.name,
-            "positions": draft.add_positions(positions),
-            "radius": 0.0 if widths is None else _finite_mean(widths) / 2,
-            "radii": None
-            if widths is None or np.ptp(widths) == 0
-            else draft.packer.add_static(widths / 2, "f32"),
-            "color": None if prim.color is None else list(prim.color),
-            "colors": None
-            if colors is None or not np.ptp(colors, axis=0).any()
-            else draft.packer.add_static(np.rint(colors.clip(0, 1) * 255), "u8"),
-            "names": None,
-        }
+    positions = _spread_to_slots(frames, slots.count)
+    widths = _slot_values(frames, [prim.widths(t) for t in times], slots.count)
+    colors = _slot_values(frames, [prim.colors(t) for t in times], slots.count)
+    draft.add_points(
+        prim.name,
+        draft.add_positions(positions),
+        radius=0.0 if widths is None else _finite_mean(widths) / 2,
+        radii=None
+        if widths is None or np.ptp(widths) == 0
+        else draft.packer.add_static(widths / 2, "f32"),
+        color=prim.color,
+        colors=None
+        if colors is None or not np.ptp(colors, axis=0).any()
+        else draft.packer.add_static(np.rint(colors.clip(0, 1) * 255), "u8"),
     )
 
 
@@ -211,45 +208,57 @@ class PointSlots:
         self.count = 0
         self._slot_of_id: dict[int, int] = {}
 
-    def assign(self, ids: IntArray | None, rows: FloatArray) -> IntArray:
+    def assign(self, ids: IntArray | None, points: FloatArray) -> IntArray:
         """Return the slot of each point of a frame ``(N,)``, adding new points."""
-        names = (
-            range(len(rows)) if ids is None or len(ids) != len(rows) else ids.tolist()
+        point_ids = (
+            range(len(points))
+            if ids is None or len(ids) != len(points)
+            else ids.tolist()
         )
-        previous, self._slot_of_id = self._slot_of_id, {}
-        previous_ids = {name: previous[name] for name in names if name in previous}
-        used_slots = set(previous_ids.values())
+        previous_slots, self._slot_of_id = self._slot_of_id, {}
+        kept_slots = {
+            point_id: previous_slots[point_id]
+            for point_id in point_ids
+            if point_id in previous_slots
+        }
+        used_slots = set(kept_slots.values())
         free_slots = (
-            slot for slot in range(self.count + len(rows)) if slot not in used_slots
+            slot for slot in range(self.count + len(points)) if slot not in used_slots
         )
-        for name in names:
-            self._slot_of_id[name] = (
-                previous_ids[name] if name in previous_ids else next(free_slots)
+        for point_id in point_ids:
+            self._slot_of_id[point_id] = (
+                kept_slots[point_id] if point_id in kept_slots else next(free_slots)
             )
-        columns = np.array([self._slot_of_id[name] for name in names], np.int64)
-        self.count = max(self.count, int(columns.max(initial=-1)) + 1)
-        return columns
+        slots = np.array(
+            [self._slot_of_id[point_id] for point_id in point_ids], np.int64
+        )
+        self.count = max(self.count, int(slots.max(initial=-1)) + 1)
+        return slots
 
 
-def _spread_to_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> FloatArray:
+def _spread_to_slots(
+    frames: list[tuple[IntArray, FloatArray]], count: int
+) -> FloatArray:
     """Return positions arranged by slot ``(F, 3 S)``, with NaN in empty slots."""
-    slot_positions = np.full((len(rows), count, 3), np.nan)
-    for frame, (slots, values) in zip(slot_positions, rows, strict=True):
-        frame[slots] = values
-    return slot_positions.reshape(len(rows), -1)
+    slot_positions = np.full((len(frames), count, 3), np.nan)
+    for frame, (slots, points) in zip(slot_positions, frames, strict=True):
+        frame[slots] = points
+    return slot_positions.reshape(len(frames), -1)
 
 
 def _slot_values(
-    rows: list[tuple[IntArray, FloatArray]], values: list[FloatArray], count: int
+    frames: list[tuple[IntArray, FloatArray]], values: list[FloatArray], count: int
 ) -> FloatArray | None:
-    """Return one value per slot, from the last point in it; None without values."""
-    cache = next((frame_values for frame_values in values if len(frame_values)), None)
-    if cache is None:
+    """Return one value per slot, from its last point; None without values."""
+    first_values = next(
+        (frame_values for frame_values in values if len(frame_values)), None
+    )
+    if first_values is None:
         return None
-    slot_values = np.zeros((count, *cache.shape[1:]))
-    for (slots, _), rows_values in zip(rows, values, strict=True):
-        if len(rows_values) in {1, len(slots)} and len(slots):
-            slot_values[slots] = rows_values
+    slot_values = np.zeros((count, *first_values.shape[1:]))
+    for (slots, _), frame_values in zip(frames, values, strict=True):
+        if len(frame_values) in {1, len(slots)} and len(slots):
+            slot_values[slots] = frame_values
     return slot_values
 
 
@@ -258,34 +267,34 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
     prototypes = prim.prototypes()
     times = (codes if prim.is_animated else codes[:1]).tolist()
     samples = [prim.instances(code) for code in times]
-    point_slots = PointSlots()
-    rows = [point_slots.assign(sample.ids, sample.points) for sample in samples]
-    instances = _SlotInstances.of(samples, rows, point_slots.count)
+    slots = PointSlots()
+    rows = [slots.assign(sample.ids, sample.points) for sample in samples]
+    instances = _SlotInstances.of(samples, rows, slots.count)
     for k, meshes in enumerate(prototypes):
         # A slot shows the mesh of its point, which may change over frames.
         uses_prototype = instances.prototype_indices == k
-        columns = np.flatnonzero(uses_prototype.any(axis=0))
-        if not len(columns):
+        used = np.flatnonzero(uses_prototype.any(axis=0))
+        if not len(used):
             continue
-        for i, (faces, matrix) in enumerate(meshes):
+        for i, (mesh, matrix) in enumerate(meshes):
             name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(meshes) > 1 else "")
-            placed_points = faces.points @ matrix[:3, :3].T + matrix[:3, 3]
-            default_color = DARK_COLOR if len(columns) > MANY_INSTANCES else None
-            color = faces.color or prim.color or default_color
-            prototype = replace(faces, points=placed_points, color=color)
+            points = mesh.points @ matrix[:3, :3].T + matrix[:3, 3]
+            default_color = DARK_COLOR if len(used) > MANY_INSTANCES else None
+            color = mesh.color or prim.color or default_color
+            prototype = replace(mesh, points=points, color=color)
             draft.meshes.append(
                 _stage_mesh_entry(draft, name, prototype) | {"prototype": True}
             )
-            visible = uses_prototype[:, columns]
+            visible = uses_prototype[:, used]
             draft.instances.append(
                 {
                     "name": name,
                     "mesh": len(draft.meshes) - 1,
                     **_instance_streams(
                         draft,
-                        instances.points[:, columns],
-                        instances.rotations[:, columns],
-                        instances.scales[:, columns],
+                        instances.points[:, used],
+                        instances.rotations[:, used],
+                        instances.scales[:, used],
                     ),
                     "visible": None
                     if visible.all()
@@ -295,29 +304,29 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
 
 
 class _SlotInstances:
-    """Instances by slot; a removed instance keeps its last transform."""
+    """Transforms of instances by slot; a removed instance keeps its last transform."""
 
-    def __init__(self, frames: int, count: int) -> None:
-        self.points = np.zeros((frames, count, 3))
-        self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frames, count, 1))
-        self.scales = np.ones((frames, count, 3))
-        self.prototype_indices = np.full((frames, count), -1)
+    def __init__(self, frames: int, slots: int) -> None:
+        self.points = np.zeros((frames, slots, 3))
+        self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frames, slots, 1))
+        self.scales = np.ones((frames, slots, 3))
+        self.prototype_indices = np.full((frames, slots), -1)
 
     @classmethod
     def of(
         cls, samples: list[PointSample], rows: list[IntArray], count: int
     ) -> _SlotInstances:
-        """Arrange instances by slot; ``rows`` contains the slots of each sample."""
-        copies = cls(len(samples), count)
+        """Return instances arranged by slot, given the slots of each sample."""
+        instances = cls(len(samples), count)
         for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):
             if f:
-                for values in (copies.points, copies.rotations, copies.scales):
+                for values in (instances.points, instances.rotations, instances.scales):
                     values[f] = values[f - 1]
-            copies.points[f, slots] = sample.points
-            copies.rotations[f, slots] = sample.orientations
-            copies.scales[f, slots] = sample.scales
-            copies.prototype_indices[f, slots] = sample.prototype_indices
-        return copies
+            instances.points[f, slots] = sample.points
+            instances.rotations[f, slots] = sample.orientations
+            instances.scales[f, slots] = sample.scales
+            instances.prototype_indices[f, slots] = sample.prototype_indices
+        return instances
 
 
 def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -> None:
@@ -333,28 +342,26 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     names = [attribute.name for attribute in track.attributes]
     sampled = track.at(times if track.is_animated else times[:1])
     # Lenses are in tenths of a stage unit, which is metres here.
-    lens = {
+    lens_values = {
         name: sampled.values[names.index(name)] * 100
         for name in ("focalLength", "horizontalAperture", "verticalAperture")
         if name in names
     }
-    focal = lens.get("focalLength", np.full((1, 1), 50.0))
-    rotations_stored = quantize_units(sampled.rotations)
-    positions_stored = quantize_range(sampled.translations)
-    draft.record_error(
-        position=positions_stored.error, rotation=2 * rotations_stored.error
-    )
+    focal = lens_values.get("focalLength", np.full((1, 1), 50.0))
+    rotations = quantize_units(sampled.rotations)
+    positions = quantize_range(sampled.translations)
+    draft.record_error(position=positions.error, rotation=2 * rotations.error)
     draft.cameras.append(
         {
             "name": track.path,
-            "t": draft.packer.add(positions_stored),
-            "r": draft.packer.add(rotations_stored),
+            "t": draft.packer.add(positions),
+            "r": draft.packer.add(rotations),
             "focal_mm": float(focal[0, 0]),
             "focal": None
             if np.ptp(focal) == 0
             else draft.packer.add(Quantized(focal.astype("<f4"), "f32")),
             "aperture_mm": [
-                float(lens[name][0, 0]) if name in lens else default
+                float(lens_values[name][0, 0]) if name in lens_values else default
                 for name, default in (
                     ("horizontalAperture", 20.955),
                     ("verticalAperture", 15.2908),

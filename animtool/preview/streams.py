@@ -1,4 +1,4 @@
-"""Streams of a page: quantized arrays in deflated base64 blocks of frames."""
+"""Quantizes arrays and packs them into compressed blocks, the streams of a page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ STORED_NAN = -32768
 POSITION_ERROR = 1e-4
 
 Array = npt.NDArray[Any]
-_WIDTHS = {"u8": 1, "i16": 2, "u16": 2, "f32": 4, "u32": 4}
 TYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
 
 
@@ -89,26 +88,26 @@ def quantize_range(
     rows = float32_values.reshape(-1, period) if period else float32_values
     if not rows.size:
         return Quantized(np.zeros(values.shape, "<f4"), "f32")
-    gaps = bool(np.isnan(rows).any())
+    has_gaps = bool(np.isnan(rows).any())
     finite = np.isfinite(rows)
     low = np.where(finite, rows, np.inf).min(axis=0)
     high = np.where(finite, rows, -np.inf).max(axis=0)
-    low, high = (np.where(low <= high, bounds_, 0.0) for bounds_ in (low, high))
+    low, high = (np.where(low <= high, bound, 0.0) for bound in (low, high))
     scale = (high - low) / (2 * MAX_QUANTIZED)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
         integers = np.asarray(values, np.float32)
         return Quantized(integers, "f32", error=_largest_difference(integers - values))
     offset = (high + low) / 2
     divisor = np.where(scale > 0, scale, 1.0)
-    numbers = np.rint((rows - offset) / divisor)
-    integers = np.where(np.isnan(numbers), STORED_NAN, numbers).astype("<i2")
-    error = _largest_difference(offset + scale * numbers - values.reshape(rows.shape))
+    steps = np.rint((rows - offset) / divisor)
+    integers = np.where(np.isnan(steps), STORED_NAN, steps).astype("<i2")
+    error = _largest_difference(offset + scale * steps - values.reshape(rows.shape))
     per_column = scale.tolist(), offset.tolist()
     if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
         per_column = scale[:1].tolist(), offset[:1].tolist()
     scale_and_offset = _single_or_list(per_column[0]), _single_or_list(per_column[1])
     return Quantized(
-        integers.reshape(values.shape), "i16", *scale_and_offset, gaps, error
+        integers.reshape(values.shape), "i16", *scale_and_offset, has_gaps, error
     )
 
 
@@ -138,7 +137,8 @@ class _Stream:
     @property
     def sample_bytes(self) -> int:
         """Size of one sample [bytes]."""
-        return int(self.data.stored_values.shape[1]) * _WIDTHS[self.data.kind]
+        item_bytes = np.dtype(TYPES[self.data.kind]).itemsize
+        return int(self.data.stored_values.shape[1]) * item_bytes
 
     def manifest_entry(self) -> dict[str, Any]:
         """Return the manifest entry."""
@@ -164,15 +164,15 @@ class StreamPacker:
 
     def add(self, data: Quantized) -> int:
         """Add a stream and return its index; equal one-sample streams share one."""
-        number = len(self._streams)
+        index = len(self._streams)
         if len(data.stored_values) == 1:
             digest = hashlib.blake2b(data.stored_values.tobytes()).digest()
             key = (digest, data.kind, str(data.scale), str(data.offset), data.has_gaps)
-            number = self._static.setdefault(key, number)
-            if number < len(self._streams):
-                return number
-        self._streams.append(_Stream(number, data))
-        return number
+            index = self._static.setdefault(key, index)
+            if index < len(self._streams):
+                return index
+        self._streams.append(_Stream(index, data))
+        return index
 
     def add_static(self, values: npt.ArrayLike, kind: str) -> int:
         """Add a one-sample stream without quantization; return its index."""
@@ -192,10 +192,10 @@ class StreamPacker:
     def finish(self) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the manifest entries of the streams, and the blocks as text."""
         blocks: list[str] = []
-        for group, samples in self._groups():
+        for group, samples_per_block in self._groups():
             count = len(group[0].data.stored_values)
-            for first in range(0, count, samples):
-                frames = slice(first, min(first + samples, count))
+            for first in range(0, count, samples_per_block):
+                frames = slice(first, min(first + samples_per_block, count))
                 encoded = [
                     _encoded_samples(s.data.stored_values[frames], s.data.kind)
                     for s in group
@@ -211,14 +211,14 @@ class StreamPacker:
         static_streams: list[_Stream] = []
         by_length: dict[int, list[_Stream]] = {}
         for stream in self._streams:
-            count = len(stream.data.stored_values)
-            if count == 1:
+            sample_count = len(stream.data.stored_values)
+            if sample_count == 1:
                 static_streams.append(stream)
             elif stream.sample_bytes * BLOCK_SAMPLES > BLOCK_BYTES:
-                samples = max(1, BLOCK_BYTES // stream.sample_bytes)
-                groups.append(([stream], samples))
-            elif count:
-                by_length.setdefault(count, []).append(stream)
+                samples_per_block = max(1, BLOCK_BYTES // stream.sample_bytes)
+                groups.append(([stream], samples_per_block))
+            elif sample_count:
+                by_length.setdefault(sample_count, []).append(stream)
         groups += [
             (group, BLOCK_SAMPLES)
             for streams in by_length.values()
@@ -231,33 +231,33 @@ class StreamPacker:
 
 
 def _split_by_size(
-    streams: Sequence[_Stream], max_bytes: int, samples: int
+    streams: Sequence[_Stream], max_bytes: int, samples_per_block: int
 ) -> list[list[_Stream]]:
-    """Group streams up to a total size; a larger stream is a group of its own."""
+    """Group streams up to a total size; a larger stream forms its own group."""
     groups: list[list[_Stream]] = []
-    size = 0
+    group_bytes = 0
     for stream in streams:
-        size_of_group = stream.sample_bytes * samples
-        if not groups or size + size_of_group > max_bytes:
+        stream_bytes = stream.sample_bytes * samples_per_block
+        if not groups or group_bytes + stream_bytes > max_bytes:
             groups.append([])
-            size = 0
+            group_bytes = 0
         groups[-1].append(stream)
-        size += size_of_group
+        group_bytes += stream_bytes
     return groups
 
 
 def _encoded_samples(stored_values: Array, kind: str) -> bytes:
     """Return samples as bytes: column-major, delta-coded, split into byte planes."""
-    width = _WIDTHS[kind]
+    item_bytes = np.dtype(TYPES[kind]).itemsize
     columns = (
         stored_values.reshape(1, -1) if len(stored_values) == 1 else stored_values.T
     )
     columns = np.ascontiguousarray(columns, TYPES[kind])
     if kind != "f32":
-        words = columns.view(f"<u{width}")
-        columns = words.copy()
-        columns[:, 1:] -= words[:, :-1]
-    planes = columns.view(np.uint8).reshape(*columns.shape, width)
+        unsigned = columns.view(f"<u{item_bytes}")
+        columns = unsigned.copy()
+        columns[:, 1:] -= unsigned[:, :-1]
+    planes = columns.view(np.uint8).reshape(*columns.shape, item_bytes)
     return np.ascontiguousarray(planes.swapaxes(1, 2)).tobytes()
 
 

@@ -1,4 +1,4 @@
-"""Takes of a page: rest skeleton, motion, foot contacts and quantization error."""
+"""Adds takes to a page: skeleton, motion, foot contacts and quantization error."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WEIGHT_ERROR = 5e-5
 
 @dataclass(frozen=True, slots=True)
 class QuantizedTrack:
-    """One transform component of all joints: constant values and animated columns."""
+    """One transform component of all joints, with constant joints stored once."""
 
     static_values: FloatArray  # value of every joint, also animated ones ``(J, K)``
     animated_joints: IntArray  # indices of animated joints ``(A,)``
@@ -80,26 +80,28 @@ class BufferedMotion:
     makes the same page from any file format.
     """
 
-    def __init__(self, blocks: Iterator[Motion], unit: float) -> None:
-        """Read all blocks of a motion; ``unit`` is the rig's unit of length [m]."""
-        self._unit = unit
-        self._rest: dict[str, Channel] = {}
-        self._parts: dict[str, list[Float32Array]] = {}
+    def __init__(self, blocks: Iterator[Motion], meters_per_unit: float) -> None:
+        """Read all blocks of a motion; ``meters_per_unit`` is that of its rig."""
+        self._meters_per_unit = meters_per_unit
+        self._first_channels: dict[str, Channel] = {}
+        self._value_blocks: dict[str, list[Float32Array]] = {}
         self.frames = 0
         for block in blocks:
             self.frames += block.frames
             for name in ("translations", "rotations", "scales", "weights", "controls"):
                 channel: Channel | None = getattr(block, name)
                 if channel is not None:
-                    self._rest.setdefault(name, channel)
+                    self._first_channels.setdefault(name, channel)
                     rows = self._round_like_layer(name, channel.values)
-                    self._parts.setdefault(name, []).append(rows)
+                    self._value_blocks.setdefault(name, []).append(rows)
 
     def _round_like_layer(self, name: str, values: FloatArray) -> Float32Array:
         """Return values rounded as a written USD layer would store them."""
         if name == "translations":
-            exact = (values / self._unit).astype(np.float32).astype(np.float64)
-            return (exact * self._unit).astype(np.float32)
+            stored_values = (
+                (values / self._meters_per_unit).astype(np.float32).astype(np.float64)
+            )
+            return (stored_values * self._meters_per_unit).astype(np.float32)
         if name == "rotations":
             # Rotations are normalized again when a layer is read, after which they stay
             # equal.
@@ -113,9 +115,12 @@ class BufferedMotion:
 
     def pop_track(self, name: str) -> QuantizedTrack | None:
         """Remove and return a channel; joints with constant values are not animated."""
-        if name not in self._rest:
+        if name not in self._first_channels:
             return None
-        channel, values = self._rest[name], np.concatenate(self._parts.pop(name))
+        channel, values = (
+            self._first_channels[name],
+            np.concatenate(self._value_blocks.pop(name)),
+        )
         static = self._round_like_layer(name, channel.rest).astype(np.float64)
         is_animated = np.zeros(len(channel.animated), bool)
         if self.frames:
@@ -125,7 +130,7 @@ class BufferedMotion:
             static, channel.animated[is_animated], values[:, is_animated]
         )
 
-    def pop_rows(self, name: str) -> FloatArray | None:
+    def pop_values(self, name: str) -> FloatArray | None:
         """Remove and return the values of a scalar channel ``(F, N)``."""
         track = self.pop_track(name)
         return None if track is None else track.dense_values(slice(None))[..., 0]
@@ -155,13 +160,14 @@ def add_take(
     scales = motion.pop_track("scales")
     tracks_by_component = {"t": translations, "r": rotations, "s": scales}
     quantized_by_component = {
-        kind: _store_track(kind, track) for kind, track in tracks_by_component.items()
+        component: _store_track(component, track)
+        for component, track in tracks_by_component.items()
     }
     decoded_tracks = {
-        kind: None
+        component: None
         if track is None
-        else _decoded_track(track, quantized_by_component[kind])
-        for kind, track in tracks_by_component.items()
+        else _decoded_track(track, quantized_by_component[component])
+        for component, track in tracks_by_component.items()
     }
 
     def world(
@@ -185,15 +191,16 @@ def add_take(
         "name": name,
         "skeleton": _skeleton_entry(rig),
         "still": {
-            kind: _static_track(track) for kind, track in tracks_by_component.items()
+            component: None if track is None else json_numbers(track.static_values)
+            for component, track in tracks_by_component.items()
         },
         "moving": {
-            kind: [] if track is None else track.animated_joints.tolist()
-            for kind, track in tracks_by_component.items()
+            component: [] if track is None else track.animated_joints.tolist()
+            for component, track in tracks_by_component.items()
         },
         **{
-            kind: None if data is None else draft.packer.add(data)
-            for kind, data in quantized_by_component.items()
+            component: None if data is None else draft.packer.add(data)
+            for component, data in quantized_by_component.items()
         },
         "shapes": None,
         "contacts": _contact_spans(draft, contacts, first),
@@ -207,8 +214,8 @@ def add_take(
         rig,
         first,
         motion.frames,
-        motion.pop_rows("weights"),
-        motion.pop_rows("controls"),
+        motion.pop_values("weights"),
+        motion.pop_values("controls"),
         world,
         entry,
     )
@@ -232,16 +239,16 @@ def _with_positive_w(track: QuantizedTrack) -> QuantizedTrack:
     return QuantizedTrack(static, track.animated_joints, values)
 
 
-def _store_track(kind: str, track: QuantizedTrack | None) -> Quantized | None:
+def _store_track(component: str, track: QuantizedTrack | None) -> Quantized | None:
     """Return the quantized values of a component; None if no joint is animated."""
     if track is None or not track.animated_values.size:
         return None
     values = track.animated_values.reshape(len(track.animated_values), -1).astype(
         np.float64
     )
-    if kind == "r":
+    if component == "r":
         return quantize_units(values)
-    return quantize_range(values, WEIGHT_ERROR if kind == "s" else 1e-4)
+    return quantize_range(values, WEIGHT_ERROR if component == "s" else 1e-4)
 
 
 def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
@@ -254,11 +261,6 @@ def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTr
         track.animated_joints,
         values.reshape(track.animated_values.shape),
     )
-
-
-def _static_track(track: QuantizedTrack | None) -> list[Any] | None:
-    """Return the constant values of a component for JSON; None without any."""
-    return None if track is None else json_numbers(track.static_values)
 
 
 def _skeleton_entry(rig: Rig) -> dict[str, Any]:
@@ -293,8 +295,8 @@ def _measure_error(
     if not rig.joints or not frames:
         return []
     skeleton, legs = _roled_legs(draft, rig)
-    joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
-    positions = []
+    foot_joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
+    foot_positions = []
     for begin in range(0, frames, BLOCK_FRAMES):
         block = slice(begin, min(begin + BLOCK_FRAMES, frames))
         stored_world, exact_world = world(block), world(block, exact_tracks)
@@ -302,7 +304,7 @@ def _measure_error(
             stored_world.positions - exact_world.positions, axis=-1
         )
         draft.record_error(position=float(offsets.max(initial=0.0)))
-        positions.append(exact_world.positions[:, joints])
+        foot_positions.append(exact_world.positions[:, foot_joints])
     rotations = exact_tracks["r"]
     assert rotations is not None
     if rotations.animated_values.size:
@@ -314,7 +316,9 @@ def _measure_error(
         draft.record_error(rotation=2 * float(chords.max()))
     if skeleton is None or frames < 2:
         return []
-    feet = dict(zip(joints, np.concatenate(positions).swapaxes(0, 1), strict=True))
+    feet = dict(
+        zip(foot_joints, np.concatenate(foot_positions).swapaxes(0, 1), strict=True)
+    )
     rate = float(stream.fps / stream.step)
     return list(_foot_contacts(skeleton, legs, feet, rate))
 
@@ -362,14 +366,16 @@ def _contact_spans(
     """Return the manifest entries of contacts as spans of page frames."""
     timeline = draft.timeline
 
-    def code(frame: int) -> int | float:
+    def page_frame(frame: int) -> int | float:
         """Return the page frame of a take's frame."""
         return json_number(timeline.first + (first + frame) * timeline.step)
 
     return [
         {
             "joint": joint,
-            "spans": [[code(start), code(end - 1)] for start, end in runs(mask)],
+            "spans": [
+                [page_frame(start), page_frame(end - 1)] for start, end in runs(mask)
+            ],
         }
         for joint, mask in contacts
     ]

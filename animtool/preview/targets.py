@@ -39,58 +39,54 @@ def add_targets(
         up: Up axis of that take's file.
     """
     with skip_unreadable(draft, f"targets {tracks.path.name!r}"):
-        frames = _covered_samples(draft, tracks)
-        if not len(frames):
+        samples = _covered_samples(draft, tracks)
+        if not len(samples):
             draft.add_notice(f"targets {tracks.path.name!r} have other frames")
             return
         up_rotation = up_from_up(UpAxis.Y, UpAxis(up))
-        rig, world = _posed_targets(tracks, page_take, frames, up_rotation)
+        rig, world = _posed_targets(tracks, page_take, samples, up_rotation)
         rig = replace(rig, up=UpAxis(up))
         if page_take is not None:
             tracks = load_targets(tracks.path, rig)
-        clock = _targets_clock(draft, tracks, frames)
+        clock = _targets_clock(draft, tracks, samples)
         targets = tracks.at_clock(clock).sample(rig, clock, world)
-        _add_markers(draft, tracks, targets, frames, up_rotation)
+        _add_markers(draft, tracks, targets, samples, up_rotation)
 
 
 def _covered_samples(draft: PageDraft, tracks: TargetTracks) -> IntArray:
     """Return the page samples within the frame range of the targets file ``(A,)``."""
-    codes = draft.timeline.codes * _rate_ratio(draft, tracks)
+    fps = draft.timeline.fps
+    codes = draft.timeline.codes * float((tracks.fps or fps) / fps)
     first = -np.inf if tracks.first is None else float(tracks.first)
     last = np.inf if tracks.last is None else float(tracks.last)
     return np.flatnonzero((codes >= first - 1e-6) & (codes <= last + 1e-6))
 
 
-def _rate_ratio(draft: PageDraft, tracks: TargetTracks) -> float:
-    """Return the ratio of the targets' frame rate to the page's."""
-    return 1.0 if tracks.fps is None else float(tracks.fps / draft.timeline.fps)
-
-
-def _targets_clock(draft: PageDraft, tracks: TargetTracks, frames: IntArray) -> Clock:
+def _targets_clock(draft: PageDraft, tracks: TargetTracks, samples: IntArray) -> Clock:
     """Return the clock of the page samples that the targets cover."""
     timeline = draft.timeline
     fps = tracks.fps or timeline.fps
-    ratio = fps / timeline.fps
-    first = (timeline.first + int(frames[0]) * timeline.step) * ratio
-    return Clock(fps, first, timeline.step * ratio, len(frames))
+    rate_ratio = fps / timeline.fps
+    first = (timeline.first + int(samples[0]) * timeline.step) * rate_ratio
+    return Clock(fps, first, timeline.step * rate_ratio, len(samples))
 
 
 def _posed_targets(
     tracks: TargetTracks,
     page_take: PageTake | None,
-    frames: IntArray,
+    samples: IntArray,
     up_rotation: object,
 ) -> tuple[Rig, WorldTransforms]:
     """Return the rig that the targets refer to, and its pose in the file's up axis."""
     if page_take is None or not page_take.frames:
         names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
         rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))
-        bind = bind_matrices(rig)[None].repeat(len(frames), axis=0)
+        bind = bind_matrices(rig)[None].repeat(len(samples), axis=0)
         return rig, WorldTransforms(bind[..., :3, 3], bind[..., :3, :3])
-    rows = np.clip(frames - page_take.first, 0, page_take.frames - 1)
-    world = page_take.world(slice(int(rows.min()), int(rows.max()) + 1))
-    rows = rows - rows.min()
-    positions, linear = world.positions[rows], world.linear[rows]
+    take_frames = np.clip(samples - page_take.first, 0, page_take.frames - 1)
+    world = page_take.world(slice(int(take_frames.min()), int(take_frames.max()) + 1))
+    take_frames = take_frames - take_frames.min()
+    positions, linear = world.positions[take_frames], world.linear[take_frames]
     if up_rotation is not None:
         to_file_axes = so3.to_matrix(np.array(up_rotation)).T
         positions, linear = positions @ to_file_axes.T, to_file_axes @ linear
@@ -101,36 +97,36 @@ def _add_markers(
     draft: PageDraft,
     tracks: TargetTracks,
     targets: Targets,
-    frames: IntArray,
+    samples: IntArray,
     up_rotation: object,
 ) -> None:
     """Add the goals of each kind as markers; inactive goals are NaN."""
     weights = np.asarray(targets.weights)
-    for kind, (values, column, color, radius) in _GOAL_STYLES.items():
-        columns = [
-            e for e, track in enumerate(tracks.goals) if track.goal.weights[column] > 0
+    for kind, (values, weight_column, color, radius) in _GOAL_STYLES.items():
+        active_goals = [
+            e
+            for e, track in enumerate(tracks.goals)
+            if track.goal.weights[weight_column] > 0
         ]
-        if not columns:
+        if not active_goals:
             continue
         points: FloatArray = np.asarray(getattr(targets, values), np.float64)[
-            :, columns
+            :, active_goals
         ]
         if up_rotation is not None:
             points = so3.rotate(np.array(up_rotation), points)
-        points = np.where(weights[:, columns, column, None] > 0, points, np.nan)
-        rows = np.full((draft.timeline.count, len(columns) * 3), np.nan)
-        rows[frames] = points.reshape(len(frames), -1)
-        if not np.isfinite(rows).any():
+        points = np.where(
+            weights[:, active_goals, weight_column, None] > 0, points, np.nan
+        )
+        all_positions = np.full((draft.timeline.count, len(active_goals) * 3), np.nan)
+        all_positions[samples] = points.reshape(len(samples), -1)
+        if not np.isfinite(all_positions).any():
             continue
         label = "" if kind == "position" else f" {kind}"
-        draft.points.append(
-            {
-                "name": f"{tracks.path.name}{label}",
-                "positions": draft.add_positions(rows),
-                "radius": radius,
-                "radii": None,
-                "color": list(color),
-                "colors": None,
-                "names": [f"{tracks.goals[e].name}{label}" for e in columns],
-            }
+        draft.add_points(
+            f"{tracks.path.name}{label}",
+            draft.add_positions(all_positions),
+            radius=radius,
+            color=color,
+            names=[f"{tracks.goals[e].name}{label}" for e in active_goals],
         )

@@ -1,4 +1,4 @@
-"""Puts the files of a page on one timeline of integer frames."""
+"""Aligns the files of a page on one timeline of integer frames."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class TimelineTake:
 
 
 def fit_to_page(
-    number: int,
+    file_index: int,
     file: OpenFile,
     take: TakeToShow,
     fps: Fraction,
@@ -64,7 +64,7 @@ def fit_to_page(
     """Return a take resampled to the frames and the rate of the page.
 
     Args:
-        number: Index of its file.
+        file_index: Index of its file.
         file: The file.
         take: The take.
         fps: Frames per second of the page.
@@ -75,33 +75,33 @@ def fit_to_page(
     start = Fraction(1)
     if stream.start is not None:
         start = frame_start(stream.start, stream.fps, fps, on_frame=True)
-    origin = start
+    clip_origin = start
     # A rig at rest fits any frame range and rate.
     is_rig = has_kind_suffix(file.path, "rig")
-    new_rate = None if is_rig or (stream.fps == fps and stream.step == 1) else fps
+    resampled_rate = None if is_rig or (stream.fps == fps and stream.step == 1) else fps
     frame_range = None if is_rig else options.frame_range
     has_fractional_frames = stream.step != 1 or start.denominator != 1
     ignored_codes = {"SCN202"}
     if (
         frame_range is None
         and has_fractional_frames
-        and (span := _authored_range(file, fps)) is not None
+        and (stage_range := _authored_range(file, fps)) is not None
     ):
         ignored_codes = {"SCN202", "TAKE008"}
         # Resample to the frames of the stage.
-        frame_range = FrameRange(math.ceil(span[0]), math.floor(span[1]))
-        new_rate = None if stream.fps == fps else fps
-    if new_rate is not None or frame_range is not None:
-        bake = BakeOptions(fps=new_rate, frame_range=frame_range)
+        frame_range = FrameRange(math.ceil(stage_range[0]), math.floor(stage_range[1]))
+        resampled_rate = None if stream.fps == fps else fps
+    if resampled_rate is not None or frame_range is not None:
+        bake = BakeOptions(fps=resampled_rate, frame_range=frame_range)
         faults: list[Fault] = []
-        rate = new_rate or stream.fps
+        rate = resampled_rate or stream.fps
         stream = in_frames(
             TakePlan(file.path, "", stream, None, bake, rate, start, faults)
         )
         # The duration of the take need not be a whole number of frames.
         notices += [fault for fault in faults if fault.code not in ignored_codes]
         start = stream.first_frame
-    if new_rate is not None and take.stream.fps != fps:
+    if resampled_rate is not None and take.stream.fps != fps:
         message = (
             f"has {rate_label(take.stream.fps)}, but is shown at {rate_label(fps)}"
         )
@@ -109,7 +109,7 @@ def fit_to_page(
         notices.append(note)
     motion = BufferedMotion(stream.blocks, stream.rig.meters_per_unit)
     notices += map(file.at_scene, stream.notices)
-    return TimelineTake(number, take, stream, motion, start, origin)
+    return TimelineTake(file_index, take, stream, motion, start, clip_origin)
 
 
 def align_takes(timeline_takes: list[TimelineTake]) -> list[Fault]:
@@ -149,19 +149,19 @@ def timeline_of(
     ]
     step = Fraction(1)
     for file in files:
-        if file.contents is not None and (moving := _moving_span(file.contents)):
-            ratio = fps / file.contents.fps
-            spans.append((moving[0] * ratio, moving[1] * ratio))
+        if file.contents is not None and (moving_span := _moving_span(file.contents)):
+            rate_ratio = fps / file.contents.fps
+            spans.append((moving_span[0] * rate_ratio, moving_span[1] * rate_ratio))
         if file.markers is not None:
             span = file.markers.clock.span
-            ratio = fps / span.fps
-            spans.append((span.first * ratio, span.last * ratio))
+            rate_ratio = fps / span.fps
+            spans.append((span.first * rate_ratio, span.last * rate_ratio))
         if file.targets is not None and all(
             timeline_take.motion.frames < 2 for timeline_take in timeline_takes
         ):
             span = file.targets.clock.span
-            ratio = Fraction(1) if file.targets.fps is None else fps / span.fps
-            spans.append((span.first * ratio, span.last * ratio))
+            rate_ratio = Fraction(1) if file.targets.fps is None else fps / span.fps
+            spans.append((span.first * rate_ratio, span.last * rate_ratio))
     first = min(
         (span_start for span_start, _ in spans),
         default=timeline_takes[0].first_frame if timeline_takes else Fraction(1),
@@ -184,7 +184,7 @@ def timeline_of(
 def _range_in_stage(
     timeline_take: TimelineTake, stage_range: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
-    """Return the first and last frame of a take within its stage's range, if any."""
+    """Return the first and last frame of a take, limited to the range of its stage."""
     if stage_range is None or timeline_take.shift:
         return timeline_take.first_frame, timeline_take.last
     first = max(timeline_take.first_frame, stage_range[0])
@@ -197,13 +197,13 @@ def _range_in_stage(
 
 
 def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
-    """Return the authored range of a stage; None for other files."""
+    """Return the authored frame range of a stage; None without one."""
     contents = file.contents
-    span = None if contents is None else contents.authored_span
-    if contents is None or span is None:
+    authored_span = None if contents is None else contents.authored_span
+    if contents is None or authored_span is None:
         return None
-    ratio = fps / contents.fps
-    return span[0] * ratio, span[1] * ratio
+    rate_ratio = fps / contents.fps
+    return authored_span[0] * rate_ratio, authored_span[1] * rate_ratio
 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:

@@ -64,7 +64,7 @@ def page_parts(
         message = worded(notice.message, calling)
         text = f"{notice.severity}: {notice.code} {message}"
         yield f"<p>{html.escape(text)}</p>\n"
-    pair_by_table = {
+    pairs_by_table = {
         compared_pair.table: compared_pair for compared_pair in report.pairs
     }
     panels = panels_of(report.tables)
@@ -80,8 +80,8 @@ def page_parts(
             lines = worded("\n".join(table.lines), calling)
             yield f"<pre>{html.escape(lines)}</pre>\n"
         yield from _table_html(texts.rows, texts.left_columns, texts.classes)
-        if i in pair_by_table:
-            yield from _viewer_html(pair_by_table[i])
+        if i in pairs_by_table:
+            yield from _viewer_html(pairs_by_table[i])
     yield "</body>\n</html>\n"
 
 
@@ -92,11 +92,11 @@ def _table_html(
     yield '<div class="wide"><table>\n'
     for k, row in enumerate(rows):
         cell = "td" if k else "th"
-        kind = f' class="{classes[k - 1]}"' if k and classes[k - 1] else ""
-        yield f"<tr{kind}>"
+        class_attribute = f' class="{classes[k - 1]}"' if k and classes[k - 1] else ""
+        yield f"<tr{class_attribute}>"
         for j, text in enumerate(row):
-            side = ' class="left"' if j in left_columns else ""
-            yield f"<{cell}{side}>{html.escape(text)}</{cell}>"
+            cell_class = ' class="left"' if j in left_columns else ""
+            yield f"<{cell}{cell_class}>{html.escape(text)}</{cell}>"
         yield "</tr>\n"
     yield "</table></div>\n"
 

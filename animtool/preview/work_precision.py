@@ -1,4 +1,4 @@
-"""Work-precision plots: cost and error of settings."""
+"""Draws work-precision plots: error against cost of settings."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Panel:
 
 
 def check_drawable(path: Path) -> None:
-    """Raise if matplotlib is missing (IO005) or the format is unknown (SCN072)."""
+    """Raise an error if matplotlib is missing (IO005) or a format unknown (SCN072)."""
     if path.suffix.lower() not in SUFFIXES:
         message = f"{path.suffix or 'a name without a suffix'} is not a kind of picture"
         hint = f"name it {', '.join(SUFFIXES)}"

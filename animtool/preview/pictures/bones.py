@@ -24,12 +24,12 @@ class BoneRenderer:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._program = device.program("bones.js")
-        self._thin = device.program("bones.js", "THIN_VERTEX", "THIN_FRAGMENT")
-        self._table = TextureTable(device)
+        self._bone_program = device.program("bones.js")
+        self._line_program = device.program("bones.js", "THIN_VERTEX", "THIN_FRAGMENT")
+        self._bone_table = TextureTable(device)
         self._balls = SpriteRenderer(device)
         self._axes = LineRenderer(device)
-        self._ends = VertexBuffer(device)
+        self._line_buffer = VertexBuffer(device)
         self._array: Any = None
 
     def draw(
@@ -60,35 +60,37 @@ class BoneRenderer:
         color: Callable[[int], Color],
     ) -> None:
         """Draw bones as octahedra and joints as balls."""
-        size = max(pose.bounds_radius for pose in poses)
-        octahedra, balls, colors_of_joints = [], [], []
+        max_radius = max(pose.bounds_radius for pose in poses)
+        octahedra, balls, ball_colors = [], [], []
         for pose in poses:
-            child = np.flatnonzero(pose.parents >= 0)
-            joints, ends = pose.tip_ends()
+            children = np.flatnonzero(pose.parents >= 0)
+            tipped, tips = pose.tip_ends()
             positions = pose.positions
-            heads = np.concatenate([positions[pose.parents[child]], positions[joints]])
-            tails = np.concatenate([positions[child], ends])
+            heads = np.concatenate(
+                [positions[pose.parents[children]], positions[tipped]]
+            )
+            tails = np.concatenate([positions[children], tips])
             has_length = (
                 np.linalg.norm(tails - heads, axis=1) > pose.bounds_radius * 1e-4
             )
-            cell = np.zeros((int(has_length.sum()), 3, 4))
-            cell[:, 0, :3], cell[:, 1, :3] = heads[has_length], tails[has_length]
-            cell[:, 2, :3] = np.array(color(pose.index)) / 255
-            octahedra.append(cell)
+            bones = np.zeros((int(has_length.sum()), 3, 4))
+            bones[:, 0, :3], bones[:, 1, :3] = (heads[has_length], tails[has_length])
+            bones[:, 2, :3] = np.array(color(pose.index)) / 255
+            octahedra.append(bones)
             balls.append(positions)
-            colors_of_joints.append(
+            ball_colors.append(
                 np.tile(np.array(color(pose.index), np.uint8), (len(positions), 1))
             )
-        table = np.concatenate(octahedra)
-        if len(table):
-            self._table.upload(table.reshape(-1, 4))
-            max_width = size * 0.03
+        cells = np.concatenate(octahedra)
+        if len(cells):
+            self._bone_table.upload(cells.reshape(-1, 4))
+            max_width = max_radius * 0.03
             self._device.set_uniforms(
-                self._program, eye, bones=self._table, thickest=max_width
+                self._bone_program, eye, bones=self._bone_table, thickest=max_width
             )
-            self._device.draw_generated(self._program, len(table) * 24)
-        self._balls.set_points(np.concatenate(balls), np.concatenate(colors_of_joints))
-        self._balls.draw(eye, size * 0.008, 2.5)
+            self._device.draw_generated(self._bone_program, len(cells) * 24)
+        self._balls.set_points(np.concatenate(balls), np.concatenate(ball_colors))
+        self._balls.draw(eye, max_radius * 0.008, 2.5)
 
     def _draw_lines(
         self,
@@ -97,19 +99,21 @@ class BoneRenderer:
         color: Callable[[int], Color],
     ) -> None:
         """Draw skeletons as thin lines, in one draw call."""
-        rows = []
+        vertex_blocks = []
         for pose in poses:
-            child = np.flatnonzero(pose.parents >= 0)
-            ends = np.stack([child, pose.parents[child]], axis=1).ravel()
+            children = np.flatnonzero(pose.parents >= 0)
+            ends = np.stack([children, pose.parents[children]], axis=1).ravel()
             vertices = np.empty((len(ends), 6), "<f4")
             vertices[:, :3] = pose.positions[ends]
             vertices[:, 3:] = np.array(color(pose.index)) / 255
-            rows.append(vertices)
-        values = np.concatenate(rows)
-        if self._ends.write(values):
-            buffer_layout = self._ends.buffer, "3f 3f", "point", "color"
-            self._array = self._device.gl.vertex_array(self._thin, [buffer_layout])
-        self._device.set_uniforms(self._thin, eye)
+            vertex_blocks.append(vertices)
+        values = np.concatenate(vertex_blocks)
+        if self._line_buffer.write(values):
+            buffer_layout = self._line_buffer.buffer, "3f 3f", "point", "color"
+            self._array = self._device.gl.vertex_array(
+                self._line_program, [buffer_layout]
+            )
+        self._device.set_uniforms(self._line_program, eye)
         self._array.render(self._device.module.LINES, vertices=len(values))
 
     def _draw_axes(self, eye: EyeMatrices, poses: Sequence[PosedTake]) -> None:

@@ -163,8 +163,8 @@ def write_pictures(
     with _open_device() as device:
         with protect_inputs([output]):
             page = make_page(paths, options)
-        studio = PictureRenderer(device, page, pictures, kind, frames, progress)
-        return studio.write(output)
+        renderer = PictureRenderer(device, page, pictures, kind, frames, progress)
+        return renderer.write(output)
 
 
 def save_pictures(
@@ -181,7 +181,7 @@ def save_pictures(
 
 @contextmanager
 def _open_device() -> Iterator[Device]:
-    """Return a context with an off-screen OpenGL device."""
+    """Return a context that opens an off-screen OpenGL device."""
     device = Device()
     try:
         yield device
@@ -192,7 +192,7 @@ def _open_device() -> Iterator[Device]:
 def _check_options(
     pictures: PictureOptions, kind: PictureKind, frames: tuple[int, ...]
 ) -> None:
-    """Refuse invalid picture options before anything is read."""
+    """Raise an error for invalid picture options, before anything is read."""
     import_package("PIL.Image")
     if kind.codec:
         import_package("av")
@@ -205,15 +205,15 @@ def _check_options(
         "frames": frames,
         "camera": pictures.camera[1:],
     }
-    options_of_several = [name for name, value in requested_options.items() if value]
-    if options_of_several and not kind.is_image:
+    multi_picture_options = [name for name, value in requested_options.items() if value]
+    if multi_picture_options and not kind.is_image:
         message = "a film shows frames one after another, from one camera"
         hint = "a sheet, or listed frames, need .png or .webp; 1-240x2 plays a range"
-        raise option_error(options_of_several[0], message, hint)
+        raise option_error(multi_picture_options[0], message, hint)
     if sheet and len(frames) > sheet[0] * sheet[1]:
         message = f"{len(frames)} frames do not fit on a sheet of {pictures.sheet}"
         raise option_error("frames", message, "list fewer frames, or enlarge the sheet")
-    if pictures.turntable and (options_of_several or not kind.codec):
+    if pictures.turntable and (multi_picture_options or not kind.codec):
         hint = "name it .gif, .webp, .mp4 or .webm"
         raise option_error("turntable", "a still has no turntable", hint)
 
@@ -259,16 +259,16 @@ class PictureRenderer:
     def _report(
         self,
         output: Path,
-        shape: tuple[int, ...],
+        image_shape: tuple[int, ...],
         samples: Sequence[int],
         rate: Fraction,
     ) -> PictureReport:
         """Return the report of a written file."""
         codes = tuple(float(self._scene.codes[i]) for i in samples)
         size = output.stat().st_size
-        pixels = shape[1], shape[0]
-        info = self._kind.description
-        return PictureReport(output, size, pixels, codes, rate, info, self._page)
+        pixels = image_shape[1], image_shape[0]
+        format_text = self._kind.description
+        return PictureReport(output, size, pixels, codes, rate, format_text, self._page)
 
     def _picture_samples(self) -> list[int]:
         """Return the samples of a picture or sheet."""
@@ -289,15 +289,15 @@ class PictureRenderer:
         sheet = sheet_layout(self._options)
         if sheet is None:
             return [0]
-        cells = sheet[0] * sheet[1] // len(self._cameras)
-        return [int(i) for i in evenly_spaced(len(codes), max(cells, 1))]
+        sample_count = sheet[0] * sheet[1] // len(self._cameras)
+        return [int(i) for i in evenly_spaced(len(codes), max(sample_count, 1))]
 
     def _render_pictures(self) -> tuple[Array, list[int]]:
         """Return the pixels of a picture or sheet, and the samples that it shows."""
         samples = self._picture_samples()
         cells = [(camera, i) for camera in self._cameras for i in samples]
-        has_several_cells = len(cells) > 1
-        size = picture_size(self._options, self._kind, sheet=has_several_cells)
+        has_several_pictures = len(cells) > 1
+        size = picture_size(self._options, self._kind, sheet=has_several_pictures)
         captions = self._wrap_captions(len(cells), size)
         picture = Framebuffer(self._device, *size)
         shows_numbers = self._options.numbers
@@ -316,7 +316,7 @@ class PictureRenderer:
                 self._add_text(pixels, caption, sample if shows_numbers else None)
             )
             self._progress((k + 1) / len(cells))
-        if not has_several_cells:
+        if not has_several_pictures:
             return pictures[0], samples
         columns = self._sheet_columns(len(samples), len(cells))
         rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
@@ -326,30 +326,32 @@ class PictureRenderer:
         pixels = picture_sheet(rows, SHEET_GAP, self._colors["page"], title, ink)
         return pixels, samples
 
-    def _sheet_columns(self, samples: int, cells: int) -> int:
+    def _sheet_columns(self, sample_count: int, picture_count: int) -> int:
         """Return the number of columns of a sheet."""
         sheet = sheet_layout(self._options)
         if sheet is not None:
-            return min(sheet[0], cells)
-        if samples < cells and samples > 1:
-            return samples
-        return math.ceil(cells / math.ceil(cells / DEFAULT_COLUMNS))
+            return min(sheet[0], picture_count)
+        if sample_count < picture_count and sample_count > 1:
+            return sample_count
+        return math.ceil(picture_count / math.ceil(picture_count / DEFAULT_COLUMNS))
 
-    def _wrap_captions(self, cells: int, size: tuple[int, int]) -> list[Caption]:
+    def _wrap_captions(
+        self, picture_count: int, size: tuple[int, int]
+    ) -> list[Caption]:
         """Return the wrapped caption of each picture."""
         texts = self._options.caption
-        if len(texts) not in {0, 1, cells}:
+        if len(texts) not in {0, 1, picture_count}:
             message = f"{counted(len(texts), 'caption')} for "
-            message += counted(cells, "picture")
+            message += counted(picture_count, "picture")
             raise option_error("caption", message, "write one, or one for each")
-        if len(texts) == cells:
+        if len(texts) == picture_count:
             return [wrap_caption(text, *size) for text in texts]
-        return [Caption((), 0)] * cells
+        return [Caption((), 0)] * picture_count
 
-    def _sheet_title(self, cells: int, width: int, height: int) -> Caption:
+    def _sheet_title(self, picture_count: int, width: int, height: int) -> Caption:
         """Return the title of a sheet."""
         texts = self._options.caption
-        title = texts[0] if len(texts) == 1 < cells else ""
+        title = texts[0] if len(texts) == 1 < picture_count else ""
         return wrap_caption(title, width, height)
 
     def _framing_view(
@@ -364,11 +366,11 @@ class PictureRenderer:
 
     def _add_text(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
         """Return pixels with the caption drawn and, if requested, the frame number."""
-        number = ""
+        frame_text = ""
         if sample is not None:
-            number = f"frame {frame_label(self._scene.codes[sample])}"
+            frame_text = f"frame {frame_label(self._scene.codes[sample])}"
         ink, background = self._colors["ink"], self._colors["view"]
-        return with_caption(pixels, caption, number, ink, background)
+        return with_caption(pixels, caption, frame_text, ink, background)
 
     def _write_film(self, output: Path) -> PictureReport:
         """Write a film, frame by frame."""

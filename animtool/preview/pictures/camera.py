@@ -149,18 +149,20 @@ class CameraView:
         half_height = HALF_FOV_TANGENT * max(1.0, uncovered / aspect)
         return half_height / uncovered * aspect, half_height
 
-    def frame_bounds(self, box: Bounds) -> None:
+    def frame_bounds(self, bounds: Bounds) -> None:
         """Aim the camera at bounds, at a distance at which all of them are visible."""
-        self.target, self.radius = box.center, box.radius
-        self.floor = float(box.low[1])
+        self.target, self.radius = bounds.center, bounds.radius
+        self.floor = float(bounds.low[1])
         self.distance = self.radius * 0.2
-        if box.is_empty:
+        if bounds.is_empty:
             return
-        world = _look_at_matrix(spherical_offset(self.yaw, self.pitch), np.zeros(3))
+        world_from_camera = _look_at_matrix(
+            spherical_offset(self.yaw, self.pitch), np.zeros(3)
+        )
         half_width, half_height = self._half_size()
         for corner in np.ndindex(2, 2, 2):
-            point = np.where(corner, box.low, box.high) - self.target
-            x, y, z = world[:3, :3].T @ point
+            point = np.where(corner, bounds.low, bounds.high) - self.target
+            x, y, z = world_from_camera[:3, :3].T @ point
             for half_size, size in ((half_width, x), (half_height, y)):
                 self.distance = max(
                     self.distance, (abs(size) / half_size + z) * FRAMING_MARGIN
@@ -175,27 +177,27 @@ class CameraView:
 
     def eye_matrices(self) -> EyeMatrices:
         """Return the camera matrices."""
-        half_wide, half_high = self._half_size()
-        half_high /= 1 - self._covered_fraction
+        half_width, half_height = self._half_size()
+        half_height /= 1 - self._covered_fraction
         distance = self.distance
         offset = spherical_offset(self.yaw, self.pitch, distance)
-        world = _look_at_matrix(self.target + offset, self.target)
+        world_from_camera = _look_at_matrix(self.target + offset, self.target)
         projection = _perspective_matrix(
-            half_wide, half_high, distance * 0.01, distance + self.radius * 100
+            half_width, half_height, distance * 0.01, distance + self.radius * 100
         )
         projection[1, 2] = self._covered_fraction
-        return self._eye_matrices_of(world, projection, half_high)
+        return self._projected_matrices(world_from_camera, projection, half_height)
 
     def view_through(
         self, camera: Mapping[str, Any], streams: StreamReader, sample: int
     ) -> EyeMatrices | None:
         """Return the view through a shot camera; None if its transform is missing."""
-        world = shot_camera_matrix(camera, streams, sample)
-        if world is None:
+        world_from_camera = shot_camera_matrix(camera, streams, sample)
+        if world_from_camera is None:
             return None
         aperture_width, aperture_height = camera["aperture_mm"]
         focal = camera.get("focal")
-        length = (
+        focal_length = (
             camera["focal_mm"]
             if focal is None
             else streams.sample_values(focal, sample)[0]
@@ -203,22 +205,28 @@ class CameraView:
         aspect = self.width / self.height
         # The picture contains the whole film gate, and more if the aspect ratios
         # differ.
-        half_high = max(aperture_height, aperture_width / aspect) / (2 * length)
+        half_height = max(aperture_height, aperture_width / aspect) / (2 * focal_length)
         distance = self.radius * 4
         projection = _perspective_matrix(
-            half_high * aspect, half_high, distance * 0.01, distance + self.radius * 100
+            half_height * aspect,
+            half_height,
+            distance * 0.01,
+            distance + self.radius * 100,
         )
-        return self._eye_matrices_of(world, projection, half_high)
+        return self._projected_matrices(world_from_camera, projection, half_height)
 
-    def _eye_matrices_of(
-        self, world: FloatArray, projection: FloatArray, half_high: float
+    def _projected_matrices(
+        self, world_from_camera: FloatArray, projection: FloatArray, half_height: float
     ) -> EyeMatrices:
         """Return the matrices of a camera with a transform and projection."""
-        rotation = world[:3, :3].T
+        camera_rotation = world_from_camera[:3, :3].T
         view = np.eye(4)
-        view[:3, :3], view[:3, 3] = rotation, -rotation @ world[:3, 3]
+        view[:3, :3], view[:3, 3] = (
+            camera_rotation,
+            -camera_rotation @ world_from_camera[:3, 3],
+        )
         size = self.width, self.height
-        per_metre = self.height / (2 * half_high)
+        per_metre = self.height / (2 * half_height)
         return EyeMatrices(view, projection @ view, *size, per_metre, self.light)
 
 
@@ -239,7 +247,7 @@ def shot_camera_matrix(
 ) -> FloatArray | None:
     """Return the world_from_camera matrix of a shot camera; None if it is missing."""
     translation, rotation = (
-        streams.sample_values(camera[part], sample) for part in "tr"
+        streams.sample_values(camera[component], sample) for component in "tr"
     )
     if not (len(translation) and len(rotation)):
         return None
@@ -253,18 +261,21 @@ def _look_at_matrix(eye: FloatArray, target: FloatArray) -> FloatArray:
     z = (eye - target) / np.linalg.norm(eye - target)
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
-    world = np.eye(4)
-    world[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    world[:3, 3] = eye
-    return world
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    world_from_camera[:3, 3] = eye
+    return world_from_camera
 
 
 def _perspective_matrix(
     half_width: float, half_height: float, near: float, far: float
 ) -> FloatArray:
     """Return a perspective projection matrix from half sizes at distance 1."""
-    out = np.zeros((4, 4))
-    out[0, 0], out[1, 1] = 1 / half_width, 1 / half_height
-    out[2, 2], out[2, 3] = (far + near) / (near - far), 2 * far * near / (near - far)
-    out[3, 2] = -1.0
-    return out
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[1, 1] = 1 / half_width, 1 / half_height
+    matrix[2, 2], matrix[2, 3] = (
+        (far + near) / (near - far),
+        2 * far * near / (near - far),
+    )
+    matrix[3, 2] = -1.0
+    return matrix

@@ -72,8 +72,8 @@ def _wrapped_lines(text: str, width: float, font: Any) -> Iterator[str]:
     """Yield lines that fit a width; words that are too long are split."""
     for paragraph in text.splitlines():
         line = ""
-        for unbroken in paragraph.split():
-            word = unbroken
+        for text_word in paragraph.split():
+            word = text_word
             longer = f"{line} {word}".strip()
             if font.getlength(longer) <= width:
                 line = longer
@@ -81,8 +81,10 @@ def _wrapped_lines(text: str, width: float, font: Any) -> Iterator[str]:
             if line:
                 yield line
             while font.getlength(word) > width and len(word) > 1:
-                fits = (n for n in range(len(word), 1, -1))
-                length = next((n for n in fits if font.getlength(word[:n]) <= width), 1)
+                lengths = (n for n in range(len(word), 1, -1))
+                length = next(
+                    (n for n in lengths if font.getlength(word[:n]) <= width), 1
+                )
                 yield word[:length]
                 word = word[length:]
             line = word
@@ -102,15 +104,15 @@ def with_caption(
     pen = draw_module.Draw(image)
     text_height = caption.text_height
     for i, line in enumerate(caption.lines):
-        line_position = MARGIN * text_height, text_height * (MARGIN + LINE_SPACING * i)
-        _draw_text(pen, line_position, line, _load_font(text_height), ink, background)
+        position = MARGIN * text_height, text_height * (MARGIN + LINE_SPACING * i)
+        _draw_text(pen, position, line, _load_font(text_height), ink, background)
     if number:
         text_height = max(MIN_TEXT_HEIGHT, round(font_size(image.height) * 0.8))
-        line_position = (
+        position = (
             MARGIN * text_height,
             image.height - text_height * (MARGIN + LINE_SPACING),
         )
-        _draw_text(pen, line_position, number, _load_font(text_height), ink, background)
+        _draw_text(pen, position, number, _load_font(text_height), ink, background)
     return np.asarray(image)
 
 
@@ -128,7 +130,7 @@ def _draw_text(
 
 
 def _load_font(text_height: int) -> Any:
-    """Return Pillow's built-in font, identical on all machines."""
+    """Return Pillow's built-in font, which is the same on all machines."""
     return import_package("PIL.ImageFont").load_default(text_height)
 
 

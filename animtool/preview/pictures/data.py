@@ -1,4 +1,4 @@
-"""Reads the streams of a page; blocks are decoded on demand and cached."""
+"""Reads the streams of a page, decoding blocks on demand."""
 
 from __future__ import annotations
 
@@ -18,60 +18,60 @@ CACHE_BYTES = 64_000_000
 
 
 class StreamReader:
-    """Values of the streams of a page, by stream index and sample."""
+    """Reads the values of a page's streams by stream index and sample."""
 
     def __init__(self, entries: Sequence[dict[str, Any]], blocks: Sequence[str]):
         self._entries = {entry["id"]: entry for entry in entries}
-        self._texts = blocks
-        self._contents: dict[int, list[tuple[dict[str, Any], int]]] = {}
+        self._block_texts = blocks
+        self._streams_by_block: dict[int, list[tuple[dict[str, Any], int]]] = {}
         for entry in sorted(entries, key=lambda entry_: int(entry_["id"])):
             for block, _, samples in entry["block"]:
-                self._contents.setdefault(block, []).append((entry, samples))
-        self._decoded: OrderedDict[int, dict[int, Array]] = OrderedDict()
-        self._constant: dict[int, Array] = {}
-        self._size = 0
+                self._streams_by_block.setdefault(block, []).append((entry, samples))
+        self._decoded_blocks: OrderedDict[int, dict[int, Array]] = OrderedDict()
+        self._static_values: dict[int, Array] = {}
+        self._cached_bytes = 0
 
-    def width(self, number: int) -> int:
+    def width(self, stream: int) -> int:
         """Return the number of values per sample of a stream."""
-        return int(self._entries[number]["width"])
+        return int(self._entries[stream]["width"])
 
-    def static_values(self, number: int | None) -> Array:
+    def static_values(self, stream: int | None) -> Array:
         """Return the values of a one-sample stream."""
         return (
-            np.zeros(0, np.float32) if number is None else self.sample_values(number, 0)
+            np.zeros(0, np.float32) if stream is None else self.sample_values(stream, 0)
         )
 
-    def sample_values(self, number: int, sample: int) -> Array:
+    def sample_values(self, stream: int, sample: int) -> Array:
         """Return the values of a stream at a sample, clamped to the last sample."""
-        if number in self._constant:
-            return self._constant[number]
-        spans = self._entries[number]["block"]
+        if stream in self._static_values:
+            return self._static_values[stream]
+        spans = self._entries[stream]["block"]
         if not spans:
             return np.zeros(0, np.float32)
         matches = (span for span in spans if sample < span[1] + span[2])
         block, first, samples = next(matches, spans[-1])
-        values = self._decoded_block(block)[number]
+        values = self._decoded_block(block)[stream]
         value: Array = values[min(max(sample - first, 0), samples - 1)]
         return value
 
-    def _decoded_block(self, number: int) -> dict[int, Array]:
+    def _decoded_block(self, block: int) -> dict[int, Array]:
         """Return the decoded streams of a block by index; cached."""
-        if number in self._decoded:
-            self._decoded.move_to_end(number)
-            return self._decoded[number]
-        raw = zlib.decompress(base64.b64decode(self._texts[number]), -15)
+        if block in self._decoded_blocks:
+            self._decoded_blocks.move_to_end(block)
+            return self._decoded_blocks[block]
+        raw = zlib.decompress(base64.b64decode(self._block_texts[block]), -15)
         values, begin = {}, 0
-        for entry, samples in self._contents[number]:
+        for entry, samples in self._streams_by_block[block]:
             size = entry["width"] * samples * np.dtype(TYPES[entry["kind"]]).itemsize
             stream_values = _unpack_stream(raw[begin : begin + size], entry, samples)
             begin += size
             values[entry["id"]] = stream_values
             if sum(span[2] for span in entry["block"]) == 1:
-                self._constant[entry["id"]] = stream_values[0]
-        self._decoded[number] = values
-        self._size += _size_of(values)
-        while self._size > CACHE_BYTES and len(self._decoded) > 1:
-            self._size -= _size_of(self._decoded.popitem(last=False)[1])
+                self._static_values[entry["id"]] = stream_values[0]
+        self._decoded_blocks[block] = values
+        self._cached_bytes += _size_of(values)
+        while self._cached_bytes > CACHE_BYTES and len(self._decoded_blocks) > 1:
+            self._cached_bytes -= _size_of(self._decoded_blocks.popitem(last=False)[1])
         return values
 
 

@@ -83,14 +83,16 @@ class Device:
         module: str,
         vertex: str = "VERTEX",
         fragment: str = "FRAGMENT",
-        kinds: tuple[str, ...] = (),
+        defines: tuple[str, ...] = (),
     ) -> Any:
-        """Return a program of the viewer; ``kinds`` are vertex shader defines."""
-        key = module, vertex, fragment, *kinds
+        """Return a program of the viewer; ``defines`` are vertex shader defines."""
+        key = module, vertex, fragment, *defines
         if key not in self._programs:
-            defined = "".join(f"#define {kind}\n" for kind in kinds)
+            define_lines = "".join(f"#define {kind}\n" for kind in defines)
             self._programs[key] = self.gl.program(
-                vertex_shader=SHADER_HEADER + defined + shader_source(module, vertex),
+                vertex_shader=SHADER_HEADER
+                + define_lines
+                + shader_source(module, vertex),
                 fragment_shader=SHADER_HEADER + shader_source(module, fragment),
             )
         return self._programs[key]
@@ -119,13 +121,13 @@ class Device:
                 program[name].value = float(value)
 
     def draw_generated(
-        self, program: Any, corners: int, mode: int | None = None
+        self, program: Any, vertex_count: int, mode: int | None = None
     ) -> None:
         """Draw triangles whose corners the vertex shader generates."""
         if program not in self._empty_arrays:
             self._empty_arrays[program] = self.gl.vertex_array(program, [])
         mode = self.module.TRIANGLES if mode is None else mode
-        self._empty_arrays[program].render(mode, vertices=corners)
+        self._empty_arrays[program].render(mode, vertices=vertex_count)
 
     @contextmanager
     def blending(self) -> Iterator[None]:

@@ -42,7 +42,7 @@ def film_writer(
     kind: PictureKind,
     size: tuple[int, int],
     rate: Fraction,
-    samples: Sequence[Array],
+    palette_frames: Sequence[Array],
 ) -> Iterator[Callable[[Array], None]]:
     """Return a context that encodes frames to a film file, written atomically.
 
@@ -51,10 +51,10 @@ def film_writer(
         kind: Format of the film.
         size: Size of frames [px].
         rate: Frames per second.
-        samples: Some frames, whose colours make the palette.
+        palette_frames: Some frames, whose colours make the palette.
     """
     av = import_package("av")
-    palette = _palette_image(samples) if kind.pixels == "pal8" else None
+    palette = _palette_image(palette_frames) if kind.pixels == "pal8" else None
     with replacement_path(path) as temporary:
         try:
             with av.open(
@@ -73,14 +73,14 @@ def film_writer(
                 if palette is None:
                     context.colorspace = context.color_primaries = _BT709
                     context.color_trc = context.color_range = _NARROW_RANGE
-                count = 0
+                frame_count = 0
 
                 def add(pixels: Array) -> None:
                     """Encode one frame."""
-                    nonlocal count
+                    nonlocal frame_count
                     frame = _video_frame(av, pixels, palette)
-                    frame.pts, frame.time_base = count, 1 / rate
-                    count += 1
+                    frame.pts, frame.time_base = frame_count, 1 / rate
+                    frame_count += 1
                     for packet in stream.encode(frame):
                         container.mux(packet)
 
@@ -107,10 +107,10 @@ def _video_frame(av: Any, pixels: Array, palette: Any) -> Any:
     return av.VideoFrame.from_ndarray((np.asarray(indexed), colors), format="pal8")
 
 
-def _palette_image(samples: Sequence[Array]) -> Any:
+def _palette_image(frames: Sequence[Array]) -> Any:
     """Return a palette image with the most important colors of some sample frames."""
     image_module = import_package("PIL.Image")
-    all_pixels = image_module.fromarray(np.ascontiguousarray(np.concatenate(samples)))
+    all_pixels = image_module.fromarray(np.ascontiguousarray(np.concatenate(frames)))
     method = image_module.Quantize.MEDIANCUT
     return all_pixels.quantize(
         PALETTE_SIZE, method=method, dither=image_module.Dither.NONE

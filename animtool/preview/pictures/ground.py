@@ -37,37 +37,37 @@ class GroundRenderer:
 
     def __init__(self, device: Device, radius: float) -> None:
         self._lines = LineRenderer(device)
-        self._cell = round_to_1_2_5(max(radius, 1e-6) * 0.3)
-        self._key: tuple[int, int] | None = None
+        self._cell_size = round_to_1_2_5(max(radius, 1e-6) * 0.3)
+        self._center_cell: tuple[int, int] | None = None
 
     def draw(
-        self, eye: EyeMatrices, center: FloatArray, line: Color, strong: Color
+        self, eye: EyeMatrices, center: FloatArray, line: Color, axis: Color
     ) -> None:
         """Draw the grid around a point."""
-        cell = self._cell
+        cell_size = self._cell_size
         # Rounds half up, like JavaScript.
-        cx, cz = (math.floor(center[k] / cell + 0.5) for k in (0, 2))
-        if (cx, cz) != self._key:
-            self._key = cx, cz
-            self._set_lines(cx, cz, line, strong)
-        fade = (center[0], 0.0, center[2], cell * GRID_CELLS / 2)
+        cx, cz = (math.floor(center[k] / cell_size + 0.5) for k in (0, 2))
+        if (cx, cz) != self._center_cell:
+            self._center_cell = cx, cz
+            self._set_lines(cx, cz, line, axis)
+        fade = (center[0], 0.0, center[2], cell_size * GRID_CELLS / 2)
         self._lines.draw(eye, width=1, fade=fade)
 
-    def _set_lines(self, cx: int, cz: int, line: Color, strong: Color) -> None:
+    def _set_lines(self, cx: int, cz: int, line: Color, axis: Color) -> None:
         """Set the vertices of the grid lines around a cell."""
-        half, cell = GRID_CELLS // 2, self._cell
+        half, cell_size = GRID_CELLS // 2, self._cell_size
         segments = []
         for i in range(-half, half + 1):
-            x, z = (cx + i) * cell, (cz + i) * cell
+            x, z = (cx + i) * cell_size, (cz + i) * cell_size
             # Lines are split into segments: those that pass the camera are less exact.
             for k in range(-half, half, SEGMENT_CELLS):
                 # Segments further out have faded to nothing.
                 if math.hypot(i, min(abs(k), abs(k + SEGMENT_CELLS))) > half:
                     continue
-                left, right = (cx + k) * cell, (cx + k + SEGMENT_CELLS) * cell
-                near, far = (cz + k) * cell, (cz + k + SEGMENT_CELLS) * cell
-                segments.append((x, near, x, far, *(line if cx + i else strong)))
-                segments.append((left, z, right, z, *(line if cz + i else strong)))
+                left, right = (cx + k) * cell_size, (cx + k + SEGMENT_CELLS) * cell_size
+                back, front = (cz + k) * cell_size, (cz + k + SEGMENT_CELLS) * cell_size
+                segments.append((x, back, x, front, *(line if cx + i else axis)))
+                segments.append((left, z, right, z, *(line if cz + i else axis)))
         table = np.array(segments, np.float64)
         ends = np.zeros((2, len(table), 3))
         ends[0][:, [0, 2]], ends[1][:, [0, 2]] = table[:, :2], table[:, 2:4]
@@ -88,7 +88,7 @@ class TrailRenderer:
         poses: Sequence[PosedTake],
         sample: int,
         color: Callable[[int], Color],
-        contact: Color,
+        contact_color: Color,
         shown_layers: frozenset[str],
     ) -> None:
         """Set the trails at a sample."""
@@ -97,7 +97,7 @@ class TrailRenderer:
         for pose in poses:
             if "trails" in shown_layers and pose.trail_joints:
                 trails.append(
-                    self._trail_segments(pose, sample, color(pose.index), contact)
+                    self._trail_segments(pose, sample, color(pose.index), contact_color)
                 )
             for contact_entry in pose.record.get("contacts") or []:
                 code = self._codes[sample : sample + 1]
@@ -108,7 +108,7 @@ class TrailRenderer:
                     contact_position = pose.positions[contact_entry["joint"]]
                     rings.append(
                         _ring_lines(
-                            contact_position, pose.bounds_radius * 0.045, contact
+                            contact_position, pose.bounds_radius * 0.045, contact_color
                         )
                     )
         for lines, segments in ((self._trails, trails), (self._rings, rings)):
@@ -116,7 +116,7 @@ class TrailRenderer:
             lines.set_segments(table[:, :3], table[:, 3:6], table[:, 6:])
 
     def _trail_segments(
-        self, pose: PosedTake, sample: int, color: Color, contact: Color
+        self, pose: PosedTake, sample: int, color: Color, contact_color: Color
     ) -> FloatArray:
         """Return the line segments of a take's trails, which fade with time."""
         first = max(0, sample - TRAIL_SAMPLES)
@@ -125,11 +125,13 @@ class TrailRenderer:
         samples = np.arange(first, last + 1)
         closeness = 1 - np.abs(samples - sample) / (TRAIL_SAMPLES + 1)
         alpha = 255 * closeness * np.where(samples <= sample, 0.95, 0.4)
-        contacts_at = pose.contacts_at(self._codes[samples])
+        is_in_contact = pose.contacts_at(self._codes[samples])
         segments = []
         # Joint by joint, the order in which the page draws them.
         for column in range(len(pose.trail_joints)):
-            segment_colors = np.where(contacts_at[1:, column, None], contact, color)
+            segment_colors = np.where(
+                is_in_contact[1:, column, None], contact_color, color
+            )
             trail_positions = paths[:, column]
             segments.append(
                 np.concatenate(
@@ -165,17 +167,25 @@ class ContactShadow:
     def __init__(self, device: Device) -> None:
         gl, module = device.gl, device.module
         self._device = device
-        self._blur = device.program("shadow.js", "SCREEN_VERTEX", "BLUR_FRAGMENT")
-        self._ground = device.program("shadow.js", "GROUND_VERTEX", "GROUND_FRAGMENT")
-        self._heights = gl.depth_texture((SHADOW_PIXELS, SHADOW_PIXELS))
-        self._heights.compare_func = ""
-        self._heights.filter = module.NEAREST, module.NEAREST
-        self._below = gl.framebuffer([], self._heights)
-        self._maps = [gl.texture((SHADOW_PIXELS, SHADOW_PIXELS), 1) for _ in range(2)]
-        for texture in (self._heights, *self._maps):
+        self._blur_program = device.program(
+            "shadow.js", "SCREEN_VERTEX", "BLUR_FRAGMENT"
+        )
+        self._ground_program = device.program(
+            "shadow.js", "GROUND_VERTEX", "GROUND_FRAGMENT"
+        )
+        self._height_map = gl.depth_texture((SHADOW_PIXELS, SHADOW_PIXELS))
+        self._height_map.compare_func = ""
+        self._height_map.filter = module.NEAREST, module.NEAREST
+        self._height_buffer = gl.framebuffer([], self._height_map)
+        self._blurred_maps = [
+            gl.texture((SHADOW_PIXELS, SHADOW_PIXELS), 1) for _ in range(2)
+        ]
+        for texture in (self._height_map, *self._blurred_maps):
             texture.repeat_x = texture.repeat_y = False
-        self._frames = [gl.framebuffer([texture]) for texture in self._maps]
-        self._area = (0.0, 0.0, 1.0)
+        self._blur_buffers = [
+            gl.framebuffer([texture]) for texture in self._blurred_maps
+        ]
+        self._shadow_area = (0.0, 0.0, 1.0)
 
     def cast(self, view: CameraView, draw: Callable[[EyeMatrices], None]) -> bool:
         """Render the shadow map around the camera target.
@@ -187,40 +197,42 @@ class ContactShadow:
             return False
         texel = 2 * half_width / SHADOW_PIXELS
         x, z = (math.floor(view.target[k] / texel + 0.5) * texel for k in (0, 2))
-        self._area = x, z, half_width
+        self._shadow_area = x, z, half_width
         gl, module = self._device.gl, self._device.module
-        self._below.use()
-        self._below.clear(depth=1.0)
+        self._height_buffer.use()
+        self._height_buffer.clear(depth=1.0)
         gl.enable(module.DEPTH_TEST)
         eye = _upward_view(view, x, z, half_width)
         draw(eye)
         gl.disable(module.DEPTH_TEST)
         blur_radius = 1.5 / SHADOW_PIXELS
         passes = (
-            (self._frames[0], self._heights, (blur_radius, 0.0), 1.0),
-            (self._frames[1], self._maps[0], (0.0, blur_radius), 0.0),
+            (self._blur_buffers[0], self._height_map, (blur_radius, 0.0), 1.0),
+            (self._blur_buffers[1], self._blurred_maps[0], (0.0, blur_radius), 0.0),
         )
         for frame, source, step, heights in passes:
             frame.use()
             source.use(0)
-            self._device.set_uniforms(self._blur, eye, reach=step, heights=heights)
-            self._blur["source"].value = 0
-            self._device.draw_generated(self._blur, 3)
+            self._device.set_uniforms(
+                self._blur_program, eye, reach=step, heights=heights
+            )
+            self._blur_program["source"].value = 0
+            self._device.draw_generated(self._blur_program, 3)
         return True
 
     def draw(self, eye: EyeMatrices) -> None:
         """Draw the contact shadows on the ground."""
-        self._maps[1].use(0)
-        self._device.set_uniforms(self._ground, eye, area=self._area)
-        self._ground["map"].value = 0
+        self._blurred_maps[1].use(0)
+        self._device.set_uniforms(self._ground_program, eye, area=self._shadow_area)
+        self._ground_program["map"].value = 0
         strip = self._device.module.TRIANGLE_STRIP
-        self._device.draw_generated(self._ground, 4, strip)
+        self._device.draw_generated(self._ground_program, 4, strip)
 
 
 def _upward_view(
     view: CameraView, x: float, z: float, half_width: float
 ) -> EyeMatrices:
-    """Return an orthographic camera that looks up from below the ground."""
+    """Return the matrices of an orthographic camera that looks up from below ground."""
     height = SHADOW_HEIGHT * view.radius
     depth = -SHADOW_DEPTH * height
     k = 2 / (height - depth)

@@ -78,7 +78,7 @@ KINDS: dict[str, PictureKind] = {
 
 
 # Numbers of frames in file names, as other tools write them.
-_NUMBERED = re.compile(r"%\d*d|#{2,}|\$F\d?")
+_FRAME_PATTERN = re.compile(r"%\d*d|#{2,}|\$F\d?")
 
 
 def picture_kind(path: Path) -> PictureKind | None:
@@ -94,7 +94,7 @@ def picture_kind(path: Path) -> PictureKind | None:
         message = f"{suffix_text(path)} is neither a page nor a picture"
         hint = f"allowed: .html, {', '.join(KINDS)}"
         raise OptionError(Fault("PRV002", message, str(path), (), hint))
-    if match := _NUMBERED.search(path.name):
+    if match := _FRAME_PATTERN.search(path.name):
         message = f"{match[0]!r} stands for no number: one picture shows all its frames"
         hint = (
             "write a film, such as walk.mp4, or name one frame with "

@@ -69,7 +69,9 @@ class PosedTake:
         ]
         self.first: int = (record.get("span") or [0])[0]
         self.shift = np.array(record.get("offset") or [0.0] * 3)
-        self.tips = [(int(j), np.array(at)) for j, *at in skeleton.get("tips") or []]
+        self.tips = [
+            (int(j), np.array(position)) for j, *position in skeleton.get("tips") or []
+        ]
         self.world = np.zeros((self.count, 4, 4))
         self.is_visible, self.bounds_radius = True, 1.0
         self.root = self._find_root()
@@ -84,8 +86,11 @@ class PosedTake:
             if component == "t"
             for j in joints
         }
-        order = [int(j) for level in self.levels for j in level]
-        return next((j for j in order if j in translated), order[0] if order else 0)
+        joints_by_depth = [int(j) for level in self.levels for j in level]
+        return next(
+            (j for j in joints_by_depth if j in translated),
+            joints_by_depth[0] if joints_by_depth else 0,
+        )
 
     def _trail_joints(self) -> list[int]:
         """Return the joints with trails: the root and the feet."""
@@ -103,11 +108,11 @@ class PosedTake:
             ][:8]
         return list(dict.fromkeys([self.root, *feet]))
 
-    def sample_values(self, number: int | None, sample: int) -> FloatArray | None:
+    def sample_values(self, stream: int | None, sample: int) -> FloatArray | None:
         """Return a stream's values at a page sample."""
-        if number is None:
+        if stream is None:
             return None
-        return self._streams.sample_values(number, sample - self.first)
+        return self._streams.sample_values(stream, sample - self.first)
 
     def update(self, sample: int) -> None:
         """Pose the skeleton at a sample."""
@@ -118,8 +123,8 @@ class PosedTake:
     def _posed_matrices(self, sample: int) -> FloatArray:
         """Return the world matrices of the joints at a sample ``(J, 4, 4)``."""
         values = self._values
-        for component, number, joints in self._animated:
-            stored_values = self._streams.sample_values(number, sample - self.first)
+        for component, stream, joints in self._animated:
+            stored_values = self._streams.sample_values(stream, sample - self.first)
             values[component][joints] = stored_values.reshape(len(joints), -1)
         world = compose_matrices(values["t"], values["r"], values["s"])
         for level in self.levels[1:]:
@@ -149,10 +154,10 @@ class PosedTake:
 
     def trail_positions(self, first: int, last: int) -> FloatArray:
         """Return positions of the trail joints in a range of samples ``(F, T, 3)``."""
-        cached_paths = self._paths
+        previous_paths = self._paths
         # Positions that the next picture of a film needs are kept.
         self._paths = {
-            i: cached_paths[i] for i in range(first, last + 1) if i in cached_paths
+            i: previous_paths[i] for i in range(first, last + 1) if i in previous_paths
         }
         for sample in range(first, last + 1):
             if sample not in self._paths:

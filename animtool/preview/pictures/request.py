@@ -53,7 +53,7 @@ class CameraChoice:
         view.yaw, view.pitch = self.yaw, min(max(self.pitch, -MAX_PITCH), MAX_PITCH)
 
     def position(self, view: CameraView) -> None:
-        """Set the distance and target of a view after it is framed, if given."""
+        """Set the distance and target of a framed view, if the choice has them."""
         if self.distance is not None:
             view.distance, view.target = self.distance, np.array(self.target)
 

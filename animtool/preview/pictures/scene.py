@@ -1,4 +1,4 @@
-"""Draws all 3D content of a page in order."""
+"""Draws the 3D contents of a page."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ TAKE_COLORS: tuple[Color, ...] = (
     *((186, 92, 150), (138, 120, 206), (196, 84, 80)),
 )
 
-Solid: TypeAlias = MeshRenderer | InstanceRenderer | PointRenderer | StrandRenderer
+Drawable: TypeAlias = MeshRenderer | InstanceRenderer | PointRenderer | StrandRenderer
 
 
 class SceneRenderer:
@@ -84,7 +84,7 @@ class SceneRenderer:
             InstanceRenderer(device, streams, entry, self._meshes[entry["mesh"]])
             for entry in manifest["instances"]
         ]
-        self._clouds = [
+        self._points = [
             PointRenderer(device, streams, entry) for entry in manifest["points"]
         ]
         self._strands = [
@@ -98,7 +98,7 @@ class SceneRenderer:
         self._shadow = ContactShadow(device)
         self._ground = GroundRenderer(device, 1.0)
         self._colors = theme_colors()
-        self._crowd = len(self._poses) > MAX_SHADOW_CASTERS
+        self._is_crowd = len(self._poses) > MAX_SHADOW_CASTERS
         self._sample = -1
 
     def _pose_of_entry(self, entry: Mapping[str, Any]) -> PosedTake | None:
@@ -129,7 +129,7 @@ class SceneRenderer:
         min_travel = MIN_PATH_RATIO * float(np.ptp(offsets[:, 1]))
         is_following = (
             self._main_pose is not None
-            and not self._crowd
+            and not self._is_crowd
             and travel > max(self._main_pose.bounds_radius, min_travel)
         )
         framed_bounds, all_bounds, character_bounds = Bounds(), Bounds(), Bounds()
@@ -161,7 +161,7 @@ class SceneRenderer:
             mesh.grow_bounds(characters if mesh.is_skinned else bounds)
         bounds.join(characters)
         drawn_objects: list[InstanceRenderer | PointRenderer | StrandRenderer]
-        drawn_objects = [*self._instances, *self._clouds, *self._strands]
+        drawn_objects = [*self._instances, *self._points, *self._strands]
         for item in drawn_objects:
             item.grow_bounds(bounds)
         character_bounds.join(characters, shift)
@@ -181,12 +181,12 @@ class SceneRenderer:
         for pose in self._poses:
             pose.update(sample)
         if "meshes" in self._shown_layers:
-            for solid in self._shown_solids():
-                solid.update(sample)
+            for drawable in self._drawables():
+                drawable.update(sample)
 
-    def _shown_solids(self) -> list[Solid]:
+    def _drawables(self) -> list[Drawable]:
         """Return the meshes, instances, points and strands to draw."""
-        return [*self._meshes, *self._instances, *self._clouds, *self._strands]
+        return [*self._meshes, *self._instances, *self._points, *self._strands]
 
     def draw(
         self,
@@ -205,13 +205,13 @@ class SceneRenderer:
                 ``view``.
         """
         self._update(sample)
-        visible = [pose for pose in self._poses if pose.is_visible]
+        poses = [pose for pose in self._poses if pose.is_visible]
         if self._main_pose is not None:
             view.follow_position(self._main_pose.root_position)
         accent = self._colors["accent"]
         has_several_takes = len(self._poses) > 1
         self._trails.update(
-            [] if self._crowd else visible,
+            [] if self._is_crowd else poses,
             sample,
             self._take_color if has_several_takes else lambda _: accent,
             self._colors["contact"],
@@ -223,35 +223,38 @@ class SceneRenderer:
         eye = eye or view.eye_matrices()
         has_shadow = "shadows" in self._shown_layers and self._shadow.cast(
             view,
-            lambda eye_from_below: self._draw_casting(
-                eye_from_below, visible, view.radius
+            lambda eye_from_below: self._draw_shadow_casters(
+                eye_from_below, poses, view.radius
             ),
         )
 
         def draw(target: Any) -> None:
             """Draw all layers into a framebuffer."""
-            self._draw_all(eye, view, visible, target, has_shadow=has_shadow, shot=shot)
+            self._draw_all(eye, view, poses, target, has_shadow=has_shadow, shot=shot)
 
         return picture.draw(self._colors["view"], draw)
 
-    def _draw_casting(
-        self, eye: EyeMatrices, visible: list[PosedTake], radius: float
+    def _draw_shadow_casters(
+        self, eye: EyeMatrices, poses: list[PosedTake], radius: float
     ) -> None:
         """Draw the objects that cast a contact shadow."""
         shadow_casters = [
-            solid
-            for solid in self._shown_solids()
-            if not (isinstance(solid, MeshRenderer) and solid.is_ground_or_room(radius))
+            drawable
+            for drawable in self._drawables()
+            if not (
+                isinstance(drawable, MeshRenderer)
+                and drawable.is_ground_or_room(radius)
+            )
         ]
-        self._draw_shapes(eye, shadow_casters)
+        self._draw_objects(eye, shadow_casters)
         if not self._has_surfaces:
-            self._draw_bones(eye, visible, axes=False)
+            self._draw_bones(eye, poses, axes=False)
 
     def _draw_all(
         self,
         eye: EyeMatrices,
         view: CameraView,
-        visible: list[PosedTake],
+        poses: list[PosedTake],
         target: Any,
         *,
         has_shadow: bool,
@@ -259,7 +262,7 @@ class SceneRenderer:
     ) -> None:
         """Draw all layers, starting with the ground."""
         far_eye = eye.with_depth_range(0.1, 1.0)
-        self._draw_shapes(far_eye, self._shown_solids())
+        self._draw_objects(far_eye, self._drawables())
         target.depth_mask = False
         with self._device.blending():
             if has_shadow:
@@ -273,11 +276,11 @@ class SceneRenderer:
         target.depth_mask = True
         axes = "axes" in self._shown_layers
         if not self._has_surfaces:
-            self._draw_bones(far_eye, visible, axes=axes)
+            self._draw_bones(far_eye, poses, axes=axes)
             return
         # Drawn in front of the skin, which would hide them.
         with self._device.blending():
-            self._draw_bones(eye.with_depth_range(0.0, 0.1, 0.5), visible, axes=axes)
+            self._draw_bones(eye.with_depth_range(0.0, 0.1, 0.5), poses, axes=axes)
 
     @property
     def _has_surfaces(self) -> bool:
@@ -287,18 +290,18 @@ class SceneRenderer:
             for mesh in self._meshes
         )
 
-    def _draw_shapes(self, eye: EyeMatrices, shapes: Sequence[Solid]) -> None:
-        """Draw objects, except meshes if these are hidden."""
-        for shape in shapes if "meshes" in self._shown_layers else []:
-            if not (isinstance(shape, MeshRenderer) and shape.is_prototype):
-                shape.draw(eye)
+    def _draw_objects(self, eye: EyeMatrices, drawables: Sequence[Drawable]) -> None:
+        """Draw objects, unless meshes are hidden."""
+        for drawable in drawables if "meshes" in self._shown_layers else []:
+            if not (isinstance(drawable, MeshRenderer) and drawable.is_prototype):
+                drawable.draw(eye)
 
     def _draw_bones(
-        self, eye: EyeMatrices, visible: list[PosedTake], *, axes: bool
+        self, eye: EyeMatrices, poses: list[PosedTake], *, axes: bool
     ) -> None:
         """Draw skeletons and joint axes, as requested."""
         bones = "bones" in self._shown_layers
-        self._bones.draw(eye, visible, self._take_color, bones=bones, axes=axes)
+        self._bones.draw(eye, poses, self._take_color, bones=bones, axes=axes)
 
     def _take_color(self, take: int) -> Color:
         """Return the color of a take."""

@@ -53,11 +53,11 @@ class GeometryBuffers:
         self.faces = (
             streams.static_values(record["faces"]).astype(np.uint32).reshape(-1, 3)
         )
-        self.smooth = len(self.rest_points) >= MIN_SMOOTH_POINTS
+        self.is_smooth = len(self.rest_points) >= MIN_SMOOTH_POINTS
         self.radius = float(np.abs(self.rest_points).max(initial=0.0))
         self.points, self.normals = VertexBuffer(device), VertexBuffer(device)
         self.set_points(self.rest_points)
-        self.index = device.gl.buffer(self.faces.tobytes())
+        self.index_buffer = device.gl.buffer(self.faces.tobytes())
         self.buffers: list[tuple[Any, str, str]] = [
             (self.points.buffer, "3f", "point"),
             (self.normals.buffer, "3f", "normal"),
@@ -83,13 +83,13 @@ class GeometryBuffers:
 
     def set_points(self, points: Array) -> None:
         """Replace the points, and compute their normals."""
-        normals = vertex_normals(points, self.faces) if self.smooth else points
+        normals = vertex_normals(points, self.faces) if self.is_smooth else points
         self.points.write(np.asarray(points, "<f4"))
         self.normals.write(np.asarray(normals, "<f4"))
 
 
 class MeshRenderer:
-    """Draws a mesh that is skinned in the shader, shape-deformed, or a point cache."""
+    """Draws a mesh that is static, skinned, deformed by shapes, or a point cache."""
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class MeshRenderer:
         self.record, self.pose = record, pose
         self.is_prototype = bool(record.get("prototype"))
         self.geometry = self._shared_geometry(geometries)
-        self._shown = self.geometry.rest_points
+        self._drawn_points = self.geometry.rest_points
         self._shapes = [
             (
                 shape["column"],
@@ -114,15 +114,15 @@ class MeshRenderer:
             )
             for shape in record.get("shapes") or []
         ]
-        self._amounts = np.zeros(len(self._shapes))
+        self._applied_weights = np.zeros(len(self._shapes))
         skin = record.get("skin") if pose else None
         self._joints = np.array(skin["palette"], np.int64) if skin else None
         self._palette = TextureTable(device)
-        self.hidden = False
+        self.is_hidden = False
         has_colors = self.geometry.has_colors
         defines = {"SKIN": skin, "PAINT": has_colors, "INSTANCES": self.is_prototype}
         names = tuple(name for name, is_on in defines.items() if is_on)
-        self.program = device.program("meshes.js", kinds=names)
+        self.program = device.program("meshes.js", defines=names)
         color = record.get("color")
         self._color = srgb_bytes(DEFAULT_COLOR if color is None else color) / 255
         self._array: Any = None
@@ -132,7 +132,7 @@ class MeshRenderer:
     def _shared_geometry(
         self, geometries: dict[tuple[Any, ...], GeometryBuffers]
     ) -> GeometryBuffers:
-        """Return the buffers of the rest mesh, which equal static meshes share."""
+        """Return the buffers of the rest mesh, shared with equal undeformed meshes."""
         record, skin = self.record, self.record.get("skin") or {}
         if record.get("cache") is not None or record.get("shapes"):
             return GeometryBuffers(self._device, self._streams, record)
@@ -156,7 +156,7 @@ class MeshRenderer:
         return self._device.gl.vertex_array(
             self.program,
             [*buffers, *extra_buffers],
-            self.geometry.index,
+            self.geometry.index_buffer,
             index_element_size=4,
         )
 
@@ -170,33 +170,33 @@ class MeshRenderer:
         pose, record = self.pose, self.record
         first = pose.first if pose else 0
         visible = record.get("visible")
-        self.hidden = (
+        self.is_hidden = (
             visible is not None
             and self._streams.sample_values(visible, sample - first)[0] == 0
         ) or (pose is not None and not pose.is_visible)
-        if self.hidden:
+        if self.is_hidden:
             return
         if pose is not None and self._joints is not None:
             matrices = pose.world[self._joints] @ self.geometry.bind
             cells = np.zeros((len(matrices), 4, 4), np.float32)
             cells[:, :3], cells[:, 3, 0] = matrices[:, :3], -1
             self._palette.upload(cells.reshape(-1, 4))
-        track = pose.record.get("shapes") if pose else None
-        if pose is not None and track and self._shapes:
-            weights = pose.sample_values(track["weights"], sample)
+        shape_track = pose.record.get("shapes") if pose else None
+        if pose is not None and shape_track and self._shapes:
+            weights = pose.sample_values(shape_track["weights"], sample)
             if weights is not None:
                 self._apply_shapes(weights)
         if record.get("cache") is not None:
             cached_points = self._streams.sample_values(record["cache"], sample - first)
-            self._shown = cached_points.reshape(-1, 3)
-            self.geometry.set_points(self._shown)
+            self._drawn_points = cached_points.reshape(-1, 3)
+            self.geometry.set_points(self._drawn_points)
 
     def _apply_shapes(self, weights: FloatArray) -> None:
-        """Apply blend shapes to the points if the weights changed."""
+        """Deform the points by blend shapes if their weights changed."""
         shape_weights = np.array([weights[column] for column, _, _ in self._shapes])
-        if np.array_equal(shape_weights, self._amounts):
+        if np.array_equal(shape_weights, self._applied_weights):
             return
-        self._amounts = shape_weights
+        self._applied_weights = shape_weights
         points = self.geometry.rest_points.astype(np.float64)
         for shape_weight, (_, vertices, offsets) in zip(
             shape_weights, self._shapes, strict=True
@@ -211,14 +211,14 @@ class MeshRenderer:
         if self.is_prototype or (pose is not None and not pose.is_visible):
             return
         if pose is None or self._joints is None:
-            bounds.add(self._shown.astype(np.float64))
+            bounds.add(self._drawn_points.astype(np.float64))
             return
-        subset = slice(
+        sampled_vertices = slice(
             None, None, max(-(-len(geometry.rest_points) // BOUNDS_VERTICES), 1)
         )
-        first_joints = geometry.joints[subset, 0]
+        first_joints = geometry.joints[sampled_vertices, 0]
         matrices = pose.world[self._joints[first_joints]] @ geometry.bind[first_joints]
-        points = geometry.rest_points[subset].astype(np.float64)
+        points = geometry.rest_points[sampled_vertices].astype(np.float64)
         bounds.add(
             np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3]
         )
@@ -235,9 +235,11 @@ class MeshRenderer:
         width = min(high[0] - low[0], high[2] - low[2])
         return bool(high[1] < GROUND_HEIGHT * radius or width > ROOM_WIDTH * radius)
 
-    def draw(self, eye: EyeMatrices, array: Any = None, copies: int = 1) -> None:
+    def draw(
+        self, eye: EyeMatrices, array: Any = None, instance_count: int = 1
+    ) -> None:
         """Draw the mesh once, or an instance of it for each row of an array."""
-        if self.hidden or not copies:
+        if self.is_hidden or not instance_count:
             return
         shift = self.pose.shift if self.pose else (0.0, 0.0, 0.0)
         palette = {} if self._joints is None else {"palette": self._palette}
@@ -246,11 +248,11 @@ class MeshRenderer:
             eye,
             color=self._color,
             shift=shift,
-            faceted=0.0 if self.geometry.smooth else 1.0,
+            faceted=0.0 if self.geometry.is_smooth else 1.0,
             **palette,
         )
         vertex_array = self._array if array is None else array
-        vertex_array.render(self._device.module.TRIANGLES, instances=copies)
+        vertex_array.render(self._device.module.TRIANGLES, instances=instance_count)
 
 
 class InstanceRenderer:
@@ -264,7 +266,7 @@ class InstanceRenderer:
         mesh: MeshRenderer,
     ) -> None:
         self._streams, self._record, self._mesh = streams, record, mesh
-        self._matrices_table, self._colors = VertexBuffer(device), VertexBuffer(device)
+        self._matrix_buffer, self._colors = VertexBuffer(device), VertexBuffer(device)
         self._count = streams.width(record["t"]) // 3
         color = mesh.record.get("color") or DEFAULT_COLOR
         self._colors.write(repeat_color(self._count, srgb_bytes(color)))
@@ -283,28 +285,28 @@ class InstanceRenderer:
         is_visible = np.isfinite(positions[:, 0])
         if record["visible"] is not None:
             is_visible &= streams.sample_values(record["visible"], sample) != 0
-        sizes = None
+        visible_scales = None
         if record["s"] is not None:
             scales = streams.sample_values(record["s"], sample).reshape(-1, 3)
-            sizes = scales[is_visible].astype(np.float64)
+            visible_scales = scales[is_visible].astype(np.float64)
         self.matrices = compose_matrices(
-            positions[is_visible], rotations[is_visible], sizes
+            positions[is_visible], rotations[is_visible], visible_scales
         )
-        if self._matrices_table.write(self.matrices.swapaxes(1, 2).astype("<f4")):
+        if self._matrix_buffer.write(self.matrices.swapaxes(1, 2).astype("<f4")):
             self._array = self._mesh.vertex_array(
                 [
-                    (self._matrices_table.buffer, "16f/i", "placed"),
+                    (self._matrix_buffer.buffer, "16f/i", "placed"),
                     (self._colors.buffer, "3f1/i", "ownColor"),
                 ]
             )
 
     def grow_bounds(self, bounds: Bounds) -> None:
         """Grow bounds by the instances."""
-        sizes = self._mesh.geometry.radius * np.linalg.norm(
+        radii = self._mesh.geometry.radius * np.linalg.norm(
             self.matrices[:, :3, 0], axis=1
         )
         for side in (-1, 1):
-            bounds.add(self.matrices[:, :3, 3] + side * sizes[:, None])
+            bounds.add(self.matrices[:, :3, 3] + side * radii[:, None])
 
     def draw(self, eye: EyeMatrices) -> None:
         """Draw the instances."""
@@ -318,12 +320,12 @@ class PointRenderer:
         self._streams, self._record = streams, record
         self._sprites = SpriteRenderer(device)
         count = streams.width(record["positions"]) // 3
-        self._tints = repeat_color(
+        self._point_colors = repeat_color(
             count, srgb_bytes(record.get("color") or POINT_COLOR)
         )
         if record.get("colors") is not None:
             colors = streams.static_values(record["colors"]) / 255
-            self._tints = srgb_bytes(colors).astype(np.uint8).reshape(-1, 3)
+            self._point_colors = srgb_bytes(colors).astype(np.uint8).reshape(-1, 3)
         radii = record.get("radii")
         self._radii = None if radii is None else streams.static_values(radii)
         self.pose = None
@@ -334,7 +336,7 @@ class PointRenderer:
         self._points = move_missing_offscreen(
             self._streams.sample_values(self._record["positions"], sample)
         )
-        self._sprites.set_points(self._points, self._tints, self._radii)
+        self._sprites.set_points(self._points, self._point_colors, self._radii)
 
     def grow_bounds(self, bounds: Bounds) -> None:
         """Grow bounds by the points."""
@@ -387,6 +389,6 @@ class StrandRenderer:
         bounds.add(self._points)
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Draw them."""
+        """Draw the strands."""
         if self.pose is None or self.pose.is_visible:
             self._lines.draw(eye, width=1, world_width=self._record.get("width") or 0.0)

@@ -1,4 +1,4 @@
-"""Shaders and colors of the page viewer, read from its sources."""
+"""Reads shaders and colors from the sources of the page viewer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHADER_HEADER = (
 
 
 def shader_source(module: str, name: str) -> str:
-    """Return a shader of the viewer, as used by WebGL.
+    """Return the source of a shader of the viewer.
 
     >>> shader_source("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
     True
