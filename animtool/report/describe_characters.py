@@ -59,7 +59,7 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
     Args:
         path: A USD file.
     """
-    from animtool.usd.takes.stage_takes import read_characters
+    from animtool.usd.takes.read import read_characters
 
     readers = read_characters(Path(path))
     if len(readers) < 2:

@@ -386,7 +386,7 @@ def open_checked(
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
     """Return, by Skeleton path, a function that opens the take of that Skeleton."""
-    from animtool.usd.takes.stage_takes import read_characters
+    from animtool.usd.takes.read import read_characters
 
     note_input(path)
 

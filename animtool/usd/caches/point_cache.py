@@ -28,7 +28,7 @@ from animtool.usd.caches.writer import (
 )
 from animtool.usd.layers.chunks import (
     ChunkedWriter,
-    OneLayer,
+    LayerWriter,
     author_span,
     point_clip_files,
     write_frames,
@@ -112,19 +112,16 @@ def round_points(
         return round_to_float32(values, unit, ValueLabels(name, "point"), codes)[0]
 
     extent = to_float32("extent", extents, meters_per_unit)
-    values = {"points": rounded_points, "extent": _padded_extents(extent, space.margin)}
+    # Widened by half the width of curves, as `UsdGeom.Curves` does.
+    margins = np.array([[-space.margin], [space.margin]], np.float32)
+    with np.errstate(over="ignore"):
+        values = {"points": rounded_points, "extent": extent + margins}
     if normals is not None:
         values["normals"] = to_float32("normals", normals, 1.0)
     if velocities is not None:
         values["velocities"] = to_float32("velocities", velocities, meters_per_unit)
     code = float(codes[frame])
     return Block(mesh, codes, values, points.shape[1], error, code, vertex)
-
-
-def _padded_extents(extents: Float32Array, margin: float) -> Float32Array:
-    """Return bounds of points widened by the curve width, as `UsdGeom.Curves` does."""
-    with np.errstate(over="ignore"):
-        return extents + np.array([[-margin], [margin]], np.float32)
 
 
 def author_cache(
@@ -139,7 +136,7 @@ def author_cache(
     layer = new_layer(job.output)
     reports = [CachedMesh(path) for path in job.meshes]
     writers = [PointWriter(layer, report) for report in reports]
-    layer_writer = OneLayer(writers)
+    layer_writer = LayerWriter(writers)
     with Sdf.ChangeBlock():
         _author_prims(layer, job)
         write_frames(blocks, layer_writer, reports)

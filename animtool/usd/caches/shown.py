@@ -40,6 +40,7 @@ from animtool.usd.rigs.prims import (
     search_root,
     self_and_ancestors,
     up_axis,
+    varying_xformables,
 )
 from animtool.usd.rigs.skinned import is_bone_mesh, skinned_prims
 
@@ -85,13 +86,7 @@ class ShownPrim:
     @cached_property
     def is_moving(self) -> bool:
         """Whether the prim's world transform changes over time."""
-        for prim in self_and_ancestors(self.prim):
-            xformable = UsdGeom.Xformable(prim)
-            if xformable and xformable.TransformMightBeTimeVarying():
-                return True
-            if xformable and xformable.GetResetXformStack():
-                return False
-        return False
+        return any(True for _ in varying_xformables(self.prim))
 
     @property
     def is_animated(self) -> bool:

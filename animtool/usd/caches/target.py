@@ -122,9 +122,8 @@ def open_cache_target(
         if name not in prims_by_name:
             continue
         mesh = UsdGeom.Mesh(prims_by_name[name])
-        faults += _mesh_mismatches(mesh, name, count, rig) + _animated_ancestors(
-            mesh, skeleton, rig
-        )
+        faults += _mesh_mismatches(mesh, name, count, rig)
+        faults += _animated_ancestors(mesh, skeleton, rig)
         meshes.append(_target_mesh(mesh, name, skeleton, rig))
     attachments = {
         entry.name: (entry, source)
@@ -134,11 +133,10 @@ def open_cache_target(
         if name not in attachments:
             continue
         entry, source = attachments[name]
-        basis_curves = UsdGeom.BasisCurves(source)
-        faults += _curve_mismatch(
-            basis_curves, entry, curve_shape, rig
-        ) + _animated_ancestors(basis_curves, skeleton, rig)
-        strands.append(_target_strands(basis_curves, name, skeleton, rig))
+        curves = UsdGeom.BasisCurves(source)
+        faults += _curve_mismatch(curves, entry, curve_shape, rig)
+        faults += _animated_ancestors(curves, skeleton, rig)
+        strands.append(_target_strands(curves, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
     unknown = [name for name in point_counts if name not in prims_by_name]

@@ -124,15 +124,10 @@ def check_finite(subject: StageSubject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     layers = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
     for layer in (root, *sorted(layers, key=lambda layer: str(layer.identifier))):
-        specs = _layer_problems(subject, layer, is_root=layer == root)
-        for _, group in groupby(specs, key=lambda item: item[0].GetPrimPath()):
-            yield from _first_findings(
-                list(group), "" if layer == root else _layer_name(layer)
-            )
-
-
-def _layer_name(layer: Any) -> str:
-    return f" (in {layer.GetDisplayName()})"
+        problems = _layer_problems(subject, layer, is_root=layer == root)
+        where = "" if layer == root else f" (in {layer.GetDisplayName()})"
+        for _, group in groupby(problems, key=lambda item: item[0].GetPrimPath()):
+            yield from _first_findings(list(group), where)
 
 
 def _first_findings(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:

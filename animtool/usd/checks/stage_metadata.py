@@ -166,7 +166,9 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
     spans = {
         str(attr.GetPath()): (times[0], times[-1])
         for attr in subject.attributes
-        if (times := subject.times(attr)) and not _is_shared(attr.GetPrim())
+        if (times := subject.times(attr))
+        # Characters share such an animation with different time offsets.
+        and not stored_data(attr.GetPrim()).get("shared")
     }
     if not spans:
         return
@@ -223,11 +225,6 @@ def _check_off_frame_ends(
     if unsampled_ends:
         message = f"the range {' and '.join(unsampled_ends)}, but samples are at "
         yield finding("USD289", ROOT_PATH, message + span_label(*sample_span))
-
-
-def _is_shared(prim: Any) -> bool:
-    """Return whether characters share an animation with different time offsets."""
-    return bool(stored_data(prim).get("shared"))
 
 
 def check_units(subject: StageSubject) -> Iterator[Fault]:

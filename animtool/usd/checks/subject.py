@@ -137,11 +137,8 @@ def _sample_values(attr: Any, times: list[float]) -> list[Any]:
             if layer_times:
                 if len(layer_times) == len(times) and offset.scale > 0:
                     query, path = spec.layer.QueryTimeSample, spec.path
-                    return [_array_or_none(query(path, time)) for time in layer_times]
+                    values = (query(path, time) for time in layer_times)
+                    return [v if isinstance(v, Sized) else None for v in values]
                 break
     query = Usd.AttributeQuery(attr)
     return [query.Get(time) for time in times]
-
-
-def _array_or_none(value: Any) -> Any:
-    return value if isinstance(value, Sized) else None

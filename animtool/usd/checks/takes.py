@@ -44,10 +44,7 @@ from animtool.usd.rigs.prims import (
     stored_data,
     up_axis,
 )
-from animtool.usd.takes.animation_values import (
-    build_scale_channel,
-    fill_with_rest,
-)
+from animtool.usd.takes.animation_values import build_scale_channel, fill_with_rest
 from animtool.usd.takes.library import stored_take_range
 
 
@@ -66,7 +63,8 @@ class AnimationTake:
     influencing_joints: frozenset[str] | None
     # Joint positions of the bind pose, world ``(J, 3)`` [m].
     bind_positions: FloatArray | None
-    frames_per_second: float | None  # framesPerSecond, if authored
+    # framesPerSecond of the stage; None if not authored or invalid.
+    frames_per_second: float | None
     is_reduced: bool  # whether redundant samples were removed
 
 
@@ -199,6 +197,7 @@ def _animation_take(
     rig = replace(rig_data.rig, shapes=tuple(Shape(name) for name in shapes))
     rig = rest_rig(rig, placement)
     take = Take(rig, _build_clock(subject, codes), motion_channels)
+    rate = float(stage.GetFramesPerSecond())
     return AnimationTake(
         str(animation.GetPath()),
         take,
@@ -207,17 +206,9 @@ def _animation_take(
         skeleton is not None,
         _influencing_joints(skeleton, rig_data, stage_data) if skeleton else None,
         _bind_positions(skeleton, rig_data.rig, placement) if skeleton else None,
-        _frames_per_second(subject.stage),
+        rate if stage.HasAuthoredMetadata("framesPerSecond") and rate > 0.0 else None,
         bool(stored.get("reduced") or stored.get("thinned")),
     )
-
-
-def _frames_per_second(stage: Any) -> float | None:
-    """Return the authored framesPerSecond of a stage; None if missing or invalid."""
-    if not stage.HasAuthoredMetadata("framesPerSecond"):
-        return None
-    rate = float(stage.GetFramesPerSecond())
-    return rate if rate > 0.0 else None
 
 
 def _animation_rig(

@@ -53,11 +53,13 @@ class Change:
 
 # Applies one fix and returns what changed.
 Edit: TypeAlias = Callable[[], Change]
+# Returns the edit that fixes a finding; raises `NotFixableError` if none is safe.
+Fix: TypeAlias = "Callable[[FixTarget, Fault], Edit]"
 
 
 @dataclass(frozen=True, slots=True)
 class FixTarget:
-    """A stage and its root layer; only the root layer is edited."""
+    """A stage and its root layer; only the root layer is edited, in memory."""
 
     stage: Any  # A `Usd.Stage`
     layer: Any  # its root `Sdf.Layer`
@@ -93,6 +95,19 @@ class FixTarget:
             return local_specs[0]
         self.require_local(stack[0])
         return stack[0]
+
+    def find_edit(self, fault: Fault) -> Edit:
+        """Return the edit that fixes a finding, or raise `NotFixableError`."""
+        if fault.code not in EDITS_BY_CODE:
+            raise NotFixableError("there is no automatic fix")
+        fix = cast(Fix, load_object(EDITS_BY_CODE[fault.code]))
+        return fix(self, fault)
+
+    def content(self) -> Any:
+        """Return a snapshot of the layer's content, unaffected by later edits."""
+        copy = Sdf.Layer.CreateAnonymous(".usda")
+        copy.TransferContent(self.layer)
+        return copy
 
     def require_local(self, spec: Any) -> None:
         """Raise `NotFixableError` if a spec is in another file."""
@@ -141,43 +156,15 @@ def _stored_values(spec: Any) -> list[Any]:
     return values
 
 
-# Raises NotFixableError if the fix would not be safe.
-Fix: TypeAlias = Callable[[FixTarget, Fault], Edit]
-
-
-class EditedLayer:
-    """A layer whose content is edited in memory.
-
-    Attributes:
-        target: The stage and the layer.
-    """
-
-    def __init__(self, layer: Any, path: Path) -> None:
-        self.target = FixTarget(open_composed(layer, path), layer)
-
-    def find_edit(self, fault: Fault) -> Edit:
-        """Return the edit that fixes a finding, or raise `NotFixableError`."""
-        if fault.code not in EDITS_BY_CODE:
-            raise NotFixableError("there is no automatic fix")
-        fix = cast(Fix, load_object(EDITS_BY_CODE[fault.code]))
-        return fix(self.target, fault)
-
-    def content(self) -> Any:
-        """Return a snapshot of the content, unaffected by later edits."""
-        copy = Sdf.Layer.CreateAnonymous(".usda")
-        copy.TransferContent(self.target.layer)
-        return copy
-
-
 @contextmanager
-def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
-    """Yield a file's layer with edited content; None is the content of the file."""
+def edited_layer(path: Path, content: Any = None) -> Iterator[FixTarget]:
+    """Yield a file's stage, its layer with edited content; None keeps the content."""
     layer = find_layer(path)
     with without_usd_warnings(), usd_errors(path):
         try:
             if content is not None:
                 layer.TransferContent(content)
-            yield EditedLayer(layer, path)
+            yield FixTarget(open_composed(layer, path), layer)
         finally:
             if layer.dirty:
                 layer.Reload(force=True)
@@ -196,9 +183,9 @@ def refuse_composed_layers(source: Path, output: Path) -> None:
     """Raise if a copy would overwrite a layer that the source composes."""
     if not output.exists():
         return
-    with edited_layer(source) as edited_copy:
+    with edited_layer(source) as target:
         composed_paths = [
-            Path(layer.realPath) for layer in edited_copy.target.stage.GetUsedLayers()
+            Path(layer.realPath) for layer in target.stage.GetUsedLayers()
         ]
     if output.resolve() in {path.resolve() for path in composed_paths}:
         message = f"is a layer of {source}"
@@ -213,8 +200,8 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     same format, the copy has the bytes of the source. Returns descriptions of further
     changes.
     """
-    with edited_layer(source, content) as edited_copy:
-        layer = edited_copy.content()
+    with edited_layer(source, content) as target:
+        layer = target.content()
     reanchored_count = _reanchor_assets(layer, source, output)
     has_same_format = source.suffix.lower() == output.suffix.lower()
     export_arguments = (

@@ -12,12 +12,11 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from animtool.core.array_types import FloatArray
 from animtool.core.clock import FrameSpan
 from animtool.core.files.output import STDOUT, after_commit, replacement_path
 from animtool.core.files.placing import output_error
@@ -33,7 +32,7 @@ from animtool.usd.layers.sdf import (
 )
 
 if TYPE_CHECKING:
-    from animtool.usd.caches.writer import Block
+    from animtool.usd.caches.writer import Block, PointWriter
 
 # Samples are flushed to disk above this size [byte].
 MAX_BUFFERED_BYTES = 32_000_000
@@ -125,14 +124,6 @@ class ClipFiles:
         stem = self.output.stem
         return self.output.with_name(f"{stem}.{self.name}.{number + 1:04d}.usdc")
 
-    @property
-    def defaults_asset(self) -> str:
-        """Asset path of the chunk with default values, a sublayer of the layer.
-
-        Defaults in the layer itself would be stronger than the clips.
-        """
-        return f"./{self.chunk(0).name}"
-
     def existing_chunks(self) -> list[Path]:
         """Return the chunk files that exist, in time order."""
         stem, folder = re.escape(self.output.stem), self.output.parent
@@ -168,62 +159,33 @@ def system_clip_files(output: Path) -> ClipFiles:
     return ClipFiles(output, "systems", manifest)
 
 
-class PrimFrames(Protocol):
-    """A block of frames of one prim."""
-
-    @property
-    def prim(self) -> int:
-        """Index of the prim."""
-
-    @property
-    def codes(self) -> FloatArray:
-        """Time codes ``(F,)``."""
-
-
-FramesT = TypeVar("FramesT", bound=PrimFrames)
-FramesIn_contra = TypeVar("FramesIn_contra", contravariant=True)
-
-
-class FrameWriter(Protocol[FramesIn_contra]):
-    """Writer of the frames of one prim."""
-
-    def add(self, block: FramesIn_contra) -> None:
-        """Write a block of frames of one prim."""
-
-
-class FrameReport(Protocol[FramesIn_contra]):
+class FrameReport(Protocol):
     """Report on the frames of one prim."""
 
-    def count(self, block: FramesIn_contra) -> None:
+    def count(self, block: Block) -> None:
         """Add a block of written frames to the report."""
 
 
 def write_frames(
-    blocks: Iterable[FramesT],
-    writer: FrameWriter[FramesT],
-    reports: Sequence[FrameReport[FramesT]],
+    blocks: Iterable[Block],
+    writer: LayerWriter | ChunkedWriter,
+    reports: Sequence[FrameReport],
 ) -> None:
-    """Write all frames of all prims, and count them in the reports.
-
-    Args:
-        blocks: Blocks of frames.
-        writer: `OneLayer` or `ChunkedWriter`.
-        reports: One report per prim.
-    """
+    """Write blocks of frames of all prims, and count them in the prims' reports."""
     for block in blocks:
         reports[block.prim].count(block)
         writer.add(block)
 
 
-class OneLayer(Generic[FramesT]):
-    """Writes all samples to one layer."""
+class LayerWriter:
+    """Writes all samples of all prims to one layer."""
 
-    def __init__(self, writers: Sequence[FrameWriter[FramesT]]) -> None:
+    def __init__(self, writers: Sequence[PointWriter]) -> None:
         """Start with one writer per prim."""
         self._writers = writers
         self.first, self.last = np.inf, -np.inf  # first and last time code
 
-    def add(self, block: FramesT) -> None:
+    def add(self, block: Block) -> None:
         """Write a block of frames of one prim."""
         self._writers[block.prim].add(block)
         self.first = min(self.first, block.codes[0])
@@ -243,7 +205,7 @@ class ChunkedWriter:
         chunk_size: int,
         prim_count: int,
         open_writers: Callable[
-            [Path, int], AbstractContextManager[Sequence[FrameWriter[Block]]]
+            [Path, int], AbstractContextManager[Sequence[PointWriter]]
         ],
     ) -> None:
         """Start without open files.
@@ -259,9 +221,7 @@ class ChunkedWriter:
         self._chunk_size = chunk_size
         self._open_writers = open_writers
         self._next_samples = [0] * prim_count
-        self._open_chunks: dict[
-            int, tuple[ExitStack, Sequence[FrameWriter[Block]]]
-        ] = {}
+        self._open_chunks: dict[int, tuple[ExitStack, Sequence[PointWriter]]] = {}
         self.starts: list[float] = []
         self.last = -np.inf
         self._manifest: Any = None  # set by `join`
@@ -325,12 +285,27 @@ class ChunkedWriter:
         ``declare`` declares the attributes of the files in a manifest. With
         ``use_defaults``, the layer also gets the default values of the first file.
         """
-        author_clips(layer, path, self.files, self.starts, self.last)
+        self._author_clips(layer, path)
         if use_defaults:
-            layer.subLayerPaths.append(self.files.defaults_asset)
+            # Defaults in the layer itself would be stronger than the clips.
+            layer.subLayerPaths.append(f"./{self.files.chunk(0).name}")
         self._manifest = new_layer(self.files.manifest)
         declare(self._manifest)
         author_metadata(self._manifest, metadata)
+
+    def _author_clips(self, layer: Any, path: str) -> None:
+        """Author the files as value clips of a prim."""
+        starts, files = self.starts, self.files
+        clips = {
+            "assetPaths": Sdf.AssetPathArray(
+                [Sdf.AssetPath(f"./{chunk.name}") for chunk in self.paths]
+            ),
+            "primPath": path,
+            "manifestAssetPath": Sdf.AssetPath(f"./{files.manifest.name}"),
+            "active": Vt.Vec2dArray([(code, i) for i, code in enumerate(starts)]),
+            "times": Vt.Vec2dArray([(code, code) for code in (starts[0], self.last)]),
+        }
+        layer.GetPrimAtPath(path).SetInfo("clips", {files.name: clips})
 
     def finish(self) -> list[Path]:
         """Write the manifest; return all written files.
@@ -350,22 +325,3 @@ def author_span(layer: Any, metadata: StageMetadata) -> None:
     codes = layer.ListAllTimeSamples()
     span = FrameSpan(Fraction(codes[0]), Fraction(codes[-1]), metadata.span.fps)
     author_metadata(layer, replace(metadata, span=span))
-
-
-def author_clips(
-    layer: Any,
-    path: str,
-    files: ClipFiles,
-    starts: Sequence[float],
-    last: float,
-) -> None:
-    """Author chunks as value clips of a prim."""
-    chunks = [Sdf.AssetPath(f"./{files.chunk(i).name}") for i in range(len(starts))]
-    clips = {
-        "assetPaths": Sdf.AssetPathArray(chunks),
-        "primPath": path,
-        "manifestAssetPath": Sdf.AssetPath(f"./{files.manifest.name}"),
-        "active": Vt.Vec2dArray([(code, i) for i, code in enumerate(starts)]),
-        "times": Vt.Vec2dArray([(code, code) for code in (starts[0], last)]),
-    }
-    layer.GetPrimAtPath(path).SetInfo("clips", {files.name: clips})

@@ -104,7 +104,6 @@ class WrittenBlock:
     # Weights of the rig's shapes ``(F, S)`` float32; None without shapes.
     weights: Float32Array | None = None
     has_rounded_scales: bool = False  # whether float16 changes a scale
-    prim: int = 0  # always 0: a SkelAnimation is a single prim
 
 
 @dataclass(slots=True)

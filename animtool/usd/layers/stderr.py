@@ -13,7 +13,7 @@ from animtool.core.quantities import escaped_lines
 
 # Warnings that USD prints for every file with splines or time codes in metadata; users
 # cannot act on them.
-_VERSION_WARNINGS = (
+VERSION_WARNINGS = (
     b"inner looping is deprecated",
     b"A spline was detected which requires",
     b"A timecode or timecode[] value type was detected which requires",
@@ -30,28 +30,14 @@ _LAST_LINE = b" ("
 
 
 @contextmanager
-def without_version_warnings() -> Iterator[None]:
-    """Drop USD's warnings about file versions for splines and time codes.
+def without_usd_warnings(
+    dropped_texts: tuple[bytes, ...] = _DIAGNOSTIC_PREFIXES,
+) -> Iterator[None]:
+    """Return a context that drops USD's warnings, all or those with certain texts.
 
     USD prints them to the process's stderr, bypassing Python. Other output to stderr is
     printed afterwards.
     """
-    with _filtered_stderr(_VERSION_WARNINGS):
-        yield
-
-
-@contextmanager
-def without_usd_warnings() -> Iterator[None]:
-    """Drop USD's warnings about the layers opened in this context.
-
-    Other output to stderr is printed afterwards.
-    """
-    with _filtered_stderr(_DIAGNOSTIC_PREFIXES):
-        yield
-
-
-@contextmanager
-def _filtered_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
         saved_fd = os.dup(2)

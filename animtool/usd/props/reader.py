@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -35,8 +35,8 @@ from animtool.usd.rigs.prims import (
     nearest_prim,
     open_stage,
     sample_times,
-    self_and_ancestors,
     up_axis,
+    varying_xformables,
 )
 
 # Relative rounding error of float64 transforms composed along a hierarchy.
@@ -264,7 +264,13 @@ class _PrimSampler:
 
     def find_constants(self) -> None:
         """Collect sample times, and detect constant transforms, values and scales."""
-        varying_objects = list(self._varying_sources())
+        varying_objects = [
+            attribute
+            for attribute in self.attributes
+            if attribute.ValueMightBeTimeVarying()
+        ]
+        if self.has_transform:
+            varying_objects += varying_xformables(self.prim)
         self.keys = np.array(sample_times(varying_objects))
         codes = self.keys
         if not len(codes):
@@ -288,18 +294,6 @@ class _PrimSampler:
             if has_constant_scales and not self.has_shear
             else None
         )
-
-    def _varying_sources(self) -> Iterator[Any]:
-        """Yield attributes and xformables that may change over time."""
-        for attribute in self.attributes:
-            if attribute.ValueMightBeTimeVarying():
-                yield attribute
-        for prim in self_and_ancestors(self.prim) if self.has_transform else ():
-            xformable = UsdGeom.Xformable(prim)
-            if xformable and xformable.TransformMightBeTimeVarying():
-                yield xformable
-            if xformable and xformable.GetResetXformStack():
-                return
 
     def sample(self, times: FloatArray) -> Transforms:
         """Return the prim's transforms and values at time codes ``(F,)``.

@@ -36,7 +36,6 @@ from animtool.usd.caches.writer import (
     Block,
     CachedMesh,
     FrameForm,
-    FramePrim,
     PointWriter,
     attribute_kind,
     attribute_labels,
@@ -50,7 +49,7 @@ from animtool.usd.layers.chunks import (
     ChunkedWriter,
     ClipFiles,
     GrowingLayer,
-    OneLayer,
+    LayerWriter,
     author_span,
     growing_crate,
     write_frames,
@@ -90,7 +89,7 @@ class _CurvesForm(FrameForm[CurvesFrame]):
         return frame.tears
 
     def author_constants(
-        self, writer: FramePrim, spec: Any, frame: CurvesFrame
+        self, writer: SimulatedPrim, spec: Any, frame: CurvesFrame
     ) -> None:
         """Author type and width of the curves."""
         author_values(spec, POLYLINE)
@@ -98,7 +97,7 @@ class _CurvesForm(FrameForm[CurvesFrame]):
 
     def values(
         self,
-        writer: FramePrim,
+        writer: SimulatedPrim,
         frame: CurvesFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002
@@ -112,7 +111,11 @@ class _PointsForm(FrameForm[PointsFrame]):
     sampled = ("points", "velocities", "ids", "widths")
 
     def values(
-        self, writer: FramePrim, frame: PointsFrame, points: Float32Array, code: float
+        self,
+        writer: SimulatedPrim,
+        frame: PointsFrame,
+        points: Float32Array,
+        code: float,
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return ids, widths and bounds of the particles."""
         widths = writer.to_float32("widths", 2 * frame.radii / writer.unit, code)
@@ -326,7 +329,7 @@ def write_simulated(
     """Write prims to a layer frame by frame; return a report per prim."""
     prims, layer = job.prim_writers(), growing.layer
     reports = [prim_writer.report for prim_writer in prims]
-    writer = OneLayer(
+    writer = LayerWriter(
         [PointWriter(layer, report, every_frame=True) for report in reports]
     )
     write_frames(_write_blocks(job, prims, rows, layer, growing), writer, reports)
@@ -397,11 +400,16 @@ def _write_blocks(
 
     Prims are rotated to the layer's up axis, or get the placement of a rig.
     ``byte_counter`` counts the bytes of each row; None for chunks.
+
+    Raises:
+        OptionError: Characters cannot be written in chunks (SIM151).
     """
     types = Sdf.ValueTypeNames
     for i, (code, frames) in enumerate(rows):
-        if byte_counter is None:
-            _refuse_characters(frames)
+        if byte_counter is None and any(isinstance(f, CharactersFrame) for f in frames):
+            message = "characters with rigs are written in one piece, not in chunks"
+            hint = f"remove {argument('chunk')}"
+            raise OptionError(Fault("SIM151", message, hint=hint))
         for writer, frame in () if i else zip(prims, frames, strict=True):
             writer.author_prim(layer, frame)
             spec = layer.GetPrimAtPath(writer.report.path)
@@ -435,13 +443,6 @@ def _author_placement(
     samples.add(job.codes, rows)
     samples.finish(rows[0])
     author_xform_order(spec, "xformOp:transform")
-
-
-def _refuse_characters(frames: Sequence[Frame]) -> None:
-    """Refuse characters, which are not written frame by frame (SIM151)."""
-    if any(isinstance(frame, CharactersFrame) for frame in frames):
-        message = "characters with rigs are written in one piece, not in chunks"
-        raise OptionError(Fault("SIM151", message, hint=f"remove {argument('chunk')}"))
 
 
 def _declare_attributes(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:

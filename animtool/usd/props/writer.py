@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,11 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.frames import MeshFrame, TransformsFrame
 from animtool.motion.motion import Motion
-from animtool.motion.transforms import PropReference, Track, Transforms
+from animtool.motion.transforms import Track, Transforms
 from animtool.usd.caches.writer import (
     ATTRIBUTES,
     AttributeKind,
     FrameForm,
-    FramePrim,
     author_values,
     bounds,
     bounds_corners,
@@ -44,6 +43,9 @@ from animtool.usd.layers.sdf import (
     prim_spec,
 )
 from animtool.usd.props.placement import PropPlacements, is_same_or_below
+
+if TYPE_CHECKING:
+    from animtool.usd.props.simulated import SimulatedPrim
 
 
 @dataclass(slots=True)
@@ -134,7 +136,9 @@ def author_props(
             layer, placements.layer_path(path), type_name, over=is_existing
         )
         if track.reference is not None:
-            _author_reference(spec, track.reference, output)
+            name = asset_path(Path(track.reference.file), output.parent)
+            prim_path = Sdf.Path(track.reference.prim or "")
+            spec.referenceList.prependedItems.append(Sdf.Reference(name, prim_path))
         transforms = placements.to_parent_space(
             track, path, codes, track.at(times[:, i])
         )
@@ -172,12 +176,6 @@ def _define_ancestors(layer: Any, path: str, placements: PropPlacements) -> None
             prim_spec(layer, spec, "Xform")
 
 
-def _author_reference(spec: Any, reference: PropReference, output: Path) -> None:
-    name = asset_path(Path(reference.file), output.parent)
-    prim_path = Sdf.Path(reference.prim) if reference.prim else Sdf.Path()
-    spec.referenceList.prependedItems.append(Sdf.Reference(name, prim_path))
-
-
 def _author_track(
     spec: Any, track: Track, codes: FloatArray, transforms: Transforms, unit: float
 ) -> None:
@@ -199,7 +197,12 @@ def _author_track(
         matrices[:, :3, 3] /= unit
         matrices[:, :3, :3] *= reference_scale
         rows = matrices.swapaxes(1, 2)
-        author("xformOp:transform", types.Matrix4d, rows, _to_matrix)
+        author(
+            "xformOp:transform",
+            types.Matrix4d,
+            rows,
+            lambda row: Gf.Matrix4d(row.tolist()),
+        )
         author_xform_order(spec, "xformOp:transform")
     elif track.has_transform:
         author(
@@ -218,34 +221,16 @@ def _author_track(
         author_xform_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
     for attribute, values in zip(track.attributes, transforms.values, strict=True):
         value_type = types.Find(attribute.type_name)
-        if attribute.width:
-            make = _to_float if attribute.width == 1 else _to_vector
-            author(
-                attribute.name,
-                value_type,
-                values / (unit if attribute.is_length else 1.0),
-                make,
-            )
-        else:
-            author(
-                attribute.name, value_type, values, _choice_converter(attribute.choices)
-            )
-
-
-def _choice_converter(choices: Sequence[object]) -> Callable[[Any], object]:
-    return lambda row: choices[int(row)]
-
-
-def _to_float(row: FloatArray) -> float:
-    return float(row[0])
-
-
-def _to_vector(row: FloatArray) -> tuple[float, ...]:
-    return tuple(row.tolist())
-
-
-def _to_matrix(row: FloatArray) -> Any:
-    return Gf.Matrix4d(row.tolist())
+        if not attribute.width:
+            author(attribute.name, value_type, values, attribute.choices.__getitem__)
+            continue
+        rows = values / (unit if attribute.is_length else 1.0)
+        author(
+            attribute.name,
+            value_type,
+            rows,
+            lambda row: float(row[0]) if len(row) == 1 else tuple(row.tolist()),
+        )
 
 
 # Operations of an animated Xform.
@@ -269,7 +254,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
     points = "positions"
 
     def author_constants(
-        self, writer: FramePrim, spec: Any, frame: TransformsFrame
+        self, writer: SimulatedPrim, spec: Any, frame: TransformsFrame
     ) -> None:
         """Write the prototype meshes below the prim."""
         author_relationship(
@@ -278,7 +263,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
 
     def values(
         self,
-        writer: FramePrim,
+        writer: SimulatedPrim,
         frame: TransformsFrame,
         points: Float32Array,
         code: float,
@@ -323,7 +308,7 @@ class XformsForm(FrameForm[TransformsFrame]):
             prim_spec(spec.layer, f"{spec.path}/{name}", "Xform")
 
     def author_constants(
-        self, writer: FramePrim, spec: Any, frame: TransformsFrame
+        self, writer: SimulatedPrim, spec: Any, frame: TransformsFrame
     ) -> None:
         """Write meshes, xformOpOrder, and transforms of static instances.
 
@@ -355,7 +340,7 @@ class XformsForm(FrameForm[TransformsFrame]):
 
     def values(
         self,
-        writer: FramePrim,
+        writer: SimulatedPrim,
         frame: TransformsFrame,
         points: Float32Array,  # noqa: ARG002
         code: float,  # noqa: ARG002
@@ -392,7 +377,7 @@ def instance_names(names: Sequence[str]) -> UsdNames:
 
 
 def _write_prototypes(
-    writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]
+    writer: SimulatedPrim, spec: Any, meshes: Sequence[MeshFrame]
 ) -> list[str]:
     """Write prototype meshes below a prim; return their paths."""
     scope = prim_spec(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")

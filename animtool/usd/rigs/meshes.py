@@ -6,7 +6,7 @@ All mesh writers use `author_mesh`, for attributes such as `doubleSided`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,7 @@ from animtool.rig.parts import Subdivision
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
-from animtool.usd.caches.writer import (
-    FrameForm,
-    FramePrim,
-    author_values,
-    bounds,
-)
+from animtool.usd.caches.writer import FrameForm, author_values, bounds
 from animtool.usd.layers.finite import ValueLabels, check_value, narrow_floats
 from animtool.usd.layers.names import RigPaths, distinct_names
 from animtool.usd.layers.sdf import (
@@ -37,6 +32,9 @@ from animtool.usd.layers.sdf import (
     prim_spec,
 )
 from animtool.usd.rigs.skeleton import STRANDS_SCOPE, author_influences
+
+if TYPE_CHECKING:
+    from animtool.usd.props.simulated import SimulatedPrim
 
 # Blend shapes that move a smaller fraction of the vertices are written with indices; an
 # index takes a third of the space of an offset.
@@ -90,13 +88,18 @@ class MeshForm(FrameForm[MeshFrame]):
         """Return whether the topology may change."""
         return frame.tears
 
-    def author_constants(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
+    def author_constants(
+        self,
+        writer: SimulatedPrim,  # noqa: ARG002
+        spec: Any,
+        frame: MeshFrame,
+    ) -> None:
         """Author subdivision scheme and sidedness."""
         author_mesh(spec, {}, is_closed=frame.closed)
 
     def values(
         self,
-        writer: FramePrim,
+        writer: SimulatedPrim,
         frame: MeshFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002
@@ -152,7 +155,9 @@ def author_meshes(
         if path in original_names:
             spec.SetInfo("customData", {"animtool": {"name": original_names[path]}})
         if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
-            _author_transform(spec, surface.geom_bind, meters_per_unit)
+            matrix = _stage_matrix(surface.geom_bind, meters_per_unit)
+            attribute_spec(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
+            author_xform_order(spec, "xformOp:transform")
         if with_bindings and (surface.skin is not None or surface.shapes):
             apply_schemas(spec, ["SkelBindingAPI"])
             if surface.skin is not None:
@@ -196,13 +201,6 @@ def _author_color(spec: Any, color: tuple[float, float, float]) -> None:
         Vt.Vec3fArray([Gf.Vec3f(*color)]),
         interpolation="constant",
     )
-
-
-def _author_transform(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
-    """Author the transform of a mesh without skin."""
-    matrix = _stage_matrix(transform, meters_per_unit)
-    attribute_spec(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
-    author_xform_order(spec, "xformOp:transform")
 
 
 def _stage_matrix(transform: FloatArray, meters_per_unit: float) -> Any:
@@ -254,8 +252,8 @@ def _influence_notices(mesh: str, report: InfluenceReport) -> list[Fault]:
     if not report.normalized_count:
         return []
     message = (
-        f"mesh {mesh!r}: the weights of {report.normalized_count} vertices were normalised "
-        f"to the sum 1; that of vertex {report.sum_vertex} was off by "
+        f"mesh {mesh!r}: the weights of {report.normalized_count} vertices were "
+        f"normalised to the sum 1; that of vertex {report.sum_vertex} was off by "
         f"{report.sum_error:.3g}"
     )
     return [Fault("SKIN101", message, severity=Severity.NOTE)]

@@ -99,14 +99,9 @@ class SkeletonRig:
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage; refuse an invalid rate, range, unit or up axis."""
+    """Open a stage; raise an error if its rate, range, unit or up axis is invalid."""
     stage = open_composed(find_layer(path), path)
-    _check_metadata(stage, PrimLocation(str(path), "/"))
-    return stage
-
-
-def _check_metadata(stage: Any, where: PrimLocation) -> None:
-    """Refuse an invalid rate, range, unit or up axis of a stage."""
+    where = PrimLocation(str(path), "/")
     rate = stage.GetTimeCodesPerSecond()
     if not MIN_METADATA <= rate <= MAX_METADATA:
         where.fail(
@@ -121,6 +116,7 @@ def _check_metadata(stage: Any, where: PrimLocation) -> None:
         if not abs(code) <= MAX_METADATA:
             where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
     where.refuse(unit_and_axis_faults(stage))
+    return stage
 
 
 def find_prim(stage: Any, name: str) -> Any:
@@ -142,6 +138,16 @@ def self_and_ancestors(prim: Any) -> Iterator[Any]:
     while prim and not prim.IsPseudoRoot():
         yield prim
         prim = prim.GetParent()
+
+
+def varying_xformables(prim: Any) -> Iterator[Any]:
+    """Yield the xformables that determine a prim's world transform and may vary."""
+    for ancestor in self_and_ancestors(prim):
+        xformable = UsdGeom.Xformable(ancestor)
+        if xformable and xformable.TransformMightBeTimeVarying():
+            yield xformable
+        if xformable and xformable.GetResetXformStack():
+            return
 
 
 def sample_times(sources: Iterable[Any]) -> list[float]:
@@ -251,11 +257,10 @@ def rig_from_tokens(
         where.fail("USD007", "customData animtool is malformed")
     extras = _parse_joint_extras(custom_data, where)
     original_names = dict(custom_data.get("names", {}))
-    joint_names = (
-        source_names
-        if _are_valid_names(source_names, len(tokens))
-        else [""] * len(tokens)
-    )
+    are_printable = all(name.strip() and name.isprintable() for name in source_names)
+    are_unique = len(set(source_names)) == len(source_names)
+    if not (are_printable and are_unique and len(source_names) == len(tokens)):
+        source_names = [""] * len(tokens)
     translations, rotations, scales = decompose(rest)
     joints: list[Joint] = []
     parents = joint_parents(tokens).tolist()
@@ -276,7 +281,7 @@ def rig_from_tokens(
                 translation=(x, y, z),
                 rotation=(a, b, c, w),
                 source_name=_source_name(
-                    original_names.get(leaf), joint_names[i], leaf, unique
+                    original_names.get(leaf), source_names[i], leaf, unique
                 ),
                 channels=settings.get("channels"),
                 tips=settings.get("tips", ()),
@@ -284,12 +289,6 @@ def rig_from_tokens(
         )
     rig = Rig(name, tuple(joints), meters_per_unit, up)
     return SkeletonRig(rig, list(tokens), scales)
-
-
-def _are_valid_names(names: Sequence[str], joints: int) -> bool:
-    """Return whether there is a valid source name for each joint."""
-    is_printable = all(name.strip() and name.isprintable() for name in names)
-    return is_printable and len(set(names)) == len(names) == joints
 
 
 def _source_name(stored_name: Any, joint_name: str, leaf: str, unique: str) -> str:

@@ -273,7 +273,10 @@ def _exact_grid(times: list[float]) -> SampleGrid | None:
     """Return the coarsest grid that contains every sample; None if too fine."""
     exact_times = [time_fraction(time) for time in times]
     gaps = {b - a for a, b in pairwise(exact_times)}
-    step = _common_divisor(gaps)
+    # The greatest common divisor of the gaps.
+    denominator = math.lcm(*(gap.denominator for gap in gaps))
+    numerators = (int(gap * denominator) for gap in gaps)
+    step = Fraction(math.gcd(*numerators), denominator)
     count = int((exact_times[-1] - exact_times[0]) / step) + 1
     if count > MAX_GRID_RATIO * len(times):
         return None
@@ -369,9 +372,3 @@ def _trim_to_authored_start(grid: SampleGrid, span: _TakeSpan) -> SampleGrid:
     if frames_before.denominator != 1 or frames_before >= grid.count:
         return grid
     return replace(grid, start=start, count=grid.count - int(frames_before))
-
-
-def _common_divisor(gaps: set[Fraction]) -> Fraction:
-    """Return the greatest common divisor of the gaps between samples."""
-    denominator = math.lcm(*(gap.denominator for gap in gaps))
-    return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)

@@ -22,7 +22,6 @@ from animtool.motion.quaternion_order import MOTION_ORDER_HINT, order_warning
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.surfaces import surfaces_of
-from animtool.usd.layers.chunks import OneLayer, write_frames
 from animtool.usd.layers.jobs import (
     LayerForm,
     UsdJob,
@@ -42,7 +41,7 @@ from animtool.usd.layers.sdf import (
     prim_spec,
     save_layer,
 )
-from animtool.usd.layers.stderr import without_usd_warnings, without_version_warnings
+from animtool.usd.layers.stderr import VERSION_WARNINGS, without_usd_warnings
 from animtool.usd.rigs.skeleton import (
     PLACEMENT_KEY,
     author_rig,
@@ -153,7 +152,8 @@ def _author_take(
         _start_library(job, authored, take.name)
     bind_skeleton = job.form is not LayerForm.LAYER and not take.name
     bind_animation(layer, paths, bind_skeleton=bind_skeleton)
-    write_frames(take.blocks, OneLayer([writer]), [writer.rounding])
+    for block in take.blocks:
+        writer.add(block)
     if job.target is None:
         writer.finish([], disable_root_motion=False)
     else:
@@ -287,7 +287,7 @@ def write_usd(
 def _without_usd_messages(result: UsdResult) -> AbstractContextManager[None]:
     """Return a context that drops USD's messages about splines and time codes."""
     has_new_features = any(take.curves or take.name for take in result.takes)
-    return without_version_warnings() if has_new_features else nullcontext()
+    return without_usd_warnings(VERSION_WARNINGS) if has_new_features else nullcontext()
 
 
 def _stage_metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:

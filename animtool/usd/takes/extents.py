@@ -108,7 +108,10 @@ def author_extents(
     stage = _compose_stage(job, layers)
     for name, writer in writers:
         if name:
-            _select_variant(stage, job, name)
+            from animtool.usd.takes.library import find_take_set, select_take
+
+            takes = find_take_set(stage.GetPrimAtPath(job.paths.model))
+            select_take(takes, name, "")
         if name or job.target is not None:
             _check_binding(job, stage, writer.paths.animation, is_library=bool(name))
         if not job.joints:
@@ -134,12 +137,6 @@ def _compose_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
     stage = Usd.Stage.Open(root_layer)
     stage.SetTimeCodesPerSecond(float(job.fps))
     return stage
-
-
-def _select_variant(stage: Any, job: UsdJob, name: str) -> None:
-    from animtool.usd.takes.library import find_take_set, select_take
-
-    select_take(find_take_set(stage.GetPrimAtPath(job.paths.model)), name, "")
 
 
 def _author_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:

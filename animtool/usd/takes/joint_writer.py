@@ -156,6 +156,10 @@ class AnimationWriter:
     # Names of the rig's S shapes; empty writes no weights.
     shapes: tuple[str, ...] = ()
     rounding: Rounding = field(default_factory=Rounding)  # rounding errors so far
+    # Time codes of every sample, one array per block.
+    codes: list[FloatArray] = field(default_factory=list)
+    # Shape weights ``(F, S)``, one array per block; empty without shapes.
+    weights: list[Float32Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Create the SkelAnimation prim and its attributes."""
@@ -179,14 +183,13 @@ class AnimationWriter:
                 )
                 for name, (kind, convert) in _TRANSFORM_ATTRIBUTES.items()
             }
-        self._weights: list[Float32Array] = []
         self._weight_writer: SampleWriter | None = None
-        self._codes: list[FloatArray] = []
         self._extents: list[Float32Array] = []
         self._root_paths: list[RootPath] = []
 
     def add(self, block: WrittenBlock) -> None:
         """Write a block of frames of the animation."""
+        self.rounding.count(block)
         columns = slice(None) if self.joint_mask is None else self.joint_mask
         arrays: dict[str, npt.NDArray[Any] | None] = {
             "translations": block.translations,
@@ -198,8 +201,8 @@ class AnimationWriter:
             if values is not None:
                 writer.add(block.codes, values[:, columns])
         if self.shapes and block.weights is not None:
-            self._weights.append(block.weights)
-        self._codes.append(block.codes)
+            self.weights.append(block.weights)
+        self.codes.append(block.codes)
         self._extents.append(block.extents)
         if block.root is not None:
             self._root_paths.append(block.root)
@@ -220,7 +223,7 @@ class AnimationWriter:
         unit_scales = np.ones((self._joint_count, 3), np.float16)
         for writer in self._transform_writers.values():
             writer.finish(unit_scales)
-        if self._weights:
+        if self.weights:
             self._author_weights()
         if self._root_paths:
             self._author_root(placing_ops)
@@ -238,23 +241,13 @@ class AnimationWriter:
         spec = self.layer.GetPrimAtPath(self.paths.root)
         attr = attribute_spec(spec, "extent", Sdf.ValueTypeNames.Float3Array)
         writer = SampleWriter(attr, Vt.Vec3fArray.FromNumpy)
-        for codes, bounds in zip(self._codes, extents, strict=True):
+        for codes, bounds in zip(self.codes, extents, strict=True):
             writer.add(codes, bounds)
         writer.finish(np.zeros((2, 3), np.float32))
 
-    @property
-    def codes(self) -> list[FloatArray]:
-        """Time codes of every sample, one array per block."""
-        return self._codes
-
-    @property
-    def weights(self) -> list[Float32Array]:
-        """Shape weights ``(F, S)``, one array per block; empty if constant."""
-        return self._weights
-
     def _author_weights(self) -> None:
         """Author the weights of shapes that are nonzero in any frame."""
-        is_used = np.any([(rows != 0.0).any(axis=0) for rows in self._weights], axis=0)
+        is_used = np.any([(rows != 0.0).any(axis=0) for rows in self.weights], axis=0)
         if not is_used.any():
             return
         spec = self.layer.GetPrimAtPath(self.paths.animation)
@@ -264,7 +257,7 @@ class AnimationWriter:
         attribute_spec(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
         attr = attribute_spec(spec, "blendShapeWeights", types.FloatArray)
         writer = SampleWriter(attr, Vt.FloatArray.FromNumpy)
-        for codes, rows in zip(self._codes, self._weights, strict=True):
+        for codes, rows in zip(self.codes, self.weights, strict=True):
             writer.add(codes, rows[:, is_used])
         writer.finish(np.zeros(len(names), np.float32))
         self._weight_writer = writer
@@ -283,7 +276,7 @@ class AnimationWriter:
             are_quaternions=True,
         )
         author_xform_order(spec, *placing_ops, *names)
-        for codes, root_trajectory in zip(self._codes, self._root_paths, strict=True):
+        for codes, root_trajectory in zip(self.codes, self._root_paths, strict=True):
             translation_writer.add(codes, root_trajectory.translations)
             rotation_writer.add(codes, root_trajectory.rotations)
         translation_writer.finish(np.zeros(3))

@@ -28,9 +28,7 @@ from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.composition import unresolved_hint
-from animtool.usd.layers.faults import (
-    PrimLocation,
-)
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import bound_shapes
@@ -129,6 +127,25 @@ def _take_set(stage: Any, root_path: str) -> TakeSet | None:
     root_prim = stage.GetPrimAtPath(root_path)
     prims = Usd.PrimRange(root_prim, Usd.PrimAllPrimsPredicate) if root_prim else ()
     return next((take_set for prim in prims if (take_set := find_take_set(prim))), None)
+
+
+def read_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
+    """Return functions that read the take of each Skeleton, by Skeleton path.
+
+    Empty for a layer without its rig.
+    """
+    with usd_errors(path), without_usd_warnings():
+        stage = open_stage(path)
+
+        def reader(skeleton_path: str) -> Callable[[], TakeStream]:
+            def read() -> TakeStream:
+                with usd_errors(path), without_usd_warnings():
+                    return read_character(stage, path, skeleton_path)
+
+            return read
+
+        paths = [str(skeleton.GetPath()) for skeleton in find_skeletons(stage)]
+        return {skeleton_path: reader(skeleton_path) for skeleton_path in paths}
 
 
 def read_character(

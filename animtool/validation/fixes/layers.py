@@ -16,7 +16,7 @@ from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import CheckedFile
 
 if TYPE_CHECKING:
-    from animtool.usd.fixes.target import EditedLayer
+    from animtool.usd.fixes.target import FixTarget
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class LayerDraft:
         return write_copy(self.path, self.content, output)
 
 
-def _apply_fix(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
+def _apply_fix(layer: FixTarget, fault: Fault) -> tuple[str, str]:
     """Apply the fix of a finding; return why it failed (or ""), and the change made."""
     from animtool.usd.fixes.target import NotFixableError
 
