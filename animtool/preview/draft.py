@@ -98,9 +98,9 @@ class PageDraft:
 
     def add_positions(self, positions: Array) -> int:
         """Add a stream of positions ``(F, ...)`` [m]; return its index."""
-        quantized = quantize_range(positions.reshape(len(positions), -1), period=3)
-        self.record_error(position=quantized.error)
-        return self.packer.add(quantized)
+        data = quantize_range(positions.reshape(len(positions), -1), period=3)
+        self.record_error(position=data.error)
+        return self.packer.add(data)
 
     def add_mask(self, visible: BoolArray) -> int | None:
         """Add a visibility mask ``(F,)``; return its stream, None if always visible."""

@@ -42,10 +42,10 @@ def page_steps(
             else:
                 steps.append(_read_step(open_file(path, options, files, context)))
     reads = tuple(str(path) for path in files)
-    omitted = () if options.findings else ("findings: not requested (findings)",)
+    omissions = () if options.findings else ("findings: not requested (findings)",)
     outputs = ("a page" if output is None else str(output),)
     name = "a temporary file" if output is None else output.name
-    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, outputs, omitted)]
+    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, outputs, omissions)]
 
 
 def _bake_steps(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:

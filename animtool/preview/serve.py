@@ -109,13 +109,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send the page or its state; refuse any other path."""
-        watched, path = self.server.watched, self.path.partition("?")[0]
+        watched_page, path = self.server.watched, self.path.partition("?")[0]
         if not self._is_authorized():
             self._send(403, b"forbidden\n", "text/plain")
-        elif path == f"/{watched.secret}/":
-            self._send(200, watched.response_body(), "text/html; charset=utf-8")
-        elif path == f"/{watched.secret}/state":
-            self._send(200, watched.polled_state(), "application/json")
+        elif path == f"/{watched_page.secret}/":
+            self._send(200, watched_page.response_body(), "text/html; charset=utf-8")
+        elif path == f"/{watched_page.secret}/state":
+            self._send(200, watched_page.polled_state(), "application/json")
         else:
             self._send(403, b"forbidden\n", "text/plain")
 
@@ -156,8 +156,8 @@ class PageServer(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, watched: WatchedPage) -> None:
-        self.watched = watched
+    def __init__(self, watched_page: WatchedPage) -> None:
+        self.watched = watched_page
         super().__init__((ADDRESS, 0), _Handler)
 
     @property

@@ -273,28 +273,28 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
     for k, meshes in enumerate(prototypes):
         # A slot shows the mesh of its point, which may change over frames.
         uses_prototype = instances.prototype_indices == k
-        used = np.flatnonzero(uses_prototype.any(axis=0))
-        if not len(used):
+        used_slots = np.flatnonzero(uses_prototype.any(axis=0))
+        if not len(used_slots):
             continue
         for i, (mesh, matrix) in enumerate(meshes):
             name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(meshes) > 1 else "")
             points = mesh.points @ matrix[:3, :3].T + matrix[:3, 3]
-            default_color = DARK_COLOR if len(used) > MANY_INSTANCES else None
+            default_color = DARK_COLOR if len(used_slots) > MANY_INSTANCES else None
             color = mesh.color or prim.color or default_color
             prototype = replace(mesh, points=points, color=color)
             draft.meshes.append(
                 _stage_mesh_entry(draft, name, prototype) | {"prototype": True}
             )
-            visible = uses_prototype[:, used]
+            visible = uses_prototype[:, used_slots]
             draft.instances.append(
                 {
                     "name": name,
                     "mesh": len(draft.meshes) - 1,
                     **_instance_streams(
                         draft,
-                        instances.points[:, used],
-                        instances.rotations[:, used],
-                        instances.scales[:, used],
+                        instances.points[:, used_slots],
+                        instances.rotations[:, used_slots],
+                        instances.scales[:, used_slots],
                     ),
                     "visible": None
                     if visible.all()
@@ -306,11 +306,11 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
 class _SlotInstances:
     """Transforms of instances by slot; a removed instance keeps its last transform."""
 
-    def __init__(self, frames: int, slots: int) -> None:
-        self.points = np.zeros((frames, slots, 3))
-        self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frames, slots, 1))
-        self.scales = np.ones((frames, slots, 3))
-        self.prototype_indices = np.full((frames, slots), -1)
+    def __init__(self, frame_count: int, slot_count: int) -> None:
+        self.points = np.zeros((frame_count, slot_count, 3))
+        self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frame_count, slot_count, 1))
+        self.scales = np.ones((frame_count, slot_count, 3))
+        self.prototype_indices = np.full((frame_count, slot_count), -1)
 
     @classmethod
     def of(

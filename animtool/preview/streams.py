@@ -176,8 +176,8 @@ class StreamPacker:
 
     def add_static(self, values: npt.ArrayLike, kind: str) -> int:
         """Add a one-sample stream without quantization; return its index."""
-        flat = np.asarray(values).reshape(1, -1).astype(TYPES[kind])
-        return self.add(Quantized(flat, kind))
+        row = np.asarray(values).reshape(1, -1).astype(TYPES[kind])
+        return self.add(Quantized(row, kind))
 
     def add_static_range(self, values: FloatArray) -> int:
         """Add a one-sample stream of positions or offsets [m]; return its index."""

@@ -42,8 +42,8 @@ class QuantizedTrack:
 
     def dense_values(self, frame_slice: slice) -> FloatArray:
         """Return the values of all joints in a range of frames ``(F, J, K)``."""
-        frames = len(self.animated_values[frame_slice])
-        values = np.repeat(self.static_values[None], frames, axis=0)
+        frame_count = len(self.animated_values[frame_slice])
+        values = np.repeat(self.static_values[None], frame_count, axis=0)
         values[:, self.animated_joints] = self.animated_values[frame_slice]
         return values
 
@@ -286,19 +286,19 @@ def _skeleton_entry(rig: Rig) -> dict[str, Any]:
 def _measure_error(
     draft: PageDraft,
     rig: Rig,
-    frames: int,
+    frame_count: int,
     world: Callable[..., WorldTransforms],
     exact_tracks: dict[str, QuantizedTrack | None],
     stream: TakeStream,
 ) -> list[tuple[int, Any]]:
     """Record the quantization error of a take; return its foot contacts."""
-    if not rig.joints or not frames:
+    if not rig.joints or not frame_count:
         return []
     skeleton, legs = _roled_legs(draft, rig)
     foot_joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
     foot_positions = []
-    for begin in range(0, frames, BLOCK_FRAMES):
-        block = slice(begin, min(begin + BLOCK_FRAMES, frames))
+    for begin in range(0, frame_count, BLOCK_FRAMES):
+        block = slice(begin, min(begin + BLOCK_FRAMES, frame_count))
         stored_world, exact_world = world(block), world(block, exact_tracks)
         offsets = np.linalg.norm(
             stored_world.positions - exact_world.positions, axis=-1
@@ -314,7 +314,7 @@ def _measure_error(
             stored_rotations - so3.normalize(rotations.animated_values), axis=-1
         )
         draft.record_error(rotation=2 * float(chords.max()))
-    if skeleton is None or frames < 2:
+    if skeleton is None or frame_count < 2:
         return []
     feet = dict(
         zip(foot_joints, np.concatenate(foot_positions).swapaxes(0, 1), strict=True)

@@ -1,4 +1,4 @@
-"""USD layers, read and written: the only package that imports pxr."""
+"""Reads and writes USD; the only package that imports pxr."""
 
 from __future__ import annotations
 

@@ -145,9 +145,9 @@ class CameraView:
 
     def _half_size(self) -> tuple[float, float]:
         """Return half the unobstructed width and height of the view at distance 1."""
-        aspect, uncovered = self.width / self.height, 1 - self._covered_fraction
-        half_height = HALF_FOV_TANGENT * max(1.0, uncovered / aspect)
-        return half_height / uncovered * aspect, half_height
+        aspect, free_fraction = self.width / self.height, 1 - self._covered_fraction
+        half_height = HALF_FOV_TANGENT * max(1.0, free_fraction / aspect)
+        return half_height / free_fraction * aspect, half_height
 
     def frame_bounds(self, bounds: Bounds) -> None:
         """Aim the camera at bounds, at a distance at which all of them are visible."""

@@ -147,8 +147,8 @@ def picture_sheet(
         ink: Color of the text.
     """
     height, width = rows[0][0].shape[:2]
-    columns = max(map(len, rows))
-    size = _sheet_span(len(rows), height, gap), _sheet_span(columns, width, gap)
+    column_count = max(map(len, rows))
+    size = _sheet_span(len(rows), height, gap), _sheet_span(column_count, width, gap)
     sheet = np.full((caption.height + size[0], size[1], 3), color, np.uint8)
     for i, row in enumerate(rows):
         for k, picture in enumerate(row):
@@ -162,10 +162,10 @@ def _sheet_span(count: int, size: int, gap: int) -> int:
     return count * size + (count - 1) * gap
 
 
-def evenly_spaced(count: int, samples: int) -> IntArray:
+def evenly_spaced(count: int, sample_count: int) -> IntArray:
     """Return evenly spaced sample indices, including the first and the last sample.
 
     >>> evenly_spaced(100, 4).tolist(), evenly_spaced(1, 4).tolist()
     ([0, 33, 66, 99], [0, 0, 0, 0])
     """
-    return np.rint(np.linspace(0, count - 1, samples)).astype(np.int64)
+    return np.rint(np.linspace(0, count - 1, sample_count)).astype(np.int64)

@@ -51,21 +51,21 @@ class TextureTable:
     def upload(self, cells: Array) -> None:
         """Upload cells ``(N, 4)`` to the texture, replacing its content."""
         count = len(cells)
-        row_cells = min(MAX_ROW_CELLS, max(count, 64))
-        row_count = max(-(-count // row_cells), 1)
-        if self.texture is None or row_cells > self._width or row_count > self._height:
+        width = min(MAX_ROW_CELLS, max(count, 64))
+        height = max(-(-count // width), 1)
+        if self.texture is None or width > self._width or height > self._height:
             if self.texture is not None:
                 self.texture.release()
-            self._width = max(row_cells, self._width)
-            self._height = max(row_count, self._height)
+            self._width = max(width, self._width)
+            self._height = max(height, self._height)
             size = self._width, self._height
             self.texture = self._device.gl.texture(size, 4, dtype="f4")
             nearest = self._device.module.NEAREST
             self.texture.filter = nearest, nearest
-        rows = max(-(-count // self._width), 1)
-        padded = np.zeros((rows * self._width, 4), "<f4")
+        row_count = max(-(-count // self._width), 1)
+        padded = np.zeros((row_count * self._width, 4), "<f4")
         padded[:count] = cells
-        self.texture.write(padded.tobytes(), viewport=(0, 0, self._width, rows))
+        self.texture.write(padded.tobytes(), viewport=(0, 0, self._width, row_count))
 
 
 class Device:
@@ -151,25 +151,25 @@ class Framebuffer:
         gl = device.gl
         self._device, self.size = device, (width, height)
         samples = min(MULTISAMPLES, gl.max_samples)
-        self._multisampled = gl.framebuffer(
+        self._samples_buffer = gl.framebuffer(
             [gl.renderbuffer(self.size, 3, samples=samples)],
             gl.depth_renderbuffer(self.size, samples=samples),
         )
-        self._resolved = gl.framebuffer([gl.renderbuffer(self.size, 3)])
+        self._pixel_buffer = gl.framebuffer([gl.renderbuffer(self.size, 3)])
 
     def draw(
         self, background: tuple[int, int, int], draw: Callable[[Any], None]
     ) -> Array:
         """Return the pixels ``(H, W, 3)`` that a function draws."""
         gl = self._device.gl
-        self._multisampled.use()
-        self._multisampled.depth_mask = True
-        self._multisampled.clear(*(x / 255 for x in background), 1.0, depth=1.0)
+        self._samples_buffer.use()
+        self._samples_buffer.depth_mask = True
+        self._samples_buffer.clear(*(x / 255 for x in background), 1.0, depth=1.0)
         gl.enable(self._device.module.DEPTH_TEST)
-        draw(self._multisampled)
-        gl.copy_framebuffer(self._resolved, self._multisampled)
+        draw(self._samples_buffer)
+        gl.copy_framebuffer(self._pixel_buffer, self._samples_buffer)
         width, height = self.size
-        raw = self._resolved.read(components=3, alignment=1)
+        raw = self._pixel_buffer.read(components=3, alignment=1)
         return np.frombuffer(raw, np.uint8).reshape(height, width, 3)[::-1]
 
 

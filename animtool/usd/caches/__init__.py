@@ -1,1 +1,1 @@
-"""Animated points: caches of meshes, curves and particles."""
+"""Reads and writes animated points: caches of meshes, curves and particles."""

@@ -142,8 +142,10 @@ def animated_point_prims(path: Path) -> list[PointPrimSummary]:
     """Return the prims of a stage whose points have samples."""
     with usd_errors(path):
         stage = open_stage(path)
-        animated = (prim for prim in point_prims(stage) if PointReader(prim).times)
-        return [_summarize_prim(prim) for prim in animated]
+        animated_prims = (
+            prim for prim in point_prims(stage) if PointReader(prim).times
+        )
+        return [_summarize_prim(prim) for prim in animated_prims]
 
 
 def _summarize_prim(prim: Any) -> PointPrimSummary:
@@ -154,9 +156,9 @@ def _summarize_prim(prim: Any) -> PointPrimSummary:
     codes = reader.codes
     sample_codes = time_codes_of(times)
     point_counts = array_lengths(reader.attr, sample_codes)
-    kind = str(prim.GetTypeName())
+    type_name = str(prim.GetTypeName())
     element_noun, name = (
-        ("meshes", "") if is_instancer else _ELEMENT_COUNTS.get(kind, ("", ""))
+        ("meshes", "") if is_instancer else _ELEMENT_COUNTS.get(type_name, ("", ""))
     )
     count_attr = prim.GetAttribute(name) if name else None
     # Arrays of many samples are compressed; the lengths at both ends are enough.
@@ -170,7 +172,7 @@ def _summarize_prim(prim: Any) -> PointPrimSummary:
     primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
     return PointPrimSummary(
         str(prim.GetPath()),
-        kind,
+        type_name,
         _min_max(point_counts),
         element_noun,
         _min_max(element_counts),

@@ -200,9 +200,9 @@ def write_chunks(
     chunked_meshes = [_ChunkedMesh(path) for path in job.meshes]
     reports = [mesh.report for mesh in chunked_meshes]
 
-    def chunk(path: Path, number: int) -> AbstractContextManager[list[PointWriter]]:
+    def chunk(path: Path, index: int) -> AbstractContextManager[list[PointWriter]]:
         return _chunk_writers(
-            job, path, reports, with_defaults=number == 0 and job.target is None
+            job, path, reports, with_defaults=index == 0 and job.target is None
         )
 
     files = point_clip_files(job.output)
@@ -223,8 +223,8 @@ def write_chunks(
                 empty_attribute(spec, name)
 
     is_animated = any(report.samples for report in reports)
-    defaults = job.target is None and is_animated
-    chunks.join(layer, job.paths.root, metadata, declare, use_defaults=defaults)
+    use_defaults = job.target is None and is_animated
+    chunks.join(layer, job.paths.root, metadata, declare, use_defaults=use_defaults)
     if job.target is not None:
         job.target.check(layer, has_points=False)
     return ChunkedCache(layer, reports, chunks)
@@ -249,23 +249,26 @@ def _chunk_writers(
 
 
 class _ChunkedMesh:
-    """A mesh of the layer that combines the chunks, and the report on the mesh."""
+    """A mesh of a chunked cache: its report, and its values while they are constant."""
 
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)
         # Values of the first frame, as long as points equal them.
-        self._static: dict[str, Float32Array] | None = None
+        self._first_values: dict[str, Float32Array] | None = None
 
     def count(self, block: Block) -> None:
         """Count a block; record its attributes and whether points change."""
         values = block.values
         if not self.report.sampled:
-            self._static = {name: rows[0].copy() for name, rows in values.items()}
+            self._first_values = {name: rows[0].copy() for name, rows in values.items()}
         self.report.count(block)
         self.report.sampled = list(values)
-        static = self._static
-        if static is not None and (values["points"] != static["points"]).any():
-            self._static = None
+        first_values = self._first_values
+        if (
+            first_values is not None
+            and (values["points"] != first_values["points"]).any()
+        ):
+            self._first_values = None
 
     def author(self, spec: Any, *, with_defaults: bool) -> None:
         """Declare the attributes of the chunks; author constant ones as defaults.
@@ -273,12 +276,12 @@ class _ChunkedMesh:
         With ``with_defaults``, velocities of static points are declared but blocked.
         """
         for name in self.report.sampled:
-            if self._static is None:
+            if self._first_values is None:
                 empty_attribute(spec, name)
             elif name != "velocities":
-                empty_attribute(spec, name).finish(self._static[name])
+                empty_attribute(spec, name).finish(self._first_values[name])
             elif with_defaults:
                 kind = Sdf.ValueTypeNames.Vector3fArray
                 attribute_spec(spec, name, kind, Sdf.ValueBlock())
-        if self._static is not None:
+        if self._first_values is not None:
             self.report.sampled, self.report.samples, self.report.bytes = [], 0, 0

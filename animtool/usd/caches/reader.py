@@ -213,12 +213,14 @@ class PointSource:
             )
             if attr is None:
                 return None
-            rows = (
+            values = (
                 number_rows(attr, width, time) if width else integer_array(attr, time)
             )
-            if not len(rows) == len(array_value(attr, time)) in {0, count}:
-                location.at_prim(attr).fail("USD269", f"{len(rows)} for {count} points")
-            return rows if len(rows) else None
+            if not len(values) == len(array_value(attr, time)) in {0, count}:
+                location.at_prim(attr).fail(
+                    "USD269", f"{len(values)} for {count} points"
+                )
+            return values if len(values) else None
 
         ids = array_rows("ids")
         if not reader.is_instancer:

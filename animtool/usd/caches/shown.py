@@ -1,4 +1,4 @@
-"""The visible prims of a stage besides characters: meshes, curves, points, cameras."""
+"""Finds the visible prims of a stage that are not characters."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class ShownPrim:
     def world(self, code: float) -> FloatArray:
         """Return the prim's world transform for column vectors, Y up ``(4, 4)`` [m]."""
         matrix = self._reader.world_from_prim(Usd.TimeCode(code)).T.copy()
-        matrix[:3, 3] *= self._stage.meters
+        matrix[:3, 3] *= self._stage.meters_per_unit
         return self._stage.matrix_to_y_up(matrix)
 
     def points(self, code: float) -> FloatArray:
@@ -112,7 +112,7 @@ class ShownPrim:
         world_points = transform_points(
             self._reader.points_at(time), self._reader.world_from_prim(time)
         )
-        return self._stage.to_y_up(world_points * self._stage.meters)
+        return self._stage.to_y_up(world_points * self._stage.meters_per_unit)
 
     def local_mesh(self) -> ShownMesh | None:
         """Return the mesh in local space at the earliest time; None if invalid."""
@@ -126,7 +126,7 @@ class ShownPrim:
             points, counts, indices = _implicit_mesh(self.prim)
         colors = self.colors(self._stage.stage.GetStartTimeCode())
         vertex_colors = colors if len(colors) == len(points) > 1 else None
-        points_meters = points * self._stage.meters
+        points_meters = points * self._stage.meters_per_unit
         return ShownMesh(points_meters, counts, indices, self.color, vertex_colors)
 
     def curve_counts(self) -> IntArray:
@@ -139,7 +139,7 @@ class ShownPrim:
         attr = self.prim.GetAttribute("widths")
         if not attr or not attr.HasAuthoredValue():
             return np.zeros(0)
-        return number_rows(attr, 1, Usd.TimeCode(code)) * self._stage.meters
+        return number_rows(attr, 1, Usd.TimeCode(code)) * self._stage.meters_per_unit
 
     def ids(self, code: float) -> IntArray | None:
         """Return the ids of the points ``(N,)``; None if the prim has no ids."""
@@ -154,11 +154,11 @@ class ShownPrim:
     @cached_property
     def color(self) -> tuple[float, float, float] | None:
         """Mean linear color of the prim at the start; None without display color."""
-        time = self._stage.stage.GetStartTimeCode()
-        rows = self.colors(time)
-        if not len(rows):
+        code = self._stage.stage.GetStartTimeCode()
+        colors = self.colors(code)
+        if not len(colors):
             return None
-        red, green, blue = rows.mean(axis=0).clip(0, 1).round(4).tolist()
+        red, green, blue = colors.mean(axis=0).clip(0, 1).round(4).tolist()
         return red, green, blue
 
     def instances(self, code: float) -> PointSample:
@@ -189,12 +189,10 @@ class ShownPrim:
                 kind = _prim_kind(prim)
                 if kind != "mesh" or is_bone_mesh(prim):
                     continue
-                shown_prim = ShownPrim(self._stage, prim, "", kind)
-                faces = shown_prim.local_mesh()
-                if faces is not None:
-                    meshes.append(
-                        (faces, _relative_transform(prim, root, self._stage.meters))
-                    )
+                mesh = ShownPrim(self._stage, prim, "", kind).local_mesh()
+                if mesh is not None:
+                    unit = self._stage.meters_per_unit
+                    meshes.append((mesh, _relative_transform(prim, root, unit)))
             prototypes.append(meshes)
         return prototypes
 
@@ -209,8 +207,8 @@ def _display_colors(prim: Any, code: float) -> FloatArray:
     value = primvar.ComputeFlattened(Usd.TimeCode(code)) if primvar else None
     if value is None:
         return np.zeros((0, 3))
-    rows = np.array(value, np.float64).reshape(-1, 3)
-    return rows if np.isfinite(rows).all() else rows[:0]
+    colors = np.array(value, np.float64).reshape(-1, 3)
+    return colors if np.isfinite(colors).all() else colors[:0]
 
 
 class StageContents:
@@ -218,7 +216,7 @@ class StageContents:
 
     Attributes:
         stage: The stage.
-        meters: Length unit of the stage [m].
+        meters_per_unit: Length unit of the stage [m].
         up: Up axis of the stage.
         fps: Time codes per second.
         up_rotation: Rotation from the stage's up axis to Y; None for no rotation.
@@ -226,7 +224,7 @@ class StageContents:
 
     def __init__(self, path: Path, stage: Any, root_path: str) -> None:
         self.path, self.stage = path, stage
-        self.meters = float(UsdGeom.GetStageMetersPerUnit(stage))
+        self.meters_per_unit = float(UsdGeom.GetStageMetersPerUnit(stage))
         self.up = up_axis(stage)
         self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
         up_rotation = up_from_up(UpAxis.Y, self.up)
@@ -236,7 +234,7 @@ class StageContents:
     @property
     def unit(self) -> str:
         """Name of the stage's length unit."""
-        return unit_name(self.meters)
+        return unit_name(self.meters_per_unit)
 
     @cached_property
     def source(self) -> PointSource:
@@ -412,13 +410,13 @@ def _prim_kind(prim: Any) -> str:
     return "points" if prim.IsA(UsdGeom.Points) else ""
 
 
-def _relative_transform(prim: Any, root: Any, meters: float) -> FloatArray:
+def _relative_transform(prim: Any, root: Any, unit: float) -> FloatArray:
     """Return a prim's transform relative to the parent of its prototype root [m]."""
     world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
     # The prototype's own transform applies, but not those above it.
     parent_transform = UsdGeom.Imageable(root).ComputeParentToWorldTransform(0)
     matrix = np.array(world * parent_transform.GetInverse(), np.float64).T.copy()
-    matrix[:3, 3] *= meters
+    matrix[:3, 3] *= unit
     return matrix
 
 

@@ -1,4 +1,4 @@
-"""The meshes and strands of a rig layer that a point cache overrides."""
+"""Finds the meshes and strands of a rig layer that a point cache overrides."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ class CacheTarget:
             author_xform_order(root, *self.rig.placing_ops)
         for mesh in self.prims:
             spec = prim_spec(layer, mesh.path, over=True)
-            blocked = mesh.blocked_attributes
+            blocked_names = mesh.blocked_attributes
             if mesh.has_normals and not with_normals:
-                blocked += ("normals",)
-            for name in blocked:
-                kind = Sdf.ValueTypeNames.Normal3fArray
-                attribute_spec(spec, name, kind, Sdf.ValueBlock())
+                blocked_names += ("normals",)
+            for name in blocked_names:
+                value_type = Sdf.ValueTypeNames.Normal3fArray
+                attribute_spec(spec, name, value_type, Sdf.ValueBlock())
 
     def check(self, layer: Any, *, has_points: bool = True) -> None:
         """Check that the layer's points are the strongest opinions over its rig.
@@ -139,10 +139,12 @@ def open_cache_target(
         strands.append(_target_strands(curves, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
-    unknown = [name for name in point_counts if name not in prims_by_name]
-    unknown += [name for name in curve_shapes if name not in attachments]
+    unknown_names = [name for name in point_counts if name not in prims_by_name]
+    unknown_names += [name for name in curve_shapes if name not in attachments]
     subject = "meshes or strands of the take are not in the rig layer"
-    notices = _count_notice("USD141", unknown, subject, "they are skipped", rig.path)
+    notices = _count_notice(
+        "USD141", unknown_names, subject, "they are skipped", rig.path
+    )
     deformed_paths = {prims_by_name[mesh.name].GetPath() for mesh in meshes}
     deformed_paths |= {attachments[entry.name][1].GetPath() for entry in strands}
     notices += _static_mesh_notice(root, deformed_paths, rig.path)
@@ -221,11 +223,15 @@ def _target_strands(
 
 def _space_matrix(mesh: Any, skeleton: Any) -> FloatArray | None:
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
-    world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
+    skeleton_world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
     mesh_world = cache.GetLocalToWorldTransform(mesh.GetPrim())
-    placement = np.array(world * mesh_world.GetInverse(), np.float64).T
+    mesh_from_skeleton = np.array(
+        skeleton_world * mesh_world.GetInverse(), np.float64
+    ).T
     return (
-        None if np.abs(placement - np.eye(4)).max() <= IDENTITY_TOLERANCE else placement
+        None
+        if np.abs(mesh_from_skeleton - np.eye(4)).max() <= IDENTITY_TOLERANCE
+        else mesh_from_skeleton
     )
 
 
@@ -250,13 +256,13 @@ def _count_notice(
     return [Fault(code, message, str(path), (), hint, Severity.WARNING)]
 
 
-def _static_mesh_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
+def _static_mesh_notice(root: Any, deformed_paths: set[Any], path: Path) -> list[Fault]:
     """Report meshes that UsdSkel animated and the cache leaves static."""
     static_meshes = [
         str(query.GetPrim().GetPath())
         for binding in skeleton_bindings(UsdSkel.Root(root))
         for query in binding.GetSkinningTargets()
-        if query.GetPrim().GetPath() not in deformed
+        if query.GetPrim().GetPath() not in deformed_paths
     ]
     hint = "the SkelRoot becomes an Xform, but the cache does not cover their points"
     return _count_notice(

@@ -42,7 +42,7 @@ class AttributeKind:
     """Type, value conversion and interpolation of an attribute."""
 
     type_name: Any
-    make: Callable[[Any], Any]
+    convert: Callable[[Any], Any]
     interpolation: str = ""
     uniform: bool = False
 
@@ -85,9 +85,9 @@ def attribute_kind(name: str, values: npt.NDArray[Any]) -> AttributeKind:
         return AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
     if values.ndim == 1:
         return AttributeKind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex")
-    color = name == "primvars:displayColor"
-    kind = _TYPES.Color3fArray if color else _TYPES.Float3Array
-    return AttributeKind(kind, Vt.Vec3fArray.FromNumpy, "vertex")
+    is_color = name == "primvars:displayColor"
+    type_name = _TYPES.Color3fArray if is_color else _TYPES.Float3Array
+    return AttributeKind(type_name, Vt.Vec3fArray.FromNumpy, "vertex")
 
 
 def author_values(spec: Any, values: Mapping[str, Any]) -> None:
@@ -98,7 +98,7 @@ def author_values(spec: Any, values: Mapping[str, Any]) -> None:
             spec,
             name,
             kind.type_name,
-            kind.make(value),
+            kind.convert(value),
             uniform=kind.uniform,
             interpolation=kind.interpolation,
         )
@@ -224,15 +224,15 @@ class PointWriter:
         self._every_frame = every_frame
         self._with_default = with_default
         self._on_added = on_added
-        self._channels: dict[str, SampleWriter] = {}
+        self._sample_writers: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:
         """Write a block of frames of the prim."""
         with Sdf.ChangeBlock():
             for name, rows in block.values.items():
-                if name not in self._channels:
-                    self._channels[name] = self._attribute_writer(name, rows)
-                self._channels[name].add(block.codes, rows)
+                if name not in self._sample_writers:
+                    self._sample_writers[name] = self._attribute_writer(name, rows)
+                self._sample_writers[name].add(block.codes, rows)
         if self._on_added is not None:
             self._on_added(block.bytes)
 
@@ -241,10 +241,10 @@ class PointWriter:
             return empty_attribute(self._prim_spec, name)
         labels = attribute_labels(self._report, name)
         attr = self._layer.GetAttributeAtPath(labels.attribute)
-        make = attribute_kind(name, rows[0]).make
+        convert = attribute_kind(name, rows[0]).convert
         return SampleWriter(
             attr,
-            make,
+            convert,
             every_frame=True,
             with_default=self._with_default,
             noun=labels.noun,
@@ -260,10 +260,10 @@ class PointWriter:
 
         ``with_defaults`` also authors defaults, except of velocities.
         """
-        for name, channel in self._channels.items():
-            channel.start_sampling()
+        for name, writer in self._sample_writers.items():
+            writer.start_sampling()
             if with_defaults and name != "velocities":
-                channel.author_default()
+                writer.author_default()
 
     def finish(self, *, with_defaults: bool) -> None:
         """Author constant values as defaults; report the sampled attributes.
@@ -271,25 +271,25 @@ class PointWriter:
         ``with_defaults`` also authors defaults of sampled attributes; a rig already has
         them.
         """
-        channels, report = self._channels, self._report
-        velocities = channels.pop("velocities", None)
-        is_animated = bool(channels) and channels["points"].has_samples
+        writers, report = self._sample_writers, self._report
+        velocities = writers.pop("velocities", None)
+        is_animated = bool(writers) and writers["points"].has_samples
         if velocities is not None:
             if is_animated:
                 # UsdGeomPointBased uses velocities only if points have samples at the
                 # same times.
                 velocities.start_sampling()
-                channels["velocities"] = velocities
+                writers["velocities"] = velocities
             else:
                 remove_attribute(self._prim_spec, "velocities")
-        for name, channel in channels.items():
+        for name, writer in writers.items():
             if with_defaults and name != "velocities":
-                channel.author_default()
+                writer.author_default()
         no_velocities = np.zeros((0, 3), np.float32)
-        for channel in channels.values():
-            channel.finish(no_velocities)
+        for writer in writers.values():
+            writer.finish(no_velocities)
         report.sampled = [
-            name for name, writer in channels.items() if writer.has_samples
+            name for name, writer in writers.items() if writer.has_samples
         ]
         if not is_animated:
             report.samples = report.bytes = 0
@@ -300,7 +300,7 @@ def empty_attribute(spec: Any, name: str) -> SampleWriter:
     remove_attribute(spec, name)
     kind = ATTRIBUTES[name]
     attr = attribute_spec(spec, name, kind.type_name, interpolation=kind.interpolation)
-    return SampleWriter(attr, kind.make)
+    return SampleWriter(attr, kind.convert)
 
 
 def remove_attribute(spec: Any, name: str) -> None:
@@ -345,7 +345,7 @@ class FrameForm(Generic[FrameT]):
     def values(
         self, writer: SimulatedPrim, frame: FrameT, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return the values of a frame besides points ``(N, 3)`` and velocities."""
+        """Return the values of a frame, except points ``(N, 3)`` and velocities."""
         raise NotImplementedError
 
 
@@ -364,5 +364,7 @@ def bounds(
 
 def bounds_corners(points: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
-    box = np.stack([points.min(axis=0), points.max(axis=0)])
-    return np.asarray(box[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T)
+    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+    return np.asarray(
+        bounds[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
+    )

@@ -199,13 +199,13 @@ def _compare_extents(
     if outliers is not None and len(faulty_samples) == len(candidates):
         # The samples that USD computed have the largest deviations.
         frames = outliers
-    largest, position = max((gap, -i) for i, gap in faulty_samples)
+    largest, negative_index = max((gap, -i) for i, gap in faulty_samples)
     sample_times = SampledArray(times, [], np.zeros(len(times), np.int64))
     or_more = " or more" if outliers is None and len(candidates) < len(times) else ""
     prefix = "off by" if is_exact else "what moves exceeds it by"
     message = f"{prefix} {largest:.3g}{or_more} {samples_text(sample_times, frames)}"
     if len(frames) > 1:
-        message += f", most at {frame_label(times[-position])}"
+        message += f", most at {frame_label(times[-negative_index])}"
     if skinned_root.bounds is not None:
         message += _overhang_text(boundable.GetPrim(), extents, times)
     yield finding("USD251", attr.GetPath(), message)
@@ -223,13 +223,13 @@ class _SkinnedRoot:
         return SkinnedBounds(self._prim) if self._prim.IsA(UsdSkel.Root) else None
 
     def is_valid_extent(
-        self, code: Any, extent: FloatArray, computed: FloatArray
+        self, code: Any, extent: FloatArray, usd_extent: FloatArray
     ) -> bool:
         """Return whether an extent is USD's, extended to contain all skinned points."""
         point_bounds = None if self.bounds is None else self.bounds.at_time(code)
         if point_bounds is None:
             return False
-        expected = joined_bounds(computed[0], point_bounds)[None]
+        expected = joined_bounds(usd_extent[0], point_bounds)[None]
         return bool(bounds_difference(extent, expected, must_equal=True)[0][0] <= 0)
 
 
@@ -244,13 +244,13 @@ def joined_bounds(first: AnyArray, second: AnyArray) -> AnyArray:
 
 
 def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
-    """Describe how far skinned points exceed the extents of a SkelRoot, and when."""
-    worst = find_overhang(root, extents, times.tolist())
+    """Return as text how far and when skinned points exceed a SkelRoot's extents."""
+    overhang = find_overhang(root, extents, times.tolist())
     # Overhangs within rounding do not count, as in `bounds_difference`.
     magnitude = float(np.abs(extents).max(initial=0.0))
-    if worst is None or worst[0] <= 1e-6 * (1 + magnitude):
+    if overhang is None or overhang[0] <= 1e-6 * (1 + magnitude):
         return "; no skinned point exceeds it"
-    largest_distance, code, is_complete = worst
+    largest_distance, code, is_complete = overhang
     time_text = "" if np.isnan(code) else f" at time code {frame_label(code)}"
     or_more = "" if is_complete else " or more"
     return f"; skinned points exceed it by {largest_distance:.4g}{or_more}{time_text}"
@@ -300,17 +300,17 @@ def _joint_bounds(
     if UsdGeom.Xformable(skeletons[0]).GetXformOpOrderAttr().Get():
         return None
     skeleton = UsdSkel.Skeleton(skeletons[0])
-    locals_ = _local_transforms(subject, skeleton, sources, times)
-    if locals_ is None:
+    transforms = _local_transforms(subject, skeleton, sources, times)
+    if transforms is None:
         return None
     joints = token_array(skeleton.GetJointsAttr())
-    bounds = _origin_bounds(joint_parents(joints), *locals_)
+    bounds = _origin_bounds(joint_parents(joints), *transforms)
     first_extent = computed_extent(boundable, Usd.TimeCode(times[0]))
     if first_extent is None:
         return None
     padding = np.array(first_extent, np.float64).reshape(2, 3) - bounds[0]
-    padded: FloatArray = bounds + padding
-    return padded
+    padded_bounds: FloatArray = bounds + padding
+    return padded_bounds
 
 
 def _local_transforms(
@@ -362,18 +362,18 @@ def _origin_bounds(
     joint_scales: AnyArray,
 ) -> FloatArray:
     """Return the bounds of the joint origins ``(F, 2, 3)``."""
-    count = max(len(translations), len(rotations), len(joint_scales))
-    bounds = np.zeros((count, 2, 3))
+    total_frames = max(len(translations), len(rotations), len(joint_scales))
+    bounds = np.zeros((total_frames, 2, 3))
     is_unscaled = bool((joint_scales == 1).all())
-    for begin in range(0, count, BLOCK_FRAMES):
-        block = slice(begin, min(begin + BLOCK_FRAMES, count))
-        frames = block.stop - begin
+    for begin in range(0, total_frames, BLOCK_FRAMES):
+        block = slice(begin, min(begin + BLOCK_FRAMES, total_frames))
+        frame_count = block.stop - begin
         t, r, s = (
-            _frame_block(values, block, frames)
+            _frame_block(values, block, frame_count)
             for values in (translations, rotations, joint_scales)
         )
-        positions = np.zeros((frames, len(parents), 3))
-        linear = np.zeros((frames, len(parents), 3, 3))
+        positions = np.zeros((frame_count, len(parents), 3))
+        linear = np.zeros((frame_count, len(parents), 3, 3))
         scales = None if is_unscaled else s
         _kernels.forward_kinematics(parents, t, r, scales, positions, linear)
         bounds[block, 0] = positions.min(axis=1)
@@ -381,6 +381,8 @@ def _origin_bounds(
     return bounds
 
 
-def _frame_block(values: AnyArray, block: slice, frames: int) -> FloatArray:
-    rows = values[block] if len(values) > 1 else np.repeat(values, frames, axis=0)
-    return np.ascontiguousarray(rows, np.float64)
+def _frame_block(values: AnyArray, block: slice, frame_count: int) -> FloatArray:
+    block_values = (
+        values[block] if len(values) > 1 else np.repeat(values, frame_count, axis=0)
+    )
+    return np.ascontiguousarray(block_values, np.float64)

@@ -215,13 +215,13 @@ def _check_lengths(
     previous_sample = np.zeros(len(array.counts), np.int64)
     if indices.is_animated and array.is_animated:
         previous_sample = np.searchsorted(indices.times, array.times, side="right") - 1
-    expected = indices.counts[np.clip(previous_sample, 0, None)]
+    expected_counts = indices.counts[np.clip(previous_sample, 0, None)]
     is_optional = not attr.GetName().startswith("positions")
-    is_bad = (array.counts != expected) & ~(is_optional & (array.counts <= 0))
+    is_bad = (array.counts != expected_counts) & ~(is_optional & (array.counts <= 0))
     if is_bad.any():
         i = int(np.argmax(is_bad))
         samples = samples_text(array, is_bad)
-        message = f"{array.counts[i]} for {expected[i]} instances {samples}"
+        message = f"{array.counts[i]} for {expected_counts[i]} instances {samples}"
         yield finding("USD269", attr.GetPath(), message)
 
 

@@ -240,18 +240,18 @@ def _run_check(check: Check, subject: StageSubject) -> Iterator[Fault]:
 
 
 def _distinct_faults(faults: list[Fault]) -> list[Fault]:
-    """Return faults without repeats of an earlier fault at the same location.
+    """Return faults without those that repeat an earlier one at the same location.
 
     Per code and location the first message is kept: a validator of USD may repeat a
     finding of ours.
     """
-    reported: dict[tuple[str, str | None], bool] = {}
+    is_usd_report: dict[tuple[str, str | None], bool] = {}
     distinct_faults = []
     for fault in faults:
         is_from_usd = fault.message.partition(":")[0].lower().startswith("usd")
         key = (fault.code, fault.where)
-        if is_from_usd and key in reported and not reported[key]:
+        if is_from_usd and key in is_usd_report and not is_usd_report[key]:
             continue
-        reported.setdefault(key, is_from_usd)
+        is_usd_report.setdefault(key, is_from_usd)
         distinct_faults.append(fault)
     return distinct_faults

@@ -85,10 +85,10 @@ def _check_limits(prim: Any) -> Iterator[Fault]:
             )
             yield from _check_pair(prim, low_name, high_name, reversible=True)
     yield from _check_pair(
-        prim, "physics:minDistance", "physics:maxDistance", unlimited=-1.0
+        prim, "physics:minDistance", "physics:maxDistance", unlimited_value=-1.0
     )
-    for body in "01":
-        yield from _check_numbers(prim, f"physics:coneAngle{body}Limit")
+    for i in "01":
+        yield from _check_numbers(prim, f"physics:coneAngle{i}Limit")
 
 
 def _check_numbers(prim: Any, name: str) -> Iterator[Fault]:
@@ -104,7 +104,7 @@ def _check_pair(
     upper_name: str,
     *,
     reversible: bool = False,
-    unlimited: float | None = None,
+    unlimited_value: float | None = None,
 ) -> Iterator[Fault]:
     yield from _check_numbers(prim, lower_name)
     yield from _check_numbers(prim, upper_name)
@@ -114,7 +114,7 @@ def _check_pair(
         lower_value is None
         or upper_value is None
         or reversible
-        or unlimited in {lower_value, upper_value}
+        or unlimited_value in {lower_value, upper_value}
     ):
         return
     if lower_value > upper_value:

@@ -68,11 +68,11 @@ def _check_joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Faul
         token_array(skeleton_query.GetJointsAttr()) if skeleton_query else []
     )
     joint_names = _bound_joints(prim)
-    unknown = [name for name in joint_names if name not in set(skeleton_joints)]
-    if skeleton_joints and unknown:
+    unknown_joints = [name for name in joint_names if name not in set(skeleton_joints)]
+    if skeleton_joints and unknown_joints:
         message = (
-            f"{counted(len(unknown), 'joint')} that {skeleton_query.GetPath()} "
-            f"does not have: {listed(unknown)}"
+            f"{counted(len(unknown_joints), 'joint')} that {skeleton_query.GetPath()} "
+            f"does not have: {listed(unknown_joints)}"
         )
         yield finding("USD238", f"{prim.GetPath()}.skel:joints", message)
     count = len(joint_names or skeleton_joints)
@@ -108,14 +108,14 @@ def _count_mismatch(
         )
     if interpolations[0] not in {"constant", "vertex"}:
         return f"interpolation {interpolations[0]}; allowed: constant, vertex"
-    rows = 1 if interpolations[0] == "constant" else point_count(prim)
-    expected_length = index_count if rows is None else rows * sizes[0]
+    row_count = 1 if interpolations[0] == "constant" else point_count(prim)
+    expected_length = index_count if row_count is None else row_count * sizes[0]
     if (
         index_count != expected_length
         or weight_count != expected_length
         or index_count % max(sizes[0], 1)
     ):
-        expected_text = "" if rows is None else f" for {rows} x {sizes[0]}"
+        expected_text = "" if row_count is None else f" for {row_count} x {sizes[0]}"
         return (
             f"{index_count} jointIndices and {weight_count} jointWeights{expected_text}"
         )
@@ -134,7 +134,9 @@ def point_count(prim: Any) -> int | None:
     return PointReader(prim).point_count()
 
 
-def _check_weight_values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
+def _check_weight_values(
+    prim: Any, weights: FloatArray, influence_count: int
+) -> Iterator[Fault]:
     path = f"{prim.GetPath()}.primvars:skel:jointWeights"
     is_bad = ~np.isfinite(weights) | (weights < 0)
     if is_bad.any():
@@ -142,17 +144,17 @@ def _check_weight_values(prim: Any, weights: FloatArray, size: int) -> Iterator[
         message = (
             f"{is_bad.sum()} of {len(weights)} weights are negative or not finite, the "
             f"first is {weights[first_bad]:g}, that of point "
-            f"{first_bad // max(size, 1)}"
+            f"{first_bad // max(influence_count, 1)}"
         )
         yield finding("USD233", path, message)
-    elif size:
-        weight_sums = weights.reshape(-1, size).sum(axis=1)
+    elif influence_count:
+        weight_sums = weights.reshape(-1, influence_count).sum(axis=1)
         is_off_one = np.abs(weight_sums - 1.0) > SUM_TOLERANCE
         if is_off_one.any():
-            worst = int(np.abs(weight_sums - 1.0).argmax())
+            worst_point = int(np.abs(weight_sums - 1.0).argmax())
             message = (
                 f"the weights of {is_off_one.sum()} of {len(weight_sums)} points have "
-                f"another sum, of point {worst} {weight_sums[worst]:.6g}"
+                f"another sum, of point {worst_point} {weight_sums[worst_point]:.6g}"
             )
             yield finding("USD232", path, message)
 
@@ -280,15 +282,15 @@ def _check_finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
         yield finding("USD243", attr.GetPath(), message)
 
 
-def _check_normals(attr: Any, expected: int) -> Iterator[Fault]:
+def _check_normals(attr: Any, expected_count: int) -> Iterator[Fault]:
     rows = _offset_rows(attr)
-    if attr and attr.HasAuthoredValue() and len(rows) not in {0, expected}:
-        message = f"{len(rows)} normalOffsets for {expected} offsets"
+    if attr and attr.HasAuthoredValue() and len(rows) not in {0, expected_count}:
+        message = f"{len(rows)} normalOffsets for {expected_count} offsets"
         yield finding("USD242", attr.GetPath(), message)
     yield from _check_finite(attr, rows)
 
 
-def _check_inbetweens(inbetweens: list[Any], expected: int) -> Iterator[Fault]:
+def _check_inbetweens(inbetweens: list[Any], expected_count: int) -> Iterator[Fault]:
     names_by_weight: dict[float, str] = {}
     for inbetween in inbetweens:
         attr, weight = inbetween.GetAttr(), inbetween.GetWeight()
@@ -296,11 +298,11 @@ def _check_inbetweens(inbetweens: list[Any], expected: int) -> Iterator[Fault]:
         normals_only = not len(rows) and len(
             _offset_rows(inbetween.GetNormalOffsetsAttr())
         )
-        if len(rows) != expected and not normals_only:
-            message = f"{len(rows)} offsets for {expected}"
+        if len(rows) != expected_count and not normals_only:
+            message = f"{len(rows)} offsets for {expected_count}"
             yield finding("USD240", attr.GetPath(), message)
         yield from _check_finite(attr, rows)
-        yield from _check_normals(inbetween.GetNormalOffsetsAttr(), expected)
+        yield from _check_normals(inbetween.GetNormalOffsetsAttr(), expected_count)
         if weight is None or not np.isfinite(weight) or weight in {0.0, 1.0}:
             weight_text = "no weight" if weight is None else f"weight {weight:g}"
             yield finding("USD244", attr.GetPath(), weight_text)

@@ -1,4 +1,4 @@
-"""Exact bounds of the skinned points below a SkelRoot, as UsdSkel deforms them.
+"""Computes the exact bounds of the skinned points below a SkelRoot.
 
 `ComputeExtentFromPlugins` uses the joints and a padding from the rest pose, which
 skinned points may exceed.

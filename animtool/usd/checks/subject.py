@@ -1,4 +1,4 @@
-"""Stage contents for the checks: prims and samples, each read once."""
+"""Caches the prims and samples of a stage for the checks."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class SampledArray:
         return not np.isnan(self.times).any()
 
 
-def samples_text(array: SampledArray, selected: BoolArray | IntArray) -> str:
+def samples_text(array: SampledArray, selection: BoolArray | IntArray) -> str:
     """Describe which samples are selected by a mask or indices ``(F,)``."""
-    indices = np.flatnonzero(selected) if selected.dtype == np.bool_ else selected
+    indices = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
     if not array.is_animated:
         return "in the default"
     text = f"at time code {array.times[indices[0]]:g}"

@@ -1,4 +1,4 @@
-"""Builds takes from a stage's animations, using samples that the checks cache."""
+"""Builds takes from the animations of a stage and the samples that checks cached."""
 
 from __future__ import annotations
 
@@ -142,14 +142,14 @@ def _bound_skeletons(skeletons: list[Any]) -> dict[Any, Any]:
 
 
 def _nearest_skeleton(animation: Any, skeletons: list[Any]) -> Any:
-    """Return the Skeleton with the most joints of an animation, if more than half."""
+    """Return the Skeleton with more than half of an animation's joints, and the most."""
     joints = set(token_array(animation.GetJointsAttr()))
     nearest = None
-    most_joints = len(joints) // 2
+    max_count = len(joints) // 2
     for skeleton in skeletons:
-        common_joints = len(joints.intersection(token_array(skeleton.GetJointsAttr())))
-        if common_joints > most_joints:
-            nearest, most_joints = skeleton, common_joints
+        common_count = len(joints.intersection(token_array(skeleton.GetJointsAttr())))
+        if common_count > max_count:
+            nearest, max_count = skeleton, common_count
     return nearest
 
 
@@ -169,9 +169,9 @@ def _animation_take(
     attributes.append((animation.GetBlendShapeWeightsAttr(), len(shapes), 1))
     times = {t for attr, count, _ in attributes if count for t in subject.times(attr)}
     times.update(t for attr in placement_attributes for t in attr.GetTimeSamples())
-    stored, stage = stored_data(animation.GetPrim()), subject.stage
+    custom_data, stage = stored_data(animation.GetPrim()), subject.stage
     codes = np.array(sorted(times), np.float64)
-    if stored.get("shared"):
+    if custom_data.get("shared"):
         # Its characters have time offsets, so samples may lie outside the frames.
         first_code, last_code = stage.GetStartTimeCode(), stage.GetEndTimeCode()
         codes = np.arange(first_code, last_code + 1)
@@ -207,7 +207,7 @@ def _animation_take(
         _influencing_joints(skeleton, rig_data, stage_data) if skeleton else None,
         _bind_positions(skeleton, rig_data.rig, placement) if skeleton else None,
         rate if stage.HasAuthoredMetadata("framesPerSecond") and rate > 0.0 else None,
-        bool(stored.get("reduced") or stored.get("thinned")),
+        bool(custom_data.get("reduced") or custom_data.get("thinned")),
     )
 
 
@@ -240,15 +240,15 @@ def _attribute_rows(
     if not count or not attr:
         return None
     array = subject.sampled_array(attr)
-    sample_indices, rows = array.rows(count, width)
+    sample_indices, samples = array.rows(count, width)
     if not len(sample_indices) or len(sample_indices) != len(array.times):
         return None
-    values = np.asarray(rows, np.float64)
+    values = np.asarray(samples, np.float64)
     if not np.isfinite(values).all():
         return None
-    frames = max(len(codes), 1)
+    frame_count = max(len(codes), 1)
     if not array.is_animated or len(values) == 1:
-        return np.repeat(values[:1], frames, axis=0)
+        return np.repeat(values[:1], frame_count, axis=0)
     if np.array_equal(array.times, codes):
         return values
     next_index = np.searchsorted(array.times, codes).clip(1, len(values) - 1)
@@ -276,18 +276,18 @@ def _build_motion(
         not joints and weights is None
     ):
         return None
-    frames = next(len(row) for row in rows if row is not None)
+    frame_count = next(len(row) for row in rows if row is not None)
     if shapes and weights is None:
-        weights = np.zeros((frames, len(shapes), 1))
+        weights = np.zeros((frame_count, len(shapes), 1))
     rests = (
         rig.rest_translations / rig.meters_per_unit,
         rig.rest_rotations,
         rig_data.rest_scales,
     )
     index = {token: i for i, token in enumerate(rig_data.tokens)}
-    columns = np.array([index.get(token, -1) for token in joints], np.int64)
+    joint_indices = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
-        fill_with_rest(rest, row, columns, frames)
+        fill_with_rest(rest, row, joint_indices, frame_count)
         for rest, row in zip(rests, rows[:3], strict=True)
     )
     if not (np.linalg.norm(rotations, axis=2) > 0.0).all():

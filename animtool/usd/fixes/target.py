@@ -122,7 +122,7 @@ def stored_arrays(spec: Any) -> list[AnyArray]:
 
 
 def replace_arrays(spec: Any, new_arrays: list[AnyArray]) -> tuple[int, float]:
-    """Write those of the new arrays of an attribute spec that differ from its own.
+    """Write the new arrays of an attribute spec that differ from the stored ones.
 
     Returns the number of changed arrays, and the largest change of a number.
     """

@@ -34,11 +34,11 @@ def align_rotation_signs(target: FixTarget, fault: Fault) -> Edit:
         arrays = stored_arrays(spec)
         if len({array.shape for array in arrays}) != 1:
             raise NotFixableError("samples have different numbers of rotations")
-        stacked = np.stack(arrays)
-        aligned = so3.align_signs(stacked, stacked[0])
-        flip_count = int((aligned != stacked).any(axis=-1).sum())
+        rotations = np.stack(arrays)
+        aligned_rotations = so3.align_signs(rotations, rotations[0])
+        flip_count = int((aligned_rotations != rotations).any(axis=-1).sum())
         changed_samples, _ = replace_arrays(
-            spec, [row.astype(stacked.dtype) for row in aligned]
+            spec, [row.astype(rotations.dtype) for row in aligned_rotations]
         )
         samples = f"{changed_samples} of {counted(len(arrays), 'sample')}"
         return Change(f"negates {counted(flip_count, 'quaternion')} in {samples}")
@@ -51,7 +51,7 @@ def normalize_rotations(target: FixTarget, fault: Fault) -> Edit:
     spec = target.attribute(fault)
 
     def edit() -> Change:
-        arrays, normalized, quaternion_count = stored_arrays(spec), [], 0
+        arrays, new_arrays, quaternion_count = stored_arrays(spec), [], 0
         for array in arrays:
             lengths = np.linalg.norm(array.astype(np.float64), axis=-1)
             if (
@@ -64,8 +64,8 @@ def normalize_rotations(target: FixTarget, fault: Fault) -> Edit:
             is_off_unit = np.abs(lengths - 1) > rounding
             quaternion_count += int(is_off_unit.sum())
             rows = array / np.where(is_off_unit, lengths, 1.0)[..., None]
-            normalized.append(rows.astype(array.dtype))
-        changed_samples, largest = replace_arrays(spec, normalized)
+            new_arrays.append(rows.astype(array.dtype))
+        changed_samples, largest = replace_arrays(spec, new_arrays)
         samples = f"{changed_samples} of {counted(len(arrays), 'sample')}"
         text = f"normalises {counted(quaternion_count, 'quaternion')} in {samples}"
         return Change(text, largest)
@@ -98,12 +98,12 @@ def author_rates(target: FixTarget, _: Fault) -> Edit:
 
 def fit_range(target: FixTarget, _: Fault) -> Edit:
     """Set the layer's frame range to the range of its samples."""
-    return lambda: _fit_range(target, widen=False)
+    return lambda: _fit_range(target, contain_range=False)
 
 
 def widen_range(target: FixTarget, _: Fault) -> Edit:
     """Widen the layer's range to contain all samples."""
-    return lambda: _fit_range(target, widen=True)
+    return lambda: _fit_range(target, contain_range=True)
 
 
 def round_range(target: FixTarget, _: Fault) -> Edit:
@@ -125,11 +125,11 @@ def round_range(target: FixTarget, _: Fault) -> Edit:
     return edit
 
 
-def _fit_range(target: FixTarget, *, widen: bool) -> Change:
+def _fit_range(target: FixTarget, *, contain_range: bool) -> Change:
     stage = target.stage
     first_sample, last_sample = _frame_span(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    if widen and start <= last_sample and end >= first_sample:
+    if contain_range and start <= last_sample and end >= first_sample:
         first_sample, last_sample = min(first_sample, start), max(last_sample, end)
     return _set_range(target.layer, first_sample, last_sample)
 

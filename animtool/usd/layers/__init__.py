@@ -1,1 +1,1 @@
-"""Layers: opening, chunked writing, names, and finite values."""
+"""Opens and writes layers; checks their names and values."""

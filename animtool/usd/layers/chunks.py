@@ -115,14 +115,14 @@ class ClipFiles:
     name: str  # name of the clip set
     manifest: Path  # layer that declares the attributes of the chunks
 
-    def chunk(self, number: int) -> Path:
+    def chunk(self, index: int) -> Path:
         """Return the path of a chunk, counted from 0.
 
         >>> system_clip_files(Path("shot.usdc")).chunk(0).name
         'shot.systems.0001.usdc'
         """
         stem = self.output.stem
-        return self.output.with_name(f"{stem}.{self.name}.{number + 1:04d}.usdc")
+        return self.output.with_name(f"{stem}.{self.name}.{index + 1:04d}.usdc")
 
     def existing_chunks(self) -> list[Path]:
         """Return the chunk files that exist, in time order."""
@@ -131,9 +131,9 @@ class ClipFiles:
         paths = folder.iterdir() if folder.is_dir() else ()
         return sorted(path for path in paths if pattern.fullmatch(path.name))
 
-    def remove_stale_chunks(self, current: Collection[Path]) -> None:
+    def remove_stale_chunks(self, current_chunks: Collection[Path]) -> None:
         """Delete chunks left by an earlier, longer bake."""
-        for path in set(self.existing_chunks()) - set(current):
+        for path in set(self.existing_chunks()) - set(current_chunks):
             # Leftover files that cannot be removed do no harm.
             with suppress(OSError):
                 path.unlink()
@@ -231,11 +231,11 @@ class ChunkedWriter:
 
     def __exit__(self, *error: Any) -> None:
         """Close the open files; after an error, discard them."""
-        for number in sorted(self._open_chunks):
+        for index in sorted(self._open_chunks):
             if error[0] is None:
-                self._close(number)
+                self._close(index)
             else:
-                self._open_chunks.pop(number)[0].__exit__(*error)
+                self._open_chunks.pop(index)[0].__exit__(*error)
 
     @property
     def paths(self) -> list[Path]:
@@ -246,30 +246,32 @@ class ChunkedWriter:
         """Write a block of frames to the chunk files of its time codes."""
         codes, begin = block.codes, 0
         while begin < len(codes):
-            number, row = divmod(self._next_samples[block.prim], self._chunk_size)
-            count = min(self._chunk_size - row, len(codes) - begin)
-            if row == 0 and number:
+            chunk, sample = divmod(self._next_samples[block.prim], self._chunk_size)
+            frame_count = min(self._chunk_size - sample, len(codes) - begin)
+            if sample == 0 and chunk:
                 self._write_block(
-                    number - 1, block.select_frames(slice(begin, begin + 1))
+                    chunk - 1, block.select_frames(slice(begin, begin + 1))
                 )
-            if number == len(self.starts):
+            if chunk == len(self.starts):
                 stack = ExitStack()
-                context = self._open_writers(self.files.chunk(number), number)
-                self._open_chunks[number] = stack, stack.enter_context(context)
+                context = self._open_writers(self.files.chunk(chunk), chunk)
+                self._open_chunks[chunk] = stack, stack.enter_context(context)
                 self.starts.append(float(codes[begin]))
-            self._write_block(number, block.select_frames(slice(begin, begin + count)))
-            self._next_samples[block.prim] += count
-            begin += count
+            self._write_block(
+                chunk, block.select_frames(slice(begin, begin + frame_count))
+            )
+            self._next_samples[block.prim] += frame_count
+            begin += frame_count
         self.last = max(self.last, float(codes[-1]))
-        for number in sorted(self._open_chunks):
-            if min(self._next_samples) > (number + 1) * self._chunk_size:
-                self._close(number)
+        for chunk in sorted(self._open_chunks):
+            if min(self._next_samples) > (chunk + 1) * self._chunk_size:
+                self._close(chunk)
 
-    def _write_block(self, number: int, block: Block) -> None:
-        self._open_chunks[number][1][block.prim].add(block)
+    def _write_block(self, chunk: int, block: Block) -> None:
+        self._open_chunks[chunk][1][block.prim].add(block)
 
-    def _close(self, number: int) -> None:
-        self._open_chunks.pop(number)[0].close()
+    def _close(self, chunk: int) -> None:
+        self._open_chunks.pop(chunk)[0].close()
 
     def join(
         self,

@@ -59,10 +59,10 @@ class _LayerWalk:
         self._visited.add(asset)
         # For a file in a package, the resolver opens the package.
         package_path = identifier_path.partition("[")[0]
-        file = Ar.GetResolver().Resolve(package_path).GetPathString()
-        if not file or "://" in file:
+        resolved_path = Ar.GetResolver().Resolve(package_path).GetPathString()
+        if not resolved_path or "://" in resolved_path:
             return None
-        path = Path(file)
+        path = Path(resolved_path)
         if path not in self.states:
             state = self._file_state(layer, asset_name, path)
             if state is None:

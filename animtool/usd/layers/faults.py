@@ -1,4 +1,4 @@
-"""Skeleton and animation faults with their locations, for readers and checks."""
+"""Finds faults of Skeletons and animations, for readers and checks."""
 
 from __future__ import annotations
 
@@ -85,12 +85,12 @@ def joint_parents(joints: Sequence[str]) -> IntArray:
     >>> joint_parents(["a", "a/b/c"]).tolist()
     [-1, 0]
     """
-    index = {name: i for i, name in enumerate(joints)}
+    joint_indices = {name: i for i, name in enumerate(joints)}
 
     def parent_index(name: str) -> int:
         while name := name.rpartition("/")[0]:
-            if name in index:
-                return index[name]
+            if name in joint_indices:
+                return joint_indices[name]
         return -1
 
     return np.array([parent_index(name) for name in joints], np.int64)
@@ -164,8 +164,8 @@ def is_singular(matrices: FloatArray) -> BoolArray:
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=2).prod(axis=1)
     volumes = np.abs(np.linalg.det(linear))
-    singular_mask: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
-    return singular_mask
+    mask: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
+    return mask
 
 
 def unknown_joint_faults(
@@ -173,10 +173,12 @@ def unknown_joint_faults(
 ) -> Iterator[Fault]:
     """Yield a fault if an animation has joints that its Skeleton lacks."""
     joint_set = set(joints)
-    unknown = [name for name in token_array(attr) if name not in joint_set]
-    if unknown and joint_set:
-        message = f"{counted(len(unknown), 'joint')} that {skeleton} does not have: "
-        message += listed(unknown)
+    unknown_joints = [name for name in token_array(attr) if name not in joint_set]
+    if unknown_joints and joint_set:
+        message = (
+            f"{counted(len(unknown_joints), 'joint')} that {skeleton} does not have: "
+        )
+        message += listed(unknown_joints)
         yield finding("USD209", attr.GetPath(), message)
 
 

@@ -82,18 +82,20 @@ def narrow_floats(
 
 
 def round_to_float32(
-    points: FloatArray, unit: float, labels: ValueLabels, codes: FloatArray
+    points: FloatArray, meters_per_unit: float, labels: ValueLabels, codes: FloatArray
 ) -> tuple[Float32Array, float, int, int]:
     """Return points as float32, the largest rounding error, and its frame and vertex.
 
     ``points`` are ``(F, V, 3)``, ``codes`` the time codes ``(F,)``.
     """
-    rounded_points, error, frame, vertex = _kernels.round_points(points, unit)
+    rounded_points, error, frame, vertex = _kernels.round_points(
+        points, meters_per_unit
+    )
     # The error of an out-of-range value exceeds any rounding error, so this test
     # suffices.
-    if not error < _MAX_ROUNDING * unit:
+    if not error < _MAX_ROUNDING * meters_per_unit:
         with np.errstate(all="ignore"):
-            in_unit = points / unit
+            in_unit = points / meters_per_unit
             in_float32 = in_unit.astype(np.float32)
         _refuse_non_finite(in_unit, in_float32, "f", labels, codes)
     return rounded_points, error, frame, vertex
@@ -125,15 +127,11 @@ def check_value(
 
     ``code`` is the time code; None is the default.
     """
-    numbers = floats_of(value)
-    if (
-        numbers is None
-        or not numbers.size
-        or _is_in_range(numbers, _TYPE_LIMITS[letter])
-    ):
+    floats = floats_of(value)
+    if floats is None or not floats.size or _is_in_range(floats, _TYPE_LIMITS[letter]):
         return
     codes = None if code is None else np.array([code])
-    rows = numbers if code is None else numbers[None]
+    rows = floats if code is None else floats[None]
     _refuse_non_finite(rows, rows, letter, labels, codes)
 
 
@@ -156,7 +154,7 @@ def floats_of(value: Any) -> npt.NDArray[Any] | None:
     return array if array.dtype.kind == "f" else None
 
 
-def equals_row(rows: npt.NDArray[Any], row: npt.NDArray[Any]) -> bool:
+def all_rows_equal(rows: npt.NDArray[Any], row: npt.NDArray[Any]) -> bool:
     """Return whether finite rows ``(F, …)`` all equal a row ``(…)``."""
     # Comparing as integers is eight times faster than float16, but misses signed zeros.
     if rows.dtype == np.float16:
@@ -182,10 +180,10 @@ def _refuse_non_finite(
 ) -> None:
     """Raise an error for the first value that would not be finite in the file."""
     limit = _TYPE_LIMITS[letter]
-    non_finite_indices = np.argwhere(~(np.abs(narrowed) <= limit))
-    if not len(non_finite_indices):
+    indices = np.argwhere(~(np.abs(narrowed) <= limit))
+    if not len(indices):
         return
-    index = tuple(non_finite_indices[0].tolist())
+    index = tuple(indices[0].tolist())
     value = float(values[index])
     element_index = index if codes is None else index[1:]
     at_frame = "" if codes is None else f" at frame {codes[index[0]]:.10g}"

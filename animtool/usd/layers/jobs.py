@@ -1,4 +1,4 @@
-"""USD output jobs: their contents, files and result reports."""
+"""Settings, contents and results of writing takes to USD files."""
 
 from __future__ import annotations
 

@@ -66,7 +66,9 @@ def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
 
 
 def distinct_names(
-    original_names: Sequence[str], proposed_names: Sequence[str], sources: Sequence[str]
+    original_names: Sequence[str],
+    proposed_names: Sequence[str],
+    source_names: Sequence[str],
 ) -> UsdNames:
     """Return legal, unique names; numbers are appended to duplicates."""
     names: list[str] = []
@@ -75,7 +77,11 @@ def distinct_names(
     notices: list[Fault] = []
     legal_names = list(map(legal_name, proposed_names))
     rows = zip(
-        original_names, legal_names, numbered_names(legal_names), sources, strict=True
+        original_names,
+        legal_names,
+        numbered_names(legal_names),
+        source_names,
+        strict=True,
     )
     for name, legal, unique, source in rows:
         if unique != legal:
@@ -119,7 +125,7 @@ class RigPaths:
         root = f"{model}/Rig"
         return RigPaths(model, root, f"{root}/Skel", f"{root}/Anim", root)
 
-    def moved(self, model: str) -> RigPaths:
-        """Return the paths below another path of the model."""
+    def with_model(self, model: str) -> RigPaths:
+        """Return the same paths below another path of the model."""
         paths = (self.model, self.root, self.skeleton, self.animation, self.binding)
         return RigPaths(*(replace_prefix(path, self.model, model) for path in paths))

@@ -1,4 +1,4 @@
-"""USDZ packages: a layer and its dependencies in one file."""
+"""Writes USDZ packages: a layer and its dependencies in one file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sdf layers: opening, metadata, prims, attributes, samples, saving."""
+"""Opens, edits and saves Sdf layers: metadata, prims, attributes and samples."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ from animtool.core.values import plain_value
 from animtool.maths import so3
 from animtool.usd.layers.finite import (
     ValueLabels,
+    all_rows_equal,
     check_data,
     check_rows,
     check_value,
-    equals_row,
     float_letter,
 )
 from animtool.usd.layers.names import legal_name
@@ -122,7 +122,7 @@ def layer_shot(layer: Any) -> dict[str, object] | None:
     shot_data = data.get("shot") if isinstance(data, dict) else None
     if not isinstance(shot_data, dict):
         return None
-    keys = {usd: key for key, usd in _SHOT_KEYS.items()}
+    keys = {usd_key: key for key, usd_key in _SHOT_KEYS.items()}
     shot: dict[str, object] = {
         keys.get(str(name), str(name)): value for name, value in shot_data.items()
     }
@@ -184,10 +184,10 @@ def layer_state(path: Path, *, recorded: bool = False) -> FileState:
     ``recorded`` says whether a user or a document names it as an input.
     """
     with open_input(path, None, recorded=recorded) as file:
-        binary = (
+        is_binary = (
             file.read(len(CRATE_MAGIC)) == CRATE_MAGIC or path.suffix.lower() == ".usdz"
         )
-        limit = MAX_LAYER_BYTES if binary else MAX_TEXT_LAYER_BYTES
+        limit = MAX_LAYER_BYTES if is_binary else MAX_TEXT_LAYER_BYTES
         if file.state.size > limit:
             raise size_error(path, file.state.size, limit)
         return file.state
@@ -203,7 +203,7 @@ def forget_layers() -> None:
 
 
 def limit_usd_threads() -> None:
-    """Limit USD to the calling thread if other processes use the cores."""
+    """Limit USD to the calling thread, since other processes use the cores."""
     Work.SetConcurrencyLimit(1)
 
 
@@ -241,7 +241,7 @@ def new_layer(path: Path) -> Any:
 
 
 def prim_spec(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
-    """Return the spec of a prim, created if needed with ancestors as overs."""
+    """Return the spec of a prim; create it, with its ancestors as overs, if needed."""
     spec = Sdf.CreatePrimInLayer(layer, path)
     spec.specifier = Sdf.SpecifierOver if over else Sdf.SpecifierDef
     if type_name:
@@ -274,7 +274,7 @@ def write_samples(
     layer: Any,
     attr: Any,
     codes: npt.NDArray[np.floating[Any]],
-    rows: IntArray,
+    frames: IntArray,
     values: Sequence[Any],
 ) -> None:
     """Write values of an attribute at selected time codes.
@@ -282,7 +282,7 @@ def write_samples(
     The first value is also the default; a single value is only written as the default.
     """
     letter, labels = float_letter(attr.typeName), ValueLabels(str(attr.path))
-    for code, value in zip(codes[rows].tolist(), values, strict=True):
+    for code, value in zip(codes[frames].tolist(), values, strict=True):
         if letter:
             check_value(value, letter, labels, code)
         if len(values) > 1:
@@ -292,8 +292,8 @@ def write_samples(
 
 def author_relationship(spec: Any, name: str, *targets: str) -> None:
     """Create a relationship that targets prims."""
-    relation = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
-    relation.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
+    relationship = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
+    relationship.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
 
 
 def save_layer(layer: Any, path: Path) -> int:
@@ -363,30 +363,30 @@ def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
     spec.SetInfo("apiSchemas", list_op)
 
 
-def gf_vector(row: FloatArray) -> Any:
+def gf_vector(vector: FloatArray) -> Any:
     """Return a vector ``(3,)`` as a Gf vector."""
-    return Gf.Vec3d(*row.tolist())
+    return Gf.Vec3d(*vector.tolist())
 
 
-def gf_vec3f(row: FloatArray) -> Any:
+def gf_vec3f(vector: FloatArray) -> Any:
     """Return a vector ``(3,)`` as a float32 Gf vector."""
-    return Gf.Vec3f(*row.tolist())
+    return Gf.Vec3f(*vector.tolist())
 
 
-def gf_quaternion(row: FloatArray) -> Any:
+def gf_quaternion(quaternion: FloatArray) -> Any:
     """Return a quaternion ``(4,)``, x y z w, as a Gf quaternion.
 
     >>> import numpy as np
     >>> gf_quaternion(np.array([0.0, 0.0, 0.0, 1.0])).GetReal()
     1.0
     """
-    x, y, z, w = row.tolist()
+    x, y, z, w = quaternion.tolist()
     return Gf.Quatd(w, x, y, z)
 
 
-def gf_quatf(row: FloatArray) -> Any:
+def gf_quatf(quaternion: FloatArray) -> Any:
     """Return a quaternion ``(4,)``, x y z w, as a float32 Gf quaternion."""
-    return Gf.Quatf(gf_quaternion(row))
+    return Gf.Quatf(gf_quaternion(quaternion))
 
 
 class SampleWriter:
@@ -404,7 +404,7 @@ class SampleWriter:
     def __init__(
         self,
         attr: Any,
-        make: Callable[[Any], Any],
+        convert: Callable[[Any], Any],
         *,
         every_frame: bool = False,
         with_default: bool = True,
@@ -413,8 +413,8 @@ class SampleWriter:
         names: Sequence[str] = (),
     ) -> None:
         self._attribute, self._path = attr, attr.path
-        self._set = attr.layer.SetTimeSample
-        self._make = make
+        self._set_sample = attr.layer.SetTimeSample
+        self._convert = convert
         self._every_frame = every_frame
         self._has_default = with_default
         self._letter = float_letter(attr.typeName)
@@ -425,48 +425,50 @@ class SampleWriter:
         self._static_codes: list[FloatArray] = []
         self.has_samples = False
 
-    def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
+    def add(self, codes: FloatArray, values: npt.NDArray[Any]) -> None:
         """Add frames of values ``(F, …)``."""
-        rows = self._with_continuous_signs(np.ascontiguousarray(rows))
+        values = self._with_continuous_signs(np.ascontiguousarray(values))
         if self._letter:
-            check_rows(rows, self._letter, self._labels, codes)
+            check_rows(values, self._letter, self._labels, codes)
         if self._every_frame:
             if not self.has_samples and self._has_default:
-                self._attribute.default = self._make(rows[0])
+                self._attribute.default = self._convert(values[0])
             self.has_samples = True
         elif self._first_value is None:
-            self._first_value = rows[0].copy()
+            self._first_value = values[0].copy()
         if not self.has_samples:
-            if self._first_value is not None and equals_row(rows, self._first_value):
+            if self._first_value is not None and all_rows_equal(
+                values, self._first_value
+            ):
                 self._static_codes.append(codes)
                 return
             self.start_sampling()
-        set_value, path, make = self._set, self._path, self._make
-        for code, row in zip(codes.tolist(), rows, strict=True):
-            set_value(path, code, make(row))
+        set_value, path, convert = self._set_sample, self._path, self._convert
+        for code, value in zip(codes.tolist(), values, strict=True):
+            set_value(path, code, convert(value))
 
-    def _with_continuous_signs(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def _with_continuous_signs(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return rows whose quaternion signs continue the previous block."""
-        if not self._are_quaternions or not rows.size:
-            return rows
-        previous = rows[0] if self._last_value is None else self._last_value
-        if rows.dtype == np.float32 and rows.ndim == 3:
-            aligned = _kernels.continue_signs(rows, previous)
-            rows = rows if aligned is None else aligned
+        if not self._are_quaternions or not values.size:
+            return values
+        previous = values[0] if self._last_value is None else self._last_value
+        if values.dtype == np.float32 and values.ndim == 3:
+            aligned = _kernels.continue_signs(values, previous)
+            values = values if aligned is None else aligned
         else:
-            rows = so3.align_signs(rows, previous).astype(rows.dtype)
-        self._last_value = rows[-1]
-        return rows
+            values = so3.align_signs(values, previous).astype(values.dtype)
+        self._last_value = values[-1]
+        return values
 
     def start_sampling(self) -> None:
         """Write samples from the first frame on, even if values stay constant."""
         if self.has_samples:
             return
         self.has_samples = True
-        value = self._make(self._first_value)
+        value = self._convert(self._first_value)
         for codes in self._static_codes:
             for code in codes.tolist():
-                self._set(self._path, code, value)
+                self._set_sample(self._path, code, value)
         self._static_codes.clear()
 
     def author_default(self) -> None:
@@ -475,13 +477,13 @@ class SampleWriter:
         Readers that query the attribute without a time code get this value.
         """
         if self.has_samples and self._first_value is not None:
-            self._attribute.default = self._make(self._first_value)
+            self._attribute.default = self._convert(self._first_value)
 
     def finish(self, fallback: npt.NDArray[Any]) -> None:
         """Author constant values as the default; ``fallback`` if there are none."""
         if not self.has_samples:
             default = fallback if self._first_value is None else self._first_value
-            value = self._make(default)
+            value = self._convert(default)
             if self._letter:
                 check_value(value, self._letter, self._labels)
             self._attribute.default = value

@@ -90,7 +90,7 @@ def layer_fault(text: str, path: Path) -> Fault:
     "a.usda:1:1: USD001 the first line is not '#usda 1.0'"
     """
     located_error = _LOCATED_ERROR.search(text)
-    error_text, context = (
+    reason, context = (
         (text, "") if located_error is None else (located_error[4], located_error[5])
     )
     location: dict[str, Any] = {}
@@ -100,7 +100,7 @@ def layer_fault(text: str, path: Path) -> Fault:
             path = Path(located_error[1])  # a layer that it composes
         if located_error[6] not in {"", "/"}:
             location["where"] = located_error[6]
-    for search_text in (text, error_text):
+    for search_text in (text, reason):
         for pattern, describe in _FAULT_PATTERNS.items():
             match = re.search(pattern, search_text)
             if match is not None:

@@ -1,4 +1,4 @@
-"""A temporary stage that composes a layer with others for display."""
+"""Writes a temporary stage that composes a layer with others for display."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def write_view(
     with usd_errors(layer_path):
         # Kept alive, so that it stays open.
         layer = find_layer(layer_path)
-        source_metadata = layer.pseudoRoot
+        pseudo_root = layer.pseudoRoot
         view = Sdf.Layer.CreateAnonymous(".usda")
         sublayer_paths = [*stronger_paths, layer_path, *weaker_paths]
         view.subLayerPaths = [str(layer.resolve()) for layer in sublayer_paths]
         for name in _METADATA_FIELDS:
-            if source_metadata.HasInfo(name):
-                view.pseudoRoot.SetInfo(name, source_metadata.GetInfo(name))
+            if pseudo_root.HasInfo(name):
+                view.pseudoRoot.SetInfo(name, pseudo_root.GetInfo(name))
         with replacement_path(path) as temporary:
             temporary.write_text(view.ExportToString(), "utf-8")
     return path

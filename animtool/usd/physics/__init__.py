@@ -1,1 +1,1 @@
-"""UsdPhysics: bodies, joints and colliders, written and read."""
+"""Writes and reads bodies, joints and colliders as UsdPhysics."""

@@ -139,9 +139,9 @@ def _resolve_body(
         ]
     )
     for ancestor in self_and_ancestors(prim):
-        body_number = body_index.get(str(ancestor.GetPath()))
-        if body_number is not None:
-            return body_number, relative_pose(
+        body = body_index.get(str(ancestor.GetPath()))
+        if body is not None:
+            return body, relative_pose(
                 source.pose(source.matrix(ancestor))[0], joint_pose
             )
         if is_body(ancestor):

@@ -53,10 +53,13 @@ def read_shapes(
     frame = np.concatenate([translation[0] * source.meters_per_unit, rotation[0]])
     pose = source.to_y_up(pose) if is_static else relative_pose(frame, pose)
     scale_range = float(np.abs(scale).max()), float(np.abs(scale).min())
-    scale_unit, kind = scale_range[0] * source.meters_per_unit, str(prim.GetTypeName())
+    scale_unit, type_name = (
+        scale_range[0] * source.meters_per_unit,
+        str(prim.GetTypeName()),
+    )
     if (
         scale_range[0] - scale_range[1] > SCALE_TOLERANCE * scale_range[0]
-        and kind in SYMMETRIC_TYPES
+        and type_name in SYMMETRIC_TYPES
     ):
         source.add_notice(prim, "has a non-uniform scale: using the largest")
     values = {
@@ -65,22 +68,22 @@ def read_shapes(
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     sizes: tuple[float, ...] = ()
     is_hull = False
-    match kind:
+    match type_name:
         case "Sphere":
-            kind_name, sizes = "sphere", (values["radius"] * scale_unit,)
+            shape_kind, sizes = "sphere", (values["radius"] * scale_unit,)
         case "Capsule":
-            kind_name = "capsule"
+            shape_kind = "capsule"
             sizes = (values["radius"] * scale_unit, values["height"] * scale_unit)
         case "Cube":
             scaled_sides = [
                 side * source.meters_per_unit for side in np.abs(scale).tolist()
             ]
-            kind_name = "box"
+            shape_kind = "box"
             sizes = tuple(side * values["size"] for side in scaled_sides)
         case "Plane" if is_static:
-            kind_name = "plane"
+            shape_kind = "plane"
         case "Mesh":
-            kind_name = "mesh"
+            shape_kind = "mesh"
             approximation = prim.GetAttribute("physics:approximation").Get()
             is_hull = str(approximation) == "convexHull"
             points, triangles = _read_mesh(source, prim, scale)
@@ -93,19 +96,19 @@ def read_shapes(
             )
             return
     if not all(
-        0 < side < MAX_NUMBER for side in sizes if kind_name != "capsule" or side
+        0 < side < MAX_NUMBER for side in sizes if shape_kind != "capsule" or side
     ):
         source.add_notice(prim, f"has a size of {list(sizes)} m: skipped")
         return
     axis_rotation = so3.IDENTITY
-    if kind in TYPES_WITH_AXIS:
+    if type_name in TYPES_WITH_AXIS:
         axis_rotation = so3.shortest_rotation(
             AXIS_VECTORS["Y"], _prim_axis(source, prim)
         )
     pose = np.concatenate([pose[:3], so3.multiply(pose[3:], axis_rotation)])
     name = str(prim.GetName())
     yield PhysicsShape(
-        kind_name,
+        shape_kind,
         sizes,
         pose,
         points,
@@ -157,14 +160,14 @@ def _read_friction_and_restitution(
     api = UsdPhysics.MaterialAPI(material.GetPrim())
     friction = source.number(api.GetDynamicFrictionAttr()) or 0.0
     restitution = source.number(api.GetRestitutionAttr()) or 0.0
-    clamped = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
-    if clamped != (friction, restitution):
+    used_values = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
+    if used_values != (friction, restitution):
         message = (
             f"has friction {friction:g} and restitution {restitution:g}: "
-            f"using {clamped[0]:g} and {clamped[1]:g}"
+            f"using {used_values[0]:g} and {used_values[1]:g}"
         )
         source.add_notice(material.GetPrim(), message)
-    return clamped
+    return used_values
 
 
 # Maximum number of prims that are read, to limit memory.
@@ -216,8 +219,7 @@ def _read_stage(source: PhysicsStage, root: Any) -> Physics:
         hint = "supported shapes are spheres, capsules, cubes and meshes"
         source.fail(root, message, hint)
     body_index = {
-        str(body_prims[k].GetPath()): body_number
-        for body_number, k in enumerate(shaped_indices)
+        str(body_prims[k].GetPath()): body for body, k in enumerate(shaped_indices)
     }
     is_dynamic = [not bodies[k].kinematic for k in shaped_indices]
     joints = [

@@ -1,1 +1,1 @@
-"""Prims that move rigidly: props, cameras, bodies and crowd characters."""
+"""Reads and writes prims that move rigidly: props, cameras, bodies and crowds."""

@@ -106,22 +106,24 @@ class CharactersWriter:
         for c, (cast, paths) in enumerate(
             zip(frame.casts, self._rig_paths(frame), strict=True)
         ):
-            rows = slice(rig_ends[c] - int(frame.counts[c]), rig_ends[c])
-            rig_rows = {
-                name: np.stack([frame_rows[rows] for frame_rows in rows_by_frame])
-                for name, rows_by_frame in self._rows_by_name.items()
+            members = slice(rig_ends[c] - int(frame.counts[c]), rig_ends[c])
+            rig_values = {
+                name: np.stack(
+                    [frame_values[members] for frame_values in values_by_frame]
+                )
+                for name, values_by_frame in self._rows_by_name.items()
             }
-            rotations = np.stack([frame_rows[c] for frame_rows in self._rotations])
+            rotations = np.stack([frame_values[c] for frame_values in self._rotations])
             track = _CharacterTrack(
                 np.array(self.codes),
                 _align_signs(rotations),
-                frame.scales[rows],
+                frame.scales[members],
                 cast,
-                **rig_rows,
+                **rig_values,
             )
             group = _CharacterGroup(self, layer, paths, frame.upright, track)
             group.author_bounds()
-            group.write([f"agent_{i + 1:04d}" for i in frame.ids[rows].tolist()])
+            group.write([f"agent_{i + 1:04d}" for i in frame.ids[members].tolist()])
 
 
 def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
@@ -343,8 +345,8 @@ class _CharacterGroup:
             visibility = attribute_spec(spec, "visibility", _TYPES.Token)
             rows = np.flatnonzero(np.diff(is_visible, prepend=~is_visible[:1]))
             tokens = [
-                "inherited" if position else "invisible"
-                for position in is_visible[rows].tolist()
+                "inherited" if visible else "invisible"
+                for visible in is_visible[rows].tolist()
             ]
             write_samples(self.layer, visibility, track.codes, rows, tokens)
         rig = prim_spec(self.layer, f"{path}/Rig", "SkelRoot")
@@ -420,8 +422,8 @@ class _CharacterGroup:
             _standing_values(cast, cast.rotations, clocks).astype(np.float32)
         )
         arrays = [
-            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(rotation_rows))
-            for rotation_rows in rotations
+            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(values))
+            for values in rotations
         ]
         codes = rows.astype(np.float64)
         write_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
@@ -432,20 +434,20 @@ class _CharacterGroup:
             cast, cast.roots, clocks
         )[:, None]
         arrays = [
-            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rotation_rows))
-            for rotation_rows in (translations / self.owner.unit).astype(np.float32)
+            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values))
+            for values in (translations / self.owner.unit).astype(np.float32)
         ]
         write_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
 
 
-def _standing_values(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
+def _standing_values(cast: Cast, samples: FloatArray, clocks: FloatArray) -> FloatArray:
     """Interpolate standing rotations or positions at clock times ``(K,)`` [s]."""
-    count = len(table)
-    table_position = clocks / (cast.period or 1.0) * count
-    index = np.floor(table_position).astype(np.int64)
-    fraction = table_position - index
-    before, after = table[index % count], table[(index + 1) % count]
-    if table.ndim == 2:
+    count = len(samples)
+    position = clocks / (cast.period or 1.0) * count
+    index = np.floor(position).astype(np.int64)
+    fraction = position - index
+    before, after = samples[index % count], samples[(index + 1) % count]
+    if samples.ndim == 2:
         return np.asarray(before + fraction[:, None] * (after - before))
     after = np.where((before * after).sum(axis=-1, keepdims=True) < 0, -after, after)
     return slerp(before, after, fraction[:, None])
@@ -465,5 +467,5 @@ def _changing_frames(values: Float32Array, tolerance: float) -> IntArray:
     is_change = (np.abs(np.diff(values, axis=0)) > tolerance).any(axis=1)
     if not is_change.any():
         return np.zeros(1, np.int64)
-    is_kept = np.append(True, is_change) | np.append(is_change, True)
-    return np.flatnonzero(is_kept)
+    is_written = np.append(True, is_change) | np.append(is_change, True)
+    return np.flatnonzero(is_written)

@@ -341,25 +341,25 @@ class _PrimSampler:
         return times
 
     def _values(self, codes: FloatArray) -> tuple[Any, ...]:
-        columns: list[Any] = []
+        all_values: list[Any] = []
         for attribute, attribute_type in zip(
             self.attributes, self.attribute_types, strict=True
         ):
             with usd_errors(Path(self.where)):
-                rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
+                samples = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
             if attribute_type.width:
-                values = np.array(rows, np.float64).reshape(
+                values = np.array(samples, np.float64).reshape(
                     len(codes), attribute_type.width
                 )
                 self._check_finite(values)
-                columns.append(
+                all_values.append(
                     values * (self.unit if attribute_type.is_length else 1.0)
                 )
             else:
-                columns.append(
-                    np.array([attribute_type.choices.index(row) for row in rows])
+                all_values.append(
+                    np.array([attribute_type.choices.index(row) for row in samples])
                 )
-        return tuple(columns)
+        return tuple(all_values)
 
     def _matrices(self, codes: FloatArray) -> FloatArray:
         """Return world matrices, column vectors [m] ``(F, 4, 4)``."""
@@ -408,8 +408,8 @@ def _decompose(
     """Return translations, rotations, scales, and the largest relative shear lost."""
     positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
     rotations = so3.normalize(rotations)
-    recomposed = so3.to_matrix(rotations) * scales[:, None, :]
+    linear = so3.to_matrix(rotations) * scales[:, None, :]
     magnitude = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
-    difference = np.abs(recomposed - matrices[:, :3, :3]).max(axis=(1, 2))
+    difference = np.abs(linear - matrices[:, :3, :3]).max(axis=(1, 2))
     relative_shears = difference / np.where(magnitude > 0, magnitude, 1.0)
     return positions, rotations, scales, float(relative_shears.max(initial=0.0))

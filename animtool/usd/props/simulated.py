@@ -274,8 +274,8 @@ class SimulatedPrim:
         remove_attribute(spec, "velocities")
         for name, rows in prim_writer.build_block(0, 0.0, frame).values.items():
             if name != "velocities":
-                make = attribute_kind(name, rows[0]).make
-                SampleWriter(spec.attributes[name], make).finish(rows[0])
+                convert = attribute_kind(name, rows[0]).convert
+                SampleWriter(spec.attributes[name], convert).finish(rows[0])
 
 
 def _add_frame_axis(
@@ -419,13 +419,13 @@ def _write_blocks(
                 rotation = gf_quaternion(job.rotation)
                 attribute_spec(spec, "xformOp:orient", types.Quatd, rotation)
                 author_xform_order(spec, "xformOp:orient")
-        row_bytes = 0
-        for k, (writer, frame) in enumerate(zip(prims, frames, strict=True)):
-            block = writer.build_block(k, code, frame)
-            row_bytes += block.bytes
+        frame_bytes = 0
+        for prim_index, (writer, frame) in enumerate(zip(prims, frames, strict=True)):
+            block = writer.build_block(prim_index, code, frame)
+            frame_bytes += block.bytes
             yield block
         if byte_counter is not None:
-            byte_counter.count_bytes(row_bytes)
+            byte_counter.count_bytes(frame_bytes)
 
 
 def _author_placement(

@@ -103,18 +103,18 @@ def select_samples(
             )
             valid_spans[span][candidates] = is_valid
             checked_spans[span] = candidates, span_offsets
-    rows = _shortest_path(valid_spans)
-    keys = np.flatnonzero(rows)
+    is_selected = _shortest_path(valid_spans)
+    keys = np.flatnonzero(is_selected)
     for begin, span in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
         if span > 1:
             candidates, span_offsets = checked_spans[span]
             row = int(np.searchsorted(candidates, begin))
             offsets[begin + 1 : begin + span] = span_offsets[row]
-    return rows, offsets
+    return is_selected, offsets
 
 
 def _shortest_path(spans_by_length: dict[int, BoolArray]) -> BoolArray:
-    """Return a mask of the fewest frames that link first and last by valid spans."""
+    """Return a mask of the fewest frames that valid spans connect, first to last."""
     count = len(spans_by_length[1])
     next_steps, sample_counts = [1] * count, [0] * count
     valid_spans = {

@@ -126,7 +126,7 @@ def author_props(
     Returns the prim paths, and notices about their frames.
     """
     paths = prop_paths(samples.tracks, placements.model)
-    codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)
+    codes, track_times = np.concatenate(samples.codes), np.concatenate(samples.times)
     notices: list[Fault] = []
     for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
         _define_ancestors(layer, path, placements)
@@ -140,7 +140,7 @@ def author_props(
             prim_path = Sdf.Path(track.reference.prim or "")
             spec.referenceList.prependedItems.append(Sdf.Reference(name, prim_path))
         transforms = placements.to_parent_space(
-            track, path, codes, track.at(times[:, i])
+            track, path, codes, track.at(track_times[:, i])
         )
         _author_track(spec, track, codes, transforms, placements.unit_at_path(path))
         if transforms.is_clamped is not None and transforms.is_clamped.any():

@@ -1,1 +1,1 @@
-"""Rigs as prims: skeletons, meshes, and their placement on a stage."""
+"""Reads and writes rigs as prims: skeletons, meshes, and their placement."""

@@ -1,4 +1,4 @@
-"""Map from the joints and shapes of a take to those of a target rig."""
+"""Maps the joints and shapes of a take to those of a target rig."""
 
 from __future__ import annotations
 

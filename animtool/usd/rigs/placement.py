@@ -1,4 +1,4 @@
-"""Placement of a Skeleton on a stage, composed from all transforms above it.
+"""Computes the placement of a Skeleton on a stage from all transforms above it.
 
 The local-to-world transform of a Skeleton becomes a `Placement` in the unit and up axis
 of the rig. It is the identity for a rig in centimetres that a shot in metres scales by
@@ -57,8 +57,8 @@ class SkeletonPlacement:
     @property
     def rest_placement(self) -> Placement:
         """Scale, upright rotation, position and heading of the rest pose."""
-        placement_rest, sizes_rest = self._split_rest()
-        return placement_rest.after(sizes_rest)
+        heading, upright_scale = self._split_rest()
+        return heading.after(upright_scale)
 
     @property
     def upright_scale(self) -> Placement:
@@ -72,8 +72,8 @@ class SkeletonPlacement:
         return heading.inverse().after(self.full).simplified()
 
     def _split_rest(self) -> tuple[Placement, Placement]:
-        first_placement = self.full.first()
-        return self.fixed.first().split(self._up)[0], first_placement.split(self._up)[1]
+        first_full = self.full.first()
+        return self.fixed.first().split(self._up)[0], first_full.split(self._up)[1]
 
 
 def animated_ancestors(skeleton: Any) -> list[Any]:

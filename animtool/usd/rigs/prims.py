@@ -228,9 +228,9 @@ def skeleton_rig(skeleton: Any, path: Path, *, is_animated: bool = True) -> Skel
     return replace(rig, notices=tuple(notices))
 
 
-def check_animatable(joints: int, shapes: int, where: PrimLocation) -> None:
+def check_animatable(joint_count: int, shape_count: int, where: PrimLocation) -> None:
     """Refuse a character without joints or shapes to animate."""
-    if not joints and not shapes:
+    if not joint_count and not shape_count:
         where.fail("USD002", "there are no joints and no blend shapes")
 
 

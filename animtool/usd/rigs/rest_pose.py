@@ -1,4 +1,4 @@
-"""The rest pose of a Skeleton, and its replacement if none is authored.
+"""Reads the rest pose of a Skeleton, or derives one if none is authored.
 
 UsdSkel poses a Skeleton without restTransforms only if its animation has all joints.
 """

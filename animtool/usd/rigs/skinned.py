@@ -98,7 +98,7 @@ def unapplied_binding_path(skeleton: Any) -> str:
 
 
 def missing_animation_reason(skeleton: Any) -> str:
-    """Return why the animation bound to a skeleton is missing; otherwise ""."""
+    """Return why the animation bound to a skeleton is missing; empty if it is not."""
     for prim in self_and_ancestors(skeleton):
         relationship = prim.GetRelationship("skel:animationSource")
         targets = relationship.GetTargets() if relationship else ()
@@ -172,8 +172,8 @@ def usdskel_world(path: Path, codes: FloatArray) -> WorldTransforms:
     cache = UsdSkel.Cache()
     cache.Populate(root, Usd.PrimDefaultPredicate)
     query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
-    joints = len(query.GetJointOrder())
-    local = np.zeros((len(codes), joints, 4, 4))
+    joint_count = len(query.GetJointOrder())
+    local = np.zeros((len(codes), joint_count, 4, 4))
     matrices = np.zeros((len(codes), 1, 4, 4))
     # UsdSkel evaluates one time at a time.
     for i, code in enumerate(codes.tolist()):
@@ -220,8 +220,8 @@ def can_have_character(stage: Any, prim_path: str, where: str) -> bool:
     characters = character_paths(stage)
     if not characters or _is_movable_rig(stage, prim_path, characters):
         return False
-    existing = listed(characters, MAX_LISTED_PRIMS)
-    message = f"has no character at {prim_path}, but at {existing}"
+    existing_paths = listed(characters, MAX_LISTED_PRIMS)
+    message = f"has no character at {prim_path}, but at {existing_paths}"
     hint = "only a file with a single rig can be given a new path"
     raise OptionError(Fault("USD033", message, where, (), hint))
 

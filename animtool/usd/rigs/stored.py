@@ -130,15 +130,15 @@ def merge_rig(
         meters_per_unit=usd_rig.meters_per_unit,
     )
     notices: list[Fault] = []
-    resized = _resized_notice(stored_rig, usd_rig, path)
+    resized_notice = _resized_notice(stored_rig, usd_rig, path)
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     bind = matrix_array(skeleton.GetBindTransformsAttr())
     if custom_data.get("hash") != skeleton_hash(tokens, rest, bind):
         merged_rig, notices = _merge_skeleton(merged_rig, usd_rig, str(path))
-    elif resized is not None:
+    elif resized_notice is not None:
         # The numbers are the same, and only their unit is another.
         merged_rig, _ = _merge_skeleton(merged_rig, usd_rig, str(path))
-        notices = [resized]
+        notices = [resized_notice]
     joint_names = dict(zip(usd_rig.names, merged_rig.names, strict=True))
     meshes = tuple(_rename_skin_joints(mesh, joint_names) for mesh in merged_rig.meshes)
     return replace(merged_rig, meshes=meshes), notices
@@ -267,13 +267,13 @@ def _has_equal_rest(first: Joint, second: Joint) -> bool:
 
 def _remove_joints(rig: Rig, removed_names: list[str]) -> Rig:
     """Return a rig without references to removed joints."""
-    removed = set(removed_names)
+    names = set(removed_names)
     joints = tuple(
         replace(
             joint,
-            mirror="" if joint.mirror in removed else joint.mirror,
-            mimic=None if joint.mimic and joint.mimic.joint in removed else joint.mimic,
-            driven=_remove_from_driver(joint.driven, removed),
+            mirror="" if joint.mirror in names else joint.mirror,
+            mimic=None if joint.mimic and joint.mimic.joint in names else joint.mimic,
+            driven=_remove_from_driver(joint.driven, names),
         )
         for joint in rig.joints
     )
@@ -281,40 +281,44 @@ def _remove_joints(rig: Rig, removed_names: list[str]) -> Rig:
         rig,
         joints=joints,
         shapes=tuple(
-            replace(shape, driven=_remove_from_driver(shape.driven, removed))
+            replace(shape, driven=_remove_from_driver(shape.driven, names))
             for shape in rig.shapes
         ),
         controls=tuple(
-            _remove_from_control(control, removed) for control in rig.controls
+            _remove_from_control(control, names) for control in rig.controls
         ),
         chains=tuple(
-            chain for chain in rig.chains if not {chain.root, chain.tip} & removed
+            chain for chain in rig.chains if not {chain.root, chain.tip} & names
         ),
-        attach=tuple(entry for entry in rig.attach if not set(entry.joints) & removed),
+        attach=tuple(entry for entry in rig.attach if not set(entry.joints) & names),
         colliders=tuple(
-            collider for collider in rig.colliders if collider.joint not in removed
+            collider for collider in rig.colliders if collider.joint not in names
         ),
         masses=tuple(
-            collider for collider in rig.masses if collider.joint not in removed
+            collider for collider in rig.masses if collider.joint not in names
         ),
     )
 
 
-def _remove_from_control(control: Control, removed: set[str]) -> Control:
+def _remove_from_control(control: Control, removed_names: set[str]) -> Control:
     drives = tuple(
         drive
         for drive in control.drives
-        if not any(drive.target.startswith(f"joint/{name}.") for name in removed)
+        if not any(drive.target.startswith(f"joint/{name}.") for name in removed_names)
     )
     return replace(
-        control, drives=drives, driven=_remove_from_driver(control.driven, removed)
+        control,
+        drives=drives,
+        driven=_remove_from_driver(control.driven, removed_names),
     )
 
 
-def _remove_from_driver(driver: Driver | None, removed: set[str]) -> Driver | None:
+def _remove_from_driver(
+    driver: Driver | None, removed_names: set[str]
+) -> Driver | None:
     """Return a driver, or None if the driver reads a removed joint."""
     driver_names = () if driver is None else driver.names
-    if removed & {split_coordinate(name)[0] for name in driver_names}:
+    if removed_names & {split_coordinate(name)[0] for name in driver_names}:
         return None
     return driver
 

@@ -1,4 +1,4 @@
-"""The rig below an animation layer: its stage, paths and placement."""
+"""Opens the rig that an animation layer applies to."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
         _binding_path(prim, root, model_path),
     )
     if new_path is not None:
-        paths = paths.moved(new_path)
+        paths = paths.with_model(new_path)
     start = None
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)

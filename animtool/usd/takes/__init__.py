@@ -1,1 +1,1 @@
-"""Takes as SkelAnimations, written and read."""
+"""Writes and reads takes as SkelAnimations."""

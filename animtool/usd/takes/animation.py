@@ -73,8 +73,8 @@ def read_animation(
 
     ``prim`` is the Skeleton; None for an animation layer without its rig.
     """
-    columns, notices = _match_columns(skeleton, animation, prim, where)
-    attributes = _require_attributes(animation, columns, where, notices)
+    joint_indices, notices = _match_joints(skeleton, animation, prim, where)
+    attributes = _require_attributes(animation, joint_indices, where, notices)
     shapes = animated_shapes(animation)
     check_animatable(len(skeleton.rig.joints), len(shapes), where)
     sources = [
@@ -96,12 +96,12 @@ def read_animation(
 
     def joint_values(name: str, rest: FloatArray) -> FloatArray:
         """Return an attribute of all joints; joints without values are at rest."""
-        attr, width, rows = attributes.get(name), rest.shape[1], None
+        attr, width, values = attributes.get(name), rest.shape[1], None
         if attr is not None:
-            rows = read_samples(
-                attr, codes, len(columns), width, where, drift=grid.drift
+            values = read_samples(
+                attr, codes, len(joint_indices), width, where, drift=grid.drift
             )
-        return fill_with_rest(rest, rows, columns, len(codes))
+        return fill_with_rest(rest, values, joint_indices, len(codes))
 
     translations = joint_values("translations", rig.rest_translations / meters) * meters
     rotations = joint_values("rotations", rig.rest_rotations)
@@ -121,14 +121,14 @@ def read_animation(
 
 
 def _require_attributes(
-    animation: Any, columns: IntArray, where: PrimLocation, notices: list[Fault]
+    animation: Any, joint_indices: IntArray, where: PrimLocation, notices: list[Fault]
 ) -> dict[str, Any]:
     """Return the joint attributes of an animation by name; refuse missing ones.
 
     Empty if it animates no joints: it has only shape weights, or lists joints that stay
     at rest.
     """
-    if not len(columns):
+    if not len(joint_indices):
         return {}
     faults = list(
         missing_transform_faults(animation, token_array(animation.GetJointsAttr()))
@@ -141,17 +141,19 @@ def _require_attributes(
     return transform_attributes(animation)
 
 
-def _match_columns(
+def _match_joints(
     skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
 ) -> tuple[IntArray, list[Fault]]:
     """Return the Skeleton joint of each animation joint (-1 for none), and warnings."""
     attr = animation.GetJointsAttr()
     index = {token: i for i, token in enumerate(skeleton.tokens)}
-    columns = np.array([index.get(token, -1) for token in token_array(attr)], np.int64)
+    joint_indices = np.array(
+        [index.get(token, -1) for token in token_array(attr)], np.int64
+    )
     if prim is None:
-        return columns, []
-    unknown = unknown_joint_faults(attr, skeleton.tokens, prim.GetPath())
-    return columns, [replace(fault, path=where.path) for fault in unknown]
+        return joint_indices, []
+    unknown_joints = unknown_joint_faults(attr, skeleton.tokens, prim.GetPath())
+    return joint_indices, [replace(fault, path=where.path) for fault in unknown_joints]
 
 
 def _rate_notices(stage: Any, clock: Clock, where: PrimLocation) -> list[Fault]:
@@ -170,7 +172,9 @@ def _rate_notices(stage: Any, clock: Clock, where: PrimLocation) -> list[Fault]:
     return [Fault("TAKE009", message, where.path, (), hint, Severity.WARNING)]
 
 
-def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
+def _grid_notices(
+    grid: SampleGrid, sample_count: int, where: PrimLocation
+) -> list[Fault]:
     """Return notices about samples that are irregular or not on frames."""
     notices = []
     interval = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
@@ -186,7 +190,7 @@ def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[F
         notices.append(where.fault("USD121", message, severity=Severity.NOTE))
     if grid.between_count:
         message = (
-            f"{grid.between_count} of {samples} samples fall between frames; "
+            f"{grid.between_count} of {sample_count} samples fall between frames; "
             "only the values on frames are read"
         )
         hint = "resample the animation to whole frames in the tool that wrote it"

@@ -39,13 +39,13 @@ def animated_shapes(animation: Any) -> list[str]:
 def read_shape_weights(
     animation: Any,
     codes: list[float],
-    shapes: int,
+    shape_count: int,
     where: PrimLocation,
     drift: float = 0.0,
 ) -> Channel:
     """Return the blend shape weights of an animation; see `read_samples`."""
     attr = animation.GetBlendShapeWeightsAttr()
-    rows = read_samples(attr, codes, shapes, 1, where, noun="shape", drift=drift)
+    rows = read_samples(attr, codes, shape_count, 1, where, noun="shape", drift=drift)
     return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
 
 
@@ -194,18 +194,18 @@ def _authored_span(stage: Any, animation: Any) -> _TakeSpan:
 
 
 def fill_with_rest(
-    rest: FloatArray, rows: FloatArray | None, columns: IntArray, frames: int
+    rest: FloatArray, values: FloatArray | None, joints: IntArray, frame_count: int
 ) -> FloatArray:
     """Return values of all joints ``(F, J, …)``; joints without values are at rest.
 
-    ``columns`` are the rig joints of the rows, -1 if unknown; without rows all are at
+    ``joints`` are the rig joints of the rows, -1 if unknown; without rows all are at
     rest.
     """
-    dense = np.repeat(rest[None], frames, axis=0)
-    if rows is not None:
-        is_in_rig = columns >= 0
-        dense[:, columns[is_in_rig]] = rows[:, is_in_rig]
-    return dense
+    all_values = np.repeat(rest[None], frame_count, axis=0)
+    if values is not None:
+        is_in_rig = joints >= 0
+        all_values[:, joints[is_in_rig]] = values[:, is_in_rig]
+    return all_values
 
 
 def find_sample_grid(

@@ -217,16 +217,16 @@ def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> N
 
 def _take_report(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
     """Return the report of a take after its samples are written."""
-    samples = sum(map(len, writer.codes))
+    sample_count = sum(map(len, writer.codes))
     first_code, last_code = take.frames or (
         take.start,
-        take.start + take.step * (samples - 1),
+        take.start + take.step * (sample_count - 1),
     )
     return WrittenTake(
         writer.paths.animation,
         FrameSpan(first_code, last_code, job.fps),
         take.name,
-        samples,
+        sample_count,
         joints=len(job.joints)
         if take.joint_mask is None
         else int(take.joint_mask.sum()),

@@ -1,4 +1,4 @@
-"""Clip libraries: takes of one character, each bound by a variant of its model.
+"""Writes and reads clip libraries: takes that variants bind to one character.
 
 Every take is a SkelAnimation ``Anim_{take}`` next to the Skeleton. The variant set
 ``take`` of the model binds one: a variant has ``skel:animationSource``, the SkelRoot's

@@ -265,13 +265,13 @@ def _dropped_placement_reader(
     stage: Any = None if prim is None else prim.GetStage()
 
     def placement_at(codes: FloatArray) -> Placement:
-        current_placement = placement
+        evaluated = placement
         if placement.is_animated:
             # This reference keeps the stage and its prims alive as long as the
             # function.
             skeleton = stage.GetPrimAtPath(prim.GetPath())
-            current_placement = skeleton_placement(skeleton, rig, codes.tolist())
-        heading_placement, _ = current_placement.fixed.split(rig.up)
+            evaluated = skeleton_placement(skeleton, rig, codes.tolist())
+        heading_placement, _ = evaluated.fixed.split(rig.up)
         if recorded_placement is None:
             return heading_placement
         return heading_placement.after(recorded_placement)
@@ -289,8 +289,8 @@ def _merge_stored_rig(
 
     merged_rig, notices = merge_rig(stream.rig, skeleton, rig.tokens, path)
     names = [shape.name for shape in merged_rig.shapes]
-    columns = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
-    stream.blocks = _remap_weights(stream.blocks, columns, len(names))
+    shape_indices = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
+    stream.blocks = _remap_weights(stream.blocks, shape_indices, len(names))
     # A take has no meshes or curves, and so neither cloth nor strands.
     array_kinds = {AttachKind.CLOTH, AttachKind.STRANDS}
     attach = tuple(
@@ -301,7 +301,7 @@ def _merge_stored_rig(
 
 
 def _remap_weights(
-    blocks: Iterator[Motion], columns: IntArray, count: int
+    blocks: Iterator[Motion], shape_indices: IntArray, shape_count: int
 ) -> Iterator[Motion]:
     """Yield blocks whose shape weights are moved to given columns; the others are 0."""
     for block in blocks:
@@ -309,11 +309,11 @@ def _remap_weights(
         if channel is None:
             yield block
             continue
-        rest = np.zeros((count, 1))
-        rest[columns] = channel.rest
-        animated = columns[channel.animated]
-        column_order = np.argsort(animated)
-        weights = Channel(rest, animated[column_order], channel.values[:, column_order])
+        rest = np.zeros((shape_count, 1))
+        rest[shape_indices] = channel.rest
+        animated_shapes = shape_indices[channel.animated]
+        order = np.argsort(animated_shapes)
+        weights = Channel(rest, animated_shapes[order], channel.values[:, order])
         yield replace(block, weights=weights)
 
 

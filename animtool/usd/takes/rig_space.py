@@ -1,4 +1,4 @@
-"""Converts a take to the space of a rig layer that a stage places."""
+"""Converts a take to the space of a rig that its stage places."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scalar curves as USD splines (`Ts`), so that a control stays editable after a bake.
+"""Writes scalar curves as USD splines (`Ts`), so that baked controls stay editable.
 
 A control is a custom double attribute with a spline. Its segments become
 
