@@ -163,20 +163,14 @@ class ShownPrim:
 
     def instances(self, code: float) -> PointSample:
         """Return the prim's instances in world space, Y up."""
-        source = self._stage.source
-        sample = source.sample(self.name, code)
+        sample = self._stage.source.sample(self.name, code)
         up_rotation = self._stage.up_rotation
         assert sample.orientations is not None
         rotations = sample.orientations
         if up_rotation is not None:
             rotations = so3.multiply(up_rotation, rotations)
-        return PointSample(
-            self._stage.to_y_up(sample.points),
-            sample.ids,
-            rotations,
-            sample.scales,
-            sample.prototype_indices,
-        )
+        points = self._stage.to_y_up(sample.points)
+        return replace(sample, points=points, orientations=rotations)
 
     def prototypes(self) -> list[list[tuple[ShownMesh, FloatArray]]]:
         """Return the meshes of each prototype, with their transforms ``(4, 4)`` [m]."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -28,11 +28,11 @@ from animtool.usd.layers.sdf import (
 if TYPE_CHECKING:
     from animtool.motion.frames import (
         CurvesFrame,
+        Frame,
         MeshFrame,
         PointsFrame,
         TransformsFrame,
     )
-    from animtool.usd.props.simulated import SimulatedPrim
 
 _TYPES = Sdf.ValueTypeNames
 
@@ -309,6 +309,29 @@ def remove_attribute(spec: Any, name: str) -> None:
         spec.RemoveProperty(spec.attributes[name])
 
 
+class FramePrim(Protocol):
+    """Interface of a prim writer that a `FrameForm` fills."""
+
+    unit: float  # unit of the layer [m]
+    rotation: FloatArray  # orientation of the prim in the layer (4,)
+
+    @property
+    def triangles(self) -> IntArray:
+        """Faces of the first frame as triangles ``(T, 3)``."""
+
+    @property
+    def child_names(self) -> list[str]:
+        """Legal, unique names of the child prims, from the names of the first frame."""
+
+    def to_float32(
+        self, name: str, values: npt.NDArray[Any], code: float
+    ) -> Float32Array:
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute as float32."""
+
+    def write_static(self, layer: Any, path: str, frame: Frame) -> None:
+        """Write a frame as a static prim."""
+
+
 FrameT = TypeVar("FrameT", "CurvesFrame", "MeshFrame", "PointsFrame", "TransformsFrame")
 
 
@@ -339,11 +362,11 @@ class FrameForm(Generic[FrameT]):
     def author_children(self, spec: Any, frame: FrameT) -> None:
         """Create the child prims that have samples."""
 
-    def author_constants(self, writer: SimulatedPrim, spec: Any, frame: FrameT) -> None:
+    def author_constants(self, writer: FramePrim, spec: Any, frame: FrameT) -> None:
         """Author the constant attributes of the prim."""
 
     def values(
-        self, writer: SimulatedPrim, frame: FrameT, points: Float32Array, code: float
+        self, writer: FramePrim, frame: FrameT, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return the values of a frame, except points ``(N, 3)`` and velocities."""
         raise NotImplementedError

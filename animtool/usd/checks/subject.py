@@ -111,12 +111,8 @@ class StageSubject:
         An attribute without a value has no times.
         """
         key = attr.GetPath()
-        if key not in self._sampled_arrays:
-            self._sampled_arrays[key] = self.read_array(attr)
-        return self._sampled_arrays[key]
-
-    def read_array(self, attr: Any) -> SampledArray:
-        """Read all samples of an array attribute, without caching them."""
+        if key in self._sampled_arrays:
+            return self._sampled_arrays[key]
         times = self.times(attr)
         if times:
             arrays = _sample_values(attr, times)
@@ -125,7 +121,9 @@ class StageSubject:
             arrays = [] if value is None else [value]
         codes = times or [float("nan")] * len(arrays)
         counts = [len(a) if isinstance(a, Sized) else -1 for a in arrays]
-        return SampledArray(np.array(codes), arrays, np.array(counts, np.int64))
+        array = SampledArray(np.array(codes), arrays, np.array(counts, np.int64))
+        self._sampled_arrays[key] = array
+        return array
 
 
 def _sample_values(attr: Any, times: list[float]) -> list[Any]:

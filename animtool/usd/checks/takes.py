@@ -142,7 +142,7 @@ def _bound_skeletons(skeletons: list[Any]) -> dict[Any, Any]:
 
 
 def _nearest_skeleton(animation: Any, skeletons: list[Any]) -> Any:
-    """Return the Skeleton with more than half of an animation's joints, and the most."""
+    """Return the Skeleton with most of an animation's joints; None for half or less."""
     joints = set(token_array(animation.GetJointsAttr()))
     nearest = None
     max_count = len(joints) // 2

@@ -36,6 +36,7 @@ from animtool.usd.caches.writer import (
     Block,
     CachedMesh,
     FrameForm,
+    FramePrim,
     PointWriter,
     attribute_kind,
     attribute_labels,
@@ -89,7 +90,7 @@ class _CurvesForm(FrameForm[CurvesFrame]):
         return frame.tears
 
     def author_constants(
-        self, writer: SimulatedPrim, spec: Any, frame: CurvesFrame
+        self, writer: FramePrim, spec: Any, frame: CurvesFrame
     ) -> None:
         """Author type and width of the curves."""
         author_values(spec, POLYLINE)
@@ -97,7 +98,7 @@ class _CurvesForm(FrameForm[CurvesFrame]):
 
     def values(
         self,
-        writer: SimulatedPrim,
+        writer: FramePrim,
         frame: CurvesFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002
@@ -111,11 +112,7 @@ class _PointsForm(FrameForm[PointsFrame]):
     sampled = ("points", "velocities", "ids", "widths")
 
     def values(
-        self,
-        writer: SimulatedPrim,
-        frame: PointsFrame,
-        points: Float32Array,
-        code: float,
+        self, writer: FramePrim, frame: PointsFrame, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return ids, widths and bounds of the particles."""
         widths = writer.to_float32("widths", 2 * frame.radii / writer.unit, code)

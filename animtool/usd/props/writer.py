@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from animtool.usd.caches.writer import (
     ATTRIBUTES,
     AttributeKind,
     FrameForm,
+    FramePrim,
     author_values,
     bounds,
     bounds_corners,
@@ -43,9 +44,6 @@ from animtool.usd.layers.sdf import (
     prim_spec,
 )
 from animtool.usd.props.placement import PropPlacements, is_same_or_below
-
-if TYPE_CHECKING:
-    from animtool.usd.props.simulated import SimulatedPrim
 
 
 @dataclass(slots=True)
@@ -254,7 +252,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
     points = "positions"
 
     def author_constants(
-        self, writer: SimulatedPrim, spec: Any, frame: TransformsFrame
+        self, writer: FramePrim, spec: Any, frame: TransformsFrame
     ) -> None:
         """Write the prototype meshes below the prim."""
         author_relationship(
@@ -263,7 +261,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
 
     def values(
         self,
-        writer: SimulatedPrim,
+        writer: FramePrim,
         frame: TransformsFrame,
         points: Float32Array,
         code: float,
@@ -308,7 +306,7 @@ class XformsForm(FrameForm[TransformsFrame]):
             prim_spec(spec.layer, f"{spec.path}/{name}", "Xform")
 
     def author_constants(
-        self, writer: SimulatedPrim, spec: Any, frame: TransformsFrame
+        self, writer: FramePrim, spec: Any, frame: TransformsFrame
     ) -> None:
         """Write meshes, xformOpOrder, and transforms of static instances.
 
@@ -340,7 +338,7 @@ class XformsForm(FrameForm[TransformsFrame]):
 
     def values(
         self,
-        writer: SimulatedPrim,
+        writer: FramePrim,
         frame: TransformsFrame,
         points: Float32Array,  # noqa: ARG002
         code: float,  # noqa: ARG002
@@ -377,7 +375,7 @@ def instance_names(names: Sequence[str]) -> UsdNames:
 
 
 def _write_prototypes(
-    writer: SimulatedPrim, spec: Any, meshes: Sequence[MeshFrame]
+    writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]
 ) -> list[str]:
     """Write prototype meshes below a prim; return their paths."""
     scope = prim_spec(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")

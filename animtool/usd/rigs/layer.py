@@ -273,7 +273,6 @@ def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]
     with Sdf.ChangeBlock():
         _author_layer_metadata(layer, rig, paths)
         layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
-        prim_spec(layer, paths.model, over=True)
         joint_count = author_physics(
             layer, paths.model, rig, names, rig.meters_per_unit
         )

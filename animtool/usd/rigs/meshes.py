@@ -6,7 +6,7 @@ All mesh writers use `author_mesh`, for attributes such as `doubleSided`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from animtool.rig.parts import Subdivision
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
-from animtool.usd.caches.writer import FrameForm, author_values, bounds
+from animtool.usd.caches.writer import FrameForm, FramePrim, author_values, bounds
 from animtool.usd.layers.finite import ValueLabels, check_value, narrow_floats
 from animtool.usd.layers.names import RigPaths, distinct_names
 from animtool.usd.layers.sdf import (
@@ -32,9 +32,6 @@ from animtool.usd.layers.sdf import (
     prim_spec,
 )
 from animtool.usd.rigs.skeleton import STRANDS_SCOPE, author_influences
-
-if TYPE_CHECKING:
-    from animtool.usd.props.simulated import SimulatedPrim
 
 # Blend shapes that move a smaller fraction of the vertices are written with indices; an
 # index takes a third of the space of an offset.
@@ -88,18 +85,13 @@ class MeshForm(FrameForm[MeshFrame]):
         """Return whether the topology may change."""
         return frame.tears
 
-    def author_constants(
-        self,
-        writer: SimulatedPrim,  # noqa: ARG002
-        spec: Any,
-        frame: MeshFrame,
-    ) -> None:
+    def author_constants(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
         """Author subdivision scheme and sidedness."""
         author_mesh(spec, {}, is_closed=frame.closed)
 
     def values(
         self,
-        writer: SimulatedPrim,
+        writer: FramePrim,
         frame: MeshFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002

@@ -132,14 +132,13 @@ def author_rig(
     author_model(layer, paths.model)
     prim_spec(layer, paths.root, "SkelRoot")
     spec = prim_spec(layer, paths.skeleton, "Skeleton")
-    types = Sdf.ValueTypeNames
     tokens = Vt.TokenArray(rig.paths(names.names))
-    attribute_spec(spec, "joints", types.TokenArray, tokens, uniform=True)
+    attribute_spec(spec, "joints", _TYPES.TokenArray, tokens, uniform=True)
     bind_world = bind_matrices(rig)
     bind = _row_matrices(bind_world[:, :3, 3] / meters_per_unit, bind_world[:, :3, :3])
     local_linear = so3.to_matrix(rig.rest_rotations)
     rest = _row_matrices(rig.rest_translations / meters_per_unit, local_linear)
-    matrices = types.Matrix4dArray
+    matrices = _TYPES.Matrix4dArray
     attribute_spec(spec, "bindTransforms", matrices, bind, uniform=True)
     attribute_spec(spec, "restTransforms", matrices, rest, uniform=True)
     if any(entry.points is not None for entry in rig.attach):

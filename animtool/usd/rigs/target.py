@@ -36,10 +36,7 @@ from animtool.usd.rigs.prims import (
     skipped_skeletons_notice,
     up_axis,
 )
-from animtool.usd.rigs.skinned import (
-    can_have_character,
-    unbound_notice,
-)
+from animtool.usd.rigs.skinned import can_have_character, unbound_notice
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,25 +97,16 @@ def read_usd(
     """
     path = Path(path)
     with usd_errors(path), without_usd_warnings():
-        return _read_stage(open_stage(path), path, prim_path, take, placement)
-
-
-def _read_stage(
-    stage: Any,
-    path: Path,
-    prim_path: str | None,
-    take: str | None,
-    choice: str | None,
-) -> TakeStream:
-    root_path = search_root(stage, prim_path)
-    take_set = _take_set(stage, root_path)
-    if take is not None:
-        take_set = select_take(take_set, take, str(path))
-    stream = read_character(stage, path, root_path, choice)
-    if take_set is not None:
-        stream.details["takes"] = list(take_set.names)
-        stream.details["take"] = take_set.selected_name
-    return stream
+        stage = open_stage(path)
+        root_path = search_root(stage, prim_path)
+        take_set = _take_set(stage, root_path)
+        if take is not None:
+            take_set = select_take(take_set, take, str(path))
+        stream = read_character(stage, path, root_path, placement)
+        if take_set is not None:
+            stream.details["takes"] = list(take_set.names)
+            stream.details["take"] = take_set.selected_name
+        return stream
 
 
 def _take_set(stage: Any, root_path: str) -> TakeSet | None:
@@ -194,9 +185,7 @@ def read_character(
     else:
         stream.rig = rest_rig(stream.rig, placement)
     stream.notices += skipped_skeletons_notice(
-        skeletons,
-        str(path),
-        f"choose one with {argument('source.prim_path')}",
+        skeletons, str(path), f"choose one with {argument('source.prim_path')}"
     )
     stream.notices += composition_notices(stage, str(path))
     return stream

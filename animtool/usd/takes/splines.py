@@ -126,11 +126,8 @@ def author_curve(
     if len(curves.pre) != 1 or not len(curves.times):
         raise ValueError("at least one curve needs a key")
     spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
-    segments = [
-        segment
-        for i in range(len(curves.times) - 1)
-        for segment in _build_segments(curves, i)
-    ]
+    parts = [_build_segments(curves, i) for i in range(len(curves.times) - 1)]
+    segments = [segment for segment_parts in parts for segment in segment_parts]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
         for knot in _build_knots(segments, curves, where):
             spline.SetKnot(knot)
@@ -146,9 +143,7 @@ def author_curve(
     attr.custom = True
     attr.SetSpline(spline)
     difference, seam = _measure_error(spline, curves, evaluate)
-    split_count = len(
-        {segment.segment_index for segment in segments if segment.part_index}
-    )
+    split_count = sum(len(segment_parts) > 1 for segment_parts in parts)
     return CurveReport(name, len(spline.GetKnots()), split_count, difference, seam)
 
 
@@ -159,8 +154,6 @@ class _CurveSegment:
     The control points ``(4, 2)`` are (time from the segment's first key, value).
     """
 
-    segment_index: int
-    part_index: int
     kind: SegmentKind
     start_time: float
     control_points: FloatArray
@@ -188,7 +181,7 @@ def _build_segments(curves: Curves, index: int) -> list[_CurveSegment]:
     )
     control_points[:, 0] = 0.0, out_handle[0], duration + in_handle[0], duration
     if kind is not SegmentKind.BEZIER:
-        return [_CurveSegment(index, 0, kind, start_time, control_points)]
+        return [_CurveSegment(kind, start_time, control_points)]
     control_point_sets = [control_points]
     if _is_vertical(out_handle):
         control_point_sets = _split_bezier(
@@ -212,10 +205,8 @@ def _build_segments(curves: Curves, index: int) -> list[_CurveSegment]:
     if _is_vertical(in_handle):
         kinds[-1] = SegmentKind.LINEAR
     return [
-        _CurveSegment(index, part_index, kind, start_time, control_points)
-        for part_index, (kind, control_points) in enumerate(
-            zip(kinds, control_point_sets, strict=True)
-        )
+        _CurveSegment(kind, start_time, control_points)
+        for kind, control_points in zip(kinds, control_point_sets, strict=True)
     ]
 
 
