@@ -361,5 +361,7 @@ def _finding_entry(
 
 def _errors_first(faults: Sequence[Fault]) -> list[Fault]:
     """Return the distinct findings, with errors first and notes last."""
-    rank = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
-    return sorted(dict.fromkeys(faults), key=lambda fault: rank[fault.severity])
+    severity_rank = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
+    return sorted(
+        dict.fromkeys(faults), key=lambda fault: severity_rank[fault.severity]
+    )

@@ -54,13 +54,15 @@ def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) 
             entry["skin"] = _skin_entry(draft, mesh.mesh.skin)
         weights = mesh.weights(page_take.weights)
         if mesh.mesh.shapes is not None and weights is not None:
-            by_column = column_weights(mesh.mesh.shapes, weights)
-            active = np.flatnonzero(by_column.any(axis=0))
+            column_values = column_weights(mesh.mesh.shapes, weights)
+            active_columns = np.flatnonzero(column_values.any(axis=0))
             entry["shapes"] = _shape_entries(
-                draft, mesh.mesh.shapes, active, len(shape_labels)
+                draft, mesh.mesh.shapes, active_columns, len(shape_labels)
             )
-            shape_labels += [entry["shapes"][i]["name"] for i in range(len(active))]
-            visible_weights.append(by_column[:, active])
+            shape_labels += [
+                entry["shapes"][i]["name"] for i in range(len(active_columns))
+            ]
+            visible_weights.append(column_values[:, active_columns])
     if shape_labels:
         all_weights = np.concatenate(visible_weights, axis=1)
         quantized = quantize_range(all_weights, WEIGHT_ERROR)
@@ -195,7 +197,10 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
 
 
 def _shape_entries(
-    draft: PageDraft, shapes: PreparedShapes, active: IntArray, first_column: int
+    draft: PageDraft,
+    shapes: PreparedShapes,
+    active_columns: IntArray,
+    first_column: int,
 ) -> list[dict[str, Any]]:
     """Return the manifest entries of shapes, with sparse point offsets."""
     columns = shapes.points
@@ -211,7 +216,7 @@ def _shape_entries(
         column: row for row, column in enumerate(np.flatnonzero(columns.is_dense), 1)
     }
     entries = []
-    for index, column in enumerate(active.tolist()):
+    for index, column in enumerate(active_columns.tolist()):
         if column in dense_rows:
             offsets = columns.dense_table[dense_rows[column]].reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))

@@ -195,8 +195,8 @@ def rest_take(rig: Rig) -> TakeStream:
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
     )
-    one = Fraction(1)
-    return TakeStream(rig, Fraction(24), one, one, iter([motion]))
+    first_frame = Fraction(1)
+    return TakeStream(rig, Fraction(24), first_frame, first_frame, iter([motion]))
 
 
 def _open_rig(path: Path) -> OpenFile:

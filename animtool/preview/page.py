@@ -98,18 +98,18 @@ def page_parts(
     }
     template = viewer_text("page.html")
     # The template is split once, so that inserted text is never parsed.
-    for piece in re.split(r"(\{\{\w+\}\})", template):
-        name = piece.strip("{}")
-        if piece == "{{blocks}}":
+    for part in re.split(r"(\{\{\w+\}\})", template):
+        name = part.strip("{}")
+        if part == "{{blocks}}":
             for number, block in enumerate(blocks):
                 yield (
                     f'<script type="text/plain" class="block" id="b{number}">'
                     f"{block}</script>\n"
                 ).encode()
-        elif piece.startswith("{{") and name in insertions:
+        elif part.startswith("{{") and name in insertions:
             yield insertions[name].encode("utf-8", "replace")
         else:
-            yield piece.encode("utf-8")
+            yield part.encode("utf-8")
 
 
 @cache

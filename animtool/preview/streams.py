@@ -196,13 +196,13 @@ class StreamPacker:
             count = len(group[0].data.stored_values)
             for first in range(0, count, samples_per_block):
                 frames = slice(first, min(first + samples_per_block, count))
-                encoded = [
+                encoded_streams = [
                     _encoded_samples(s.data.stored_values[frames], s.data.kind)
                     for s in group
                 ]
                 for stream in group:
                     stream.blocks.append([len(blocks), first, frames.stop - first])
-                blocks.append(deflate_base64(encoded))
+                blocks.append(deflate_base64(encoded_streams))
         return [stream.manifest_entry() for stream in self._streams], blocks
 
     def _groups(self) -> list[tuple[list[_Stream], int]]:

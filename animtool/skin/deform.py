@@ -319,12 +319,12 @@ def replace_points(
     first = max(frames.start - margin, 0)
     stop = min(frames.stop + margin, len(points.values))
     points_with_margin = points.select(slice(first, stop)).dense()
-    requested_rows = slice(frames.start - first, frames.stop - first)
-    new_points = np.ascontiguousarray(points_with_margin[requested_rows])
+    requested_frames = slice(frames.start - first, frames.stop - first)
+    new_points = np.ascontiguousarray(points_with_margin[requested_frames])
     velocities = deformed.velocities
     if times is not None:
         velocities = _point_velocities(points_with_margin, times[first:stop])
-        velocities = velocities[requested_rows]
+        velocities = velocities[requested_frames]
     normals = deformed.normals
     if normals is not None and surface is not None:
         has_changed = (new_points != deformed.points).any(axis=(1, 2))

@@ -64,10 +64,10 @@ class BoneRenderer:
         octahedra, balls, ball_colors = [], [], []
         for pose in poses:
             children = np.flatnonzero(pose.parents >= 0)
-            tipped, tips = pose.tip_ends()
+            tip_joints, tips = pose.tip_ends()
             positions = pose.positions
             heads = np.concatenate(
-                [positions[pose.parents[children]], positions[tipped]]
+                [positions[pose.parents[children]], positions[tip_joints]]
             )
             tails = np.concatenate([positions[children], tips])
             has_length = (

@@ -72,8 +72,8 @@ def _wrapped_lines(text: str, width: float, font: Any) -> Iterator[str]:
     """Yield lines that fit a width; words that are too long are split."""
     for paragraph in text.splitlines():
         line = ""
-        for text_word in paragraph.split():
-            word = text_word
+        for full_word in paragraph.split():
+            word = full_word
             longer = f"{line} {word}".strip()
             if font.getlength(longer) <= width:
                 line = longer

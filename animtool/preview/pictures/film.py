@@ -75,7 +75,7 @@ def film_writer(
                     context.color_trc = context.color_range = _NARROW_RANGE
                 frame_count = 0
 
-                def add(pixels: Array) -> None:
+                def encode(pixels: Array) -> None:
                     """Encode one frame."""
                     nonlocal frame_count
                     frame = _video_frame(av, pixels, palette)
@@ -84,7 +84,7 @@ def film_writer(
                     for packet in stream.encode(frame):
                         container.mux(packet)
 
-                yield add
+                yield encode
                 for packet in stream.encode():
                     container.mux(packet)
         except OSError as error:
@@ -99,12 +99,14 @@ def _video_frame(av: Any, pixels: Array, palette: Any) -> Any:
         return frame.reformat(format="yuv420p", dst_colorspace=_BT709)
     image_module = import_package("PIL.Image")
     image = image_module.fromarray(pixels)
-    indexed = image.quantize(palette=palette, dither=image_module.Dither.NONE)
+    indexed_pixels = image.quantize(palette=palette, dither=image_module.Dither.NONE)
     colors = np.zeros((PALETTE_SIZE, 4), np.uint8)
     palette_colors = np.array(palette.getpalette(), np.uint8).reshape(-1, 3)
     # libav palettes have alpha first.
     colors[:, 0], colors[: len(palette_colors), 1:] = 255, palette_colors
-    return av.VideoFrame.from_ndarray((np.asarray(indexed), colors), format="pal8")
+    return av.VideoFrame.from_ndarray(
+        (np.asarray(indexed_pixels), colors), format="pal8"
+    )
 
 
 def _palette_image(frames: Sequence[Array]) -> Any:

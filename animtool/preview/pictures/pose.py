@@ -51,12 +51,14 @@ class PosedTake:
         self.parents = np.array(skeleton["parents"], np.int64)
         self.count = len(self.names)
         self.levels = _joints_by_depth(self.parents)
-        static = record.get("still") or skeleton["rest"]
+        static_pose = record.get("still") or skeleton["rest"]
         ones = np.ones((self.count, 3))
         self._values = {
-            "t": np.reshape(static["t"], (-1, 3)).astype(np.float64),
-            "r": np.reshape(static["r"], (-1, 4)).astype(np.float64),
-            "s": ones if static.get("s") is None else np.array(static["s"], np.float64),
+            "t": np.reshape(static_pose["t"], (-1, 3)).astype(np.float64),
+            "r": np.reshape(static_pose["r"], (-1, 4)).astype(np.float64),
+            "s": ones
+            if static_pose.get("s") is None
+            else np.array(static_pose["s"], np.float64),
         }
         self._animated = [
             (
@@ -80,7 +82,7 @@ class PosedTake:
 
     def _find_root(self) -> int:
         """Return the first joint with animated translation, else the first joint."""
-        translated = {
+        translated_joints = {
             int(j)
             for component, _, joints in self._animated
             if component == "t"
@@ -88,7 +90,7 @@ class PosedTake:
         }
         joints_by_depth = [int(j) for level in self.levels for j in level]
         return next(
-            (j for j in joints_by_depth if j in translated),
+            (j for j in joints_by_depth if j in translated_joints),
             joints_by_depth[0] if joints_by_depth else 0,
         )
 

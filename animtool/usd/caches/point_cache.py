@@ -208,7 +208,7 @@ def write_chunks(
     files = point_clip_files(job.output)
     with ChunkedWriter(files, chunk_bytes, len(chunked_meshes), chunk) as chunks:
         write_frames(blocks, chunks, chunked_meshes)
-    metadata = cache_metadata(job, chunks.starts[0], chunks.last)
+    metadata = cache_metadata(job, chunks.chunk_starts[0], chunks.last)
     with Sdf.ChangeBlock():
         for mesh in chunked_meshes:
             mesh.author(

@@ -126,8 +126,8 @@ class ShownPrim:
             points, counts, indices = _implicit_mesh(self.prim)
         colors = self.colors(self._stage.stage.GetStartTimeCode())
         vertex_colors = colors if len(colors) == len(points) > 1 else None
-        points_meters = points * self._stage.meters_per_unit
-        return ShownMesh(points_meters, counts, indices, self.color, vertex_colors)
+        metric_points = points * self._stage.meters_per_unit
+        return ShownMesh(metric_points, counts, indices, self.color, vertex_colors)
 
     def curve_counts(self) -> IntArray:
         """Return the number of points of each curve ``(C,)``."""

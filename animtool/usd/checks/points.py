@@ -55,9 +55,9 @@ def _check_finite(
     subject: StageSubject, attr: Any, array: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
     # min and max propagate both NaN and infinity.
-    is_bad = ~np.isfinite(bounds).all(axis=(1, 2)) & (array.counts > 0)
-    if is_bad.any():
-        message = f"points are not finite {samples_text(array, is_bad)}"
+    is_not_finite = ~np.isfinite(bounds).all(axis=(1, 2)) & (array.counts > 0)
+    if is_not_finite.any():
+        message = f"points are not finite {samples_text(array, is_not_finite)}"
         yield finding("USD265", attr.GetPath(), message)
     elif (array.counts >= 0).all():
         subject.finite_paths.add(attr.GetPath())
@@ -217,10 +217,12 @@ def _check_lengths(
         previous_sample = np.searchsorted(indices.times, array.times, side="right") - 1
     expected_counts = indices.counts[np.clip(previous_sample, 0, None)]
     is_optional = not attr.GetName().startswith("positions")
-    is_bad = (array.counts != expected_counts) & ~(is_optional & (array.counts <= 0))
-    if is_bad.any():
-        i = int(np.argmax(is_bad))
-        samples = samples_text(array, is_bad)
+    is_mismatched = (array.counts != expected_counts) & ~(
+        is_optional & (array.counts <= 0)
+    )
+    if is_mismatched.any():
+        i = int(np.argmax(is_mismatched))
+        samples = samples_text(array, is_mismatched)
         message = f"{array.counts[i]} for {expected_counts[i]} instances {samples}"
         yield finding("USD269", attr.GetPath(), message)
 

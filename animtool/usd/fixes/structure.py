@@ -45,10 +45,10 @@ def normalize_weights(target: FixTarget, fault: Fault) -> Edit:
             weight_sums = rows.sum(axis=1, keepdims=True)
             if not (weight_sums > 0).all() or not np.isfinite(weight_sums).all():
                 raise NotFixableError("a point has no weights")
-            is_off = np.abs(weight_sums - 1) > ROUNDING
-            changed_points += int(is_off.sum())
+            is_not_normalized = np.abs(weight_sums - 1) > ROUNDING
+            changed_points += int(is_not_normalized.sum())
             point_count += len(rows)
-            rows = rows / np.where(is_off, weight_sums, 1.0)
+            rows = rows / np.where(is_not_normalized, weight_sums, 1.0)
             new_arrays.append(rows.reshape(array.shape).astype(array.dtype))
         _, largest_change = replace_arrays(spec, new_arrays)
         text = (

@@ -222,7 +222,7 @@ class ChunkedWriter:
         self._open_writers = open_writers
         self._next_samples = [0] * prim_count
         self._open_chunks: dict[int, tuple[ExitStack, Sequence[PointWriter]]] = {}
-        self.starts: list[float] = []
+        self.chunk_starts: list[float] = []
         self.last = -np.inf
         self._manifest: Any = None  # set by `join`
 
@@ -240,7 +240,7 @@ class ChunkedWriter:
     @property
     def paths(self) -> list[Path]:
         """Paths of the chunk files, in time order."""
-        return [self.files.chunk(number) for number in range(len(self.starts))]
+        return [self.files.chunk(number) for number in range(len(self.chunk_starts))]
 
     def add(self, block: Block) -> None:
         """Write a block of frames to the chunk files of its time codes."""
@@ -252,11 +252,11 @@ class ChunkedWriter:
                 self._write_block(
                     chunk - 1, block.select_frames(slice(begin, begin + 1))
                 )
-            if chunk == len(self.starts):
+            if chunk == len(self.chunk_starts):
                 stack = ExitStack()
                 context = self._open_writers(self.files.chunk(chunk), chunk)
                 self._open_chunks[chunk] = stack, stack.enter_context(context)
-                self.starts.append(float(codes[begin]))
+                self.chunk_starts.append(float(codes[begin]))
             self._write_block(
                 chunk, block.select_frames(slice(begin, begin + frame_count))
             )
@@ -278,13 +278,13 @@ class ChunkedWriter:
         layer: Any,
         path: str,
         metadata: StageMetadata,
-        declare: Callable[[Any], None],
+        declare_attributes: Callable[[Any], None],
         *,
         use_defaults: bool,
     ) -> None:
         """Author the files as value clips of a prim and its descendants.
 
-        ``declare`` declares the attributes of the files in a manifest. With
+        ``declare_attributes`` declares the attributes of the files in a manifest. With
         ``use_defaults``, the layer also gets the default values of the first file.
         """
         self._author_clips(layer, path)
@@ -292,12 +292,12 @@ class ChunkedWriter:
             # Defaults in the layer itself would be stronger than the clips.
             layer.subLayerPaths.append(f"./{self.files.chunk(0).name}")
         self._manifest = new_layer(self.files.manifest)
-        declare(self._manifest)
+        declare_attributes(self._manifest)
         author_metadata(self._manifest, metadata)
 
     def _author_clips(self, layer: Any, path: str) -> None:
         """Author the files as value clips of a prim."""
-        starts, files = self.starts, self.files
+        starts, files = self.chunk_starts, self.files
         clips = {
             "assetPaths": Sdf.AssetPathArray(
                 [Sdf.AssetPath(f"./{chunk.name}") for chunk in self.paths]

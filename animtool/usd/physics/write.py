@@ -216,8 +216,8 @@ class PhysicsWriter:
         return self._materials[key]
 
     def _write_joint(self, path: str, joint: PhysicsJoint) -> None:
-        limits_twist = joint.limits is not None or joint.drive is not None
-        ball_type = "PhysicsJoint" if limits_twist else "PhysicsSphericalJoint"
+        has_twist_limit = joint.limits is not None or joint.drive is not None
+        ball_type = "PhysicsJoint" if has_twist_limit else "PhysicsSphericalJoint"
         spec = prim_spec(self._layer, path, _JOINT_TYPES.get(joint.kind, ball_type))
         for k, (body_index, frame) in enumerate(
             zip(joint.bodies, joint.frames, strict=True)
@@ -239,11 +239,11 @@ class PhysicsWriter:
         if joint.contacts:
             attribute_spec(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
         schemas: list[str] = []
-        if joint.kind != "fixed" and not (joint.kind == "ball" and limits_twist):
+        if joint.kind != "fixed" and not (joint.kind == "ball" and has_twist_limit):
             attribute_spec(spec, "physics:axis", _TYPES.Token, "X", uniform=True)
         if joint.kind == "ball":
             limits = BallLimit(joint.swing, joint.limits, (1.0, 0.0, 0.0))
-            schemas += author_ball_limit(spec, limits, is_twist_limited=limits_twist)
+            schemas += author_ball_limit(spec, limits, is_twist_limited=has_twist_limit)
         elif joint.limits is not None:
             scale = math.degrees(1.0) if joint.kind == "pin" else 1 / self._unit
             for end, value in zip(("lower", "upper"), joint.limits, strict=True):

@@ -226,7 +226,7 @@ class _CharacterGroup:
     owner: CharactersWriter
     layer: Any
     paths: RigPaths
-    upright: FloatArray
+    up_rotation: FloatArray
     track: _CharacterTrack
 
     def write(self, names: Sequence[str]) -> None:
@@ -314,7 +314,7 @@ class _CharacterGroup:
         heading_rotations[:, 1] = np.sin(half_angles)
         heading_rotations[:, 3] = np.cos(half_angles)
         hip_offset = so3.rotate(
-            self.upright, so3.rotate(heading_rotations, motion * track.scales[i])
+            self.up_rotation, so3.rotate(heading_rotations, motion * track.scales[i])
         )
         positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
         op_names = ["xformOp:translate"]
@@ -327,8 +327,10 @@ class _CharacterGroup:
             rows,
             [Gf.Vec3f(*position) for position in positions[rows].tolist()],
         )
-        if (self.upright != so3.IDENTITY).any():
-            attribute_spec(spec, "xformOp:orient", _TYPES.Quatf, gf_quatf(self.upright))
+        if (self.up_rotation != so3.IDENTITY).any():
+            attribute_spec(
+                spec, "xformOp:orient", _TYPES.Quatf, gf_quatf(self.up_rotation)
+            )
             op_names.append("xformOp:orient")
         rotate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)

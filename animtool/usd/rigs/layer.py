@@ -101,9 +101,9 @@ def _author_joint(
     axis, frame = _joint_frame(joint)
     position = np.array(joint.translation) / meters_per_unit
     parent_frame = so3.multiply(np.array(joint.rotation), frame)
-    zero = Gf.Vec3f(0.0)
+    origin = Gf.Vec3f(0.0)
     attribute_spec(spec, "physics:localPos0", _TYPES.Point3f, gf_vec3f(position))
-    attribute_spec(spec, "physics:localPos1", _TYPES.Point3f, zero)
+    attribute_spec(spec, "physics:localPos1", _TYPES.Point3f, origin)
     attribute_spec(spec, "physics:localRot0", _TYPES.Quatf, gf_quatf(parent_frame))
     attribute_spec(spec, "physics:localRot1", _TYPES.Quatf, gf_quatf(frame))
     if axis:

@@ -270,9 +270,9 @@ def _author_shapes(
 
 
 def _author_shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
-    steps = shape.inbetweens
-    offset_arrays = [shape.deltas, *(step.deltas for step in steps)]
-    normal_arrays = [shape.normals, *(step.normals for step in steps)]
+    inbetweens = shape.inbetweens
+    offset_arrays = [shape.deltas, *(inbetween.deltas for inbetween in inbetweens)]
+    normal_arrays = [shape.normals, *(inbetween.normals for inbetween in inbetweens)]
     is_displaced = np.any(
         [
             offsets.any(axis=1)
@@ -298,13 +298,13 @@ def _author_shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> Non
     if vertices is not None:
         points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
         attribute_spec(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
-    for i, step in enumerate(steps):
+    for i, inbetween in enumerate(inbetweens):
         name = f"inbetweens:step_{i + 1}"
-        attr = author_rows(name, step.deltas / meters_per_unit)
-        check_value(step.at, "f", ValueLabels(f"{spec.path}.{name}", "the weight"))
-        attr.SetInfo("weight", step.at)
-        if step.normals is not None:
-            author_rows(f"{name}:normalOffsets", step.normals)
+        attr = author_rows(name, inbetween.deltas / meters_per_unit)
+        check_value(inbetween.at, "f", ValueLabels(f"{spec.path}.{name}", "the weight"))
+        attr.SetInfo("weight", inbetween.at)
+        if inbetween.normals is not None:
+            author_rows(f"{name}:normalOffsets", inbetween.normals)
 
 
 # A bone is drawn as an octahedron; position of its widest part, relative to the length.

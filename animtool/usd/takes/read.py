@@ -254,13 +254,13 @@ def _dropped_placement_reader(
     stage: Any = None if prim is None else prim.GetStage()
 
     def placement_at(codes: FloatArray) -> Placement:
-        evaluated = placement
+        current_placement = placement
         if placement.is_animated:
             # This reference keeps the stage and its prims alive as long as the
             # function.
             skeleton = stage.GetPrimAtPath(prim.GetPath())
-            evaluated = skeleton_placement(skeleton, rig, codes.tolist())
-        heading_placement, _ = evaluated.fixed.split(rig.up)
+            current_placement = skeleton_placement(skeleton, rig, codes.tolist())
+        heading_placement, _ = current_placement.fixed.split(rig.up)
         if recorded_placement is None:
             return heading_placement
         return heading_placement.after(recorded_placement)

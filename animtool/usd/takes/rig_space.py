@@ -189,12 +189,12 @@ def _has_world_lengths(take: Rig, local_rig: Rig, scale: float) -> bool:
         for joint in take.joints
         if joint.parent >= 0 and joint.name in lengths
     ]
-    take_length, raw_length = (
+    take_length, rig_length = (
         (sum(row) for row in zip(*length_pairs, strict=True))
         if length_pairs
         else (0, 0)
     )
-    if not take_length or not raw_length:
+    if not take_length or not rig_length:
         return False
-    ratio = np.log(take_length / raw_length)
+    ratio = np.log(take_length / rig_length)
     return bool(abs(ratio - np.log(scale)) < abs(ratio))
