@@ -93,34 +93,47 @@ def _add_rigid(
         draft.meshes.append(_stage_mesh_entry(draft, prim.name, rigid_mesh))
         return
     rotations, scales = so3.split_scale(matrices[:, :3, :3])
-    draft.meshes.append(_stage_mesh_entry(draft, prim.name, mesh) | {"prototype": True})
-    draft.instances.append(
-        {
-            "name": prim.name,
-            "mesh": len(draft.meshes) - 1,
-            **_instance_streams(
-                draft, matrices[:, None, :3, 3], rotations[:, None], scales[:, None]
-            ),
-            "visible": visibility,
-        }
+    entry = _add_prototype(
+        draft,
+        prim.name,
+        mesh,
+        matrices[:, None, :3, 3],
+        rotations[:, None],
+        scales[:, None],
     )
+    entry["visible"] = visibility
 
 
-def _instance_streams(
-    draft: PageDraft, positions: FloatArray, rotations: FloatArray, scales: FloatArray
+def _add_prototype(
+    draft: PageDraft,
+    name: str,
+    mesh: ShownMesh,
+    positions: FloatArray,
+    rotations: FloatArray,
+    scales: FloatArray,
 ) -> dict[str, Any]:
-    """Add streams of positions, rotations and scales; return their manifest entry."""
+    """Add a mesh and N instances of it in F frames; return the instances' entry.
+
+    ``positions`` ``(F, N, 3)`` [m], ``rotations`` ``(F, N, 4)``, ``scales``
+    ``(F, N, 3)``.
+    """
+    draft.meshes.append(_stage_mesh_entry(draft, name, mesh) | {"prototype": True})
     frame_count = len(positions)
     units = quantize_units(so3.align_signs(rotations).reshape(frame_count, -1))
     draft.record_error(rotation=2 * units.error)
     flat_scales = scales.reshape(frame_count, -1)
-    return {
+    entry = {
+        "name": name,
+        "mesh": len(draft.meshes) - 1,
         "t": draft.add_positions(positions),
         "r": draft.packer.add(units),
         "s": None
         if np.allclose(flat_scales, 1.0, atol=1e-6)
         else draft.packer.add(quantize_range(flat_scales, SCALE_ERROR, period=3)),
+        "visible": None,
     }
+    draft.instances.append(entry)
+    return entry
 
 
 def _point_stream(
@@ -282,25 +295,18 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
             default_color = DARK_COLOR if len(used_slots) > MANY_INSTANCES else None
             color = mesh.color or prim.color or default_color
             prototype = replace(mesh, points=points, color=color)
-            draft.meshes.append(
-                _stage_mesh_entry(draft, name, prototype) | {"prototype": True}
+            entry = _add_prototype(
+                draft,
+                name,
+                prototype,
+                instances.points[:, used_slots],
+                instances.rotations[:, used_slots],
+                instances.scales[:, used_slots],
             )
             visible = uses_prototype[:, used_slots]
-            draft.instances.append(
-                {
-                    "name": name,
-                    "mesh": len(draft.meshes) - 1,
-                    **_instance_streams(
-                        draft,
-                        instances.points[:, used_slots],
-                        instances.rotations[:, used_slots],
-                        instances.scales[:, used_slots],
-                    ),
-                    "visible": None
-                    if visible.all()
-                    else draft.packer.add(Quantized(visible.astype("<u1"), "u8")),
-                }
-            )
+            if not visible.all():
+                data = Quantized(visible.astype("<u1"), "u8")
+                entry["visible"] = draft.packer.add(data)
 
 
 class _SlotInstances:

@@ -17,6 +17,8 @@ from animtool.preview.pictures.pose import PosedTake
 MAX_THICK_JOINTS = 1500
 AXIS_COLORS = ((222, 82, 82), (92, 176, 88), (76, 130, 224))
 Color = tuple[int, int, int]
+# Returns the color of a take by its index.
+ColorOfTake = Callable[[int], Color]
 
 
 class BoneRenderer:
@@ -36,7 +38,7 @@ class BoneRenderer:
         self,
         eye: EyeMatrices,
         poses: Sequence[PosedTake],
-        color: Callable[[int], Color],
+        color: ColorOfTake,
         *,
         bones: bool,
         axes: bool,
@@ -54,10 +56,7 @@ class BoneRenderer:
             self._draw_axes(eye, poses)
 
     def _draw_octahedra(
-        self,
-        eye: EyeMatrices,
-        poses: Sequence[PosedTake],
-        color: Callable[[int], Color],
+        self, eye: EyeMatrices, poses: Sequence[PosedTake], color: ColorOfTake
     ) -> None:
         """Draw bones as octahedra and joints as balls."""
         max_radius = max(pose.bounds_radius for pose in poses)
@@ -93,10 +92,7 @@ class BoneRenderer:
         self._balls.draw(eye, max_radius * 0.008, 2.5)
 
     def _draw_lines(
-        self,
-        eye: EyeMatrices,
-        poses: Sequence[PosedTake],
-        color: Callable[[int], Color],
+        self, eye: EyeMatrices, poses: Sequence[PosedTake], color: ColorOfTake
     ) -> None:
         """Draw skeletons as thin lines, in one draw call."""
         vertex_blocks = []

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.preview.pictures.bones import Color
+from animtool.preview.pictures.bones import Color, ColorOfTake
 from animtool.preview.pictures.camera import CameraView, EyeMatrices
 from animtool.preview.pictures.device import Device
 from animtool.preview.pictures.lines import LineRenderer
@@ -87,7 +87,7 @@ class TrailRenderer:
         self,
         poses: Sequence[PosedTake],
         sample: int,
-        color: Callable[[int], Color],
+        color: ColorOfTake,
         contact_color: Color,
         shown_layers: frozenset[str],
     ) -> None:

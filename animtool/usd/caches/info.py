@@ -150,10 +150,8 @@ def animated_point_prims(path: Path) -> list[PointPrimSummary]:
 
 def _summarize_prim(prim: Any) -> PointPrimSummary:
     reader = PointReader(prim)
-    times = reader.times
-    is_instancer = reader.is_instancer
-    has_values = reader.has_value
-    codes = reader.codes
+    times, codes = reader.times, reader.codes
+    has_values, is_instancer = reader.has_value, reader.is_instancer
     sample_codes = time_codes_of(times)
     point_counts = array_lengths(reader.attr, sample_codes)
     type_name = str(prim.GetTypeName())

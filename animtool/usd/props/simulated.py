@@ -219,9 +219,8 @@ class SimulatedPrim:
                 if np.issubdtype(array.dtype, np.integer)
                 else self.to_float32(f"primvars:{name}", array, code)
             )
-        values["velocities"] = self._round_points("velocities", frame.velocities, code)[
-            0
-        ]
+        velocities, _, _ = self._round_points("velocities", frame.velocities, code)
+        values["velocities"] = velocities
         sampled_values = {name: values[name] for name in self._sampled_names}
         if form.can_tear(frame):
             sampled_values |= form.topology(frame)

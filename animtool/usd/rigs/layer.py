@@ -111,12 +111,8 @@ def _author_joint(
     if isinstance(joint.limits, RangeLimit):
         is_pin = joint.type is JointType.PIN
         scale = math.degrees(1.0) if is_pin else 1.0 / meters_per_unit
-        attribute_spec(
-            spec, "physics:lowerLimit", _TYPES.Float, joint.limits.low * scale
-        )
-        attribute_spec(
-            spec, "physics:upperLimit", _TYPES.Float, joint.limits.high * scale
-        )
+        for end, value in (("lower", joint.limits.low), ("upper", joint.limits.high)):
+            attribute_spec(spec, f"physics:{end}Limit", _TYPES.Float, value * scale)
     elif isinstance(joint.limits, BallLimit):
         has_twist = joint.limits.twist is not None
         if schemas := author_ball_limit(spec, joint.limits, is_twist_limited=has_twist):
@@ -162,12 +158,9 @@ def author_ball_limit(
     if not is_twist_limited:
         if swing_degrees is not None:
             # The first cone angle tilts towards Y, a rotation about Z.
-            attribute_spec(
-                spec, "physics:coneAngle0Limit", _TYPES.Float, swing_degrees[1]
-            )
-            attribute_spec(
-                spec, "physics:coneAngle1Limit", _TYPES.Float, swing_degrees[0]
-            )
+            for i, angle in enumerate(reversed(swing_degrees)):
+                name = f"physics:coneAngle{i}Limit"
+                attribute_spec(spec, name, _TYPES.Float, angle)
         return []
     ranges: dict[str, tuple[float, float]] = {}
     if limits.twist is not None:

@@ -192,10 +192,7 @@ def _read_skin(
 ) -> Skin:
     indices, weights = (
         numbers_of(primvar.ComputeFlattened(), 1)[:, 0]
-        for primvar in (
-            query.GetJointIndicesPrimvar(),
-            query.GetJointWeightsPrimvar(),
-        )
+        for primvar in (query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar())
     )
     influence_count = query.GetNumInfluencesPerComponent()
     row_count = 1 if query.IsRigidlyDeformed() else point_count
@@ -214,17 +211,12 @@ def _read_skin(
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
         location.fail("USD230", f"a jointIndex is not in 0 to {len(names) - 1}")
     shape = (point_count, influence_count)
-    method = str(query.GetSkinningMethod())
-    return Skin(
-        _SKIN_METHODS.get(method, "linear"),
-        names,
-        LoadedArray(
-            np.broadcast_to(indices.reshape(row_count, influence_count), shape).copy()
-        ),
-        LoadedArray(
-            np.broadcast_to(weights.reshape(row_count, influence_count), shape).copy()
-        ),
+    arrays = (
+        np.broadcast_to(values.reshape(row_count, influence_count), shape).copy()
+        for values in (indices, weights)
     )
+    method = _SKIN_METHODS.get(str(query.GetSkinningMethod()), "linear")
+    return Skin(method, names, *map(LoadedArray, arrays))
 
 
 def _read_shapes(

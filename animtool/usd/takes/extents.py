@@ -196,15 +196,14 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     joints = skeleton.GetJointsAttr().Get() or []
     collapsed_layer = Sdf.Layer.CreateAnonymous(".usda")
     animation_spec = prim_spec(collapsed_layer, job.paths.animation, over=True)
-    count, types = len(joints), Sdf.ValueTypeNames
+    types = Sdf.ValueTypeNames
     attribute_spec(animation_spec, "joints", types.TokenArray, joints, uniform=True)
-    attribute_spec(
-        animation_spec, "translations", types.Float3Array, [(0, 0, 0)] * count
-    )
-    attribute_spec(
-        animation_spec, "rotations", types.QuatfArray, [Gf.Quatf.GetIdentity()] * count
-    )
-    attribute_spec(animation_spec, "scales", types.Half3Array, [(1, 1, 1)] * count)
+    for name, kind, value in (
+        ("translations", types.Float3Array, (0, 0, 0)),
+        ("rotations", types.QuatfArray, Gf.Quatf.GetIdentity()),
+        ("scales", types.Half3Array, (1, 1, 1)),
+    ):
+        attribute_spec(animation_spec, name, kind, [value] * len(joints))
     session = stage.GetSessionLayer()
     session.subLayerPaths.insert(0, collapsed_layer.identifier)
     extent = _computed_extent(root, Usd.TimeCode.Default())
