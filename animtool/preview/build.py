@@ -307,8 +307,12 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
 
 
 def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
-    """Add the findings of `validate`, each linked to the take of its file."""
-    faults = _errors_first(_find_faults(files))
+    """Add the distinct findings of `validate`, errors first, linked to their takes."""
+    severities = [Severity.ERROR, Severity.WARNING, Severity.NOTE]
+    faults = sorted(
+        dict.fromkeys(_find_faults(files)),
+        key=lambda fault: severities.index(fault.severity),
+    )
     takes: dict[str, tuple[int, Sequence[str]]] = {}
     for take_index, entry in enumerate(draft.takes):
         path = str(files[entry["file"]])
@@ -357,11 +361,3 @@ def _finding_entry(
         "joint": joint,
         "take": take,
     }
-
-
-def _errors_first(faults: Sequence[Fault]) -> list[Fault]:
-    """Return the distinct findings, with errors first and notes last."""
-    severity_rank = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
-    return sorted(
-        dict.fromkeys(faults), key=lambda fault: severity_rank[fault.severity]
-    )

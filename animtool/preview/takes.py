@@ -331,16 +331,11 @@ def _roled_legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, LegJo
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.cache:
-        draft.cache[key] = _find_legs(rig)
+        skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
+        legs = {side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None}
+        draft.cache[key] = (skeleton if legs else None), legs
     skeleton_and_legs: tuple[RoledSkeleton | None, LegJoints] = draft.cache[key]
     return skeleton_and_legs
-
-
-def _find_legs(rig: Rig) -> tuple[RoledSkeleton | None, LegJoints]:
-    """Return the roles of a rig's joints (None without legs), and its legs."""
-    skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
-    legs = {side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None}
-    return (skeleton if legs else None), legs
 
 
 def _foot_contacts(

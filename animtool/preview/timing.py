@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 from animtool.core.arguments import argument
 from animtool.core.clock import frame_label
@@ -23,9 +22,6 @@ from animtool.preview.takes import BufferedMotion
 from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan, in_frames
 from animtool.scene.bake.options import BakeOptions
-
-if TYPE_CHECKING:
-    from animtool.usd.caches.shown import StageContents
 
 # Frames of a page.
 MAX_FRAMES = 1_000_000
@@ -149,9 +145,13 @@ def timeline_of(
     ]
     step = Fraction(1)
     for file in files:
-        if file.contents is not None and (moving_span := _moving_span(file.contents)):
-            rate_ratio = fps / file.contents.fps
-            spans.append((moving_span[0] * rate_ratio, moving_span[1] * rate_ratio))
+        contents = file.contents
+        if contents is not None and (
+            any(prim.is_animated for prim in contents.prims) or contents.cameras()
+        ):
+            rate_ratio = fps / contents.fps
+            start, end = contents.span
+            spans.append((start * rate_ratio, end * rate_ratio))
         if file.markers is not None:
             span = file.markers.clock.span
             rate_ratio = fps / span.fps
@@ -204,9 +204,3 @@ def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] 
         return None
     rate_ratio = fps / contents.fps
     return authored_span[0] * rate_ratio, authored_span[1] * rate_ratio
-
-
-def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
-    """Return the frame span of a stage's animated prims; None if nothing moves."""
-    is_moving = any(prim.is_animated for prim in contents.prims)
-    return contents.span if is_moving or contents.cameras() else None

@@ -66,10 +66,16 @@ def read_influences(
             joint_indices, (vertex_count, joint_indices.shape[1])
         )
         weights_array = np.broadcast_to(weights_array, joint_indices.shape)
-    _check_values(joint_indices, weights_array, joint_count)
+    integers = joint_indices.astype(np.int64)
+    is_outside = np.asarray(((integers < 0) | (integers >= joint_count)).any(axis=1))
+    not_finite = np.asarray(~np.isfinite(weights_array).all(axis=1))
+    _raise_vertex_faults(
+        ("SKIN002", is_outside, f"a joint index outside 0…{joint_count - 1}"),
+        ("SKIN003", not_finite, "a weight that is not finite"),
+    )
     row_count = len(joint_indices)
     vertices, joints, sorted_weights = _merge_duplicates(
-        joint_indices.astype(np.int64), weights_array, max(joint_count, 1)
+        integers, weights_array, max(joint_count, 1)
     )
     weight_sums = np.bincount(vertices, sorted_weights, row_count).astype(np.float64)
     _raise_vertex_faults(
@@ -146,19 +152,6 @@ def _check_shapes(
     if not np.issubdtype(joint_indices.dtype, np.integer):
         message = f"joint indices are {joint_indices.dtype}, not integers"
         raise FormatError(Fault("SKIN002", message))
-
-
-def _check_values(
-    joint_indices: npt.NDArray[np.generic], weights: FloatArray, joint_count: int
-) -> None:
-    """Check that joint indices are in range and weights are finite."""
-    integers = joint_indices.astype(np.int64)
-    out_of_range = np.asarray(((integers < 0) | (integers >= joint_count)).any(axis=1))
-    not_finite = np.asarray(~np.isfinite(weights).all(axis=1))
-    _raise_vertex_faults(
-        ("SKIN002", out_of_range, f"a joint index outside 0…{joint_count - 1}"),
-        ("SKIN003", not_finite, "a weight that is not finite"),
-    )
 
 
 def _raise_vertex_faults(*checks: tuple[str, BoolArray, str]) -> None:

@@ -292,7 +292,9 @@ class MeshSource:
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
         points = self._reader.points_at(time)
         counts, indices = self._reader.faces(time)
-        _check_mesh(points, counts, indices, str(self._reader.prim.GetPath()))
+        if message := mesh_fault(points, counts, indices):
+            path = self._reader.prim.GetPath()
+            raise OptionError(Fault("SIM051", f"{path} {message}"))
         world = self._reader.world_from_prim(time)
         world_points = transform_points(points, world) * self._unit
         if not np.isfinite(world_points).all():
@@ -332,11 +334,3 @@ def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
     if len(out_of_range):
         return f"has a corner {out_of_range[0]} outside its {len(points)} points"
     return ""
-
-
-def _check_mesh(
-    points: FloatArray, counts: IntArray, indices: IntArray, prim: str
-) -> None:
-    message = mesh_fault(points, counts, indices)
-    if message:
-        raise OptionError(Fault("SIM051", f"{prim} {message}"))

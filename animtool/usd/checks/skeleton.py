@@ -147,7 +147,10 @@ def check_skeletons(subject: StageSubject) -> Iterator[Fault]:
         yield from _check_bind(
             skeleton, joints, is_skinned=skeleton.GetPath() in bound_skeletons
         )
-        yield from _check_skel_root(skeleton)
+        prim = skeleton.GetPrim()
+        if prim.IsDefined() and not UsdSkel.Root.Find(prim):
+            message = "there is no SkelRoot above the Skeleton"
+            yield finding("USD237", prim.GetPath(), message)
 
 
 def _check_order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
@@ -215,11 +218,3 @@ def _nearly_equal(left: FloatArray, right: FloatArray) -> bool:
     return bool(
         np.abs(left - right).max() <= TRANSFORM_TOLERANCE * max(np.abs(left).max(), 1.0)
     )
-
-
-def _check_skel_root(skeleton: Any) -> Iterator[Fault]:
-    prim = skeleton.GetPrim()
-    if prim.IsDefined() and not UsdSkel.Root.Find(prim):
-        yield finding(
-            "USD237", prim.GetPath(), "there is no SkelRoot above the Skeleton"
-        )

@@ -194,20 +194,15 @@ def check_targets(subject: StageSubject) -> Iterator[Fault]:
 
 def check_shapes(subject: StageSubject) -> Iterator[Fault]:
     """Check offsets, indices and inbetweens of every BlendShape."""
-    points = _point_counts(subject)
-    for shape in subject.of_type(UsdSkel.BlendShape):
-        yield from _check_shape(shape, points.get(shape.GetPath()))
-
-
-def _point_counts(subject: StageSubject) -> dict[Any, int]:
-    """Return the point count of the prims that each shape deforms."""
+    # Point count of the prims that each shape deforms.
     counts: dict[Any, int] = {}
     for prim in subject.prims:
         targets = prim.GetRelationship("skel:blendShapeTargets")
         count = point_count(prim) if targets else None
         if count:
             counts |= dict.fromkeys(targets.GetTargets(), count)
-    return counts
+    for shape in subject.of_type(UsdSkel.BlendShape):
+        yield from _check_shape(shape, counts.get(shape.GetPath()))
 
 
 def _offset_rows(attr: Any) -> FloatArray:

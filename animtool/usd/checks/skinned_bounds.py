@@ -7,6 +7,7 @@ skinned points may exceed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -35,10 +36,16 @@ class SkinnedBounds:
 
     def __init__(self, root: Any) -> None:
         self._root = root
-        try:
-            self._bindings = _skeleton_bindings(root)
-        except Tf.ErrorException:
-            self._bindings = []
+        # Queries of the skeletons below the SkelRoot, with their skinned prims.
+        self._bindings: list[tuple[Any, list[_SkinnedPrim]]] = []
+        cache, predicate = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
+        schema = UsdSkel.Root(root)
+        with suppress(Tf.ErrorException):
+            cache.Populate(schema, predicate)
+            self._bindings = [
+                (cache.GetSkelQuery(binding.GetSkeleton()), _skinned_prims(binding))
+                for binding in cache.ComputeSkelBindings(schema, predicate)
+            ]
 
     @property
     def point_count(self) -> int:
@@ -121,17 +128,6 @@ def spaced_indices(count: int, max_count: int) -> IntArray:
 def time_code_of(time: float) -> Any:
     """Return a time as `Usd.TimeCode`; the default time code for NaN."""
     return Usd.TimeCode.Default() if np.isnan(time) else Usd.TimeCode(time)
-
-
-def _skeleton_bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
-    """Return the skeletons below a SkelRoot as queries, with their skinned prims."""
-    cache, predicate = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
-    schema = UsdSkel.Root(root)
-    cache.Populate(schema, predicate)
-    return [
-        (cache.GetSkelQuery(binding.GetSkeleton()), _skinned_prims(binding))
-        for binding in cache.ComputeSkelBindings(schema, predicate)
-    ]
 
 
 def _skinned_prims(binding: Any) -> list[_SkinnedPrim]:

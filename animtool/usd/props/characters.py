@@ -264,14 +264,10 @@ class _CharacterGroup:
         factor.
         """
         rest_positions = self.track.rest_positions
-        radius = (
-            float(np.linalg.norm(rest_positions - rest_positions[0], axis=1).max())
-            * SKIN_EXTENT_FACTOR
-        )
+        distances = np.linalg.norm(rest_positions - rest_positions[0], axis=1)
+        radius = float(distances.max()) * SKIN_EXTENT_FACTOR / self.owner.unit
         hips = rest_positions[0] / self.owner.unit
-        corners = np.stack(
-            [hips - radius / self.owner.unit, hips + radius / self.owner.unit]
-        )
+        corners = np.stack([hips - radius, hips + radius])
         root = self.layer.GetPrimAtPath(self.paths.root)
         extent = Vt.Vec3fArray.FromNumpy(corners.astype(np.float32))
         attribute_spec(root, "extent", _TYPES.Float3Array, extent)
@@ -373,10 +369,7 @@ class _CharacterGroup:
         spec = self._author_animation(f"{path}/Anim", np.flatnonzero(is_animated))
         rows = np.flatnonzero(is_written)
         rotations = spec.attributes["rotations"]
-        arrays = [
-            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(pose))
-            for pose in poses[rows][:, is_animated]
-        ]
+        arrays = _vt_arrays(Vt.QuatfArray, poses[rows][:, is_animated])
         write_samples(self.layer, rotations, self.track.codes, rows, arrays)
 
     def _author_animation(self, path: str, animated_indices: IntArray) -> Any:
@@ -423,10 +416,7 @@ class _CharacterGroup:
         rotations = _align_signs(
             _standing_values(cast, cast.rotations, clocks).astype(np.float32)
         )
-        arrays = [
-            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(values))
-            for values in rotations
-        ]
+        arrays = _vt_arrays(Vt.QuatfArray, rotations)
         codes = rows.astype(np.float64)
         write_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
         translations = np.repeat(
@@ -435,11 +425,14 @@ class _CharacterGroup:
         translations[:, cast.animated == 0] = _standing_values(
             cast, cast.roots, clocks
         )[:, None]
-        arrays = [
-            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values))
-            for values in (translations / self.owner.unit).astype(np.float32)
-        ]
+        positions = (translations / self.owner.unit).astype(np.float32)
+        arrays = _vt_arrays(Vt.Vec3fArray, positions)
         write_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
+
+
+def _vt_arrays(array_type: Any, values: Float32Array) -> list[Any]:
+    """Return an array of a Vt type for each frame of values ``(F, N, K)``."""
+    return [array_type.FromNumpy(np.ascontiguousarray(rows)) for rows in values]
 
 
 def _standing_values(cast: Cast, samples: FloatArray, clocks: FloatArray) -> FloatArray:

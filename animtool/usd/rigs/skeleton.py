@@ -16,7 +16,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.maths import so3
 from animtool.rig.kinematics import bind_matrices
-from animtool.rig.parts import ArraySource, Shape
+from animtool.rig.parts import Shape
 from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import JointType, Rig
@@ -193,18 +193,16 @@ def strip_arrays(rig: Rig) -> Rig:
 
 def _pins_by_cloth(rig: Rig) -> dict[str, Any]:
     """Return the pinned vertices by cloth name."""
-    return {
-        entry.name: Vt.IntArray.FromNumpy(_load_integers(entry.pins, entry.name))
-        for entry in rig.attach
-        if entry.pins is not None
-    }
-
-
-def _load_integers(source: ArraySource, name: str) -> Any:
-    try:
-        return np.ascontiguousarray(source.load(), np.int32)
-    except ValueError as error:
-        raise FormatError(Fault("RIG018", f"{name!r}: {error}")) from error
+    pins = {}
+    for entry in rig.attach:
+        if entry.pins is None:
+            continue
+        try:
+            vertices = np.ascontiguousarray(entry.pins.load(), np.int32)
+        except ValueError as error:
+            raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
+        pins[entry.name] = Vt.IntArray.FromNumpy(vertices)
+    return pins
 
 
 def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
@@ -286,7 +284,10 @@ def author_strands(
             spec, entry.points / meters_per_unit, STRAND_WIDTH / meters_per_unit
         )
         if with_bindings:
-            _bind_to_joint(spec, tokens[entry.joint])
+            apply_schemas(spec, ["SkelBindingAPI"])
+            joint = Vt.TokenArray([tokens[entry.joint]])
+            attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joint, uniform=True)
+            author_influences(spec, np.zeros((1, 1)), np.ones((1, 1)), "constant")
 
 
 def _author_curves(spec: Any, points: FloatArray, width: float) -> None:
@@ -308,14 +309,6 @@ def _author_curves(spec: Any, points: FloatArray, width: float) -> None:
     }
     author_values(spec, values)
     author_width(spec, width)
-
-
-def _bind_to_joint(spec: Any, token: str) -> None:
-    """Bind a prim rigidly to one joint."""
-    apply_schemas(spec, ["SkelBindingAPI"])
-    joints = Vt.TokenArray([token])
-    attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
-    author_influences(spec, np.zeros((1, 1)), np.ones((1, 1)), "constant")
 
 
 def author_influences(

@@ -112,7 +112,11 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
     start = None
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
-    placing_ops, motion_ops = _split_xform_ops(root)
+    operations = UsdGeom.Xformable(root).GetOrderedXformOps()
+    placing_ops, motion_ops = (
+        [str(op.GetOpName()) for op in operations if is_root_motion(op) is moves]
+        for moves in (False, True)
+    )
     skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
     notices = composition_notices(stage, str(path))
     notices += skipped_skeletons_notice(
@@ -186,16 +190,6 @@ def _existing_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fa
     message = f"the shot already binds an animation at {paths.binding}"
     hint = "as a sublayer of the shot the layer would be weaker: put it above the shot"
     return [Fault("USD132", message, where, (), hint, Severity.WARNING)]
-
-
-def _split_xform_ops(root: Any) -> tuple[list[str], list[str]]:
-    """Return the xform ops that place a SkelRoot, and those of its root motion."""
-    placing_ops: list[str] = []
-    motion_ops: list[str] = []
-    for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
-        names = motion_ops if is_root_motion(operation) else placing_ops
-        names.append(str(operation.GetOpName()))
-    return placing_ops, motion_ops
 
 
 def _model_path(stage: Any, root: Any, prim_path: str | None) -> Any:

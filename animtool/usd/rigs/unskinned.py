@@ -32,7 +32,12 @@ def animated_mesh_notice(
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
-    skinned_paths = _skinned_paths(root)
+    skinned_paths = {
+        query.GetPrim().GetPath()
+        for binding in skeleton_bindings(root)
+        for query in binding.GetSkinningTargets()
+        if query.HasJointInfluences()
+    }
     distances = {
         str(prim.GetPath()): distance
         for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
@@ -54,16 +59,6 @@ def animated_mesh_notice(
         "shapes keep their transforms"
     )
     return [Fault("USD147", message, where, (), hint, Severity.WARNING)]
-
-
-def _skinned_paths(root: Any) -> set[Any]:
-    """Return the paths of skinned prims below a SkelRoot."""
-    return {
-        query.GetPrim().GetPath()
-        for binding in skeleton_bindings(root)
-        for query in binding.GetSkinningTargets()
-        if query.HasJointInfluences()
-    }
 
 
 def _max_displacement(prim: Any, skeleton: Any, choice: str | None) -> float:

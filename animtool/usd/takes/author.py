@@ -368,9 +368,6 @@ def write(
     return result
 
 
-_Blocks = Iterator[tuple[FloatArray, Motion]]
-
-
 def _stage_job(
     take: Take,
     path: Path,
@@ -463,7 +460,7 @@ def _layer_job(
     return job, usd_take, notices
 
 
-def _take_blocks(take: Take) -> _Blocks:
+def _take_blocks(take: Take) -> Iterator[tuple[FloatArray, Motion]]:
     codes = take.clock.times
     for begin in range(0, len(codes), BLOCK_FRAMES):
         frames = slice(begin, begin + BLOCK_FRAMES)
