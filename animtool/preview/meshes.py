@@ -109,15 +109,11 @@ def largest_influences(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     ranks = np.arange(len(influences.joints)) - np.repeat(
         influences.row_starts[:-1], counts
     )
-    is_strongest = ranks < MAX_INFLUENCES
+    is_kept = ranks < MAX_INFLUENCES
     joints = np.zeros((skin.vertex_count, MAX_INFLUENCES), np.int64)
     weights = np.zeros((skin.vertex_count, MAX_INFLUENCES))
-    joints[vertices[is_strongest], ranks[is_strongest]] = influences.joints[
-        is_strongest
-    ]
-    weights[vertices[is_strongest], ranks[is_strongest]] = influences.weights[
-        is_strongest
-    ]
+    joints[vertices[is_kept], ranks[is_kept]] = influences.joints[is_kept]
+    weights[vertices[is_kept], ranks[is_kept]] = influences.weights[is_kept]
     return joints, weights
 
 
@@ -197,10 +193,7 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
 
 
 def _shape_entries(
-    draft: PageDraft,
-    shapes: PreparedShapes,
-    active_columns: IntArray,
-    first_column: int,
+    draft: PageDraft, shapes: PreparedShapes, active: IntArray, first_column: int
 ) -> list[dict[str, Any]]:
     """Return the manifest entries of shapes, with sparse point offsets."""
     columns = shapes.points
@@ -216,17 +209,14 @@ def _shape_entries(
         column: row for row, column in enumerate(np.flatnonzero(columns.is_dense), 1)
     }
     entries = []
-    for index, column in enumerate(active_columns.tolist()):
+    for index, column in enumerate(active.tolist()):
         if column in dense_rows:
             offsets = columns.dense_table[dense_rows[column]].reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))
             offsets = offsets[vertices]
         else:
-            is_in_column = columns.columns == column
-            vertices, offsets = (
-                vertex_of_entry[is_in_column],
-                columns.offsets[is_in_column],
-            )
+            rows = columns.columns == column
+            vertices, offsets = (vertex_of_entry[rows], columns.offsets[rows])
         entries.append(
             {
                 "name": names[column],

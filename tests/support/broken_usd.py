@@ -70,8 +70,8 @@ def _add_physics(layer: Sdf.Layer) -> None:
         Joint("hinge", 0, JointType.PIN, limits=RangeLimit(-0.5, 1.0)),
         Joint("ball", 0, JointType.BALL, limits=BallLimit((0.5, 0.9), (-0.2, 0.7))),
     )
-    rig = Rig("pair", joints)
-    author_physics(layer, "/pair", rig, rig.names, 0.01)
+    rig = Rig("pair", joints, 0.01)
+    author_physics(layer, "/pair", rig, rig.names)
     layer.GetPrimAtPath("/pair").specifier = Sdf.SpecifierDef
 
 

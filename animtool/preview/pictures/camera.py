@@ -207,11 +207,9 @@ class CameraView:
         # differ.
         half_height = max(aperture_height, aperture_width / aspect) / (2 * focal_length)
         distance = self.radius * 4
+        far = distance + self.radius * 100
         projection = _perspective_matrix(
-            half_height * aspect,
-            half_height,
-            distance * 0.01,
-            distance + self.radius * 100,
+            half_height * aspect, half_height, distance * 0.01, far
         )
         return self._projected_matrices(world_from_camera, projection, half_height)
 
@@ -219,11 +217,11 @@ class CameraView:
         self, world_from_camera: FloatArray, projection: FloatArray, half_height: float
     ) -> EyeMatrices:
         """Return the matrices of a camera with a transform and projection."""
-        camera_rotation = world_from_camera[:3, :3].T
+        rotation = world_from_camera[:3, :3].T
         view = np.eye(4)
         view[:3, :3], view[:3, 3] = (
-            camera_rotation,
-            -camera_rotation @ world_from_camera[:3, 3],
+            rotation,
+            -rotation @ world_from_camera[:3, 3],
         )
         size = self.width, self.height
         per_metre = self.height / (2 * half_height)
@@ -271,11 +269,8 @@ def _perspective_matrix(
     half_width: float, half_height: float, near: float, far: float
 ) -> FloatArray:
     """Return a perspective projection matrix from half sizes at distance 1."""
-    matrix = np.zeros((4, 4))
-    matrix[0, 0], matrix[1, 1] = 1 / half_width, 1 / half_height
-    matrix[2, 2], matrix[2, 3] = (
-        (far + near) / (near - far),
-        2 * far * near / (near - far),
-    )
-    matrix[3, 2] = -1.0
-    return matrix
+    out = np.zeros((4, 4))
+    out[0, 0], out[1, 1] = 1 / half_width, 1 / half_height
+    out[2, 2], out[2, 3] = ((far + near) / (near - far), 2 * far * near / (near - far))
+    out[3, 2] = -1.0
+    return out

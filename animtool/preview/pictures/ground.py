@@ -116,7 +116,7 @@ class TrailRenderer:
             lines.set_segments(table[:, :3], table[:, 3:6], table[:, 6:])
 
     def _trail_segments(
-        self, pose: PosedTake, sample: int, color: Color, contact_color: Color
+        self, pose: PosedTake, sample: int, color: Color, contact: Color
     ) -> FloatArray:
         """Return the line segments of a take's trails, which fade with time."""
         first = max(0, sample - TRAIL_SAMPLES)
@@ -129,9 +129,7 @@ class TrailRenderer:
         segments = []
         # Joint by joint, the order in which the page draws them.
         for column in range(len(pose.trail_joints)):
-            segment_colors = np.where(
-                is_in_contact[1:, column, None], contact_color, color
-            )
+            segment_colors = np.where(is_in_contact[1:, column, None], contact, color)
             trail_positions = paths[:, column]
             segments.append(
                 np.concatenate(
@@ -152,11 +150,11 @@ class TrailRenderer:
         self._rings.draw(eye, width=3)
 
 
-def _ring_lines(centre: FloatArray, radius: float, color: Color) -> FloatArray:
+def _ring_lines(center: FloatArray, radius: float, color: Color) -> FloatArray:
     """Return the segments of a ring around a contact."""
     angles = np.arange(25) * np.pi / 12
     circle = np.stack([np.cos(angles), np.zeros(25), np.sin(angles)], axis=1)
-    points = centre + radius * circle
+    points = center + radius * circle
     segment_colors = np.tile([*color, 255.0], (24, 1))
     return np.concatenate([points[:-1], points[1:], segment_colors], axis=1)
 
@@ -167,24 +165,17 @@ class ContactShadow:
     def __init__(self, device: Device) -> None:
         gl, module = device.gl, device.module
         self._device = device
-        self._blur_program = device.program(
-            "shadow.js", "SCREEN_VERTEX", "BLUR_FRAGMENT"
-        )
-        self._ground_program = device.program(
-            "shadow.js", "GROUND_VERTEX", "GROUND_FRAGMENT"
-        )
-        self._height_map = gl.depth_texture((SHADOW_PIXELS, SHADOW_PIXELS))
+        program, size = device.program, (SHADOW_PIXELS, SHADOW_PIXELS)
+        self._blur_program = program("shadow.js", "SCREEN_VERTEX", "BLUR_FRAGMENT")
+        self._ground_program = program("shadow.js", "GROUND_VERTEX", "GROUND_FRAGMENT")
+        self._height_map = gl.depth_texture(size)
         self._height_map.compare_func = ""
         self._height_map.filter = module.NEAREST, module.NEAREST
         self._height_buffer = gl.framebuffer([], self._height_map)
-        self._blurred_maps = [
-            gl.texture((SHADOW_PIXELS, SHADOW_PIXELS), 1) for _ in range(2)
-        ]
+        self._blurred_maps = [gl.texture(size, 1) for _ in range(2)]
         for texture in (self._height_map, *self._blurred_maps):
             texture.repeat_x = texture.repeat_y = False
-        self._blur_buffers = [
-            gl.framebuffer([texture]) for texture in self._blurred_maps
-        ]
+        self._blur_buffers = [gl.framebuffer([map_]) for map_ in self._blurred_maps]
         self._shadow_area = (0.0, 0.0, 1.0)
 
     def cast(self, view: CameraView, draw: Callable[[EyeMatrices], None]) -> bool:

@@ -51,14 +51,12 @@ class PosedTake:
         self.parents = np.array(skeleton["parents"], np.int64)
         self.count = len(self.names)
         self.levels = _joints_by_depth(self.parents)
-        static_pose = record.get("still") or skeleton["rest"]
+        static = record.get("still") or skeleton["rest"]
         ones = np.ones((self.count, 3))
         self._values = {
-            "t": np.reshape(static_pose["t"], (-1, 3)).astype(np.float64),
-            "r": np.reshape(static_pose["r"], (-1, 4)).astype(np.float64),
-            "s": ones
-            if static_pose.get("s") is None
-            else np.array(static_pose["s"], np.float64),
+            "t": np.reshape(static["t"], (-1, 3)).astype(np.float64),
+            "r": np.reshape(static["r"], (-1, 4)).astype(np.float64),
+            "s": ones if static.get("s") is None else np.array(static["s"], np.float64),
         }
         self._animated = [
             (
@@ -88,10 +86,9 @@ class PosedTake:
             if component == "t"
             for j in joints
         }
-        joints_by_depth = [int(j) for level in self.levels for j in level]
+        order = [int(j) for level in self.levels for j in level]
         return next(
-            (j for j in joints_by_depth if j in translated_joints),
-            joints_by_depth[0] if joints_by_depth else 0,
+            (j for j in order if j in translated_joints), order[0] if order else 0
         )
 
     def _trail_joints(self) -> list[int]:

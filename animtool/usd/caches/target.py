@@ -225,13 +225,9 @@ def _space_matrix(mesh: Any, skeleton: Any) -> FloatArray | None:
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     skeleton_world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
     mesh_world = cache.GetLocalToWorldTransform(mesh.GetPrim())
-    mesh_from_skeleton = np.array(
-        skeleton_world * mesh_world.GetInverse(), np.float64
-    ).T
+    placement = np.array(skeleton_world * mesh_world.GetInverse(), np.float64).T
     return (
-        None
-        if np.abs(mesh_from_skeleton - np.eye(4)).max() <= IDENTITY_TOLERANCE
-        else mesh_from_skeleton
+        None if np.abs(placement - np.eye(4)).max() <= IDENTITY_TOLERANCE else placement
     )
 
 

@@ -66,9 +66,7 @@ def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
 
 
 def distinct_names(
-    original_names: Sequence[str],
-    proposed_names: Sequence[str],
-    source_names: Sequence[str],
+    original_names: Sequence[str], proposed_names: Sequence[str], sources: Sequence[str]
 ) -> UsdNames:
     """Return legal, unique names; numbers are appended to duplicates."""
     names: list[str] = []
@@ -77,11 +75,7 @@ def distinct_names(
     notices: list[Fault] = []
     legal_names = list(map(legal_name, proposed_names))
     rows = zip(
-        original_names,
-        legal_names,
-        numbered_names(legal_names),
-        source_names,
-        strict=True,
+        original_names, legal_names, numbered_names(legal_names), sources, strict=True
     )
     for name, legal, unique, source in rows:
         if unique != legal:

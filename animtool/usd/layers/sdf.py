@@ -271,7 +271,6 @@ def attribute_spec(
 
 
 def write_samples(
-    layer: Any,
     attr: Any,
     codes: npt.NDArray[np.floating[Any]],
     frames: IntArray,
@@ -286,7 +285,7 @@ def write_samples(
         if letter:
             check_value(value, letter, labels, code)
         if len(values) > 1:
-            layer.SetTimeSample(attr.path, code, value)
+            attr.layer.SetTimeSample(attr.path, code, value)
     attr.default = values[0]
 
 

@@ -317,7 +317,6 @@ class _CharacterGroup:
         translate = attribute_spec(spec, "xformOp:translate", _TYPES.Float3)
         rows = _changing_frames(positions, POSITION_TOLERANCE / unit)
         write_samples(
-            self.layer,
             translate,
             track.codes,
             rows,
@@ -331,7 +330,7 @@ class _CharacterGroup:
         rotate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
         rows = _changing_frames(degrees[:, None], np.degrees(HEADING_TOLERANCE))
-        write_samples(self.layer, rotate, track.codes, rows, degrees[rows].tolist())
+        write_samples(rotate, track.codes, rows, degrees[rows].tolist())
         op_names.append("xformOp:rotateY")
         if track.scales[i] != 1:
             scale = Gf.Vec3f(*[float(track.scales[i])] * 3)
@@ -346,7 +345,7 @@ class _CharacterGroup:
                 "inherited" if visible else "invisible"
                 for visible in is_visible[rows].tolist()
             ]
-            write_samples(self.layer, visibility, track.codes, rows, tokens)
+            write_samples(visibility, track.codes, rows, tokens)
         rig = prim_spec(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]
@@ -370,7 +369,7 @@ class _CharacterGroup:
         rows = np.flatnonzero(is_written)
         rotations = spec.attributes["rotations"]
         arrays = _vt_arrays(Vt.QuatfArray, poses[rows][:, is_animated])
-        write_samples(self.layer, rotations, self.track.codes, rows, arrays)
+        write_samples(rotations, self.track.codes, rows, arrays)
 
     def _author_animation(self, path: str, animated_indices: IntArray) -> Any:
         """Author a SkelAnimation whose joints keep their rest translations."""
@@ -418,7 +417,7 @@ class _CharacterGroup:
         )
         arrays = _vt_arrays(Vt.QuatfArray, rotations)
         codes = rows.astype(np.float64)
-        write_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
+        write_samples(spec.attributes["rotations"], codes, rows, arrays)
         translations = np.repeat(
             cast.rig.rest_translations[None, cast.animated], len(rows), 0
         )
@@ -427,7 +426,7 @@ class _CharacterGroup:
         )[:, None]
         positions = (translations / self.owner.unit).astype(np.float32)
         arrays = _vt_arrays(Vt.Vec3fArray, positions)
-        write_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
+        write_samples(spec.attributes["translations"], codes, rows, arrays)
 
 
 def _vt_arrays(array_type: Any, values: Float32Array) -> list[Any]:

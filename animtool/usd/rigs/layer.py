@@ -43,13 +43,8 @@ _TYPES = Sdf.ValueTypeNames
 _AXES = "XYZ"
 
 
-def author_physics(
-    layer: Any, model: str, rig: Rig, names: Sequence[str], meters_per_unit: float
-) -> int:
-    """Write bodies and joints below ``MODEL/Physics``; return the joint count.
-
-    ``meters_per_unit`` is the unit of the layer [m].
-    """
+def author_physics(layer: Any, model: str, rig: Rig, names: Sequence[str]) -> int:
+    """Write bodies and joints below ``MODEL/Physics``; return the joint count."""
     movable_joints = [
         i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE
     ]
@@ -63,10 +58,10 @@ def author_physics(
     world = rest_world(rig)
     rotations = so3.from_matrix(world.linear[0])
     for i in bodies:
-        position = world.positions[0, i] / meters_per_unit
+        position = world.positions[0, i] / rig.meters_per_unit
         _author_body(layer, f"{scope}/Bodies/{names[i]}", position, rotations[i])
     for i in movable_joints:
-        _author_joint(layer, scope, rig, i, names, meters_per_unit)
+        _author_joint(layer, scope, rig, i, names)
     return len(movable_joints)
 
 
@@ -82,14 +77,9 @@ def _author_body(
 
 
 def _author_joint(
-    layer: Any,
-    scope: str,
-    rig: Rig,
-    index: int,
-    names: Sequence[str],
-    meters_per_unit: float,
+    layer: Any, scope: str, rig: Rig, index: int, names: Sequence[str]
 ) -> None:
-    joint = rig.joints[index]
+    joint, meters_per_unit = rig.joints[index], rig.meters_per_unit
     spec = prim_spec(layer, f"{scope}/Joints/{names[index]}", _joint_prim_type(joint))
     type_attr = attribute_spec(spec, "animtool:joint", _TYPES.Token, str(joint.type))
     type_attr.custom = True
@@ -266,8 +256,6 @@ def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]
     with Sdf.ChangeBlock():
         _author_layer_metadata(layer, rig, paths)
         layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
-        joint_count = author_physics(
-            layer, paths.model, rig, names, rig.meters_per_unit
-        )
+        joint_count = author_physics(layer, paths.model, rig, names)
     layer.subLayerPaths = [f"./{rig_path.name}"]
     return save_layer(layer, path), joint_count

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, excerpt, listed
 from animtool.core.names import most_similar, numbered_names
@@ -371,13 +372,12 @@ def composition_notices(stage: Any, where: str) -> list[Fault]:
     ]
 
 
-def skipped_skeletons_notice(
-    skeletons: list[Any], where: str, hint: str | None = None
-) -> list[Fault]:
+def skipped_skeletons_notice(skeletons: list[Any], where: str) -> list[Fault]:
     """Report the Skeletons that are skipped if a stage has more than one."""
     if len(skeletons) < 2:
         return []
     first_path, *other_paths = [str(skeleton.GetPath()) for skeleton in skeletons]
     message = f"reading {first_path} of {len(skeletons)} skeletons; the others: "
     message += listed(other_paths)
+    hint = f"choose one with {argument('source.prim_path')}"
     return [Fault("USD107", message, where, (), hint, Severity.WARNING)]

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.core.quantities import length_text
@@ -359,9 +358,7 @@ def read_rig_with_data(
         where = PrimLocation.from_prim(path, skeleton)
         check_animatable(len(usd_skeleton.rig.joints), len(shapes), where)
         notices += usd_skeleton.notices
-        notices += skipped_skeletons_notice(
-            skeletons, str(path), f"choose one with {argument('source.prim_path')}"
-        )
+        notices += skipped_skeletons_notice(skeletons, str(path))
         notices += composition_notices(stage, str(path))
         bind, bind_scales = _bind_poses(skeleton, usd_skeleton)
         notices += _scale_notice(usd_skeleton, bind_scales, str(path))

@@ -119,9 +119,7 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
     )
     skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
     notices = composition_notices(stage, str(path))
-    notices += skipped_skeletons_notice(
-        skeletons, str(path), f"choose one with {argument('source.prim_path')}"
-    )
+    notices += skipped_skeletons_notice(skeletons, str(path))
     if new_path is None:
         notices += _existing_binding_notice(stage, paths, str(path))
     notices += skeleton.notices

@@ -31,7 +31,13 @@ from animtool.usd.layers.jobs import (
     check_suffix,
     output_paths,
 )
-from animtool.usd.layers.names import RigPaths, joint_names, legal_name, valid_text
+from animtool.usd.layers.names import (
+    TAKE_SET,
+    RigPaths,
+    joint_names,
+    legal_name,
+    valid_text,
+)
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
@@ -236,9 +242,8 @@ def _take_report(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> Written
 
 def _start_library(job: UsdJob, authored: AuthoredLayers, name: str) -> None:
     """Select the first take of a library; bind the skeleton outside the variants."""
-    from animtool.usd.takes.library import author_selection
-
-    author_selection(authored.animation, job.paths, name)
+    model = authored.animation.GetPrimAtPath(job.paths.model)
+    model.variantSelections[TAKE_SET] = name
     if job.form is not LayerForm.LAYER:
         bind_animation(
             authored.animation, job.paths, bind_skeleton=True, bind_source=False

@@ -58,11 +58,6 @@ def take_paths(paths: RigPaths, name: str) -> RigPaths:
     )
 
 
-def author_selection(layer: Any, paths: RigPaths, name: str) -> None:
-    """Select the variant of a take in its layer."""
-    layer.GetPrimAtPath(paths.model).variantSelections[TAKE_SET] = name
-
-
 def author_take_metadata(
     layer: Any, animation: str, name: str, first: Fraction, last: Fraction
 ) -> None:

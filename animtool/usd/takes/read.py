@@ -184,9 +184,7 @@ def read_character(
         stream = _drop_placement(stream, placement, skeleton_prim, str(path))
     else:
         stream.rig = rest_rig(stream.rig, placement)
-    stream.notices += skipped_skeletons_notice(
-        skeletons, str(path), f"choose one with {argument('source.prim_path')}"
-    )
+    stream.notices += skipped_skeletons_notice(skeletons, str(path))
     stream.notices += composition_notices(stage, str(path))
     return stream
 

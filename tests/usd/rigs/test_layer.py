@@ -46,7 +46,8 @@ def rig_of(*joints: Joint) -> Rig:
 def stage_of(rig: Rig, meters: float = 0.01) -> Any:
     layer = Sdf.Layer.CreateAnonymous(".usda")
     with Sdf.ChangeBlock():
-        author_physics(layer, "/hero", rig, rig.names, meters)
+        rig = replace(rig, meters_per_unit=meters)
+        author_physics(layer, "/hero", rig, rig.names)
         layer.GetPrimAtPath("/hero").specifier = Sdf.SpecifierDef
         layer.GetPrimAtPath("/hero").typeName = "Xform"
         layer.defaultPrim = "hero"
