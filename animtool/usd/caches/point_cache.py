@@ -158,8 +158,8 @@ def _author_prims(layer: Any, job: CacheJob) -> None:
     author_model(layer, job.paths.model)
     prim_spec(layer, job.paths.root, "Xform")
     unit = job.meters_per_unit
-    author_meshes(layer, job.surfaces, job.paths, {}, unit, with_bindings=False)
-    author_strands(layer, job.strands, job.paths, {}, unit, with_bindings=False)
+    author_meshes(layer, job.surfaces, job.paths, None, unit)
+    author_strands(layer, job.strands, job.paths, None, unit)
 
 
 def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:

@@ -128,15 +128,14 @@ def author_meshes(
     layer: Any,
     surfaces: Sequence[Surface],
     paths: RigPaths,
-    tokens: Mapping[str, str],
+    tokens: Mapping[str, str] | None,
     meters_per_unit: float,
-    *,
-    with_bindings: bool = True,
 ) -> tuple[list[str], list[Fault]]:
     """Write meshes below the SkelRoot; return their paths and notices.
 
     Skin weights are normalised, which a note reports (SKIN101).
 
+    ``tokens`` has the path of each joint; None writes meshes without skin and shapes.
     ``meters_per_unit`` is the unit of the layer [m].
     """
     notices: list[Fault] = []
@@ -150,7 +149,7 @@ def author_meshes(
             matrix = _stage_matrix(surface.geom_bind, meters_per_unit)
             attribute_spec(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
             author_xform_order(spec, "xformOp:transform")
-        if with_bindings and (surface.skin is not None or surface.shapes):
+        if tokens is not None and (surface.skin is not None or surface.shapes):
             apply_schemas(spec, ["SkelBindingAPI"])
             if surface.skin is not None:
                 notices += _author_skin(

@@ -267,12 +267,13 @@ def author_strands(
     layer: Any,
     strands: Sequence[Strands],
     paths: RigPaths,
-    tokens: Mapping[str, str],
+    tokens: Mapping[str, str] | None,
     meters_per_unit: float,  # unit of the layer [m]
-    *,
-    with_bindings: bool = True,
 ) -> None:
-    """Write strands as linear curves below the SkelRoot, each bound to its joint."""
+    """Write strands as linear curves below the SkelRoot, each bound to its joint.
+
+    ``tokens`` has the path of each joint; None writes unbound curves.
+    """
     if not strands:
         return
     prim_spec(layer, f"{paths.root}/{STRANDS_SCOPE}", "Scope")
@@ -283,7 +284,7 @@ def author_strands(
         _author_curves(
             spec, entry.points / meters_per_unit, STRAND_WIDTH / meters_per_unit
         )
-        if with_bindings:
+        if tokens is not None:
             apply_schemas(spec, ["SkelBindingAPI"])
             joint = Vt.TokenArray([tokens[entry.joint]])
             attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joint, uniform=True)
