@@ -282,7 +282,7 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
     samples = [prim.instances(code) for code in times]
     slots = PointSlots()
     rows = [slots.assign(sample.ids, sample.points) for sample in samples]
-    instances = _SlotInstances.of(samples, rows, slots.count)
+    instances = _SlotInstances(samples, rows, slots.count)
     for k, meshes in enumerate(prototypes):
         # A slot shows the mesh of its point, which may change over frames.
         uses_prototype = instances.prototype_indices == k
@@ -312,27 +312,23 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
 class _SlotInstances:
     """Transforms of instances by slot; a removed instance keeps its last transform."""
 
-    def __init__(self, frame_count: int, slot_count: int) -> None:
-        self.points = np.zeros((frame_count, slot_count, 3))
-        self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frame_count, slot_count, 1))
-        self.scales = np.ones((frame_count, slot_count, 3))
-        self.prototype_indices = np.full((frame_count, slot_count), -1)
-
-    @classmethod
-    def of(
-        cls, samples: list[PointSample], rows: list[IntArray], count: int
-    ) -> _SlotInstances:
-        """Return instances arranged by slot, given the slots of each sample."""
-        instances = cls(len(samples), count)
+    def __init__(
+        self, samples: list[PointSample], rows: list[IntArray], slot_count: int
+    ) -> None:
+        """Arrange instances by slot; ``rows`` are the slots of each sample."""
+        shape = len(samples), slot_count
+        self.points = np.zeros((*shape, 3))
+        self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (*shape, 1))
+        self.scales = np.ones((*shape, 3))
+        self.prototype_indices = np.full(shape, -1)
         for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):
             if f:
-                for values in (instances.points, instances.rotations, instances.scales):
+                for values in (self.points, self.rotations, self.scales):
                     values[f] = values[f - 1]
-            instances.points[f, slots] = sample.points
-            instances.rotations[f, slots] = sample.orientations
-            instances.scales[f, slots] = sample.scales
-            instances.prototype_indices[f, slots] = sample.prototype_indices
-        return instances
+            self.points[f, slots] = sample.points
+            self.rotations[f, slots] = sample.orientations
+            self.scales[f, slots] = sample.scales
+            self.prototype_indices[f, slots] = sample.prototype_indices
 
 
 def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -> None:

@@ -1,4 +1,4 @@
-"""Page of time against error: plots, tables, and two settings side by side."""
+"""Writes a page of time against error: plots, tables, two settings side by side."""
 
 from __future__ import annotations
 

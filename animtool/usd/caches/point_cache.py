@@ -74,7 +74,7 @@ class CacheJob:
 def mesh_paths(
     surfaces: Sequence[Surface], strands: Sequence[Strands], paths: RigPaths
 ) -> tuple[str, ...]:
-    """Return prim paths of meshes, then strands, equal to those of a skeleton stage."""
+    """Return the prim paths of meshes, then strands, as in a stage with a skeleton."""
     return (*mesh_names(surfaces, paths)[0], *strand_paths(strands, paths))
 
 

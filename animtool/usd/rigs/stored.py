@@ -337,7 +337,7 @@ def read_rig(path: Path) -> Rig:
 def read_rig_with_data(
     path: Path, prim_path: str | None = None, choice: str | None = None
 ) -> tuple[Rig, list[Fault]]:
-    """Return the rig of a USD file's Skeleton; the default prim's comes first.
+    """Return the rig of the first Skeleton below a prim, by default the default prim.
 
     ``choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
 
