@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import field
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -12,7 +11,6 @@ from pxr import Usd, UsdGeom, UsdPhysics
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, excerpt
-from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.usd.layers.faults import MAX_METADATA, MIN_METADATA, PrimLocation
@@ -26,7 +24,6 @@ MAX_NUMBER = 1e12
 MAX_FORCE = 1e37
 
 
-@dataclass(slots=True)
 class PhysicsStage:
     """A stage with physics, with its units, axes and start time.
 
@@ -41,30 +38,21 @@ class PhysicsStage:
         notices: Unsupported contents (SIM136).
     """
 
-    path: Path
-    stage: Any
-    start_code: float
-    meters_per_unit: float = field(init=False)
-    kilograms_per_unit: float = field(init=False)
-    up_rotation: FloatArray = field(init=False)
-    cache: Any = field(init=False)
-    notices: list[Fault] = field(default_factory=list)
-    _reported_messages: set[str] = field(default_factory=set)
-
-    def __post_init__(self) -> None:
-        """Read units and axes."""
-        self.meters_per_unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
-        self.kilograms_per_unit = float(UsdPhysics.GetStageKilogramsPerUnit(self.stage))
+    def __init__(self, path: Path, stage: Any, start_code: float) -> None:
+        self.path, self.stage, self.start_code = path, stage, start_code
+        self.notices: list[Fault] = []
+        self._reported_messages: set[str] = set()
+        self.meters_per_unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+        self.kilograms_per_unit = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
         if not MIN_METADATA <= self.kilograms_per_unit <= MAX_METADATA:
             message = f"kilogramsPerUnit is {self.kilograms_per_unit:g}"
-            PrimLocation(str(self.path), "/").fail(
-                "SIM051", message, "write 1e-9 to 1e9"
-            )
-        up_rotation = up_from_up(UpAxis.Y, up_axis(self.stage))
-        self.up_rotation = (
-            so3.IDENTITY if up_rotation is None else np.array(up_rotation)
+            hint = "write 1e-9 to 1e9"
+            PrimLocation(str(path), "/").fail("SIM051", message, hint)
+        up_rotation = up_from_up(UpAxis.Y, up_axis(stage))
+        self.up_rotation: FloatArray = np.array(
+            so3.IDENTITY if up_rotation is None else up_rotation
         )
-        self.cache = UsdGeom.XformCache(Usd.TimeCode(self.start_code))
+        self.cache = UsdGeom.XformCache(Usd.TimeCode(start_code))
 
     def add_notice(self, prim: Any, message: str) -> None:
         """Add a notice about an unsupported feature of a prim (SIM136)."""
