@@ -238,6 +238,10 @@ def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
         if line.strip().startswith("OFFSET"):
             numbers = [repr(float(x) / 100) for x in line.split()[1:]]
             text[i] = " ".join(["OFFSET", *numbers])
+    start = next(i for i, line in enumerate(text) if line.startswith("Frame Time"))
+    for i, line in enumerate(text[start + 1 :], start + 1):
+        row = line.split()
+        text[i] = " ".join([*(repr(float(x) / 100) for x in row[:3]), *row[3:]])
     path = tmp_path / "metres.bvh"
     path.write_text("\n".join(text))
     done = animtool("bake", path, "--strict", "--bones")
