@@ -19,9 +19,9 @@ from animtool.sim.run import IntegrationRun
 from animtool.sim.trajectory import Status
 
 # Safety factor on the step, and bounds of the step change.
-SAFETY, MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.9, 0.2, 5.0
+SAFETY_FACTOR, MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.9, 0.2, 5.0
 # Step factor after a stage that did not converge, or a state that is not finite.
-FAILED_FACTOR = 0.25
+FAILED_STEP_FACTOR = 0.25
 
 
 def advance_adaptively(run: IntegrationRun, target: float) -> Status:
@@ -42,13 +42,14 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
     if run.options.step is not None:
         trial = min(trial, run.options.step)
     if _is_too_small(trial, run, target):
-        return _stop_below_floor(run, trial)
-    h, t = _fit_to_stop(trial, run.time, target)
+        reason = f"the tolerance needs a step of {plain_number(trial)} s"
+        return run.stop(Status.STEP_TOO_SMALL, reason)
+    h, t = _fit_to_target(trial, run.time, target)
     step = step_function(run.equations, run.time, run.state, h, run.memory)
     ratio = math.nan if step is None else _error_ratio(step, run.state, run.options)
     if step is None or not ratio <= 1:
         run.rejected += 1
-        factor = FAILED_FACTOR if math.isnan(ratio) else _step_factor(ratio, run)
+        factor = FAILED_STEP_FACTOR if math.isnan(ratio) else _step_factor(ratio, run)
         run.trial = h * factor
         return run.budget_status()
     # A step shortened to end at the target says little about the next one.
@@ -57,8 +58,8 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
     return run.accept(step, t, h)
 
 
-def _fit_to_stop(trial: float, time: float, target: float) -> tuple[float, float]:
-    """Return the step size and end time of a step that leaves no tiny last step."""
+def _fit_to_target(trial: float, time: float, target: float) -> tuple[float, float]:
+    """Return the size and end time of a step, sized to avoid a tiny last step."""
     remaining = target - time
     if trial >= remaining:
         return remaining, target
@@ -73,19 +74,11 @@ def _is_too_small(trial: float, run: IntegrationRun, target: float) -> bool:
     return trial < run.options.floor or run.time + trial == run.time
 
 
-def _stop_below_floor(run: IntegrationRun, trial: float) -> Status:
-    """Stop the run; the reason names the step and the likely cause."""
-    reason = f"the tolerance needs a step of {plain_number(trial)} s"
-    suspect = run.equations.system.suspect(run.time, run.state)
-    reason += f"; {suspect}" if suspect else ""
-    return run.stop(Status.STEP_TOO_SMALL, reason)
-
-
 def _step_factor(ratio: float, run: IntegrationRun) -> float:
     """Return the factor for the next step size from the error-to-tolerance ratio."""
     if ratio == 0:
         return MAX_STEP_FACTOR
-    factor = SAFETY * math.pow(ratio, -1 / run.integrator.error_order)
+    factor = SAFETY_FACTOR * math.pow(ratio, -1 / run.integrator.error_order)
     return min(MAX_STEP_FACTOR, max(MIN_STEP_FACTOR, factor))
 
 
@@ -95,7 +88,7 @@ def _error_ratio(
     """Return the largest error-to-tolerance ratio; NaN if the state is not finite."""
     assert step.error is not None
     magnitude = np.maximum(np.abs(start), np.abs(step.state))
-    tolerances = options.least + options.relative * magnitude
+    tolerances = options.atol + options.rtol * magnitude
     # If tolerance and state are 0, an error of 0 is accepted.
     ratios = np.abs(step.error) / np.maximum(tolerances, 1e-300)
     return float(ratios.max(initial=0.0)) if np.isfinite(ratios).all() else math.nan
@@ -104,7 +97,7 @@ def _error_ratio(
 def _initial_step(run: IntegrationRun) -> float:
     """Return an initial step size [s], estimated from the rate and its change."""
     options, equations, y = run.options, run.equations, run.state
-    tolerances = np.maximum(options.least + options.relative * np.abs(y), 1e-300)
+    tolerances = np.maximum(options.atol + options.rtol * np.abs(y), 1e-300)
 
     def norm(values: FloatArray) -> float:
         squares = (values / tolerances) ** 2

@@ -28,8 +28,8 @@ _STATUS_CODES = {
 }
 
 
-# A shorter step is no number of steps in a second [s].
-MIN_LONG_STEP = 1.0
+# Shorter steps are not mistaken for a number of steps per second [s].
+MIN_REPORTED_STEP = 1.0
 
 
 def step_warnings(
@@ -39,7 +39,7 @@ def step_warnings(
     times: FloatArray,
     state: FloatArray,
 ) -> list[Fault]:
-    """Return warnings if fixed steps exceed the whole run or the stability limit.
+    """Return warnings about fixed steps above the run's length or stability limit.
 
     The limit is known for systems that report their fastest modes
     (`System.frequencies`).
@@ -47,11 +47,11 @@ def step_warnings(
     step, modes = options.step, equations.system.frequencies(float(times[0]), state)
     if step is None or integrator.control is not StepControl.FIXED:
         return []
-    intervals = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
-    max_step = max((step_grid(*gap, step).h for gap in intervals), default=0.0)
+    spans = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
+    max_step = max((step_grid(*span, step).h for span in spans), default=0.0)
     notices = []
     duration = float(times[-1] - times[0])
-    if step > max(duration, MIN_LONG_STEP) > 0 and len(intervals) > 1:
+    if step > max(duration, MIN_REPORTED_STEP) > 0 and len(spans) > 1:
         message = f"a step of {plain_number(step)} s is longer than the whole run of "
         message += f"{plain_number(duration)} s; steps of {plain_number(max_step)} s "
         message += "are taken"
@@ -127,7 +127,7 @@ class EnergyWatch:
         return self._energy_reason(t, state) or self._strain_reason(t, state)
 
     def _energy_reason(self, t: float, state: FloatArray) -> str:
-        """Return why the energy of a state indicates divergence; else empty."""
+        """Return why the energy of a state indicates divergence; empty if not."""
         start, current = self._start_energy, self._system.energy(t, state)
         self.energy = current
         if start is None or current is None:
@@ -141,7 +141,7 @@ class EnergyWatch:
         return ""
 
     def _strain_reason(self, t: float, state: FloatArray) -> str:
-        """Return why the strain of springs indicates divergence; else empty."""
+        """Return why the strain of springs indicates divergence; empty if not."""
         if np.isinf(self._options.stretch):
             return ""
         ratio = self._system.stretch(t, state)
@@ -197,33 +197,33 @@ def check_start(equations: Equations, t: float, state: FloatArray) -> None:
 
 
 def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
-    """Return messages about the wrong shape or invalid values of an initial state."""
+    """Return messages about an initial state of the wrong shape or invalid values."""
     if equations.second_order is not None:
         if state.ndim != 3 or state.shape[0] != 2:
             return [f"the start must have shape (2, N, d), not {state.shape}"]
         fixed = equations.second_order.fixed
         if fixed is not None and fixed.shape != state.shape[1:2]:
             return [f"fixed must have shape {state.shape[1:2]}, not {fixed.shape}"]
-        return _non_finite_rows("particle", state.swapaxes(0, 1))
-    return _non_finite_rows("component", state)
+        return _non_finite_messages("particle", state.swapaxes(0, 1))
+    return _non_finite_messages("component", state)
 
 
 def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]:
-    """Return messages about the wrong shape or invalid values of the initial rate."""
+    """Return messages about an initial rate of the wrong shape or invalid values."""
     if equations.second_order is not None:
         rate, expected = equations.acceleration(t, *state), state.shape[1:]
-        name, row_name = "the acceleration", "the acceleration of particle"
+        name, value_name = "the acceleration", "the acceleration of particle"
     else:
         rate, expected = equations.rate(t, state), state.shape
-        name, row_name = "the rate", "the rate of component"
+        name, value_name = "the rate", "the rate of component"
     if np.shape(rate) != expected:
         return [f"{name} must have shape {expected}, not {np.shape(rate)}"]
-    return _non_finite_rows(row_name, rate)
+    return _non_finite_messages(value_name, rate)
 
 
-def _non_finite_rows(row_name: str, values: FloatArray) -> list[str]:
-    """Return a message for each row that is not finite at the start."""
+def _non_finite_messages(value_name: str, values: FloatArray) -> list[str]:
+    """Return a message for each particle or component that starts non-finite."""
     is_finite = np.isfinite(np.atleast_1d(values))
-    is_finite_row = np.asarray(is_finite.all(axis=tuple(range(1, is_finite.ndim))))
-    rows = np.flatnonzero(~is_finite_row).tolist()
-    return [f"{row_name} {i} is not finite at the start" for i in rows]
+    is_finite_value = np.asarray(is_finite.all(axis=tuple(range(1, is_finite.ndim))))
+    indices = np.flatnonzero(~is_finite_value).tolist()
+    return [f"{value_name} {i} is not finite at the start" for i in indices]

@@ -35,7 +35,7 @@ class Equations:
         self._last_rate: tuple[float, FloatArray, FloatArray] | None = None
 
     def anchor(self, t: float, y: FloatArray) -> None:
-        """Mark a state so that its rate is cached when it is first evaluated."""
+        """Mark a state whose rate is cached once it has been evaluated."""
         if self._anchor and self._anchor[1] is y and self._anchor[0] == t:
             return
         last = self._last_rate
@@ -85,8 +85,8 @@ class Equations:
         if matrices is None or self._fixed is None:
             return matrices
         is_free = np.broadcast_to(~self._fixed, x.shape).ravel().astype(np.float64)
-        by_x, by_v = (_scale_rows(matrix, is_free) for matrix in matrices)
-        return by_x, by_v
+        da_dx, da_dv = (_scale_rows(matrix, is_free) for matrix in matrices)
+        return da_dx, da_dv
 
 
 def _scale_rows(matrix: Matrix, factors: FloatArray) -> Matrix:

@@ -22,8 +22,8 @@ DENSE_JACOBIAN_SOLVERS = {"scipy.integrate:LSODA"}
 
 
 @dataclass(slots=True)
-class _Solver:
-    """A running SciPy solver, and the dense output of its last step."""
+class _SolverMemory:
+    """A running SciPy solver with the dense output of its last step."""
 
     solver: Any
     dense_output: Any = None
@@ -31,14 +31,14 @@ class _Solver:
 
 def advance_scipy(run: IntegrationRun, target: float) -> Status:
     """Integrate until ``target`` [s], which may lie between two steps."""
-    memory = run.memory if isinstance(run.memory, _Solver) else _start_solver(run)
+    memory = run.memory if isinstance(run.memory, _SolverMemory) else _start_solver(run)
     solver, shape = memory.solver, run.state.shape
     while solver.t < target:
         start, memory.dense_output = solver.t, None
         reason = _take_step(solver)
         if reason:
             run.time = start
-            return run.stop(Status.STEP_TOO_SMALL, _failure_text(run, reason))
+            return run.stop(Status.STEP_TOO_SMALL, reason)
         h = float(solver.t - start)
         run.memory, run.state = memory, solver.y.reshape(shape)
         status = run.count(float(solver.t), h, 1)
@@ -46,12 +46,12 @@ def advance_scipy(run: IntegrationRun, target: float) -> Status:
             return status
         if h < run.options.floor and solver.t < run.end:
             reason = f"the tolerance needs a step of {plain_number(h)} s"
-            return run.stop(Status.STEP_TOO_SMALL, _failure_text(run, reason))
+            return run.stop(Status.STEP_TOO_SMALL, reason)
     run.time, run.state = target, _dense_value(memory, target).reshape(shape)
     return Status.OK
 
 
-def _dense_value(memory: _Solver, t: float) -> FloatArray:
+def _dense_value(memory: _SolverMemory, t: float) -> FloatArray:
     """Return the state at a time within the last step, from the dense output."""
     if t == memory.solver.t:
         return np.array(memory.solver.y)
@@ -61,32 +61,29 @@ def _dense_value(memory: _Solver, t: float) -> FloatArray:
 
 
 def _take_step(solver: Any) -> str:
-    """Take one solver step; return why it failed, or an empty string on success."""
-    with warnings.catch_warnings(record=True) as caught:
+    """Take one solver step; return why it failed, empty on success."""
+    with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always")
         message = solver.step()
     if solver.status != "failed":
         return ""
-    return str(message or (caught[-1].message if caught else "its solver failed"))
+    return str(
+        message
+        or (caught_warnings[-1].message if caught_warnings else "its solver failed")
+    )
 
 
-def _failure_text(run: IntegrationRun, failure: str) -> str:
-    """Return why a SciPy step failed, with the likely cause if it is known."""
-    suspect = run.equations.system.suspect(run.time, run.state)
-    return f"{failure}; {suspect}" if suspect else failure
-
-
-def _start_solver(run: IntegrationRun) -> _Solver:
+def _start_solver(run: IntegrationRun) -> _SolverMemory:
     """Return a SciPy solver started at the state of a run."""
     options, shape = run.options, run.state.shape
     equations = run.equations
 
-    def rate(t: float, flat: FloatArray) -> FloatArray:
-        return equations.rate(t, flat.reshape(shape)).ravel()
+    def rate(t: float, flat_state: FloatArray) -> FloatArray:
+        return equations.rate(t, flat_state.reshape(shape)).ravel()
 
     settings: dict[str, Any] = {
-        "rtol": options.relative,
-        "atol": options.least,
+        "rtol": options.rtol,
+        "atol": options.atol,
         "max_step": math.inf if options.step is None else options.step,
     }
     jacobian = _flat_jacobian(run) if run.integrator.implicit else None
@@ -94,7 +91,7 @@ def _start_solver(run: IntegrationRun) -> _Solver:
         settings["jac"] = jacobian
     solver_class: Any = load_object(run.integrator.solver)
     solver = solver_class(rate, run.time, run.state.ravel(), run.end, **settings)
-    run.memory = memory = _Solver(solver)
+    run.memory = memory = _SolverMemory(solver)
     return memory
 
 
@@ -102,11 +99,11 @@ def _flat_jacobian(run: IntegrationRun) -> Callable[[float, FloatArray], Matrix]
     """Return the Jacobian of the flattened rate; None if unavailable."""
     equations, shape = run.equations, run.state.shape
 
-    def rate_jacobian(t: float, flat: FloatArray) -> Matrix:
-        return equations.jacobian(t, flat.reshape(shape))
+    def rate_jacobian(t: float, flat_state: FloatArray) -> Matrix:
+        return equations.jacobian(t, flat_state.reshape(shape))
 
-    def acceleration_jacobian(t: float, flat: FloatArray) -> Matrix:
-        matrices = equations.jacobians(t, *flat.reshape(shape))
+    def acceleration_jacobian(t: float, flat_state: FloatArray) -> Matrix:
+        matrices = equations.jacobians(t, *flat_state.reshape(shape))
         assert matrices is not None
         return _block_jacobian(*matrices)
 
@@ -123,11 +120,13 @@ def _flat_jacobian(run: IntegrationRun) -> Callable[[float, FloatArray], Matrix]
     return jacobian
 
 
-def _block_jacobian(by_x: Matrix, by_v: Matrix) -> Matrix:
-    """Return the Jacobian of velocities and accelerations by the full state."""
-    if isinstance(by_x, np.ndarray):
-        zero = np.zeros_like(by_x)
-        return np.block([[zero, np.eye(len(by_x))], [by_x, by_v]])
+def _block_jacobian(da_dx: Matrix, da_dv: Matrix) -> Matrix:
+    """Return the Jacobian of velocities and accelerations to the full state."""
+    if isinstance(da_dx, np.ndarray):
+        zero = np.zeros_like(da_dx)
+        return np.block([[zero, np.eye(len(da_dx))], [da_dx, da_dv]])
     from scipy.sparse import block_array, eye_array
 
-    return block_array([[None, eye_array(by_x.shape[0])], [by_x, by_v]], format="csc")
+    return block_array(
+        [[None, eye_array(da_dx.shape[0])], [da_dx, da_dv]], format="csc"
+    )

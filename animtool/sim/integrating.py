@@ -18,7 +18,7 @@ from animtool.sim.checks import (
     stop_warning,
 )
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Integrator, StepControl
+from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import IntegrateOptions, check_options, finer_options
 from animtool.sim.run import IntegrationRun, advance_evenly
@@ -56,9 +56,9 @@ def stats_of(
     run: IntegrationRun, status: Status, samples: Sequence[tuple[float, FloatArray]]
 ) -> Stats:
     """Return the statistics of a run, with the largest stable step at the samples."""
-    integrator, stable = run.integrator, None
+    integrator, stable_step = run.integrator, None
     if status is Status.UNSTABLE and integrator.limit is not None:
-        stable = _stable_step(run, samples)
+        stable_step = _stable_step(run, samples)
     return Stats(
         status,
         run.time,
@@ -69,7 +69,7 @@ def stats_of(
         run.smallest_step if run.steps else 0.0,
         run.largest_step,
         run.local_error if integrator.error_order else None,
-        stable_step=stable,
+        stable_step=stable_step,
     )
 
 
@@ -78,7 +78,7 @@ def _stable_step(
 ) -> float | None:
     """Return the largest step that is stable at all sampled states [s]."""
     modes = [modes_at(run.equations, t, state) for t, state in samples]
-    steps = [allowed_step(run.integrator, one) for one in modes if one is not None]
+    steps = [allowed_step(run.integrator, mode) for mode in modes if mode is not None]
     return min((step for step in steps if step is not None), default=None)
 
 
@@ -128,11 +128,23 @@ def integrate(
         notices += step_warnings(
             equations, integrator, options, sample_times, start.state
         )
-        run = _start_run(equations, integrator, options, sample_times, start)
+        energy_watch = EnergyWatch(system, options)
+        energy_watch.start(start.time, start.state)
+        run = IntegrationRun(
+            integrator,
+            equations,
+            options,
+            energy_watch,
+            float(sample_times[-1]),
+            start.time,
+            start.state,
+            start.memory,
+            start.trial,
+        )
         states, status = _sample_states(run, sample_times)
         end_indices = sorted({0, len(states) - 1})
-        ends = [(float(sample_times[i]), states[i]) for i in end_indices]
-        stats = stats_of(run, status, ends)
+        samples = [(float(sample_times[i]), states[i]) for i in end_indices]
+        stats = stats_of(run, status, samples)
         energies = _sample_energies(system, sample_times, states)
     if status is not Status.OK:
         notices.append(stop_warning(integrator, options, stats))
@@ -148,29 +160,6 @@ def integrate(
         tuple(notices),
         checkpoint_of(run, status, float(sample_times[len(states) - 1]), states[-1]),
         equations.second_order is not None,
-    )
-
-
-def _start_run(
-    equations: Equations,
-    integrator: Integrator,
-    options: IntegrateOptions,
-    times: FloatArray,
-    start: Checkpoint,
-) -> IntegrationRun:
-    """Return a run that starts from a checkpoint, with a divergence check."""
-    energy_watch = EnergyWatch(equations.system, options)
-    energy_watch.start(start.time, start.state)
-    return IntegrationRun(
-        integrator,
-        equations,
-        options,
-        energy_watch,
-        float(times[-1]),
-        start.time,
-        start.state,
-        start.memory,
-        start.trial,
     )
 
 

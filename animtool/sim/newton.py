@@ -65,25 +65,25 @@ def _solve_second_order(
     """Solve an implicit stage of a second-order system for the velocities alone."""
     shape = base[1].shape
 
-    def state_of(unknowns: FloatArray) -> FloatArray:
+    def full_state(unknowns: FloatArray) -> FloatArray:
         v = unknowns.reshape(shape)
         return np.array((base[0] + scale * v, v))
 
     def residual(unknowns: FloatArray) -> FloatArray:
-        x, v = state_of(unknowns)
+        x, v = full_state(unknowns)
         difference: FloatArray = base[1] + scale * equations.acceleration(t, x, v) - v
         return difference.ravel()
 
     def matrix(unknowns: FloatArray, value: FloatArray) -> Matrix:
-        jacobians = equations.jacobians(t, *state_of(unknowns))
+        jacobians = equations.jacobians(t, *full_state(unknowns))
         if jacobians is None:
             return -finite_differences(residual, unknowns, value)
-        by_x, by_v = jacobians
-        return _identity_minus(by_v * scale + by_x * (scale * scale))
+        da_dx, da_dv = jacobians
+        return _identity_minus(da_dv * scale + da_dx * (scale * scale))
 
     rest_velocity = REST_FRACTION * float(np.abs(base[0]).max(initial=0.0)) / abs(scale)
     solution = _find_root(residual, matrix, guess[1].ravel(), rest_velocity)
-    return None if solution is None else state_of(solution)
+    return None if solution is None else full_state(solution)
 
 
 def finite_differences(
@@ -93,9 +93,11 @@ def finite_differences(
     scale = max(float(np.abs(point).max(initial=0.0)), 1e-3)
     columns = np.zeros((len(value), len(point)))
     for i in range(len(point)):
-        shifted = point.copy()
-        shifted[i] += DIFFERENCE_STEP * max(abs(float(point[i])), scale)
-        columns[:, i] = (function(shifted) - value) / (shifted[i] - point[i])
+        shifted_point = point.copy()
+        shifted_point[i] += DIFFERENCE_STEP * max(abs(float(point[i])), scale)
+        columns[:, i] = (function(shifted_point) - value) / (
+            shifted_point[i] - point[i]
+        )
     return columns
 
 
@@ -127,7 +129,7 @@ def _find_root(
 def _line_search(
     residual: Residual, point: FloatArray, residuals: FloatArray, correction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the next iterate and residuals; halves steps that double the residual."""
+    """Return the next iterate and its residuals, halving steps that overshoot."""
     residual_norm = float(np.linalg.norm(residuals))
     new_point, new_residuals = point, residuals
     for halving in range(MAX_HALVINGS):

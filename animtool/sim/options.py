@@ -56,21 +56,21 @@ class IntegrateOptions:
     estimate: bool = False
 
     @property
-    def relative(self) -> float:
+    def rtol(self) -> float:
         """Relative tolerance of adaptive methods [1]."""
         return TOLERANCE if self.tolerance is None else self.tolerance
 
     @property
-    def least(self) -> float:
+    def atol(self) -> float:
         """Absolute tolerance of adaptive methods, in units of the state."""
-        return self.relative if self.absolute is None else self.absolute
+        return self.rtol if self.absolute is None else self.absolute
 
 
 def check_options(options: IntegrateOptions) -> Integrator:
     """Return the integrator that options name; raise if they are invalid."""
     integrator = _find_named_integrator(options)
     is_fixed = integrator.control is StepControl.FIXED
-    faults = range_faults(options) + _method_faults(options, fixed=is_fixed)
+    faults = range_faults(options) + _method_faults(options, is_fixed=is_fixed)
     if faults:
         raise OptionError(faults)
     return integrator
@@ -87,8 +87,8 @@ def finer_options(options: IntegrateOptions) -> IntegrateOptions:
         return replace(options, step=options.step * FINER_STEP, estimate=False)
     return replace(
         options,
-        tolerance=max(options.relative * FINER_TOLERANCE, MIN_TOLERANCE),
-        absolute=options.least * FINER_TOLERANCE,
+        tolerance=max(options.rtol * FINER_TOLERANCE, MIN_TOLERANCE),
+        absolute=options.atol * FINER_TOLERANCE,
         estimate=False,
     )
 
@@ -103,16 +103,16 @@ def _find_named_integrator(options: IntegrateOptions) -> Integrator:
     return integrator
 
 
-def _method_faults(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:
+def _method_faults(options: IntegrateOptions, *, is_fixed: bool) -> list[Fault]:
     """Return faults of options that are missing, or that the method ignores."""
     faults = []
-    if fixed and options.step is None:
+    if is_fixed and options.step is None:
         message = f"{options.method} needs a step"
         hint = "set one in seconds, or use an adaptive method, such as rk45"
         faults.append(Fault("SIM005", message, where="step", hint=hint))
     tolerances = {"tolerance": options.tolerance, "absolute": options.absolute}
     for name in [
-        name for name, value in tolerances.items() if fixed and value is not None
+        name for name, value in tolerances.items() if is_fixed and value is not None
     ]:
         message = f"{options.method} has a fixed step and ignores {name}"
         hint = f"remove {name}, or use an adaptive method, such as rk45"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import field
 from typing import Protocol
 
 import numpy as np
@@ -37,7 +36,7 @@ class IntegrationRun:
     integrator: Integrator
     equations: Equations
     options: IntegrateOptions  # options of the integration
-    watch: DivergenceWatch  # divergence check
+    divergence_watch: DivergenceWatch  # divergence check
     end: float  # final time of the integration [s]
     time: float  # current time [s]
     state: FloatArray
@@ -50,10 +49,10 @@ class IntegrationRun:
     largest_step: float = 0.0  # largest accepted step [s]
     local_error: float = 0.0  # sum of the error estimates
     reason: str = ""  # why the run stopped; empty if it did not
-    checked_steps: int = field(default=0)  # accepted steps at the last divergence check
+    checked_steps: int = 0  # accepted steps at the last divergence check
 
     def accept(self, step: StepResult, t: float, h: float) -> Status:
-        """Accept a step that ends at time t; return whether to continue."""
+        """Accept a step that ends at time t; return OK, or why the run stops."""
         system = self.equations.system
         state, memory = step.state, step.memory
         if system.settles:
@@ -66,7 +65,7 @@ class IntegrationRun:
         return self.count(t, h, 1)
 
     def count(self, t: float, h: float, steps: int) -> Status:
-        """Count steps up to time t; return whether to continue."""
+        """Count steps up to time t; return OK, or why the run stops."""
         self.time = t
         self.steps += steps
         self.smallest_step = min(self.smallest_step, h)
@@ -76,9 +75,9 @@ class IntegrationRun:
         return self.budget_status()
 
     def check(self) -> Status:
-        """Check the state for divergence; return whether to continue."""
+        """Check the state for divergence; return OK, or why the run stops."""
         self.checked_steps = self.steps
-        reason = self.watch.divergence(self.time, self.state)
+        reason = self.divergence_watch.divergence(self.time, self.state)
         if reason:
             return self.stop(Status.UNSTABLE, reason)
         return self.budget_status()
@@ -91,8 +90,11 @@ class IntegrationRun:
         return self.stop(Status.OUT_OF_BUDGET, reason)
 
     def stop(self, status: Status, reason: str) -> Status:
-        """Stop the run, and record its status and the reason."""
-        self.reason = reason
+        """Stop the run, and record the reason; for too small a step, with the cause."""
+        suspect = ""
+        if status is Status.STEP_TOO_SMALL:
+            suspect = self.equations.system.suspect(self.time, self.state)
+        self.reason = f"{reason}; {suspect}" if suspect else reason
         return status
 
 
@@ -105,12 +107,12 @@ class StepGrid:
     count: int  # number of steps
     h: float  # size of each step [s]
     # Index of the first step on the grid of multiples; None off the grid.
-    first: int | None
+    first_index: int | None
 
     def time(self, i: int) -> float:
         """Return the start time of step i [s]; i may be the count."""
-        if self.first is not None:
-            return (self.first + i) * self.h
+        if self.first_index is not None:
+            return (self.first_index + i) * self.h
         return self.end if i == self.count else self.start + i * self.h
 
 
@@ -124,7 +126,7 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
     >>> step_grid(0.5, 1.0, 0.2).h
     0.16666666666666666
     >>> step_grid(0.1 + 0.2, 0.6, 0.1)
-    StepGrid(start=0.30000000000000004, end=0.6, count=3, h=0.1, first=3)
+    StepGrid(start=0.30000000000000004, end=0.6, count=3, h=0.1, first_index=3)
     """
     first_multiple, last_multiple = start / step, end / step
     first_index, last_index = round(first_multiple), round(last_multiple)

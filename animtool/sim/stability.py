@@ -26,7 +26,7 @@ MAX_DAMPING = 1e6
 
 
 def no_limit(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
-    """Return the limit of unconditionally stable methods."""
+    """Return an infinite step: the method is unconditionally stable."""
     return math.inf
 
 
@@ -96,9 +96,9 @@ def jury_limit(
 
 
 def _first_positive(polynomial: FloatArray) -> float:
-    """Return the smallest argument ≥ 0 above which a polynomial is positive."""
-    negligible = np.abs(polynomial) <= ROUNDING * max(np.abs(polynomial).max(), 1.0)
-    coefficients = np.where(negligible, 0.0, polynomial)
+    """Return the smallest x ≥ 0 at which a polynomial becomes positive."""
+    is_negligible = np.abs(polynomial) <= ROUNDING * max(np.abs(polynomial).max(), 1.0)
+    coefficients = np.where(is_negligible, 0.0, polynomial)
     (nonzero,) = coefficients.nonzero()
     if not len(nonzero):
         return math.inf

@@ -42,4 +42,4 @@ def test_steps_are_even_and_none_is_too_long(
 def test_rates_of_video_are_met() -> None:
     rate = Fraction(30000, 1001)
     found = step_grid(float(7 / rate), float(8 / rate), float(1 / (rate * 4)))
-    assert (found.count, found.first) == (4, 28)
+    assert (found.count, found.first_index) == (4, 28)

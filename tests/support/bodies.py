@@ -45,7 +45,7 @@ def out_of_skin(points: Array, skin: Array, normals: Array) -> Array:
 
 def out_of_capsules(rig: Rig, motion: Motion, points: Array) -> Array:
     """Return how far points ``(F, N, 3)`` are outside the rig's capsules [m]."""
-    capsules = JointCapsules.of(rig)
+    capsules = JointCapsules.from_rig(rig)
     placed = capsules.world_ends(forward_kinematics(rig, *motion.dense()))
     radii = capsules.radii.tolist()
     return np.array(

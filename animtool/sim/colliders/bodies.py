@@ -67,7 +67,7 @@ class MovingBodies(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Wrenches:
-    """Impulses on bodies ``(count, 6)``: [N s], then about the origin [N m s]."""
+    """Linear and angular impulses ``(count, 6)`` [N s], [N m s] about the origin."""
 
     impulses: FloatArray  # sum of the impulses
     delayed: FloatArray  # sum of the impulses times the time since they were applied
@@ -85,7 +85,7 @@ class Wrenches:
             np.sum([wrench.delayed for wrench in wrenches], axis=0),
         )
 
-    def after(self, duration: float) -> Wrenches:
+    def delayed_by(self, duration: float) -> Wrenches:
         """Return the same impulses as if they were applied ``duration`` [s] earlier."""
         return Wrenches(self.impulses, self.delayed + duration * self.impulses)
 
@@ -105,13 +105,13 @@ def body_owners(
     return np.concatenate(owners).astype(np.int32)
 
 
-def pushable_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatArray:
-    """Return the kernel's table of bodies that a step [s] can push ``(B, 13)``.
+def pushable_table(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatArray:
+    """Return the kernel's table of bodies that can be pushed in a step ``(B, 13)``.
 
     Columns: inverse masses [1/kg], inverse inertias (xx, yy, zz, xy, xz, yz), and
     centres of mass at both ends [m].
     """
-    body_rows = [np.zeros((0, 13))]
+    tables = [np.zeros((0, 13))]
     for system in bodies:
         if system.count:
             centres, inverse_inertias = system.inertias(t0, begins=True)
@@ -119,8 +119,8 @@ def pushable_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> Float
             inertia_rows = inverse_inertias[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             masses = 1 / system.masses[:, None]
             columns = [masses, inertia_rows, centres, end_centres]
-            body_rows.append(np.concatenate(columns, axis=1))
-    return np.concatenate(body_rows)
+            tables.append(np.concatenate(columns, axis=1))
+    return np.concatenate(tables)
 
 
 def split_by_system(
@@ -163,27 +163,27 @@ def exchange_impulses(
     owners = np.where(shapes >= 0, bodies.owners[shapes], -1)
     velocity_change = with_contacts[1] - without_contacts[1]
     speed_change = np.linalg.norm(velocity_change, axis=1)
-    (touching_rows,) = np.nonzero((owners >= 0) & (speed_change > 0))
+    (touching,) = np.nonzero((owners >= 0) & (speed_change > 0))
     wrenches = Wrenches.none(bodies.count)
-    if not len(touching_rows):
+    if not len(touching):
         return with_contacts, wrenches
-    owners = owners[touching_rows]
-    velocity_change = velocity_change[touching_rows]
-    speed_change = speed_change[touching_rows]
+    owners = owners[touching]
+    velocity_change = velocity_change[touching]
+    speed_change = speed_change[touching]
     directions = velocity_change / speed_change[:, None]
-    displacement = with_contacts[0, touching_rows] - without_contacts[0, touching_rows]
+    displacement = with_contacts[0, touching] - without_contacts[0, touching]
     elapsed = np.maximum((displacement * directions).sum(axis=1) / speed_change, 0.0)
-    end_points, end_velocities = with_contacts[:, touching_rows]
+    end_points, end_velocities = with_contacts[:, touching]
     points = end_points - elapsed[:, None] * end_velocities
     contact_counts = np.bincount(owners, minlength=bodies.count)[owners]
-    inverse_masses = 1.0 / masses[touching_rows]
+    inverse_masses = 1.0 / masses[touching]
     body_inverse_masses = bodies.inverse_masses(t, owners, points, directions)
     sums = inverse_masses + contact_counts * body_inverse_masses
     fraction = (inverse_masses / sums)[:, None]
     changes = fraction * np.stack([displacement, velocity_change])
     new_state = with_contacts.copy()
-    new_state[:, touching_rows] = without_contacts[:, touching_rows] + changes
-    impulses = -masses[touching_rows, None] * fraction * velocity_change
+    new_state[:, touching] = without_contacts[:, touching] + changes
+    impulses = -masses[touching, None] * fraction * velocity_change
     pushes = np.concatenate([impulses, np.cross(points, impulses)], axis=1)
     np.add.at(wrenches.impulses, owners, pushes)
     np.add.at(wrenches.delayed, owners, elapsed[:, None] * pushes)

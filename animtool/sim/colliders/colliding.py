@@ -22,7 +22,7 @@ from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
-from animtool.sim.colliders.sheets import Sheet, states_at_sheet
+from animtool.sim.colliders.sheets import Sheet, nearby_states
 from animtool.sim.colliders.surfaces import Surfaces, teleport_warning
 
 _SHAPE_KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
@@ -123,7 +123,7 @@ class Colliders(Sequence[Collider]):
         # All rigid colliders, in the kernels' numbering.
         rigid = list(self._colliders)
         rigid += [collider for system in bodies for collider in system.colliders]
-        self.rigid = len(rigid)
+        self.rigid_count = len(rigid)
         self.surfaces = Surfaces(self.sheets)
         faults = [
             fault
@@ -147,17 +147,17 @@ class Colliders(Sequence[Collider]):
         self._materials = np.array([c.material for c in rigid]).reshape(-1, 4)
         first_poses = [[c.poses.rows[0]] * 2 for c in rigid]
         self._poses = np.array(first_poses).reshape(-1, 2, 7)
-        moves = [not collider.poses.is_fixed for collider in self._colliders]
-        self._moving = np.flatnonzero(moves).tolist()
+        is_moving = [not collider.poses.is_fixed for collider in self._colliders]
+        self._moving_indices = np.flatnonzero(is_moving).tolist()
 
     def __len__(self) -> int:
         """Return the number of colliders."""
         return len(self._colliders)
 
     @property
-    def active(self) -> bool:
+    def has_any(self) -> bool:
         """Whether the set contains any collider."""
-        return bool(self.rigid or self.sheets)
+        return bool(self.rigid_count or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
         """Return a collider, or a slice of them."""
@@ -166,7 +166,7 @@ class Colliders(Sequence[Collider]):
     def arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
         """Return the kernel's arrays for a step between two times [s]."""
         poses = self._poses.copy()
-        for i in self._moving:
+        for i in self._moving_indices:
             poses[i] = self._colliders[i].ends(t0, t1)
         poses[len(self) :] = self.body_ends(t0, t1)
         return self._kinds, self._sizes, self._materials, poses, *self._meshes
@@ -218,16 +218,13 @@ class Colliders(Sequence[Collider]):
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport (SIM120); surfaces report those so far."""
-        return [*self._teleport_warnings(), *self.surfaces.notices()]
-
-    def _teleport_warnings(self) -> list[Fault]:
-        """Return a warning for each teleport of a rigid collider."""
         hint = "raise its speed limit if it should collide on its way"
-        return [
+        notices = [
             teleport_warning(one.speed_limit, t, one.name or f"colliders[{i}]", hint)
             for i, one in enumerate(self._colliders)
             for t in one.poses.sample_times[1:][one.teleports].tolist()
         ]
+        return notices + self.surfaces.notices()
 
 
 def _active_side(collider: Collider) -> int:
@@ -317,25 +314,25 @@ def _stop_at_sheets(
     """
     (t0, t1), contacts = interval, []
     for i, sheet in enumerate(collider_set.sheets if t1 > t0 else ()):
-        relative = states_at_sheet(
+        nearby = nearby_states(
             sheet, start_state, end_state, interval, radii, spawn_times
         )
-        if relative is None:
+        if nearby is None:
             continue
-        rows = relative.rows
+        rows = nearby.indices
         state, touches, normals = _kernels.collide_particles(
-            Colliders([relative.collider]).arrays(t0, t1),
-            relative.start,
-            relative.end,
+            Colliders([nearby.collider]).arrays(t0, t1),
+            nearby.start,
+            nearby.end,
             radii[rows],
             spawn_times[rows],
             t1 - t0,
         )
-        state[1] += relative.velocity
+        state[1] += nearby.velocity
         is_touching = touches[:, 0] >= 0
         rows = rows[is_touching]
         end_state[:, rows] = state[:, is_touching]
-        touches[is_touching, 0] = collider_set.rigid + i
+        touches[is_touching, 0] = collider_set.rigid_count + i
         contacts.append((rows, touches[is_touching], normals[is_touching]))
     return contacts
 

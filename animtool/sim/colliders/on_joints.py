@@ -1,4 +1,4 @@
-"""Colliders that a rig's joints carry."""
+"""Colliders attached to the joints of a rig."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class JointCapsules:
     radii: FloatArray  # radii (C,) [m]
 
     @staticmethod
-    def of(rig: Rig) -> JointCapsules:
+    def from_rig(rig: Rig) -> JointCapsules:
         """Return the capsules of a rig."""
         joints, ends, radii = [], [], []
         for collider in rig.colliders:
@@ -42,7 +42,7 @@ class JointCapsules:
 
     @staticmethod
     def empty() -> JointCapsules:
-        """Return a set without capsules."""
+        """Return an empty set of capsules."""
         return JointCapsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
 
     def select(self, mask: BoolArray) -> JointCapsules:
@@ -56,8 +56,8 @@ class JointCapsules:
     def world_ends(self, world: WorldTransforms) -> FloatArray:
         """Return both ends of each capsule in world space ``(K, C, 2, 3)`` [m]."""
         linear = world.linear[:, self.joints]
-        rotated = (linear[:, :, None] * self.ends[None, :, :, None, :]).sum(axis=-1)
-        return np.asarray(rotated + world.positions[:, self.joints, None])
+        offsets = (linear[:, :, None] * self.ends[None, :, :, None, :]).sum(axis=-1)
+        return np.asarray(offsets + world.positions[:, self.joints, None])
 
     def joint_poses_and_ends(
         self, world: WorldTransforms
@@ -103,16 +103,16 @@ def rig_colliders(
         times: Times of the frames ``(F,)`` [s].
         template: Collider that provides the contact material; None for the default.
     """
-    capsules = JointCapsules.of(rig)
-    joint_rows, ends = capsules.joint_poses_and_ends(world)
+    capsules = JointCapsules.from_rig(rig)
+    joint_poses, ends = capsules.joint_poses_and_ends(world)
     colliders = []
     for capsule_index, radius in enumerate(capsules.world_radii(world).tolist()):
         rig_collider, (a, b) = rig.colliders[capsule_index], ends[capsule_index]
         length = float(np.linalg.norm(b - a))
         axis = (b - a) / length if length else rig_collider.capsule.axis
         shape = Capsule(radius, length, tuple(axis), tuple((a + b) / 2))
-        rows = joint_rows[:, capsule_index]
-        poses = Poses(times, rows[:, :3], rows[:, 3:])
+        poses_over_time = joint_poses[:, capsule_index]
+        poses = Poses(times, poses_over_time[:, :3], poses_over_time[:, 3:])
         base = Collider(shape) if template is None else template
         name = rig_collider.joint
         colliders.append(replace(base, shape=shape, poses=poses, name=name))

@@ -148,7 +148,7 @@ class Mesh:
     closed: bool = False
 
     def sizes(self) -> FloatArray:
-        """Return an empty array; kernels use arrays of triangles instead."""
+        """Return an empty array: kernels use the triangles instead."""
         return np.zeros(0)
 
     def anchors(self) -> FloatArray:

@@ -117,25 +117,25 @@ def hull_faces(triangles: IntArray, count: int) -> IntArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RelativeStates:
+class NearbyStates:
     """Particles near a sheet, in the frame in which the sheet is at rest."""
 
     collider: Collider  # the sheet in its final shape
-    rows: IntArray  # indices of the particles (K,)
+    indices: IntArray  # indices of the particles (K,)
     start: FloatArray  # positions and velocities at the start of a step (2, K, 3)
     end: FloatArray  # the same at the end of the step, without contacts (2, K, 3)
     velocity: FloatArray  # velocity of the frame of each particle (K, 3) [m/s]
 
 
-def states_at_sheet(
+def nearby_states(
     sheet: Sheet,
     before: FloatArray,
     after: FloatArray,
     interval: tuple[float, float],
     radii: FloatArray,
     spawn_times: FloatArray,
-) -> RelativeStates | None:
-    """Return the states of particles relative to a sheet; None if none are near.
+) -> NearbyStates | None:
+    """Return the states of nearby particles relative to a sheet; None without any.
 
     Each particle is in the moving frame of the nearest point of the sheet, whose path
     in the step is straight: in this frame the sheet is at rest in its final shape.
@@ -159,18 +159,18 @@ def states_at_sheet(
     is_near = _is_near_sheet(
         start_points, end_points, before[0], after[0], radii + sheet.radius
     )
-    rows = np.flatnonzero(is_near)
-    if not len(rows) or not len(triangles):
+    indices = np.flatnonzero(is_near)
+    if not len(indices) or not len(triangles):
         return None
     motion = end_points - start_points
-    displacement = _displacement(before[0, rows], start_points, motion, triangles)
+    displacement = _displacement(before[0, indices], start_points, motion, triangles)
     velocity = displacement / (t1 - t0)
-    start_state, end_state = before[:, rows].copy(), after[:, rows].copy()
-    start_state[0] += velocity * (t1 - t0 - spawn_times[rows])[:, None]
+    start_state, end_state = before[:, indices].copy(), after[:, indices].copy()
+    start_state[0] += velocity * (t1 - t0 - spawn_times[indices])[:, None]
     start_state[1] -= velocity
     end_state[1] -= velocity
     collider = sheet.collider(end_points, triangles)
-    return RelativeStates(collider, rows, start_state, end_state, velocity)
+    return NearbyStates(collider, indices, start_state, end_state, velocity)
 
 
 def _is_near_sheet(
@@ -197,7 +197,7 @@ def _displacement(
     displacements: FloatArray,
     triangles: IntArray,
 ) -> FloatArray:
-    """Return the surface displacement at the points nearest to N points ``(N, 3)``."""
+    """Return how far the surface moves where it is nearest to points ``(N, 3)``."""
     from scipy.spatial import cKDTree
 
     used_points = np.unique(triangles)

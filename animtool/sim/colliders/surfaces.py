@@ -14,9 +14,9 @@ from animtool.core.errors import Fault, warning
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 from animtool.sim.contact import SPEED_LIMIT
 
-# Points are sampled at most this often [s], and interpolated in between.
+# Shortest interval between samples of points [s]; they are interpolated in between.
 KNOT_INTERVAL = 1 / 240
-# Rounding tolerance of the cell count, as a fraction of a cell.
+# Rounding tolerance of the number of steps between samples [1].
 ROUNDING = 1e-9
 
 
@@ -34,37 +34,37 @@ class Surfaces:
 
     def __init__(self, sheets: Sequence[Sheet]) -> None:
         self._sheets = tuple(sheets)
-        self._origin: float | None = None
+        self._start: float | None = None
         self._prepared: list[_PreparedSheet] = []
         self._teleports: dict[tuple[int, float], Fault] = {}
         self.fastest = 0.0
 
     def kernel_arrays(
-        self, origin: float, cell: float, first_cell: int, cell_count: int
+        self, start: float, dt: float, first_step: int, step_count: int
     ) -> list[tuple[Any, ...]]:
-        """Return the kernel's arrays for an interval split into equal cells.
+        """Return the kernel's arrays for consecutive steps of equal length.
 
         Args:
-            origin: Time at which cell 0 begins [s].
-            cell: Length of a cell [s].
-            first_cell: Index of the first cell of the interval.
-            cell_count: Number of cells.
+            start: Time at which step 0 begins [s].
+            dt: Length of a step [s].
+            first_step: Index of the first step.
+            step_count: Number of steps.
         """
-        if self._origin != origin:
-            self._origin = origin
-            prepared = [_PreparedSheet(sheet, origin) for sheet in self._sheets]
+        if self._start != start:
+            self._start = start
+            prepared = [_PreparedSheet(sheet, start) for sheet in self._sheets]
             self._prepared = [sheet for sheet in prepared if len(sheet.faces)]
-        cells_per_knot = max(1, math.floor(KNOT_INTERVAL / cell * (1 + ROUNDING)))
-        first_knot, offset = divmod(first_cell, cells_per_knot)
-        last_knot = -(-(first_cell + cell_count) // cells_per_knot)
+        knot_steps = max(1, math.floor(KNOT_INTERVAL / dt * (1 + ROUNDING)))
+        first_knot, offset = divmod(first_step, knot_steps)
+        last_knot = -(-(first_step + step_count) // knot_steps)
         knot_indices = np.arange(first_knot, last_knot + 1)
-        knots = np.asarray(origin + knot_indices * (cells_per_knot * cell), np.float64)
+        knots = np.asarray(start + knot_indices * (knot_steps * dt), np.float64)
         arrays = []
         for sheet_index, sheet in enumerate(self._prepared):
             points = np.stack([sheet.points(t) for t in knots.tolist()])
             self._record_speed(sheet_index, sheet.sheet, points, knots)
             kernel, material = sheet.kernel, sheet.material
-            arrays.append((kernel, points, material, cells_per_knot, offset))
+            arrays.append((kernel, points, material, knot_steps, offset))
         return arrays
 
     def _record_speed(
@@ -103,10 +103,10 @@ class _PreparedSheet:
         material: Restitution, friction, margin, depenetration and the speed limit.
     """
 
-    def __init__(self, sheet: Sheet, origin: float) -> None:
+    def __init__(self, sheet: Sheet, start: float) -> None:
         self.sheet = sheet
-        points = sheet.motion.points(origin)
-        self._rows, self._triangles = _weld(points, sheet.motion.triangles(origin))
+        points = sheet.motion.points(start)
+        self._indices, self._triangles = _weld(points, sheet.motion.triangles(start))
         self._cached_points: tuple[FloatArray, FloatArray] | None = None
         margin = sheet.radius if sheet.closed else 0.0
         self.material = (
@@ -114,16 +114,16 @@ class _PreparedSheet:
         )  # fmt: skip
         self.faces = self._triangles
         if not sheet.closed:
-            self.faces = hull_faces(self._triangles, len(self._rows))
+            self.faces = hull_faces(self._triangles, len(self._indices))
         if len(self.faces):
             corners = np.ascontiguousarray(self.faces, np.int32)
-            self.kernel = _kernels.MeshSurface(self.points(origin), corners)
+            self.kernel = _kernels.MeshSurface(self.points(start), corners)
 
     def points(self, t: float) -> FloatArray:
         """Return the points of the faces ``(P, 3)`` [m] at a time [s]."""
         points = self.sheet.motion.points(t)
         if self._cached_points is None or self._cached_points[0] is not points:
-            welded = np.ascontiguousarray(points[self._rows], np.float64)
+            welded = np.ascontiguousarray(points[self._indices], np.float64)
             if not self.sheet.closed:
                 welded = hull_points(welded, self._triangles, self.sheet.radius)
             self._cached_points = points, welded

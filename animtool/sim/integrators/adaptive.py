@@ -66,7 +66,7 @@ def step_doubling(base: Integrator) -> Integrator:
 
 
 def _doubling_growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
-    """Return the growth polynomial of two half steps with correction, or empty."""
+    """Return the stability polynomial of two corrected half steps; may be empty."""
     if not base:
         return ()
     half = [c / 2**i for i, c in enumerate(base)]

@@ -28,10 +28,12 @@ class Tableau:
 
     # Stage times within the step ``(S,)`` [1]; the first is 0.
     nodes: tuple[float, ...]
-    rows: tuple[tuple[float, ...], ...]  # weights of the previous stages, S tuples
+    stage_weights: tuple[
+        tuple[float, ...], ...
+    ]  # weights of the previous stages, S tuples
     weights: tuple[float, ...]  # weights of the stages ``(S,)``
     # Error weights ``(S,)``; empty without an embedded estimate.
-    errors: tuple[float, ...] = ()
+    error_weights: tuple[float, ...] = ()
 
     def step(
         self, equations: Equations, t: float, y: FloatArray, h: float, memory: object
@@ -43,19 +45,19 @@ class Tableau:
         """
         rates: list[FloatArray] = []
         stage = y
-        for node, row in zip(self.nodes, self.rows, strict=True):
+        for node, row in zip(self.nodes, self.stage_weights, strict=True):
             stage = _add_rates(y, h, row, rates)
             rates.append(equations.rate(t + node * h, stage))
         state = stage if self.first_as_last else _add_rates(y, h, self.weights, rates)
-        if not self.errors:
+        if not self.error_weights:
             return StepResult(state)
-        error = _add_rates(np.zeros_like(y), h, self.errors, rates)
+        error = _add_rates(np.zeros_like(y), h, self.error_weights, rates)
         return StepResult(state, error=error)
 
     @property
     def first_as_last(self) -> bool:
         """Whether the method is FSAL: the last stage is at the end of the step."""
-        return self.rows[-1] + (0.0,) == self.weights
+        return self.stage_weights[-1] + (0.0,) == self.weights
 
     def integrator(self, name: str, summary: str, order: int) -> Integrator:
         """Return the method's table entry; error weights make it adaptive."""
@@ -64,12 +66,12 @@ class Tableau:
             name,
             summary,
             order=order,
-            control=StepControl.ADAPTIVE if self.errors else StepControl.FIXED,
+            control=StepControl.ADAPTIVE if self.error_weights else StepControl.FIXED,
             step=self.step,
             limit=rate_limit(growth),
             growth=growth,
             evaluations=len(self.nodes) - self.first_as_last,
-            error_order=order if self.errors else 0,
+            error_order=order if self.error_weights else 0,
         )
 
     def growth(self) -> tuple[float, ...]:
@@ -80,7 +82,7 @@ class Tableau:
         """
         stages = len(self.nodes)
         matrix = np.zeros((stages, stages))
-        for i, row in enumerate(self.rows):
+        for i, row in enumerate(self.stage_weights):
             matrix[i, : len(row)] = row
         powers, coefficients = np.ones(stages), [1.0]
         for _ in range(stages):

@@ -38,7 +38,7 @@ def pareto_optimal(costs: Sequence[Cost | None]) -> list[int]:
 
 
 def recommended_index(
-    costs: Sequence[Cost | None], chosen: int, accepted_error: float
+    costs: Sequence[Cost | None], chosen_index: int, accepted_error: float
 ) -> int | None:
     """Return the index of the setting to use instead of the chosen one.
 
@@ -48,7 +48,7 @@ def recommended_index(
     >>> recommended_index([Cost(1, 0.1), Cost(0.4, 0.1), Cost(0.3, 0.2)], 0, 1.0)
     1
     """
-    chosen_cost = costs[chosen]
+    chosen_cost = costs[chosen_index]
     max_error, max_cost, chosen_work = accepted_error, float("inf"), None
     if chosen_cost is not None:
         max_error = chosen_cost.error * EQUAL_ERROR
@@ -69,9 +69,9 @@ def recommended_index(
 
 
 def cheapest_index(costs: Sequence[Cost | None], budget: float) -> int | None:
-    """Return the index of the cheapest setting within an error budget [m], or None.
+    """Return the index of the cheapest setting within an error budget [m].
 
-    Among nearly equal costs, the setting with the least work.
+    Of nearly equal costs, the one with the least work; None if no setting qualifies.
 
     >>> cheapest_index([Cost(1.1, 0.01, 50), Cost(1.0, 0.01, 80), Cost(0.2, 0.3)], 0.1)
     0

@@ -71,9 +71,9 @@ def measure(
     """
     settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
     count = len({*settings, *trial.references()[0]})
-    runs = _RunCache(trial, count, progress)
-    reference, reference_outcome = _find_reference(trial, runs)
-    rows = _trial_rows(trial, runs, settings, reference_outcome)
+    cache = _RunCache(trial, count, progress)
+    reference, reference_outcome = _find_reference(trial, cache)
+    rows = _trial_rows(trial, cache, settings, reference_outcome)
     snapshots = () if reference_outcome is None else reference_outcome.snapshots
     extent, instance_extent = points_extent(snapshots), max_instance_extent(snapshots)
     notices = [*trial.notices, *_trial_notices(trial, reference)]
@@ -139,14 +139,14 @@ class _RunCache:
 
 
 def _find_reference(
-    trial: Trial, runs: _RunCache
+    trial: Trial, cache: _RunCache
 ) -> tuple[Reference | None, TrialOutcome | None]:
     """Return the first reference whose runs all succeed, and its most accurate run."""
     for settings in trial.references():
         outcomes: list[TrialOutcome] = []
         for setting in settings:
             try:
-                outcomes.append(runs.outcome(setting))
+                outcomes.append(cache.outcome(setting))
             except OptionError:
                 break  # the method does not apply; another may
             if outcomes[-1].status is not Status.OK:
@@ -159,7 +159,7 @@ def _find_reference(
 def _build_reference(
     setting: Setting, outcomes: list[TrialOutcome], measure: ErrorMeasure
 ) -> Reference:
-    """Return the reference and its error estimate, from runs of halved steps."""
+    """Return the reference with an error estimate, from runs with halved steps."""
     if len(outcomes) == 1:
         return Reference(setting, PointDistances(0.0, 0.0, 0.0), None, False)
     differences = [
@@ -181,27 +181,27 @@ def _build_reference(
 
 def _trial_rows(
     trial: Trial,
-    runs: _RunCache,
+    cache: _RunCache,
     settings: Sequence[Setting],
     reference_outcome: TrialOutcome | None,
 ) -> list[TrialRow]:
-    """Return a row for each setting; skip settings far slower than the reference."""
+    """Return a row for each setting, skipping those far slower than the reference."""
     rows: list[TrialRow] = []
     slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.
     is_timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
-    limit = None
+    time_limit = None
     if reference_outcome and is_timed:
-        limit = SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
+        time_limit = SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
     for setting in settings:
         row = slow_rows.get(setting.method)
-        if row is not None and setting != trial.chosen and not runs.is_done(setting):
+        if row is not None and setting != trial.chosen and not cache.is_done(setting):
             reason = f"skipped: {row.setting} took {row.seconds:.3g} s"
             rows.append(TrialRow(setting, reason=reason))
             continue
-        row = _trial_row(trial, runs, setting, reference_outcome)
+        row = _trial_row(trial, cache, setting, reference_outcome)
         row = replace(row, chosen=setting == trial.chosen)
-        if limit is not None and row.seconds > limit:
+        if time_limit is not None and row.seconds > time_limit:
             slow_rows[setting.method] = row
         rows.append(row)
     return rows
@@ -209,13 +209,13 @@ def _trial_rows(
 
 def _trial_row(
     trial: Trial,
-    runs: _RunCache,
+    cache: _RunCache,
     setting: Setting,
     reference_outcome: TrialOutcome | None,
 ) -> TrialRow:
     """Return the results of a setting, compared with the reference."""
     try:
-        outcome = runs.outcome(setting)
+        outcome = cache.outcome(setting)
     except OptionError as refusal:
         return TrialRow(setting, reason=refusal.faults[0].message)
     row = TrialRow(
@@ -240,7 +240,9 @@ def _trial_row(
     if reason:
         failed_row = replace(row, status=Status.UNSTABLE, reason=reason)
         return replace(failed_row, stable_step=outcome.stable_step)
-    worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
+    worst = ""
+    if trial.where is not None and error.worst_at is not None:
+        worst = trial.where(*error.worst_at)
     return replace(completed_row, error=error, worst=worst)
 
 

@@ -180,7 +180,8 @@ class PointDistances:
     unmatched: float = 0.0  # fraction of points in only one of the two runs [1]
     # Root mean square of angles between orientations [rad]; None without any.
     angle: float | None = None
-    at: tuple[int, int] | None = None  # snapshot and point of the largest distance
+    # Snapshot and point of the largest distance.
+    worst_at: tuple[int, int] | None = None
     json_keys: ClassVar[str] = "largest rms median apart=unmatched angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
@@ -201,12 +202,12 @@ class PointDistances:
             self.median * factor,
             self.unmatched,
             None if self.angle is None else self.angle * factor,
-            self.at,
+            self.worst_at,
         )
 
 
 def run_distances(
-    truth: Sequence[Snapshot], snapshots: Sequence[Snapshot]
+    references: Sequence[Snapshot], snapshots: Sequence[Snapshot]
 ) -> PointDistances:
     """Return distances between snapshots at the same times.
 
@@ -220,7 +221,7 @@ def run_distances(
     distance_arrays, unmatched, count = [np.zeros(0)], 0, 0
     angles: list[FloatArray] = []
     largest_distance, location = -1.0, None
-    for k, (reference, snapshot) in enumerate(zip(truth, snapshots, strict=True)):
+    for k, (reference, snapshot) in enumerate(zip(references, snapshots, strict=True)):
         a, b = reference.points, snapshot.points
         true_rotations, rotations = reference.orientations, snapshot.orientations
         if reference.ids is not None and snapshot.ids is not None:

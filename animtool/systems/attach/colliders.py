@@ -131,7 +131,9 @@ class CharacterColliders:
         """
         options, radius = settings.options, settings.radius
         friction = options.friction
-        capsules = JointCapsules.of(rig) if options.capsules else JointCapsules.empty()
+        capsules = (
+            JointCapsules.from_rig(rig) if options.capsules else JointCapsules.empty()
+        )
         if skins:
             # Joints with a skin collide with that instead of their capsules.
             has_skin = np.any([skin.joints for skin in skins], axis=0)
@@ -152,7 +154,7 @@ class CharacterColliders:
         depths = bind_depths(capsules, rig, points, radius / scale)
         # Allowed signed distances from capsules, at most 0 ``(C, N)`` [m].
         self._allowed_depths = scale * depths
-        rigid_depths = np.zeros((self._colliders.rigid, len(points)))
+        rigid_depths = np.zeros((self._colliders.rigid_count, len(points)))
         rigid_depths[capsule_rows] = self._allowed_depths
         targets = body.targets(start)[0]
         skin_depths = [

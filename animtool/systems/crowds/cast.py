@@ -233,7 +233,7 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
     poses = body_poses(level_bodies, replace(initial, clocks=clocks), motion)
     animated_joints = bodies.animated
     if can_fall:
-        capsules = JointCapsules.of(gaits.walker.rig)
+        capsules = JointCapsules.from_rig(gaits.walker.rig)
         animated_joints = np.union1d(animated_joints, capsules.joints)
     left, right = (leg[3] if leg[3] >= 0 else leg[2] for leg in gaits.walker.legs)
     return Cast(

@@ -123,14 +123,14 @@ class FallSimulator:
     @staticmethod
     def has_bodies(rig: Rig) -> bool:
         """Return whether a rig has bodies for a ragdoll."""
-        return bool(len(JointCapsules.of(rig)))
+        return bool(len(JointCapsules.from_rig(rig)))
 
     def no_falls(self) -> Falls:
         """Return a record without falls."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
         joints = max(len(rig.joints) for rig in rigs)
-        body_counts = [len(np.unique(JointCapsules.of(rig).joints)) for rig in rigs]
-        return Falls.no_falls(joints, max(body_counts))
+        capsules = [JointCapsules.from_rig(rig) for rig in rigs]
+        return Falls.no_falls(joints, max(len(np.unique(c.joints)) for c in capsules))
 
     def add_falls(
         self,

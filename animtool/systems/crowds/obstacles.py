@@ -89,7 +89,7 @@ class Obstacles:
         self, t: float, dt: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """Return gap, direction to each agent, and closing speed of each collider."""
-        if not self.colliders.rigid:
+        if not self.colliders.rigid_count:
             return []
         radii, body_heights = self.agents.radii, self.agents.heights
         heights, _ = self.ground(x)

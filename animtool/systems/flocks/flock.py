@@ -167,7 +167,7 @@ class FlockForces(SecondOrder):
         members = self.members
         accelerations = rule_accelerations(self.rules, self.domain, x, v)
         accelerations += goal_accelerations(members, t, x, v)
-        if self.colliders.rigid:
+        if self.colliders.rigid_count:
             accelerations += avoidance_accelerations(members, self.colliders, t, x, v)
         accelerations = limit_steering(members, v, accelerations)
         if self.forces:
@@ -186,7 +186,7 @@ class FlockForces(SecondOrder):
             positions, _ = self.spacing.separate(positions)
         velocities = clamp_speeds(self.members, velocities)
         positions = limit_displacements(self.members, before[0], positions, h)
-        if self.colliders.active:
+        if self.colliders.has_any:
             radii = self.members.radii
             collision = collide(
                 positions, velocities, before, self.colliders, t - h, t, radii

@@ -91,7 +91,7 @@ def _fill_motion(
         _check_outside(state[0], colliders, t, name)
         return state
     points = _lattice_points(spec, data["shape"], data["poses"], t)
-    if colliders.rigid and len(points):
+    if colliders.rigid_count and len(points):
         gaps = colliders.volumes.sample(points, t).distances
         is_free = gaps.min(axis=0) >= (1 - ROUNDING) * spec.spacing / 2
         if (gaps < 0).all(axis=1).any():
@@ -152,7 +152,7 @@ def _check_outside(
     points: FloatArray, colliders: Colliders, t: float, name: str
 ) -> None:
     """Raise SIM064 if points start inside colliders, or outside a container."""
-    if not colliders.rigid or not len(points):
+    if not colliders.rigid_count or not len(points):
         return
     gaps = colliders.volumes.sample(points, t).distances
     is_inside = gaps < 0
@@ -319,7 +319,7 @@ def is_clear(
     if len(neighbours):
         gaps, _ = cKDTree(neighbours).query(points)
         is_free = gaps >= MIN_INFLOW_DISTANCE * spacing
-    if colliders.rigid:
+    if colliders.rigid_count:
         gaps = colliders.volumes.sample(points, t).distances
         is_free = is_free & (gaps >= 0).all(axis=0)
     return is_free

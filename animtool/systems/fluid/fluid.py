@@ -18,7 +18,7 @@ from animtool.sim.colliders import Colliders, collide
 from animtool.sim.colliders.bodies import (
     Wrenches,
     body_owners,
-    pushable_rows,
+    pushable_table,
     split_by_system,
 )
 from animtool.sim.system import Energy
@@ -283,7 +283,7 @@ class Fluid:
                 _kernels.fluid_steps(
                     solid_colliders.arrays(t0, t1),
                     body_owners(colliders.bodies, len(solid_colliders)),
-                    pushable_rows(colliders.bodies, t0, t1),
+                    pushable_table(colliders.bodies, t0, t1),
                     motion,
                     accelerations,
                     self._spec.spacing,
@@ -305,7 +305,7 @@ class Fluid:
                 motion = np.stack([collision.points, collision.velocities])
             impulses = split_by_system(colliders.bodies, body_impulses)
             wrenches = [
-                Wrenches.sum([earlier.after(substep), Wrenches(*system)])
+                Wrenches.sum([earlier.delayed_by(substep), Wrenches(*system)])
                 for earlier, system in zip(wrenches, impulses, strict=True)
             ]
         return PressureResult(motion, pressures, compression, wrenches)

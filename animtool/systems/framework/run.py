@@ -281,7 +281,7 @@ class SimulationRun(EntryRun):
         self._queued_pushes = [push for push in self._queued_pushes if push[0] > limit]
         self._pushed_states[steps] = self.state
         if due_pushes:
-            wrenches = [push[2].after(time - push[0]) for push in due_pushes]
+            wrenches = [push[2].delayed_by(time - push[0]) for push in due_pushes]
             pushed = self.simulation.pushed(self.state.state, Wrenches.sum(wrenches))
             self._pushed_states[steps] = ReachedState(steps, pushed)
         return self._pushed_states[steps]

@@ -25,7 +25,7 @@ class _ParticleSystem:
         state: FloatArray,
     ) -> None:
         self.setup, self.particles = setup, particles
-        self.settles = colliders.active
+        self.settles = colliders.has_any
         self.contacts: Contacts | None = None
         # Impulses on the bodies of each system so far.
         self.wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
@@ -73,7 +73,7 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             state, wrenches = exchange_impulses(
                 system, t, shapes, without_contacts, state, masses
             )
-            self.wrenches[i] = Wrenches.sum([self.wrenches[i].after(h), wrenches])
+            self.wrenches[i] = Wrenches.sum([self.wrenches[i].delayed_by(h), wrenches])
         return state
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
@@ -197,7 +197,7 @@ def advance_births(
     """
     births, radii = particles.births, particles.radii
     end_states = _integrate_births(setup, particles, birth_states, t1 - births)
-    if not colliders.active:
+    if not colliders.has_any:
         return end_states
     x, v = end_states
     collision = collide(x, v, birth_states, colliders, t0, t1, radii, births)

@@ -388,7 +388,7 @@ class ParticleSimulation:
     def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
         """Return the energy of a state; None if the system does not conserve energy."""
         system, forces = self._system(state), self.setup.forces
-        if isinstance(system, ParticleFlow) or self.colliders.active:
+        if isinstance(system, ParticleFlow) or self.colliders.has_any:
             return None
         damping = (force.damping(state.state[1], state.particles) for force in forces)
         return None if any(damping) else system.energy(t, state.state)

@@ -89,7 +89,7 @@ class Ragdoll:
 
 def build_ragdoll(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
     """Return the bodies of a rig in the pose of one frame; raise SIM062."""
-    capsules = JointCapsules.of(rig)
+    capsules = JointCapsules.from_rig(rig)
     if not len(capsules):
         message = f"no joint of {rig.name!r} has colliders: nothing can fall"
         hint = "give its rig file `colliders`: capsules on joints"

@@ -120,7 +120,7 @@ class SpringSimulation:
         Residual strain of xpbd, and of implicit steps with colliders, is not energy
         that the motion continues with.
         """
-        solver, has_colliders = self.choice.solver, self.system.colliders.active
+        solver, has_colliders = self.choice.solver, self.system.colliders.has_any
         implicit_contacts = solver is not Solver.SYMPLECTIC_EULER and has_colliders
         is_tied = self.system.ties is not None
         ignores_growth = implicit_contacts or solver is Solver.XPBD or is_tied
@@ -376,7 +376,7 @@ class SpringSimulation:
             system.target_springs.damping,
             np.array(system.air_coefficients),
         ]
-        return system.colliders.active or any(values.any() for values in coefficients)
+        return system.colliders.has_any or any(values.any() for values in coefficients)
 
     def trial_settings(self) -> TrialSettings:
         """Return the settings to compare: solvers with steps around their defaults."""

@@ -171,7 +171,7 @@ class SpringSystem(SecondOrder):
         requested_rest = None if self_contact is None else self_contact.rest
         rest_positions = body.positions if requested_rest is None else requested_rest
         self._rest = np.ascontiguousarray(rest_positions, np.float64)
-        self._has_contacts = self.colliders.active or self_contact is not None
+        self._has_contacts = self.colliders.has_any or self_contact is not None
         has_teleports = len(self.teleports) > 0
         self.settles = self._has_moving_pins or self._has_contacts or has_teleports
         speeds = np.zeros((count, 3)) if velocities is None else velocities
@@ -428,7 +428,7 @@ class SpringSystem(SecondOrder):
         if layers is not None:
             network = self.network(self.teleports.stage(t))
             result = _kernels.part_springs(network, layers, before[0], result, h)
-        if self.colliders.active:
+        if self.colliders.has_any:
             collision = collide(
                 result[0], result[1], before, self.colliders, t - h, t, self.radius
             )

@@ -88,7 +88,7 @@ class SpringView:
         """Measure depth, piercing and strain of a surface in contact."""
         system, body, shape = self.simulation.system, self.body.body, self.body.shape
         colliders, has_self_contact = system.colliders, system.self_contact is not None
-        has_contact = colliders.active or has_self_contact
+        has_contact = colliders.has_any or has_self_contact
         if not isinstance(shape, FaceShape) or not has_contact:
             return
         torn = self.torn(state)

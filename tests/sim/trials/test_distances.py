@@ -104,9 +104,12 @@ def test_without_a_difference_there_is_no_order(gaps: tuple[float, float]) -> No
 def test_the_largest_is_at_its_shot_and_point() -> None:
     still = Snapshot(np.zeros((3, 3)))
     moved = Snapshot(np.array([[0, 0, 1.0], [0, 0, 4.0], [0, 0, 2.0]]))
-    assert run_distances([still, still, still], [still, moved, still]).at == (1, 1)
+    assert run_distances([still, still, still], [still, moved, still]).worst_at == (
+        1,
+        1,
+    )
     few = Snapshot(np.zeros((2, 3)), np.array([3, 9]))
     other = Snapshot(np.array([[1.0, 0, 0], [0, 2.0, 0]]), np.array([4, 9]))
     # Points that only one has are at no place of the other.
-    assert run_distances([few], [other]).at == (0, 1)
+    assert run_distances([few], [other]).worst_at == (0, 1)
     assert run_distances([few], [other]).error(ErrorMeasure.LARGEST, 5.0) == 2.0

@@ -77,7 +77,7 @@ def fallen(rig: Rig, frames: int, **options: object) -> Take:
 
 def test_fingers_get_capsules_along_their_bones() -> None:
     rig = hand_rig()
-    capsules = JointCapsules.of(rig)
+    capsules = JointCapsules.from_rig(rig)
     made = with_finger_capsules(rig, world_of(rig), capsules)
     assert len(made) == len(capsules) + 9
     assert (made.joints[2:] == 1).all()
@@ -92,7 +92,7 @@ def test_fingers_get_capsules_along_their_bones() -> None:
 )
 def test_what_is_no_hand_gets_none(names: tuple[str, ...], count: int) -> None:
     rig = hand_rig(names)
-    capsules = JointCapsules.of(rig)
+    capsules = JointCapsules.from_rig(rig)
     assert (
         len(with_finger_capsules(rig, world_of(rig), capsules)) == len(capsules) + count
     )
