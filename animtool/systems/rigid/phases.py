@@ -43,11 +43,10 @@ class BodyPhase:
     def with_parameters(
         self, joint_parameters: FloatArray, mass_factors: FloatArray | float = 1.0
     ) -> Any:
-        """Return the kernel object with other joint parameters and mass factors."""
+        """Return the kernel object with other parameters of the intact joints."""
         joints, first = self.joints, self.surroundings.first
         excluded = self.bodies.excluded_pairs(joints.excluded_pairs, first)
-        parameters = joint_parameters[self.intact_joints]
-        return self.bodies.kernel(joints.rows, parameters, excluded, mass_factors)
+        return self.bodies.kernel(joints.rows, joint_parameters, excluded, mass_factors)
 
 
 class BodyPhases:

@@ -282,13 +282,15 @@ class RigidSimulation(RigidStates):
         self, phase: BodyPhase, step_forces: StepForces, t: float
     ) -> Any:
         """Return the kernel object with current drives and mass factors."""
-        joints, mass_factors = self.joints, step_forces.mass_factors
-        parameters_at = joints.parameters_at
+        parameters_at = self.joints.parameters_at
+        mass_factors = step_forces.mass_factors
         if parameters_at is None and mass_factors is None:
             return phase.kernel
-        numbers = joints.numbers if parameters_at is None else parameters_at(t)
+        parameters = phase.joints.numbers
+        if parameters_at is not None:
+            parameters = parameters_at(t)[phase.intact_joints]
         free_factors = 1.0 if mass_factors is None else mass_factors[phase.is_free]
-        return phase.with_parameters(numbers, free_factors)
+        return phase.with_parameters(parameters, free_factors)
 
     def _break_joints(
         self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float

@@ -61,6 +61,22 @@ def test_joints_go_on_where_a_body_is_released(
     assert hand_at[1] < -1
 
 
+@pytest.mark.parametrize("order", [("bob", "hand"), ("hand", "bob")])
+def test_drag_does_not_move_the_joint_of_a_body_that_is_not_released(
+    tmp_path: Path, order: tuple[str, str]
+) -> None:
+    """Bodies with drag are heavier in a step, at the same joint frames."""
+    hand = ball(0.05, name="hand", at=[0, 2, 0], centre=[0, 0.3, 0], mass=1, **HELD)
+    bob = ball(0.05, name="bob", at=[0.5, 2, 0], mass=1)
+    pin = {"type": "pin", "body": order[0], "to": order[1], "axis": [0, 0, 1]}
+    forces = [{"gravity": None}, {"drag": {"linear": 5.0}}]
+    joints = [{**pin, "at": [0, 2, 0]}]
+    found = Rigid(tmp_path, hand, bob, joints=joints, forces=forces, **AWAKE)
+    for t in np.linspace(0.1, 0.9, 5):
+        hand_at, bob_at = found.to(t)
+        assert_allclose(np.linalg.norm(bob_at - hand_at), 0.5, atol=2e-3)
+
+
 def test_a_release_is_the_same_after_a_resume_and_in_any_step_asked(
     tmp_path: Path,
 ) -> None:
