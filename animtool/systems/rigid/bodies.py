@@ -106,7 +106,7 @@ class RigidBodies:
         )
 
     @cached_property
-    def releases(self) -> FloatArray:
+    def release_times(self) -> FloatArray:
         """Time at which each body is released ``(B,)`` [s]; -infinity without one.
 
         Without a release, dynamic bodies move freely from the start, and kinematic
@@ -117,7 +117,7 @@ class RigidBodies:
         return np.array(times_by_kind, np.float64)[self.kind_of_body]
 
     @cached_property
-    def static(self) -> frozenset[int]:
+    def static_bodies(self) -> frozenset[int]:
         """Indices of kinematic bodies that never move."""
         kinematic = np.flatnonzero(~self.is_dynamic).tolist()
         return frozenset(i for i in kinematic if self.poses[i].is_fixed)
@@ -125,12 +125,12 @@ class RigidBodies:
     @cached_property
     def masses(self) -> FloatArray:
         """Masses of dynamic bodies ``(N,)`` [kg]."""
-        return self._of_dynamic([kind.mass for kind in self.kinds])
+        return self._per_dynamic_body([kind.mass for kind in self.kinds])
 
     @cached_property
     def moments(self) -> FloatArray:
         """Principal moments of inertia of dynamic bodies ``(N, 3)`` [kg m²]."""
-        return self._of_dynamic([kind.moments for kind in self.kinds])
+        return self._per_dynamic_body([kind.moments for kind in self.kinds])
 
     @cached_property
     def inverse_inertias(self) -> FloatArray:
@@ -141,19 +141,19 @@ class RigidBodies:
     @cached_property
     def axes(self) -> FloatArray:
         """Rotations from principal axes to the frames of dynamic bodies ``(N, 4)``."""
-        return self._of_dynamic([kind.axes for kind in self.kinds])
+        return self._per_dynamic_body([kind.axes for kind in self.kinds])
 
     @cached_property
     def centres(self) -> FloatArray:
         """Centres of mass of dynamic bodies, in body frames ``(N, 3)`` [m]."""
-        return self._of_dynamic([kind.centre for kind in self.kinds])
+        return self._per_dynamic_body([kind.centre for kind in self.kinds])
 
     @cached_property
     def bounding_radii(self) -> FloatArray:
         """Bounding radii of dynamic bodies about the centre of mass ``(N,)`` [m]."""
-        return self._of_dynamic([kind.bounding_radius for kind in self.kinds])
+        return self._per_dynamic_body([kind.bounding_radius for kind in self.kinds])
 
-    def _of_dynamic(self, values_by_kind: Sequence[ArrayLike]) -> FloatArray:
+    def _per_dynamic_body(self, values_by_kind: Sequence[ArrayLike]) -> FloatArray:
         """Return the value of each dynamic body, from those of the kinds ``(N, …)``."""
         return np.array(values_by_kind)[self.kind_of_body[self.dynamic]]
 
@@ -195,10 +195,10 @@ class RigidBodies:
 
     def spins(self, state: FloatArray) -> FloatArray:
         """Return world angular velocities of dynamic bodies ``(N, 3)`` [rad/s]."""
-        local = so3.rotate(so3.conjugate(state[:, 3:7]), state[:, 10:13])
+        spins = so3.rotate(so3.conjugate(state[:, 3:7]), state[:, 10:13])
         moments = self.moments
-        local = np.divide(local, moments, out=np.zeros_like(local), where=moments > 0)
-        return so3.rotate(state[:, 3:7], local)
+        spins = np.divide(spins, moments, out=np.zeros_like(spins), where=moments > 0)
+        return so3.rotate(state[:, 3:7], spins)
 
     def body_frames(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return origins ``(N, 3)`` [m] and rotations ``(N, 4)`` of body frames."""
@@ -232,17 +232,17 @@ class RigidBodies:
         first_index = len(self.dynamic) + first_collider
         first_shapes = first_index + np.cumsum(counts) - counts
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
-        rows: list[tuple[int, int]] = []
+        kernel_pairs: list[tuple[int, int]] = []
         for first_body, second_body in pairs.tolist():
             a, b = first_body, second_body
             if not self.is_dynamic[a]:
                 a, b = b, a
             if self.is_dynamic[b]:
-                rows.append((int(dynamic_indices[a]), int(dynamic_indices[b])))
+                kernel_pairs.append((int(dynamic_indices[a]), int(dynamic_indices[b])))
             elif self.is_dynamic[a]:
                 shapes = range(int(first_shapes[b]), int(first_shapes[b] + counts[b]))
-                rows += [(int(dynamic_indices[a]), shape) for shape in shapes]
-        return np.array(rows, np.int64).reshape(-1, 2)
+                kernel_pairs += [(int(dynamic_indices[a]), shape) for shape in shapes]
+        return np.array(kernel_pairs, np.int64).reshape(-1, 2)
 
     @cached_property
     def collision_shapes(self) -> CollisionShapes:
@@ -257,7 +257,7 @@ class RigidBodies:
         return CollisionShapes(colliders, *arrays)
 
     @cached_property
-    def shapes(self) -> tuple[list[ConvexCore], IntArray]:
+    def cores_and_bodies(self) -> tuple[list[ConvexCore], IntArray]:
         """Convex cores of dynamic bodies, and the body of each core ``(S,)``."""
         cores: list[ConvexCore] = []
         body_indices: list[int] = []
@@ -269,12 +269,12 @@ class RigidBodies:
             body_indices += [dynamic_index] * len(cores_by_kind[self.kind_of_body[i]])
         return cores, np.array(body_indices, np.int64)
 
-    def kernel(
+    def build_kernel(
         self,
         joints: IntArray,
         parameters: FloatArray,
-        excluded: IntArray = NO_PAIRS,
-        mass_factors: FloatArray | float = 1.0,
+        excluded: IntArray,
+        mass_factors: FloatArray | float,
     ) -> Any:
         """Return bodies and joints as a kernel object.
 
@@ -289,17 +289,17 @@ class RigidBodies:
     @cached_property
     def _shape_arrays(self) -> tuple[Any, ...]:
         """Shapes of dynamic bodies, in the layout of the kernel."""
-        cores, owners = self.shapes
+        cores, owners = self.cores_and_bodies
         faces = [face for core in cores for face in core.faces]
         models = [self.kind_of(self.dynamic[i]).model for i in owners]
-        rows = [
+        materials = [
             (core.radius, m.restitution, m.friction)
             for core, m in zip(cores, models, strict=True)
         ]
         empty = np.zeros((0, 3))
         return (
             owners,
-            np.array(rows, np.float64).reshape(-1, 3),
+            np.array(materials, np.float64).reshape(-1, 3),
             np.concatenate([empty, *(core.points for core in cores)]),
             _first_indices([len(core.points) for core in cores]),
             _first_indices([len(core.faces) for core in cores]),
@@ -332,14 +332,14 @@ def collider_shape(shape: Shape) -> Shape:
     return Mesh(points, triangulate(counts, corners), closed=True)
 
 
-def offset_poses(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
+def offset_poses(poses: Poses, offset: FloatArray, rotation: FloatArray) -> Poses:
     """Return poses over time, with a fixed offset in the local frame."""
-    if not at.any() and rotation[3] == 1:
+    if not offset.any() and rotation[3] == 1:
         return poses
     rows = poses.rows
     return Poses(
         poses.sample_times,
-        rows[:, :3] + so3.rotate(rows[:, 3:], at),
+        rows[:, :3] + so3.rotate(rows[:, 3:], offset),
         so3.multiply(rows[:, 3:], rotation),
     )
 
@@ -351,7 +351,7 @@ def _first_indices(counts: Sequence[int]) -> IntArray:
 
 @contextmanager
 def _entry_faults(where: str, origin: str | None) -> Iterator[None]:
-    """Context manager that locates faults raised inside it at an entry."""
+    """Locate the faults that are raised inside the context at an entry."""
     try:
         yield
     except OptionError as error:

@@ -1,8 +1,13 @@
-"""Convex cores of shapes, and their mass properties."""
+"""Convex cores of shapes, and their mass properties.
+
+Meshes that are not convex are decomposed by the package coacd, if it is installed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -22,6 +27,11 @@ _BOX_FACES = (
 )  # fmt: skip
 # Number of facets around displayed spheres and capsules.
 FACET_COUNT = 16
+# Largest deviation of pieces from the mesh, relative to its size; coacd's default.
+CONCAVITY_THRESHOLD = 0.05
+# Number of surface points that measure the deviation.
+MANIFOLD_RESOLUTION = 400
+INSTALL_COMMAND = "pip install 'animtool[convex]'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +42,9 @@ class ConvexCore:
     faces: Sequence[IntArray]  # corners, counter-clockwise from outside
     radius: float = 0.0  # distance from the hull of the points to the surface [m]
 
-    def transformed(self, at: FloatArray, rotation: FloatArray) -> ConvexCore:
+    def transformed(self, translation: FloatArray, rotation: FloatArray) -> ConvexCore:
         """Return the core rotated by a quaternion and moved by ``(3,)`` [m]."""
-        points = at + so3.rotate(rotation, self.points)
+        points = translation + so3.rotate(rotation, self.points)
         return ConvexCore(points, self.faces, self.radius)
 
 
@@ -46,10 +56,12 @@ class SolidProperties:
     centre: FloatArray  # (3,) [m]
     inertia: FloatArray  # inertia about the centre of mass (3, 3) [m⁵]
 
-    def transformed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
+    def transformed(
+        self, translation: FloatArray, rotation: FloatArray
+    ) -> SolidProperties:
         """Return the properties after a rotation and a translation."""
         matrix = so3.to_matrix(rotation)
-        centre = at + so3.rotate(rotation, self.centre)
+        centre = translation + so3.rotate(rotation, self.centre)
         return SolidProperties(self.volume, centre, matrix @ self.inertia @ matrix.T)
 
 
@@ -103,13 +115,13 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
         raise ValueError("its points are coplanar: it has no volume") from None
     # Coplanar triangles are merged to one face.
     normals, planes = hull.equations[:, :3], []
-    remaining = list(range(len(normals)))
-    while remaining:
-        reference = remaining[0]
-        differences = normals[remaining] - normals[reference]
+    remaining_faces = list(range(len(normals)))
+    while remaining_faces:
+        reference = remaining_faces[0]
+        differences = normals[remaining_faces] - normals[reference]
         is_coplanar = np.linalg.norm(differences, axis=1) < COPLANAR_ANGLE
-        planes.append((normals[reference], np.array(remaining)[is_coplanar]))
-        remaining = np.array(remaining)[~is_coplanar].tolist()
+        planes.append((normals[reference], np.array(remaining_faces)[is_coplanar]))
+        remaining_faces = np.array(remaining_faces)[~is_coplanar].tolist()
     corners = np.unique(hull.simplices)
     new_indices = np.full(len(points), -1)
     new_indices[corners] = np.arange(len(corners))
@@ -234,3 +246,63 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
     counts = np.repeat([4, 3], [FACET_COUNT * (count - 1), 2 * FACET_COUNT])
     corners = np.concatenate([*(q.ravel() for q in quads), *(c.ravel() for c in caps)])
     return points, counts, corners
+
+
+def can_decompose() -> bool:
+    """Return whether the package for convex decomposition is installed."""
+    return find_spec("coacd") is not None
+
+
+def convex_pieces(mesh: Mesh) -> list[tuple[Mesh, ConvexCore]]:
+    """Return the convex decomposition of a mesh, deterministic; empty if it is open.
+
+    Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
+    collision-aware concavity and tree search".
+    """
+    if not mesh.watertight:
+        return []
+    points, triangles = mesh.weld()
+    return _decompose(points.tobytes(), triangles.tobytes())
+
+
+@lru_cache(maxsize=64)
+def _decompose(
+    point_bytes: bytes, corner_bytes: bytes
+) -> list[tuple[Mesh, ConvexCore]]:
+    """Return the cached convex decomposition of points and triangles."""
+    import coacd
+
+    points = np.frombuffer(point_bytes, np.float64).reshape(-1, 3)
+    triangles = np.frombuffer(corner_bytes, np.int32).reshape(-1, 3)
+    coacd.set_log_level("off")
+    hulls = coacd.run_coacd(
+        coacd.Mesh(points, triangles),
+        threshold=CONCAVITY_THRESHOLD,
+        preprocess_mode="off",
+        resolution=MANIFOLD_RESOLUTION,
+        seed=0,
+    )
+    pieces = []
+    for vertices, faces in hulls:
+        piece = Mesh(np.asarray(vertices, np.float64), np.asarray(faces), closed=True)
+        try:
+            pieces.append((piece, core_of(piece)))
+        except ValueError:
+            # Pieces without volume support nothing.
+            continue
+    return pieces
+
+
+def mesh_solid(mesh: Mesh) -> SolidProperties:
+    """Return the mass properties of a watertight mesh of density 1."""
+    points, triangles = mesh.weld()
+    solid = enclosed_solid(points[triangles])
+    if solid.volume > 0:
+        return solid
+    return enclosed_solid(points[triangles[:, ::-1]])
+
+
+def excess_volume(mesh: Mesh, cores: Sequence[ConvexCore]) -> float:
+    """Return the excess volume of the pieces, relative to the mesh volume [1]."""
+    volume = mesh_solid(mesh).volume
+    return sum(hull_solid(core).volume for core in cores) / volume - 1

@@ -6,8 +6,8 @@ and joints are solved by the kernel, which gets a mean force and a mass for the 
 
 References:
     M. Hochbruck, A. Ostermann, "Exponential integrators", Acta Numerica 2010, section
-    2.3: the exponential method of Runge and Kutta of order 2, with the equation made
-    linear where a step begins.
+    2.3: the exponential Runge-Kutta method of order 2, linearized at the start of a
+    step.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def _mass_factors(
     v: FloatArray,
 ) -> FloatArray:
     """Return mass factors that make impulses match the damped free flight."""
-    # Equal for linear drag.
+    # For linear drag these are the ratios below.
     z = np.maximum(-np.trace(jacobians, axis1=1, axis2=2) / 3 * dt, 0.0)
     ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
     squared_accelerations = (start_acceleration * start_acceleration).sum(axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,77 +30,78 @@ _OPTION_TYPES = {
     "drive": ("pin", "ball", "prismatic"),
 }
 # Largest unreported distance of a joint from its body, in radii of the body.
-MAX_RADII = 4.0
+MAX_DISTANCE_RADII = 4.0
 # Largest half-angle of a swing, below 180 degrees, where its axis is undefined.
 MAX_SWING = np.radians(179.0)
 
 
+@dataclass(frozen=True, slots=True)
+class BodyJoint:
+    """A joint of dynamic bodies, in the kernel's layout."""
+
+    name: str
+    kind: int  # value of `JOINT_KINDS`
+    bodies: tuple[int, int]  # indices of both dynamic bodies; -1 without a first one
+    parameters: FloatArray | list[float]  # frames, limits and drive (27,)
+    anchor: Poses  # animated frame if there is no first dynamic body
+    parent_body: int  # index of the parent among all bodies; -1 for none
+    # Pair that does not collide, as indices of all bodies; -1 for none.
+    excluded_pair: tuple[int, int]
+    break_limits: tuple[float, float] = (np.inf, np.inf)  # force [N] and torque [N m]
+
+
 @dataclass(frozen=True)
 class Joints:
-    """K joints of dynamic bodies, in the kernel's layout."""
+    """K joints of dynamic bodies, and their arrays for the kernel."""
 
-    rows: IntArray  # type and both dynamic bodies, -1 for none (K, 3)
-    numbers: FloatArray  # parameters in the kernel's layout (K, 27)
-    anchors: Sequence[Poses]  # animated frames of joints without a first dynamic body
-    names: Sequence[str] = ()
-    # Parent body of each joint, of all bodies; -1 for none.
-    parent_bodies: Sequence[int] = ()
+    members: Sequence[BodyJoint]
     notices: Sequence[Fault] = ()
-    # Pair of bodies that each joint excludes from collision, as indices of all bodies;
-    # -1 for none (K, 2).
-    pairs: IntArray = field(default_factory=lambda: NO_PAIRS)
-    # Other excluded pairs (P, 2).
+    # Other pairs of bodies that do not collide (P, 2).
     other_pairs: IntArray = field(default_factory=lambda: NO_PAIRS)
-    # Break force [N] and torque [N m] (K, 2); empty if none breaks.
-    breaks: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    # Returns `numbers` at a time [s]; None if drives do not change.
+    # Returns `parameters` at a time [s]; None if drives do not change.
     parameters_at: Callable[[float], FloatArray] | None = None
 
-    def subset(self, indices: IntArray) -> Joints:
-        """Return the joints with the given indices."""
-        index_list = indices.tolist()
-        return replace(
-            self,
-            rows=self.rows[indices],
-            numbers=self.numbers[indices],
-            anchors=[self.anchors[k] for k in index_list],
-            names=[self.names[k] for k in index_list] if self.names else (),
-            parent_bodies=[self.parent_bodies[k] for k in index_list]
-            if self.parent_bodies
-            else (),
-            pairs=self.pairs[indices],
-            breaks=self.breaks[indices],
-        )
+    def __len__(self) -> int:
+        """Return the number of joints."""
+        return len(self.members)
+
+    @cached_property
+    def kinds_and_bodies(self) -> IntArray:
+        """Kind and both dynamic bodies of each joint ``(K, 3)``; body -1 is none."""
+        rows = [(joint.kind, *joint.bodies) for joint in self.members]
+        return np.array(rows, np.int64).reshape(-1, 3)
+
+    @cached_property
+    def parameters(self) -> FloatArray:
+        """Parameters of all joints ``(K, 27)``."""
+        rows = [joint.parameters for joint in self.members]
+        return np.array(rows, np.float64).reshape(-1, PARAMETER_COUNT)
+
+    @cached_property
+    def break_limits(self) -> FloatArray:
+        """Break force [N] and torque [N m] of each joint ``(K, 2)``."""
+        limits = [joint.break_limits for joint in self.members]
+        return np.array(limits, np.float64).reshape(-1, 2)
 
     @property
     def is_breakable(self) -> bool:
         """Whether any joint can break."""
-        return bool(np.isfinite(self.breaks).any())
+        return bool(np.isfinite(self.break_limits).any())
 
-    @property
+    @cached_property
     def excluded_pairs(self) -> IntArray:
         """All pairs of bodies that do not collide ``(P, 2)``."""
-        return np.concatenate([self.pairs[self.pairs[:, 0] >= 0], self.other_pairs])
+        pairs = [joint.excluded_pair for joint in self.members]
+        rows = [pair for pair in pairs if pair[0] >= 0]
+        return np.concatenate(
+            [np.array(rows, np.int64).reshape(-1, 2), self.other_pairs]
+        )
 
     def anchor_frames(self, t0: float, t1: float) -> FloatArray:
         """Return anchor frames at both ends of a step [s] ``(K, 2, 7)``."""
-        ends = [[poses.at(t0), poses.at(t1)] for poses in self.anchors]
+        anchors = [joint.anchor for joint in self.members]
+        ends = [[poses.at(t0), poses.at(t1)] for poses in anchors]
         return np.array(ends, np.float64).reshape(-1, 2, 7)
-
-
-def concatenate_joints(joint_sets: Sequence[Joints]) -> Joints:
-    """Concatenate sets of joints into one set."""
-    return Joints(
-        np.concatenate([joints.rows for joints in joint_sets]),
-        np.concatenate([joints.numbers for joints in joint_sets]),
-        [poses for joints in joint_sets for poses in joints.anchors],
-        [name for joints in joint_sets for name in joints.names],
-        [body for joints in joint_sets for body in joints.parent_bodies],
-        [notice for joints in joint_sets for notice in joints.notices],
-        np.concatenate([joints.pairs for joints in joint_sets]),
-        np.concatenate([joints.other_pairs for joints in joint_sets]),
-        np.concatenate([joints.breaks for joints in joint_sets]),
-    )
 
 
 def check_joints(
@@ -156,7 +158,7 @@ def build_joints(
 
     Raises SIM061 for joints that are invalid for the poses of the bodies.
     """
-    rows, numbers, anchors, parent_bodies, pairs, breaks = [], [], [], [], [], []
+    joints: list[BodyJoint] = []
     notices: list[Fault] = []
     dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
     for i, (model, entry_data) in enumerate(zip(models, parts, strict=True)):
@@ -183,34 +185,24 @@ def build_joints(
             else:
                 anchor = bodies.poses[parent]
                 frame_a = relative_frame(anchor.at(bodies.begin), frame)
-        rows.append(
-            (JOINT_KINDS[model.type], first_index, dynamic_indices[second_body])
-        )
-        numbers.append(
-            [
-                *frame_a,
-                *frame_b,
-                *_limit_parameters(model, name, where),
-                *_drive_parameters(model, where),
-            ]
-        )
-        anchors.append(anchor)
-        parent_bodies.append(parent)
+        limits = _limit_parameters(model, name, where)
+        drive = _drive_parameters(model, where)
         is_excluded = parent >= 0 and not model.contacts
-        pairs.append((second_body, parent) if is_excluded else (-1, -1))
-        breaks.append(_break_limits(model))
+        joints.append(
+            BodyJoint(
+                model.name or f"joint_{i + 1}",
+                JOINT_KINDS[model.type],
+                (first_index, dynamic_indices[second_body]),
+                [*frame_a, *frame_b, *limits, *drive],
+                anchor,
+                parent,
+                (second_body, parent) if is_excluded else (-1, -1),
+                _break_limits(model),
+            )
+        )
         for body in (second_body, parent) if parent >= 0 else (second_body,):
             notices += _distance_warnings(bodies, body, frame, name, where)
-    return Joints(
-        np.array(rows, np.int64).reshape(-1, 3),
-        np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT),
-        anchors,
-        [model.name or f"joint_{i + 1}" for i, model in enumerate(models)],
-        parent_bodies,
-        notices,
-        np.array(pairs, np.int64).reshape(-1, 2),
-        breaks=np.array(breaks, np.float64).reshape(-1, 2),
-    )
+    return Joints(joints, notices)
 
 
 def subset_joints(
@@ -226,16 +218,14 @@ def subset_joints(
         bodies: The bodies that are dynamic now.
     """
     if bodies is all_bodies:
-        return joints, np.arange(len(joints.rows))
+        return joints, np.arange(len(joints))
     new_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
-    rows, numbers, anchors, indices = [], [], [], []
-    for k, (row, parameters) in enumerate(
-        zip(joints.rows, joints.numbers, strict=True)
-    ):
-        kind, first, second = row.tolist()
+    members, indices = [], []
+    for k, joint in enumerate(joints.members):
+        (first, second), parameters = joint.bodies, joints.parameters[k]
         frame_a, frame_b, settings = parameters[:7], parameters[7:14], parameters[14:]
         a = -1 if first < 0 else int(all_bodies.dynamic[first])
-        b, anchor = int(all_bodies.dynamic[second]), joints.anchors[k]
+        b, anchor = int(all_bodies.dynamic[second]), joint.anchor
         if a >= 0 and a not in new_indices:
             frame_a, anchor = to_body_frame(all_bodies, first, frame_a), bodies.poses[a]
         if b not in new_indices:
@@ -245,28 +235,23 @@ def subset_joints(
             anchor, a, b = bodies.poses[b], b, a
             frame_a, frame_b = to_body_frame(all_bodies, second, frame_b), frame_a
             settings = swap_bodies(settings)
-        rows.append((kind, new_indices.get(a, -1), new_indices[b]))
-        numbers.append(np.concatenate([frame_a, frame_b, settings]))
-        anchors.append(anchor)
+        pair = new_indices.get(a, -1), new_indices[b]
+        parameters = np.concatenate([frame_a, frame_b, settings])
+        members.append(
+            replace(joint, bodies=pair, parameters=parameters, anchor=anchor)
+        )
         indices.append(k)
-    subset = joints.subset(np.array(indices, np.int64))
-    moved_joints = replace(
-        subset,
-        rows=np.array(rows, np.int64).reshape(-1, 3),
-        numbers=np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT),
-        anchors=anchors,
-    )
-    return moved_joints, np.array(indices, np.int64)
+    return replace(joints, members=members), np.array(indices, np.int64)
 
 
 def swap_bodies(parameters: FloatArray) -> FloatArray:
     """Return the limits and drive of a joint with its two bodies swapped."""
-    swapped: FloatArray = parameters.copy()
+    swapped_parameters: FloatArray = parameters.copy()
     if parameters[0] <= parameters[1]:
-        swapped[:2] = -parameters[1], -parameters[0]
-    swapped[4], swapped[12] = -parameters[4], -parameters[12]
-    swapped[5:9] = so3.conjugate(parameters[5:9])
-    return swapped
+        swapped_parameters[:2] = -parameters[1], -parameters[0]
+    swapped_parameters[4], swapped_parameters[12] = -parameters[4], -parameters[12]
+    swapped_parameters[5:9] = so3.conjugate(parameters[5:9])
+    return swapped_parameters
 
 
 def to_parent_frame(pose: FloatArray, frame: FloatArray) -> FloatArray:
@@ -291,7 +276,7 @@ def joint_forces_and_torques(joints: Joints, impulses: FloatArray) -> FloatArray
         impulses: Constraint impulses of each joint ``(K, 12)``.
     """
     force, torque = impulses[:, :3].copy(), impulses[:, 3:6].copy()
-    is_prismatic = joints.rows[:, 0] == JOINT_KINDS["prismatic"]
+    is_prismatic = joints.kinds_and_bodies[:, 0] == JOINT_KINDS["prismatic"]
     axis_impulses = impulses[:, 6] - impulses[:, 7]
     force[is_prismatic, 0] += axis_impulses[is_prismatic]
     torque[~is_prismatic, 0] += axis_impulses[~is_prismatic]
@@ -411,7 +396,7 @@ def _distance_warnings(
     kind, pose = bodies.kind_of(body), bodies.poses[body].at(bodies.begin)
     offset = frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
     distance = float(np.linalg.norm(offset))
-    if distance <= MAX_RADII * kind.bounding_radius:
+    if distance <= MAX_DISTANCE_RADII * kind.bounding_radius:
         return []
     message = f"{name} is {distance:g} m from {bodies.names[body]!r}, which extends "
     hint = "is its `where` in world space?"

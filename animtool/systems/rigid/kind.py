@@ -25,21 +25,19 @@ from animtool.maths import so3
 from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Mesh, Shape
 from animtool.systems.rigid.cores import (
+    INSTALL_COMMAND,
     ConvexCore,
     SolidProperties,
+    can_decompose,
     combine_solids,
+    convex_pieces,
     core_mesh,
     core_of,
+    excess_volume,
     is_convex,
+    mesh_solid,
     point_inertia,
     solid_of,
-)
-from animtool.systems.rigid.pieces import (
-    INSTALL_COMMAND,
-    convex_pieces,
-    excess_volume,
-    is_available,
-    mesh_solid,
 )
 from animtool.systems.rigid.spec import BodyModel
 
@@ -113,7 +111,7 @@ def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         if isinstance(shape, Mesh) and not is_convex(shape, solid):
             is_dynamic = not model.kinematic or model.release is not None
             decomposition: list[tuple[Mesh, ConvexCore]] = []
-            if is_dynamic and not uses_hull[k] and is_available():
+            if is_dynamic and not uses_hull[k] and can_decompose():
                 decomposition = convex_pieces(shape)
             fault = _concave_notice(model.name, shape, decomposition)
             notices.append(replace(fault, where=key))
@@ -186,7 +184,7 @@ def _concave_notice(
         return Fault("SIM198", message, severity=Severity.NOTE)
     message = f"a mesh of {name!r} is not convex, or open: its convex hull collides"
     hint = "build it from several convex shapes"
-    if not is_available():
+    if not can_decompose():
         hint += f", or install coacd: {INSTALL_COMMAND}"
     return warning("SIM125", message, hint)
 
@@ -197,19 +195,19 @@ def _mass_properties(
     """Return mass [kg], centre of mass [m] and inertia about it ``(3, 3)`` [kg m²]."""
     densities = [shape.density or model.density for shape in model.shapes]
     densities = densities or [model.density]
-    total = sum(
+    total_mass = sum(
         solid.volume * density for solid, density in zip(solids, densities, strict=True)
     )
-    if min(total, total if model.mass is None else model.mass) < MIN_MASS:
+    if min(total_mass, total_mass if model.mass is None else model.mass) < MIN_MASS:
         message = f"{model.name!r} must weigh {MIN_MASS:g} kg or more"
         refuse("SIM061", message, hint="are its lengths in metres?")
-    combined = combine_solids(solids, densities)
-    mass = combined.volume if model.mass is None else model.mass
-    inertia = combined.inertia * (mass / combined.volume)
-    centre = combined.centre
+    combined_solid = combine_solids(solids, densities)
+    mass = combined_solid.volume if model.mass is None else model.mass
+    inertia = combined_solid.inertia * (mass / combined_solid.volume)
+    centre = combined_solid.centre
     if model.centre is not None:
         centre = np.array(model.centre, np.float64)
-        offset = combined.centre - centre
+        offset = combined_solid.centre - centre
         inertia = inertia + point_inertia(mass, offset)
     if model.inertia is not None:
         moments = np.array(model.inertia, np.float64)

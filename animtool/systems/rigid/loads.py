@@ -53,19 +53,12 @@ class StepForces:
         if flight is None:
             return np.zeros(len(is_constrained), np.bool_)
         differences = np.linalg.norm(velocities - flight.velocities, axis=1)
-        initial = velocities if self.velocities is None else self.velocities
+        start_velocities = velocities if self.velocities is None else self.velocities
         magnitudes = np.linalg.norm(flight.velocities, axis=1)
-        magnitudes += np.linalg.norm(initial, axis=1)
+        magnitudes += np.linalg.norm(start_velocities, axis=1)
         is_heavier = flight.mass_factors >= UNEXPECTED_CONTACT_FACTOR
         is_touched = differences > FREE_FLIGHT_TOLERANCE * magnitudes
         return np.asarray(~is_constrained & is_heavier & is_touched)
-
-    def required_substeps(self, substeps: int, is_constrained: BoolArray) -> int:
-        """Return the number of substeps with which to repeat a step."""
-        assert self.flight is not None
-        return substeps_for_mass_factors(
-            substeps, self.flight.mass_factors[is_constrained]
-        )
 
 
 def substeps_for_mass_factors(substeps: int, mass_factors: FloatArray) -> int:
@@ -158,11 +151,13 @@ class StepForceSolver:
             is_finite &= np.isfinite(step_forces.velocities).all(axis=1)
         if not is_finite.all():
             body = int(np.argmin(is_finite))
-            message = f"the force on {self._body(body)} is not finite"
+            message = f"the force on {self._body_label(body)} is not finite"
             self._stop(t, message, "weaker forces")
         if step_forces.flight is not None and step_forces.flight.is_unresolved.any():
             body = int(np.argmax(step_forces.flight.is_unresolved))
-            message = f"the force on {self._body(body)} changes too fast to be resolved"
+            message = (
+                f"the force on {self._body_label(body)} changes too fast to be resolved"
+            )
             self._stop(t, message, "use a weaker or smoother force")
 
     def required_substeps(self, t: float, dt: float, body_states: FloatArray) -> int:
@@ -172,7 +167,7 @@ class StepForceSolver:
         oscillation_steps = max_rate * dt / MAX_SUBSTEP_ANGLE
         if not oscillation_steps <= MAX_SUBSTEPS:
             body = int(np.argmax(oscillation_rates))
-            message = f"the forces on {self._body(body)} make it oscillate at "
+            message = f"the forces on {self._body_label(body)} make it oscillate at "
             message += f"{oscillation_rates[body]:.3g} rad/s, which needs more than "
             message += f"{MAX_SUBSTEPS} substeps in a step of {plain_number(dt)} s"
             hint = "use weaker forces, or more mass"
@@ -202,7 +197,7 @@ class StepForceSolver:
         max_factor = float(mass_factors.max()) * substeps
         if max_factor > MAX_MASS_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
             body = int(np.argmax(mass_factors))
-            message = f"drag on {self._body(body)}, which is in "
+            message = f"drag on {self._body_label(body)}, which is in "
             message += f"contact, is too strong for a step of {plain_number(dt)} s"
             factor = MAX_MASS_FACTOR * MAX_CONSTRAINED_SUBSTEPS
             step = plain_number(floor_to_two_digits(dt * factor / max_factor))
@@ -219,7 +214,7 @@ class StepForceSolver:
                 rates[0] = np.maximum(rates[0], _oscillation_rates(*jacobians, dt))
         return rates
 
-    def _body(self, body: int) -> str:
+    def _body_label(self, body: int) -> str:
         """Return the name of a dynamic body, for messages."""
         return excerpt(self._bodies.names[self._bodies.dynamic[body]])
 

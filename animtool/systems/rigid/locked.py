@@ -20,7 +20,7 @@ from animtool.core.errors import Fault, counted, excerpt, warning
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.systems.rigid.bodies import RigidBodies
-from animtool.systems.rigid.joints import to_parent_frame
+from animtool.systems.rigid.joints import Joints, to_parent_frame
 
 # Joints with a smaller fraction of their motion left are locked [1].
 LOCKED_MOTION = 1e-6
@@ -46,58 +46,56 @@ class LockedJoint:
 
 
 def locked_joints(
-    rows: IntArray, frames: FloatArray, centres: FloatArray
+    kinds_and_bodies: IntArray, frames: FloatArray, centres: FloatArray
 ) -> list[LockedJoint]:
     """Return the joints of closed loops that cannot move at the start.
 
     Args:
-        rows: Kind and both bodies of K joints ``(K, 3)``; -1 is static.
+        kinds_and_bodies: Kind and both bodies of K joints ``(K, 3)``; -1 is static.
         frames: World frame of each joint on its first body ``(K, 7)`` [m].
         centres: Centres of N bodies ``(N, 3)`` [m].
     """
-    locked_list = []
-    for loop in _closed_loops(rows, len(centres)):
-        loop_bodies = np.setdiff1d(rows[loop, 1:], [-1])
-        loop_rows, body_count = rows[loop], len(loop_bodies)
-        body_indices = np.searchsorted(loop_bodies, loop_rows[:, 1:])
-        loop_rows[:, 1:] = np.where(loop_rows[:, 1:] < 0, -1, body_indices)
+    locked = []
+    for loop in _closed_loops(kinds_and_bodies, len(centres)):
+        joints = kinds_and_bodies[loop]
+        loop_bodies = np.setdiff1d(joints[:, 1:], [-1])
+        body_indices = np.searchsorted(loop_bodies, joints[:, 1:])
+        joints[:, 1:] = np.where(joints[:, 1:] < 0, -1, body_indices)
         body_centres = centres[loop_bodies]
         points = np.concatenate([body_centres, frames[loop, :3]])
         loop_size = float(np.ptp(points, axis=0).max()) or 1.0
-        rows_by_joint = [
-            _constraint_rows(row, frames[k], body_centres, loop_size)
-            for row, k in zip(loop_rows, loop, strict=True)
+        jacobians = [
+            _joint_jacobians(joint, frames[k], body_centres, loop_size)
+            for joint, k in zip(joints, loop, strict=True)
         ]
-        constraints = [constrained for constrained, _ in rows_by_joint]
-        null_space = _null_space(constraints, body_count)
-        for k, (_, free_rows) in zip(loop, rows_by_joint, strict=True):
-            remaining_motion = _remaining_motion(free_rows, null_space)
-            if not len(free_rows) or remaining_motion > LOCKED_MOTION:
+        constraints = [constrained for constrained, _ in jacobians]
+        null_space = _null_space(constraints)
+        for k, (_, free) in zip(loop, jacobians, strict=True):
+            remaining_motion = _remaining_motion(free, null_space)
+            if not len(free) or remaining_motion > LOCKED_MOTION:
                 continue
             blocking_joints = []
             for i, other_joint in enumerate(loop):
                 if other_joint == k:
                     continue
-                others = constraints[:i] + constraints[i + 1 :]
-                null_space_without = _null_space(others, body_count)
-                if _remaining_motion(free_rows, null_space_without) > LOCKED_MOTION:
+                null_space_without = _null_space(constraints[:i] + constraints[i + 1 :])
+                if _remaining_motion(free, null_space_without) > LOCKED_MOTION:
                     blocking_joints.append(other_joint)
-            locked_list.append(LockedJoint(k, tuple(blocking_joints), remaining_motion))
-    return locked_list
+            locked.append(LockedJoint(k, tuple(blocking_joints), remaining_motion))
+    return locked
 
 
-def locked_notices(
-    rows: IntArray, numbers: FloatArray, names: Sequence[str], bodies: RigidBodies
-) -> list[Fault]:
+def locked_notices(joints: Joints, bodies: RigidBodies) -> list[Fault]:
     """Return a warning for each locked joint (SIM172)."""
-    start = bodies.initial_states
+    states = bodies.initial_states
     joint_frames = [
-        to_parent_frame(start[row[2], :7], parameters[7:14])
-        for row, parameters in zip(rows.tolist(), numbers, strict=True)
+        to_parent_frame(states[joint.bodies[1], :7], parameters[7:14])
+        for joint, parameters in zip(joints.members, joints.parameters, strict=True)
     ]
     frames = np.array(joint_frames).reshape(-1, 7)
+    names = [joint.name for joint in joints.members]
     notices = []
-    for locked in locked_joints(rows, frames, start[:, :3]):
+    for locked in locked_joints(joints.kinds_and_bodies, frames, states[:, :3]):
         name = excerpt(names[locked.joint_index])
         message = f"joint {name} cannot move: {locked.remaining_motion:.1g} of its "
         message += "motion is left by "
@@ -114,10 +112,11 @@ def locked_notices(
     return notices
 
 
-def _closed_loops(rows: IntArray, body_count: int) -> list[list[int]]:
+def _closed_loops(kinds_and_bodies: IntArray, body_count: int) -> list[list[int]]:
     """Return the joint indices of each closed loop, without dangling branches."""
     joint_bodies = [
-        (row[1] if row[1] >= 0 else body_count, row[2]) for row in rows.tolist()
+        (first if first >= 0 else body_count, second)
+        for _, first, second in kinds_and_bodies.tolist()
     ]
     remaining_joints = set(range(len(joint_bodies)))
     while True:
@@ -147,68 +146,38 @@ def _closed_loops(rows: IntArray, body_count: int) -> list[list[int]]:
     ]
 
 
-def _constraint_rows(
-    row: IntArray, frame: FloatArray, centres: FloatArray, size: float
-) -> tuple[list[tuple[int, int, FloatArray]], list[tuple[int, int, FloatArray]]]:
-    """Return Jacobian rows of the constrained and of the free directions of a joint.
+def _joint_jacobians(
+    joint: IntArray, frame: FloatArray, centres: FloatArray, size: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return Jacobians of the constrained and of the free directions of a joint.
 
-    Each row has the second and the first body, and factors ``(2, 6)`` on their velocity
-    and scaled spin.
+    They map the velocity and scaled spin of each body to relative velocities along
+    these directions ``(R, 6 N)``.
     """
-    kind, first, second = row.tolist()
+    kind, first, second = joint.tolist()
     axes = so3.to_matrix(frame[3:]).T
-
-    def build_row(axis: FloatArray, is_rotation: bool) -> tuple[int, int, FloatArray]:
-        factors = np.zeros((2, 6))
-        for k, (body, sign) in enumerate(((second, 1.0), (first, -1.0))):
-            if body < 0:
-                continue
-            if is_rotation:
-                factors[k, 3:] = sign * axis
-            else:
-                lever_arm = (frame[:3] - centres[body]) / size
-                factors[k, :3] = sign * axis
-                factors[k, 3:] = sign * np.cross(lever_arm, axis)
-        return second, first, factors
-
-    constraints = [build_row(axes[i], False) for i in _LOCKED_TRANSLATIONS[kind]]
-    constraints += [build_row(axes[i], True) for i in _LOCKED_ROTATIONS[kind]]
-    free_translations = sorted({0, 1, 2} - {*_LOCKED_TRANSLATIONS[kind]})
-    free_rotations = sorted({0, 1, 2} - {*_LOCKED_ROTATIONS[kind]})
-    free_rows = [build_row(axes[i], False) for i in free_translations]
-    free_rows += [build_row(axes[i], True) for i in free_rotations]
-    return constraints, free_rows
+    # Translations along all axes, then rotations about them.
+    jacobian: FloatArray = np.zeros((6, len(centres), 6))
+    for body, sign in ((second, 1.0), (first, -1.0)):
+        if body >= 0:
+            lever_arm = (frame[:3] - centres[body]) / size
+            jacobian[:3, body, :3] = jacobian[3:, body, 3:] = sign * axes
+            jacobian[:3, body, 3:] = sign * np.cross(lever_arm, axes)
+    rows = [*_LOCKED_TRANSLATIONS[kind], *(3 + i for i in _LOCKED_ROTATIONS[kind])]
+    jacobian = jacobian.reshape(6, -1)
+    return jacobian[rows], np.delete(jacobian, rows, axis=0)
 
 
-def _constraint_matrix(
-    rows: Sequence[tuple[int, int, FloatArray]], body_count: int
-) -> FloatArray:
-    """Return constraint rows as a matrix ``(R, 6 N)``."""
-    matrix = np.zeros((len(rows), 6 * body_count))
-    for k, (second, first, factors) in enumerate(rows):
-        matrix[k, 6 * second : 6 * second + 6] = factors[0]
-        if first >= 0:
-            matrix[k, 6 * first : 6 * first + 6] = factors[1]
-    return matrix
-
-
-def _null_space(
-    joint_constraints: Sequence[Sequence[tuple[int, int, FloatArray]]], body_count: int
-) -> FloatArray:
+def _null_space(constraints: Sequence[FloatArray]) -> FloatArray:
     """Return a basis of the velocities that satisfy all constraints ``(6 N, …)``."""
-    rows = [row for joint_rows in joint_constraints for row in joint_rows]
-    if not rows:
-        return np.eye(6 * body_count)
-    matrix = _constraint_matrix(rows, body_count)
+    matrix = np.concatenate(constraints)
+    if not len(matrix):
+        return np.eye(matrix.shape[1])
     _, singular_values, right_vectors = np.linalg.svd(matrix)
     rank = int((singular_values > RANK_TOLERANCE * singular_values[0]).sum())
     return np.asarray(right_vectors[rank:].T)
 
 
-def _remaining_motion(
-    free_rows: Sequence[tuple[int, int, FloatArray]], null_space: FloatArray
-) -> float:
+def _remaining_motion(free: FloatArray, null_space: FloatArray) -> float:
     """Return the largest relative motion of a joint within the null space."""
-    body_count = len(null_space) // 6
-    motions = _constraint_matrix(free_rows, body_count) @ null_space
-    return float(np.linalg.norm(motions, axis=1).max(initial=0.0))
+    return float(np.linalg.norm(free @ null_space, axis=1).max(initial=0.0))

@@ -23,11 +23,11 @@ def oscillation_notices(
     """Yield a warning about a drive that oscillates too fast for the step (SIM171)."""
     if state.swinging < 0:
         return
-    name = excerpt(joints.names[state.swinging])
+    name = excerpt(joints.members[state.swinging].name)
     message = f"the drive of joint {name} oscillates too fast for a step of "
     message += f"{plain_number(step)} s: it may lose energy or get out of phase"
-    shorter = plain_number(floor_to_two_digits(state.follows))
-    hint = f"use step: {shorter}, or more damping, or less stiffness"
+    shorter_step = plain_number(floor_to_two_digits(state.follows))
+    hint = f"use step: {shorter_step}, or more damping, or less stiffness"
     yield warning("SIM171", message, hint)
 
 
@@ -36,7 +36,7 @@ def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
     order = np.argsort(state.broken[:, 0], kind="stable")
     for k in order[np.isfinite(state.broken[order, 0])].tolist():
         t, force, torque = state.broken[k].tolist()
-        message = f"joint {joints.names[k]!r} broke at {t:.4g} s, under "
+        message = f"joint {joints.members[k].name!r} broke at {t:.4g} s, under "
         message += f"{plain_number(force, 4)} N and {plain_number(torque, 4)} N m"
         yield Fault("SIM197", message, severity=Severity.NOTE)
 

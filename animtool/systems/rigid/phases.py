@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -30,23 +32,31 @@ class BodyPhase:
     joints: Joints  # intact joints
     intact_joints: IntArray  # indices of intact joints among all joints (H,)
     surroundings: StepColliders  # colliders, with kinematic bodies
-    kernel: Any  # bodies and joints as a kernel object
-    shapes: IntArray  # indices of shapes and colliders in the full system (S,)
+    shape_indices: IntArray  # indices of shapes and colliders in the full system (S,)
 
     def full_shape_indices(self, indices: IntArray) -> IntArray:
         """Convert shape and collider indices to those of the full system."""
-        full_indices = self.shapes[np.minimum(indices, len(self.shapes) - 1)]
-        collider_indices = indices - len(self.shapes)
-        count = int(self.shapes.max(initial=-1)) + 1
+        full_indices = self.shape_indices[
+            np.minimum(indices, len(self.shape_indices) - 1)
+        ]
+        collider_indices = indices - len(self.shape_indices)
+        count = int(self.shape_indices.max(initial=-1)) + 1
         return np.where(collider_indices < 0, full_indices, count + collider_indices)
+
+    @cached_property
+    def kernel(self) -> Any:
+        """Bodies and joints as a kernel object."""
+        return self.with_parameters(self.joints.parameters)
 
     def with_parameters(
         self, joint_parameters: FloatArray, mass_factors: FloatArray | float = 1.0
     ) -> Any:
         """Return the kernel object with other parameters of the intact joints."""
-        joints, first = self.joints, self.surroundings.first
-        excluded = self.bodies.excluded_pairs(joints.excluded_pairs, first)
-        return self.bodies.kernel(joints.rows, joint_parameters, excluded, mass_factors)
+        joints, first_collider = self.joints, self.surroundings.first_collider
+        excluded = self.bodies.excluded_pairs(joints.excluded_pairs, first_collider)
+        return self.bodies.build_kernel(
+            joints.kinds_and_bodies, joint_parameters, excluded, mass_factors
+        )
 
 
 class BodyPhases:
@@ -56,7 +66,7 @@ class BodyPhases:
         bodies: Bodies after all releases.
         joints: All joints.
         colliders: Colliders before those of kinematic bodies, and other systems.
-        static: Colliders after those of kinematic bodies.
+        stage_colliders: Colliders after those of kinematic bodies.
     """
 
     def __init__(
@@ -64,28 +74,28 @@ class BodyPhases:
         bodies: RigidBodies,
         joints: Joints,
         colliders: Colliders,
-        static: Sequence[Collider],
+        stage_colliders: Sequence[Collider],
     ) -> None:
         self._bodies, self._joints = bodies, joints
-        self._colliders, self._static = colliders, static
-        releases = bodies.releases[bodies.dynamic]
-        self._releases = releases
-        self._times = np.unique(releases[np.isfinite(releases)])
+        self._colliders, self._stage_colliders = colliders, stage_colliders
+        release_times = bodies.release_times[bodies.dynamic]
+        self._release_times = release_times
+        self._phase_starts = np.unique(release_times[np.isfinite(release_times)])
         self._phases: dict[tuple[int, bytes], BodyPhase] = {}
 
     @property
     def last_index(self) -> int:
         """Index of the phase after all releases."""
-        return len(self._times)
+        return len(self._phase_starts)
 
     def phase_index(self, t: float, dt: float) -> int:
         """Return the index of the phase of a step that starts at a time [s]."""
         time = t + RELEASE_TOLERANCE * dt
-        return int(np.searchsorted(self._times, time, side="right"))
+        return int(np.searchsorted(self._phase_starts, time, side="right"))
 
     def is_free(self, t: float, dt: float) -> BoolArray:
         """Return a mask of bodies that are dynamic in a step at a time [s] ``(N,)``."""
-        is_free: BoolArray = self._releases <= t + RELEASE_TOLERANCE * dt
+        is_free: BoolArray = self._release_times <= t + RELEASE_TOLERANCE * dt
         return is_free
 
     def phase(self, index: int, is_broken: BoolArray) -> BodyPhase:
@@ -99,8 +109,8 @@ class BodyPhases:
 
     def _build(self, index: int, is_broken: BoolArray) -> BodyPhase:
         """Build a phase without the broken joints."""
-        release_time = self._times[index - 1] if index else -np.inf
-        is_free = np.asarray(~(self._releases > release_time), np.bool_)
+        release_time = self._phase_starts[index - 1] if index else -np.inf
+        is_free = np.asarray(~(self._release_times > release_time), np.bool_)
         bodies = self._bodies
         if not is_free.all():
             is_dynamic = bodies.is_dynamic.copy()
@@ -108,26 +118,25 @@ class BodyPhases:
             bodies = replace(bodies, is_dynamic=is_dynamic)
         joints, intact_joints = subset_joints(self._joints, self._bodies, bodies)
         if len(is_broken) and is_broken[intact_joints].any():
-            intact = np.flatnonzero(~is_broken[intact_joints])
-            joints, intact_joints = joints.subset(intact), intact_joints[intact]
+            is_intact = ~is_broken[intact_joints]
+            joints = replace(joints, members=list(compress(joints.members, is_intact)))
+            intact_joints = intact_joints[is_intact]
         colliders = Colliders(
-            [*self._colliders, *bodies.colliders(), *self._static],
+            [*self._colliders, *bodies.colliders(), *self._stage_colliders],
             self._colliders.sheets,
             self._colliders.bodies,
         )
-        first = len(self._colliders)
-        excluded = bodies.excluded_pairs(joints.excluded_pairs, first)
-        kernel = bodies.kernel(joints.rows, joints.numbers, excluded)
-        surroundings = StepColliders(colliders, first)
-        shapes = self._shapes(bodies, len(colliders))
+        first_collider = len(self._colliders)
+        surroundings = StepColliders(colliders, first_collider)
+        shapes = self._shape_indices(bodies, len(colliders))
         return BodyPhase(
-            index, bodies, is_free, joints, intact_joints, surroundings, kernel, shapes
+            index, bodies, is_free, joints, intact_joints, surroundings, shapes
         )
 
-    def _shapes(self, bodies: RigidBodies, colliders: int) -> IntArray:
+    def _shape_indices(self, bodies: RigidBodies, colliders: int) -> IntArray:
         """Return the indices of shapes and rigid colliders in the full system."""
-        all_bodies, first = self._bodies, len(self._colliders)
-        owners = all_bodies.shapes[1]
+        all_bodies, first_collider = self._bodies, len(self._colliders)
+        owners = all_bodies.cores_and_bodies[1]
         if bodies is all_bodies:
             return np.arange(len(owners) + colliders)
         first_shapes = np.searchsorted(owners, np.arange(len(all_bodies.dynamic)))
@@ -137,7 +146,7 @@ class BodyPhases:
         for i in bodies.dynamic.tolist():
             start = first_shape_of_body[i]
             shapes += range(start, start + len(all_bodies.kind_of(i).cores))
-        next_collider = len(owners) + first
+        next_collider = len(owners) + first_collider
         shapes += range(len(owners), next_collider)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             # Bodies that are never dynamic only have colliders.
@@ -145,5 +154,5 @@ class BodyPhases:
             count = len(all_bodies.kind_of(i).shapes)
             shapes += range(start, start + count)
             next_collider += 0 if i in first_shape_of_body else count
-        shapes += range(next_collider, next_collider + len(self._static))
+        shapes += range(next_collider, next_collider + len(self._stage_colliders))
         return np.array(shapes, np.int64)

@@ -34,7 +34,7 @@ from animtool.systems.particles.forces.pulls import Gravity
 from animtool.systems.rigid.bodies import RigidBodies, collider_shape
 from animtool.systems.rigid.joints import (
     JOINT_KINDS,
-    PARAMETER_COUNT,
+    BodyJoint,
     Joints,
     relative_frame,
     to_body_frame,
@@ -57,9 +57,14 @@ def physics_record(
         [_physics_body(bodies, i) for i in range(len(bodies.names))],
         list(_physics_joints(bodies, joints)),
         [
-            _physics_shape(one.shape, one.poses.rows[0], one.friction, one.restitution)
-            for one in colliders
-            if one.poses.is_fixed and not one.container
+            _physics_shape(
+                collider.shape,
+                collider.poses.rows[0],
+                collider.friction,
+                collider.restitution,
+            )
+            for collider in colliders
+            if collider.poses.is_fixed and not collider.container
         ],
         np.sum([np.zeros(3), *map(np.asarray, gravity)], axis=0),
     )
@@ -126,33 +131,35 @@ def _physics_joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoin
     excluded_pairs = {
         pair for a, b in joints.excluded_pairs.tolist() for pair in ((a, b), (b, a))
     }
-    for k, (row, numbers) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
-        first, second = row[1:].tolist()
-        frame_a, frame_b = numbers[:7], to_body_frame(bodies, second, numbers[7:14])
-        parent = joints.parent_bodies[k]
+    for joint, parameters in zip(joints.members, joints.parameters, strict=True):
+        (first, second), parent = joint.bodies, joint.parent_body
+        frame_a, frame_b = (
+            parameters[:7],
+            to_body_frame(bodies, second, parameters[7:14]),
+        )
         if first >= 0:
             parent, frame_a = int(dynamic[first]), to_body_frame(bodies, first, frame_a)
         elif parent < 0:
-            pose = joints.anchors[k].at(bodies.begin)
+            pose = joint.anchor.at(bodies.begin)
             frame_a = to_parent_frame(pose, frame_a)
-        low, high, *swing = numbers[14:18].tolist()
-        target, force_limit = float(numbers[18]), float(numbers[25])
+        low, high, *swing = parameters[14:18].tolist()
+        target, force_limit = float(parameters[18]), float(parameters[25])
         drive = None
-        if numbers[23:25].any():
-            stiffness, damping = numbers[23:25].tolist()
+        if parameters[23:25].any():
+            stiffness, damping = parameters[23:25].tolist()
             max_force = None if force_limit < 0 else force_limit
-            rotation, speed = numbers[19:23], float(numbers[26])
+            rotation, speed = parameters[19:23], float(parameters[26])
             drive = JointDrive(stiffness, damping, target, rotation, max_force, speed)
         yield PhysicsJoint(
-            joints.names[k],
-            type_names[int(row[0])],
+            joint.name,
+            type_names[joint.kind],
             (parent, int(dynamic[second])),
             (frame_a, frame_b),
             None if low > high else (low, high),
             None if swing[0] < 0 else (swing[0], swing[1]),
             drive,
             parent >= 0 and (parent, int(dynamic[second])) not in excluded_pairs,
-            (float(joints.breaks[k, 0]), float(joints.breaks[k, 1])),
+            joint.break_limits,
         )
 
 
@@ -193,9 +200,9 @@ def body_entries(
             keys["velocity"] = body.velocity.tolist()
             keys["spin"] = np.degrees(body.spin).tolist()
         models.append(_body_model(keys, body.origin, entry_key))
-        rows = body.pose[None] if body.path is None else body.path
+        poses_over_time = body.pose[None] if body.path is None else body.path
         times = body.times if body.path is not None else np.zeros(1)
-        poses = Poses(times, rows[:, :3], rows[:, 3:])
+        poses = Poses(times, poses_over_time[:, :3], poses_over_time[:, 3:])
         shapes = [
             {"shape": collider_shape_of(shape), "hull": shape.hull}
             for shape in body.shapes
@@ -232,28 +239,29 @@ def collider_shape_of(shape: PhysicsShape) -> Shape:
     return Mesh(shape.points, shape.triangles, closed=True)
 
 
-def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
+def stage_joints(
+    physics: Physics, bodies: RigidBodies, first_body: int
+) -> list[BodyJoint]:
     """Return the joints of a stage, whose bodies start at a given index."""
-    dynamic_numbers = {int(i): k for k, i in enumerate(bodies.dynamic)}
-    rows, numbers, anchors, parent_bodies, names, pairs = [], [], [], [], [], []
-    breaks = []
+    dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    joints = []
     for joint in physics.joints:
-        body_pair = [i if i < 0 else i + first for i in joint.bodies]
+        body_pair = [i if i < 0 else i + first_body for i in joint.bodies]
         frames, drive, limits = list(joint.frames), joint.drive, joint.limits
         target, speed = (0.0, 0.0) if drive is None else (drive.target, drive.speed)
         rotation = so3.IDENTITY if drive is None else drive.rotation
-        if body_pair[1] not in dynamic_numbers:
+        if body_pair[1] not in dynamic_indices:
             # Swapped: the joint's second body becomes the first.
             body_pair.reverse()
             frames.reverse()
             limits = None if limits is None else (-limits[1], -limits[0])
             target, speed, rotation = -target, -speed, so3.conjugate(rotation)
-        if body_pair[1] not in dynamic_numbers:
+        if body_pair[1] not in dynamic_indices:
             continue
         parent, body = body_pair
         frame_b = relative_frame(bodies.kind_of(body).principal_frame, frames[1])
         anchor = Poses()
-        frame_a, parent_index = frames[0], dynamic_numbers.get(parent, -1)
+        frame_a, parent_index = frames[0], dynamic_indices.get(parent, -1)
         if parent_index >= 0:
             frame_a = relative_frame(bodies.kind_of(parent).principal_frame, frame_a)
         elif parent >= 0:
@@ -263,34 +271,22 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         if drive is not None:
             max_force = -1.0 if drive.max_force is None else drive.max_force
             drive_parameters = [drive.stiffness, drive.damping, max_force, speed]
-        rows.append((JOINT_KINDS[joint.kind], parent_index, dynamic_numbers[body]))
-        numbers.append(
-            [
-                *frame_a,
-                *frame_b,
-                *(limits or (1.0, 0.0)),
-                *swing,
-                target,
-                *rotation,
-                *drive_parameters,
-            ]
-        )
-        anchors.append(anchor)
-        parent_bodies.append(parent)
-        names.append(joint.name)
+        limit_parameters = [*(limits or (1.0, 0.0)), *swing]
+        drive_parameters = [target, *rotation, *drive_parameters]
         is_excluded = parent >= 0 and not joint.contacts
-        pairs.append((body, parent) if is_excluded else (-1, -1))
-        breaks.append(joint.break_limits)
-    return Joints(
-        np.array(rows, np.int64).reshape(-1, 3),
-        np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT),
-        anchors,
-        names,
-        parent_bodies,
-        physics.notices,
-        np.array(pairs, np.int64).reshape(-1, 2),
-        breaks=np.array(breaks, np.float64).reshape(-1, 2),
-    )
+        joints.append(
+            BodyJoint(
+                joint.name,
+                JOINT_KINDS[joint.kind],
+                (parent_index, dynamic_indices[body]),
+                [*frame_a, *frame_b, *limit_parameters, *drive_parameters],
+                anchor,
+                parent,
+                (body, parent) if is_excluded else (-1, -1),
+                joint.break_limits,
+            )
+        )
+    return joints
 
 
 def static_colliders(physics: Physics) -> list[Collider]:

@@ -6,7 +6,7 @@ joints between two bodies are rigid; those below the last body follow the take.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Annotated
@@ -20,21 +20,22 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.parts import Mass
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Poses
 from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.framework.fields import ColliderEntries
 from animtool.systems.rigid.bodies import RigidBodies
+from animtool.systems.rigid.cores import point_inertia
 from animtool.systems.rigid.joints import (
     MAX_SWING,
-    PARAMETER_COUNT,
+    BodyJoint,
     Joints,
     relative_to_principal,
 )
-from animtool.systems.rigid.kind import BodyKind, build_body_kind
-from animtool.systems.rigid.masses import with_rig_masses
+from animtool.systems.rigid.kind import BodyKind, build_body_kind, principal_inertia
 from animtool.systems.rigid.spec import BodyModel
-from animtool.systems.rigid.tone import passive_springs, with_finger_capsules
+from animtool.systems.rigid.tone import add_finger_capsules, passive_springs
 
 _JOINT_TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
@@ -95,7 +96,7 @@ def build_ragdoll(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         hint = "give its rig file `colliders`: capsules on joints"
         raise OptionError(Fault("SIM062", message, hint=hint))
     if options.fingers:
-        capsules = with_finger_capsules(rig, world, capsules)
+        capsules = add_finger_capsules(rig, world, capsules)
     joints = np.unique(capsules.joints)
     kinds = _body_kinds(rig, world, capsules, joints, options)
     rotations = so3.split_scale(world.linear[0])[0]
@@ -140,7 +141,7 @@ def _body_kinds(
         parts = {"shapes": [{"shape": shape} for shape in shapes]}
         kinds.append(build_body_kind(model, parts))
     if rig.masses:
-        kinds = with_rig_masses(rig, world, joints, kinds)
+        kinds = _replace_masses(rig, world, joints, kinds)
     if options.mass is None:
         return kinds
     factor = options.mass / sum(kind.mass for kind in kinds)
@@ -181,11 +182,11 @@ def _rest_frames(
         origin, rotation = np.zeros(3), so3.IDENTITY
         if joint.parent >= 0:
             origin, rotation = positions[joint.parent], rotations[joint.parent]
-        rest = so3.multiply(rotation, np.array(joint.rotation))
+        rest_rotation = so3.multiply(rotation, np.array(joint.rotation))
         frames[i, :3] = positions[j]
         if joint.type is JointType.PRISMATIC:
             frames[i, :3] = origin + so3.rotate(rotation, np.array(joint.translation))
-        frames[i, 3:] = so3.multiply(rest, axes[i])
+        frames[i, 3:] = so3.multiply(rest_rotation, axes[i])
     return frames, axes
 
 
@@ -217,38 +218,32 @@ def build_ragdoll_joints(
     """
     rig, bodies = ragdoll.rig, ragdoll.bodies
     bodies_with_parent = np.flatnonzero(ragdoll.parent_bodies >= 0)
-    passive = _passive_springs(ragdoll, options)
+    springs = _passive_springs(ragdoll, options)
     start_targets = targets(0.0) if options.tone else None
-    rows, parameters = [], []
+    members = []
     for i in bodies_with_parent.tolist():
         joint = rig.joints[ragdoll.joints[i]]
         pose = bodies.poses[i].at(0.0)
         frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
         parent = int(ragdoll.parent_bodies[i])
-        rows.append((_JOINT_TYPES[joint.type], parent, i))
-        stiffness, damping = passive[i] + [options.stiffness, options.damping]
+        stiffness, damping = springs[i] + [options.stiffness, options.damping]
         target = [0.0, *so3.IDENTITY] if start_targets is None else start_targets[i]
         frame_a = relative_to_principal(bodies, parent, ragdoll.frames[i])
         frame_b = relative_to_principal(bodies, i, frame)
-        values = [*frame_a, *frame_b, *_limit_parameters(joint), *target]
-        parameters.append([*values, stiffness, damping, -1.0, 0.0])
-    table = np.array(parameters, np.float64).reshape(-1, PARAMETER_COUNT)
+        drive = [*target, stiffness, damping, -1.0, 0.0]
+        parameters = [*frame_a, *frame_b, *_limit_parameters(joint), *drive]
+        kind, pair = _JOINT_TYPES[joint.type], (parent, i)
+        members.append(
+            BodyJoint(joint.name, kind, pair, parameters, Poses(), parent, pair)
+        )
+    joints = Joints(members, other_pairs=_overlapping_pairs(ragdoll))
 
     def parameters_at(t: float) -> FloatArray:
-        values: FloatArray = table.copy()
-        values[:, 18:23] = targets(t)[bodies_with_parent]
-        return values
+        parameters: FloatArray = joints.parameters.copy()
+        parameters[:, 18:23] = targets(t)[bodies_with_parent]
+        return parameters
 
-    body_pairs = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
-    return Joints(
-        np.array(rows, np.int64).reshape(-1, 3),
-        table,
-        [Poses()] * len(bodies_with_parent),
-        pairs=body_pairs,
-        other_pairs=_overlapping_pairs(ragdoll),
-        breaks=np.full((len(rows), 2), np.inf),
-        parameters_at=parameters_at if options.stiffness else None,
-    )
+    return replace(joints, parameters_at=parameters_at) if options.stiffness else joints
 
 
 def _passive_springs(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
@@ -298,3 +293,68 @@ def _overlapping_pairs(ragdoll: Ragdoll) -> IntArray:
         if min(gaps) < 0:
             pairs.append((i, j))
     return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+def _replace_masses(
+    rig: Rig, world: WorldTransforms, joints: IntArray, kinds: Sequence[BodyKind]
+) -> list[BodyKind]:
+    """Return body kinds with their masses replaced by those of the rig.
+
+    A mass is added to the body of its joint, or of the next ancestor that has a body.
+    Bodies without a mass in the rig are unchanged.
+
+    Args:
+        rig: Rig with masses.
+        world: World transforms of one frame.
+        joints: Joints of the bodies ``(N,)``.
+        kinds: Kind of each body.
+    """
+    body_of_joint = {int(j): i for i, j in enumerate(joints)}
+    masses_by_body: dict[int, list[Mass]] = {}
+    for mass in rig.masses:
+        ancestors = rig.upwards(rig.index(mass.joint))
+        body = next((body_of_joint[j] for j in ancestors if j in body_of_joint), None)
+        if body is not None:
+            masses_by_body.setdefault(body, []).append(mass)
+    rotations = so3.split_scale(world.linear[0])[0]
+    result = list(kinds)
+    for body, masses in masses_by_body.items():
+        kind, joint = kinds[body], int(joints[body])
+        if all(mass.inertia is None for mass in masses):
+            total_mass = sum(mass.mass for mass in masses)
+            moments = kind.moments * (total_mass / kind.mass)
+            result[body] = replace(kind, mass=total_mass, moments=moments)
+        else:
+            result[body] = _combined_body(rig, world, rotations, joint, masses, kind)
+    return result
+
+
+def _combined_body(
+    rig: Rig,
+    world: WorldTransforms,
+    rotations: FloatArray,
+    body: int,
+    masses: Sequence[Mass],
+    kind: BodyKind,
+) -> BodyKind:
+    """Return a body kind with the combined masses of several joints."""
+    world_to_body = so3.conjugate(rotations[body])
+    total_mass = sum(mass.mass for mass in masses)
+    centres, inertias = [], []
+    for mass in masses:
+        j = rig.index(mass.joint)
+        offset = so3.rotate(rotations[j], np.array(mass.centre))
+        position = world.positions[0, j] + offset
+        centres.append(so3.rotate(world_to_body, position - world.positions[0, body]))
+        rotation = so3.multiply(world_to_body, rotations[j])
+        matrix = so3.to_matrix(so3.multiply(rotation, np.array(mass.axes)))
+        # A mass without inertia is a point mass.
+        local_inertia = np.diag(mass.inertia or (0.0, 0.0, 0.0))
+        inertias.append(matrix @ local_inertia @ matrix.T)
+    mass_values = np.array([mass.mass for mass in masses])
+    centre = (mass_values[:, None] * np.array(centres)).sum(axis=0) / total_mass
+    inertia = np.sum(inertias, axis=0)
+    for mass_value, position in zip(mass_values, centres, strict=True):
+        inertia = inertia + point_inertia(mass_value, position - centre)
+    moments, axes = principal_inertia(inertia)
+    return replace(kind, mass=total_mass, centre=centre, moments=moments, axes=axes)

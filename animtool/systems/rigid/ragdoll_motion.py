@@ -72,10 +72,10 @@ class DriveTargets:
 
 
 def ragdoll_velocities(
-    ragdoll: Ragdoll, world: WorldTransforms, times: FloatArray, first: int
+    ragdoll: Ragdoll, world: WorldTransforms, times: FloatArray, frame_index: int
 ) -> FloatArray:
     """Return linear velocities and angular momenta of bodies at a frame ``(N, 6)``."""
-    k = max(first - 1, 0)
+    k = max(frame_index - 1, 0)
     frames = slice(k, k + 2)
     duration = float(times[k + 1] - times[k])
     positions = world.positions[frames, ragdoll.joints]

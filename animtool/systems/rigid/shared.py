@@ -76,14 +76,14 @@ class RigidStates:
     @cached_property
     def shared(self) -> SystemBodies:
         """Names, masses and collision shapes of the bodies."""
-        bodies, outlines = self.bodies, self.bodies.collision_shapes
+        bodies, shapes = self.bodies, self.bodies.collision_shapes
         return SystemBodies(
             bodies.names,
             bodies.dynamic,
             bodies.masses,
             [float(bodies.kinds[k].bounding_radius) for k in bodies.kind_of_body],
-            outlines.colliders,
-            outlines.body_of_shape,
+            shapes.colliders,
+            shapes.body_of_shape,
         )
 
     def body_velocities(self, state: RigidState) -> FloatArray:

@@ -24,10 +24,13 @@ from animtool.systems.rigid.joints import (
     Joints,
     build_joints,
     check_joints,
-    concatenate_joints,
     joint_forces_and_torques,
 )
-from animtool.systems.rigid.loads import StepForces, StepForceSolver
+from animtool.systems.rigid.loads import (
+    StepForces,
+    StepForceSolver,
+    substeps_for_mass_factors,
+)
 from animtool.systems.rigid.locked import locked_notices
 from animtool.systems.rigid.notices import (
     break_notices,
@@ -70,17 +73,17 @@ def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
     with refusals.collect():
         check_joints(spec.joints, models)
     refusals.check()
-    joints = [build_joints(spec.joints, parts.get("joints", ()), bodies)]
+    joints = build_joints(spec.joints, parts.get("joints", ()), bodies)
     first_stage_body = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
-    static: list[Collider] = []
+    stage_colliders: list[Collider] = []
     for stage in stages:
-        joints.append(stage_joints(stage, bodies, first_stage_body))
+        members = [*joints.members, *stage_joints(stage, bodies, first_stage_body)]
+        joints = Joints(members, [*joints.notices, *stage.notices])
         first_stage_body += len(stage.bodies)
-        static += static_colliders(stage)
+        stage_colliders += static_colliders(stage)
     forces = parts.get("forces", ())
-    all_joints = concatenate_joints(joints) if stages else joints[0]
     return RigidSimulation(
-        spec, context.begin, bodies, all_joints, colliders, forces, static
+        spec, context.begin, bodies, joints, colliders, forces, stage_colliders
     )
 
 
@@ -95,19 +98,17 @@ class RigidSimulation(RigidStates):
         joints: Joints,
         colliders: Colliders,
         forces: Sequence[Force] = (),
-        static: Sequence[Collider] = (),
+        stage_colliders: Sequence[Collider] = (),
     ) -> None:
-        """Start at a time [s]; ``static`` colliders come after those of bodies."""
+        """Start at a time [s]; ``stage_colliders`` come after those of bodies."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
-        self._phases = BodyPhases(bodies, joints, colliders, static)
+        self._phases = BodyPhases(bodies, joints, colliders, stage_colliders)
         self._forces = BodyForces(bodies, forces, begin)
         self._force_solver = StepForceSolver(spec.name, bodies, self._forces)
         last_phase = self._phases.phase(self._phases.last_index, np.zeros(0, np.bool_))
         self._colliders = last_phase.surroundings.colliders
-        self._locked_notices = locked_notices(
-            joints.rows, joints.numbers, joints.names, bodies
-        )
+        self._locked_notices = locked_notices(joints, bodies)
         self._kernel_settings = (
             spec.methods.index(spec.method),
             spec.substeps,
@@ -119,7 +120,7 @@ class RigidSimulation(RigidStates):
 
     def initial(self) -> RigidState:
         """Return the initial state."""
-        count = len(self.joints.rows)
+        count = len(self.joints)
         return RigidState(
             self.bodies.initial_states,
             np.zeros((0, 2), np.int64),
@@ -137,7 +138,7 @@ class RigidSimulation(RigidStates):
         sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)
         if not (sizes > 0.5).all():
             return "the orientation of a body is not a rotation"
-        if state.swinging >= len(self.joints.names):
+        if state.swinging >= len(self.joints):
             return f"there is no joint {state.swinging} with an oscillating drive"
         pairs, count = state.deepest_pairs, len(self._shape_names())
         if pairs.size and not -1 <= pairs.min() <= pairs.max() < count:
@@ -145,7 +146,7 @@ class RigidSimulation(RigidStates):
         return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
-        """Return the state after a step [s], with as many substeps as are required."""
+        """Return the state after a step [s], in the substeps that forces require."""
         substeps = self._force_solver.required_substeps(t, dt, state.motion)
         if self._forces.is_variable:
             is_constrained = self._is_constrained(state, t, dt)
@@ -175,7 +176,10 @@ class RigidSimulation(RigidStates):
             after = self._solve(state, forces, time, substep)
             is_hit = forces.unexpected_contacts(after.motion[:, 7:10], is_constrained)
             if is_hit.any():
-                required_substeps = forces.required_substeps(substeps, is_hit)
+                assert flight is not None
+                required_substeps = substeps_for_mass_factors(
+                    substeps, flight.mass_factors[is_hit]
+                )
                 if required_substeps > substeps:
                     return state, required_substeps
                 is_constrained = is_constrained | is_hit
@@ -197,11 +201,12 @@ class RigidSimulation(RigidStates):
         if not self._forces.is_variable:
             return is_constrained
         phase = self._current_phase(state, t - dt, dt)
-        owners = np.append(self.bodies.shapes[1], -1)
+        owners = np.append(self.bodies.cores_and_bodies[1], -1)
         pressing_pairs = state.pairs[state.contacts[:, 3:].any(axis=1)]
         pressing_shapes = phase.full_shape_indices(pressing_pairs)
         bodies = owners[np.minimum(pressing_shapes, len(owners) - 1)].ravel()
-        bodies = np.concatenate([bodies, self.joints.rows[:, 1:].ravel()])
+        joint_bodies = self.joints.kinds_and_bodies[:, 1:]
+        bodies = np.concatenate([bodies, joint_bodies.ravel()])
         is_constrained[bodies[bodies >= 0]] = True
         return is_constrained
 
@@ -236,7 +241,7 @@ class RigidSimulation(RigidStates):
             for i in np.flatnonzero(~is_free).tolist():
                 motion[i] = self.bodies.kinematic_state(i, t + dt, dt)
             next_motion = motion
-        self._check(next_motion, t + dt)
+        self._check_bounds(next_motion, t + dt)
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
         for k, is_deeper in enumerate((depth > deepest[0], t == self._begin)):
             if is_deeper:
@@ -263,7 +268,7 @@ class RigidSimulation(RigidStates):
             int(phase.intact_joints[oscillating_joint]) if is_worse else state.swinging,
         )
 
-    def _check(self, motion: FloatArray, t: float) -> None:
+    def _check_bounds(self, motion: FloatArray, t: float) -> None:
         """Raise SIM102 if a state is not finite or out of bounds."""
         is_finite = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= MAX_POSITION
         is_finite &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= MAX_MOMENTUM
@@ -286,7 +291,7 @@ class RigidSimulation(RigidStates):
         mass_factors = step_forces.mass_factors
         if parameters_at is None and mass_factors is None:
             return phase.kernel
-        parameters = phase.joints.numbers
+        parameters = phase.joints.parameters
         if parameters_at is not None:
             parameters = parameters_at(t)[phase.intact_joints]
         free_factors = 1.0 if mass_factors is None else mass_factors[phase.is_free]
@@ -297,16 +302,16 @@ class RigidSimulation(RigidStates):
     ) -> tuple[FloatArray, FloatArray]:
         """Return break times and loads ``(K, 3)``, and the impulses of all joints."""
         all_impulses = impulses
-        if len(phase.intact_joints) < len(self.joints.rows):
+        if len(phase.intact_joints) < len(self.joints):
             all_impulses = np.zeros_like(state.held)
             all_impulses[phase.intact_joints] = impulses
         if not len(state.broken):
             return state.broken, all_impulses
         forces_and_torques = joint_forces_and_torques(phase.joints, impulses)
-        is_over = (forces_and_torques > phase.joints.breaks).any(axis=1)
+        is_broken = (forces_and_torques > phase.joints.break_limits).any(axis=1)
         broken = state.broken.copy()
-        broken[phase.intact_joints[is_over], 0] = t
-        broken[phase.intact_joints[is_over], 1:] = forces_and_torques[is_over]
+        broken[phase.intact_joints[is_broken], 0] = t
+        broken[phase.intact_joints[is_broken], 1:] = forces_and_torques[is_broken]
         return broken, all_impulses
 
     def _wake_sleepers(
@@ -356,7 +361,7 @@ class RigidSimulation(RigidStates):
             tuple(kind.mesh for kind in bodies.kinds),
             names=tuple(bodies.names),
             xforms=self._spec.prims == "xforms",
-            static=bodies.static,
+            static=bodies.static_bodies,
             physics=self._physics,
         )
 
@@ -375,9 +380,9 @@ class RigidSimulation(RigidStates):
     def energy(self, state: RigidState) -> Energy:
         """Return kinetic energy, and potential energy of conservative forces."""
         bodies, motion = self.bodies, state.motion
-        local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
+        local_momenta = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
         kinetic = 0.5 * float(bodies.masses @ (motion[:, 7:10] ** 2).sum(axis=1))
-        kinetic += 0.5 * float((local**2 * bodies.inverse_inertias).sum())
+        kinetic += 0.5 * float((local_momenta**2 * bodies.inverse_inertias).sum())
         return Energy(kinetic, self._forces.potential(motion))
 
     def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002
@@ -395,18 +400,16 @@ class RigidSimulation(RigidStates):
         for kind in self.bodies.kinds:
             notices += kind.notices
         notices += break_notices(state, self.joints)
-        size = float(self.bodies.bounding_radii.min(initial=np.inf))
-        notices += depth_notices(state, size, self._shape_names)
+        min_radius = float(self.bodies.bounding_radii.min(initial=np.inf))
+        notices += depth_notices(state, min_radius, self._shape_names)
         return Diagnostics(self.energy(state), values, notices)
 
     def _shape_names(self) -> list[str]:
         """Return the body name of each shape, followed by the collider names."""
         bodies, colliders = self.bodies, self._colliders
-        names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
+        names = [bodies.names[bodies.dynamic[i]] for i in bodies.cores_and_bodies[1]]
         names += [one.name or f"colliders[{i}]" for i, one in enumerate(colliders)]
         names += [sheet.name for sheet in colliders.sheets]
         return names + [
-            collider.name
-            for system in colliders.bodies
-            for collider in system.colliders
+            one.name for system in colliders.bodies for one in system.colliders
         ]

@@ -76,11 +76,11 @@ class BodyForces:
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return Jacobians of accelerations by position and velocity ``(N, 3, 3)``."""
-        slopes = np.zeros((2, len(x), 3, 3))
+        jacobians = np.zeros((2, len(x), 3, 3))
         for force in self.forces:
             if force.varies:
-                slopes += force.slopes(t, x, v, self._particles)
-        by_position, by_speed = slopes / self._bodies.masses[:, None, None]
+                jacobians += force.slopes(t, x, v, self._particles)
+        by_position, by_speed = jacobians / self._bodies.masses[:, None, None]
         return by_position, by_speed
 
     def oscillation_rates(
@@ -171,11 +171,11 @@ class StepColliders:
 
     Attributes:
         colliders: All colliders of the step.
-        first: Index of the first collider of a kinematic body.
+        first_collider: Index of the first collider of a kinematic body.
     """
 
-    def __init__(self, colliders: Colliders, first: int = 0) -> None:
-        self.colliders, self.first = colliders, first
+    def __init__(self, colliders: Colliders, first_collider: int = 0) -> None:
+        self.colliders, self.first_collider = colliders, first_collider
         # Surface points of the last step, and all colliders with those surfaces.
         self._cached: tuple[list[FloatArray], Colliders] | None = None
 

@@ -46,9 +46,9 @@ ANGLE_TOLERANCE = math.radians(1.0)
 SLIDE_TOLERANCE = 0.001  # the same for prismatic joints [m]
 # Denser than the densest metal, 22 600 [kg/m³].
 MAX_DENSITY = 30000.0
-# A body that is below its motion by more has left the picture [m].
+# Bodies that fall farther below the take's motion have left the picture [m].
 MIN_FALL = 2.0
-# Bodies that are wholly inside a collider, and deeper, are there by mistake [m].
+# Bodies that are completely inside a collider, and deeper, are there by mistake [m].
 MIN_DEPTH = 0.02
 
 
@@ -62,19 +62,19 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
     """
     _check(options)
     clock, rig = take.clock, take.rig
-    codes = np.array([float(clock.start + clock.step * k) for k in range(clock.count)])
-    times = (codes - codes[0]) / float(clock.fps)
-    first_index = _frame_index(options.start, codes, "start", 0)
-    last_index = _frame_index(options.end, codes, "end", clock.count - 1)
+    frames = np.array([float(clock.start + clock.step * k) for k in range(clock.count)])
+    times = (frames - frames[0]) / float(clock.fps)
+    first_index = _frame_index(options.start, frames, "start", 0)
+    last_index = _frame_index(options.end, frames, "end", clock.count - 1)
     if first_index == clock.count - 1 and options.end is None:
         if options.start is None:
             return take
-        message = f"start is frame {codes[-1]:g}, the last: nothing falls"
-        hint = _start_hint(codes)
+        message = f"start is frame {frames[-1]:g}, the last: nothing falls"
+        hint = _start_hint(frames)
         raise OptionError(Fault("SIM062", message, hint=hint, where="start"))
     if last_index <= first_index:
-        message = f"end is frame {codes[last_index]:g}, which is not after start, "
-        message += f"{codes[first_index]:g}"
+        message = f"end is frame {frames[last_index]:g}, which is not after start, "
+        message += f"{frames[first_index]:g}"
         raise OptionError(Fault("SIM062", message, where="end"))
     translations, rotations, scales = take.motion.dense()
     world = forward_kinematics(rig, translations, rotations, scales)
@@ -103,7 +103,7 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         translations[first_index:],
         rotations[first_index:],
     )
-    weights = _blend_weights(codes, first_index, last_index, options)[first_index:]
+    weights = _blend_weights(frames, first_index, last_index, options)[first_index:]
     blended = [translations.copy(), rotations.copy()]
     changes = fall_transforms[0] - translations[first_index:]
     blended[0][first_index:] += weights[:, None, None] * changes
@@ -119,9 +119,9 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
     )
     context.notices.extend(_start_notices(ragdoll, colliders, options.mass))
     if options.end is None and not len(colliders):
-        context.notices.extend(_free_fall_notices(rig, world, motion, codes))
-    first_frame = float(codes[first_index])
-    context.notices.extend(_notices(ragdoll, run, fall_transforms, first_frame))
+        context.notices.extend(_free_fall_notices(rig, world, motion, frames))
+    first_frame = float(frames[first_index])
+    context.notices.extend(_run_notices(ragdoll, run, fall_transforms, first_frame))
     return replace(take, motion=motion)
 
 
@@ -162,7 +162,7 @@ def _start_run(
 
 
 def _blend_weights(
-    codes: FloatArray, first_index: int, last_index: int, options: RagdollOptions
+    frames: FloatArray, first_index: int, last_index: int, options: RagdollOptions
 ) -> FloatArray:
     """Return blend weights of the fall by frame ``(F,)``, smooth at both ends."""
 
@@ -171,32 +171,32 @@ def _blend_weights(
         fraction = np.asarray(linear, np.float64)
         return fraction * fraction * (3 - 2 * fraction)
 
-    rise_weights = smooth_ramp(codes - codes[first_index])
+    rise_weights = smooth_ramp(frames - frames[first_index])
     if options.end is None:
         return rise_weights
-    return np.asarray(rise_weights * (1 - smooth_ramp(codes - codes[last_index])))
+    return np.asarray(rise_weights * (1 - smooth_ramp(frames - frames[last_index])))
 
 
 def _frame_index(
-    frame: float | None, codes: FloatArray, option: str, default: int
+    frame: float | None, frames: FloatArray, option: str, default: int
 ) -> int:
     """Return the index of a frame of an option; raise SIM062 if it is missing."""
     if frame is None:
         return default
-    matches = np.flatnonzero(np.abs(codes - frame) < 1e-6)
+    matches = np.flatnonzero(np.abs(frames - frame) < 1e-6)
     if not len(matches):
-        message = f"{option} is frame {frame:g}, but the take has {codes[0]:g} to "
-        message += f"{codes[-1]:g}"
-        hint = _start_hint(codes) if option == "start" else None
+        message = f"{option} is frame {frame:g}, but the take has {frames[0]:g} to "
+        message += f"{frames[-1]:g}"
+        hint = _start_hint(frames) if option == "start" else None
         raise OptionError(Fault("SIM062", message, hint=hint, where=option))
     return int(matches[0])
 
 
-def _start_hint(codes: FloatArray) -> str | None:
+def _start_hint(frames: FloatArray) -> str | None:
     """Return a hint with the frames at which a fall may start."""
-    if len(codes) < 2:
+    if len(frames) < 2:
         return None
-    return f"write a frame from {codes[0]:g} to {codes[-2]:g}"
+    return f"write a frame from {frames[0]:g} to {frames[-2]:g}"
 
 
 def _start_notices(
@@ -241,7 +241,7 @@ def _start_notices(
 
 
 def _free_fall_notices(
-    rig: Rig, world: WorldTransforms, motion: Motion, codes: FloatArray
+    rig: Rig, world: WorldTransforms, motion: Motion, frames: FloatArray
 ) -> list[Fault]:
     """Return a warning about a body that falls far below its motion (SIM201).
 
@@ -249,7 +249,7 @@ def _free_fall_notices(
         rig: The rig.
         world: World transforms of the take before the fall.
         motion: Its motion with the fall.
-        codes: Numbers of the frames ``(F,)``.
+        frames: Numbers of the frames ``(F,)``.
     """
     up = np.array(rig.up.vector, np.float64)
     last = motion.select(slice(motion.frames - 1, motion.frames))
@@ -259,13 +259,13 @@ def _free_fall_notices(
     if lowest - end.max() < MIN_FALL:
         return []
     message = "there are no colliders: the body falls freely, to "
-    message += f"{rig.up.lower()} = {end.max():.3g} m at frame {codes[-1]:g}"
+    message += f"{rig.up.lower()} = {end.max():.3g} m at frame {frames[-1]:g}"
     plane = "" if rig.up is UpAxis.Y else "normal: [0, 0, 1]"
     hint = f"add a floor: colliders: [{{shape: {{plane: {{{plane}}}}}}}]"
     return [warning("SIM201", message, hint)]
 
 
-def _notices(
+def _run_notices(
     ragdoll: Ragdoll,
     run: SimulationRun,
     fall_transforms: tuple[FloatArray, FloatArray],

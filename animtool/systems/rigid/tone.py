@@ -27,7 +27,7 @@ _FINGER_NAMES = re.compile(
 )
 
 
-def with_finger_capsules(
+def add_finger_capsules(
     rig: Rig, world: WorldTransforms, capsules: JointCapsules
 ) -> JointCapsules:
     """Return the capsules of a rig, with finger capsules added to the hands.

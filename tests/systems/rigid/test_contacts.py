@@ -124,7 +124,7 @@ def test_shapes_of_all_kinds_come_to_rest_in_a_container(tmp_path: Path) -> None
     found.to(6.0)
     simulation, state = found.simulation, found.state
     assert np.abs(found.velocities()).max() < 0.1
-    cores, owners = simulation.bodies.shapes
+    cores, owners = simulation.bodies.cores_and_bodies
     for core, i in zip(cores, owners, strict=True):
         row = state.motion[i]
         places = row[:3] + so3.rotate(row[3:7], core.points)

@@ -264,7 +264,7 @@ def test_a_mesh_that_is_not_its_hull_is_warned_of(
     warns: int,
 ) -> None:
     """SIM125: convex and closed is fine, dented or open is not."""
-    monkeypatch.setattr(kind, "is_available", lambda: False)
+    monkeypatch.setattr(kind, "can_decompose", lambda: False)
     mesh = {"shape": hollow(tmp_path, dent, triangles)}
     nut = {"name": "nut", "shapes": [ROUND, {**mesh, "at": [0, 3, 0]}]}
     found = Rigid(tmp_path, BOX, nut, forces=[])

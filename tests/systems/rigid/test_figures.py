@@ -27,6 +27,7 @@ from animtool.rig.parts import Capsule, Collider
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Sphere
 from animtool.sim.colliders.bodies import Wrenches
+from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.locked import locked_joints
 from animtool.systems.rigid.physics import (
     body_entries,
@@ -185,7 +186,7 @@ def test_what_is_described_and_read_again(tmp_path: Path) -> None:
     back = replace(last, bodies=last.bodies[::-1], frames=last.frames[::-1])
     physics = replace(physics, joints=[*physics.joints, back])
     models, parts = body_entries(physics, "bodies")
-    read = stage_joints(physics, own.bodies, 0)
+    read = Joints(stage_joints(physics, own.bodies, 0))
     still = static_colliders(physics)
     check_figures(
         __file__,
@@ -193,11 +194,11 @@ def test_what_is_described_and_read_again(tmp_path: Path) -> None:
         {
             "models": [one.model_dump() for one in models],
             "poses": [part["poses"].at(0.3) for part in parts],
-            "rows": read.rows,
-            "numbers": read.numbers,
-            "above": read.parent_bodies,
-            "pairs": read.pairs,
-            "breaks": read.breaks,
+            "rows": read.kinds_and_bodies,
+            "numbers": read.parameters,
+            "above": [one.parent_body for one in read.members],
+            "pairs": np.array([one.excluded_pair for one in read.members]),
+            "breaks": read.break_limits,
             "still": [(one.poses.at(0.0), one.friction) for one in still],
         },
     )
@@ -314,9 +315,9 @@ def test_bodies_of_a_rig_and_their_speeds() -> None:
             "above": own.parent_bodies,
             "frames": own.frames,
             "turns": own.axes,
-            "rows": joints.rows,
-            "numbers": joints.numbers,
-            "pairs": joints.pairs,
+            "rows": joints.kinds_and_bodies,
+            "numbers": joints.parameters,
+            "pairs": np.array([one.excluded_pair for one in joints.members]),
             "others": joints.other_pairs,
             "masses": bodies.masses,
             "moments": bodies.moments,

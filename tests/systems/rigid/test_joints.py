@@ -15,6 +15,7 @@ from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.joints import (
     JOINT_KINDS,
+    BodyJoint,
     Joints,
     _drive_parameters,
     _limit_parameters,
@@ -72,11 +73,12 @@ def test_what_is_turned_round_moves_the_other_way() -> None:
 def test_loads_are_forces_and_torques_by_what_the_joint_leaves_free() -> None:
     """What limits hold is along x: a force of a slide, else a torque."""
     names = ["prismatic", "pin"]
-    rows = np.array([[JOINT_KINDS[name], -1, 0] for name in names])
-    blank = np.zeros((2, 0))
-    joints = Joints(rows, blank, [Poses()] * 2, breaks=np.full((2, 2), np.inf),
-                    names=names, parent_bodies=[-1, -1], notices=[],
-                    pairs=np.full((2, 2), -1))  # fmt: skip
+    joints = Joints(
+        [
+            BodyJoint(name, JOINT_KINDS[name], (-1, 0), [], Poses(), -1, (-1, -1))
+            for name in names
+        ]
+    )
     held = np.zeros((2, 12))
     held[:, :9] = [1.0, 4.0, 0.0, 0.0, 6.0, 0.0, 5.0, 3.0, 8.0]
     found = joint_forces_and_torques(joints, held)

@@ -27,7 +27,7 @@ def incompatibility(**changes: Any) -> str:
     motion = np.zeros((2, 14))
     motion[:, 6] = 1.0
     whole = {"motion": motion, "swinging": -1, "deepest_pairs": np.full((2, 2), -1)}
-    bodies = SimpleNamespace(names=["a", "b"], joints=SimpleNamespace(names=["hinge"]))
+    bodies = SimpleNamespace(names=["a", "b"], joints=["hinge"])
     bodies._shape_names = lambda: bodies.names
     state = cast(Any, SimpleNamespace(**whole | changes))
     return RigidSimulation.incompatibility(cast(Any, bodies), state, 0.0)

@@ -169,7 +169,9 @@ def test_what_is_read_again_moves_alike(tmp_path: Path, keys: dict[str, Any]) ->
     one, other = first.simulation, again.simulation
     assert other.bodies.names == one.bodies.names
     assert_allclose(other.bodies.masses, one.bodies.masses, rtol=1e-6)
-    assert_allclose(other.joints.numbers[:, 14:], one.joints.numbers[:, 14:], atol=2e-6)
+    assert_allclose(
+        other.joints.parameters[:, 14:], one.joints.parameters[:, 14:], atol=2e-6
+    )
     for t in (0.1, 0.3):
         assert_allclose(again.to(t), first.to(t), atol=1e-5)
     spins = [run.run.at(0.4).rotations for run in (first, again)]
@@ -183,8 +185,8 @@ def test_joints_that_break_are_read_again(tmp_path: Path) -> None:
     file = file_of(written(tmp_path, {**YARD, "joints": [*joints, JOINTS[2]]}))
     again = Rigid(tmp_path, stages=[{"file": file}], step=0.005)
     found = again.simulation.joints
-    assert list(found.names) == ["elbow", "shoulder", "rail"]
-    assert_allclose(found.breaks, [[300, 20], [math.inf, 7], [math.inf] * 2])
+    assert [one.name for one in found.members] == ["elbow", "shoulder", "rail"]
+    assert_allclose(found.break_limits, [[300, 20], [math.inf, 7], [math.inf] * 2])
 
 
 def stage_of(folder: Path, text: str, head: str = "") -> str:

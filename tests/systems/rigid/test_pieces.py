@@ -12,7 +12,7 @@ from support.rigid import FLOOR, Rigid, ball
 
 from animtool.sim.colliders import Mesh
 from animtool.systems.rigid import kind
-from animtool.systems.rigid.pieces import convex_pieces, excess_volume, mesh_solid
+from animtool.systems.rigid.cores import convex_pieces, excess_volume, mesh_solid
 
 pytest.importorskip("coacd", reason="meshes are taken apart by coacd")
 
@@ -92,7 +92,7 @@ def test_a_cup_holds_a_ball(tmp_path: Path) -> None:
 def test_without_coacd_its_hull_is_met(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kind, "is_available", lambda: False)
+    monkeypatch.setattr(kind, "can_decompose", lambda: False)
     held = ball(0.2, at=[0.05, 1.3, 0.02], density=100)
     found = Rigid(tmp_path, body(tmp_path, cup()), held, colliders=[FLOOR])
     assert found.to(1.0)[1, 1] == pytest.approx(1.2, abs=0.01)

@@ -241,7 +241,9 @@ def test_a_step_has_parts_in_which_bodies_swing_by_half_a_radian(
 ) -> None:
     """Who only spins asks for as many as there may be at most."""
     rates = np.array(swings), np.array(spins)
-    own: Any = SimpleNamespace(_rates=lambda *_: rates, _body=lambda k: f"body {k}")
+    own: Any = SimpleNamespace(
+        _rates=lambda *_: rates, _body_label=lambda k: f"body {k}"
+    )
     assert StepForceSolver.required_substeps(own, 1.0, dt, np.zeros((2, 14))) == parts
     stopped: list[tuple[Any, ...]] = []
     own._stop = lambda *given: stopped.append(given)

@@ -27,8 +27,8 @@ from animtool.systems.rigid.tone import (
     DAMPING_RATIO,
     GRAVITY,
     STIFFNESS_FRACTION,
+    add_finger_capsules,
     passive_springs,
-    with_finger_capsules,
 )
 
 BONE = 0.04
@@ -78,7 +78,7 @@ def fallen(rig: Rig, frames: int, **options: object) -> Take:
 def test_fingers_get_capsules_along_their_bones() -> None:
     rig = hand_rig()
     capsules = JointCapsules.from_rig(rig)
-    made = with_finger_capsules(rig, world_of(rig), capsules)
+    made = add_finger_capsules(rig, world_of(rig), capsules)
     assert len(made) == len(capsules) + 9
     assert (made.joints[2:] == 1).all()
     assert_allclose(made.radii[2:], 0.2 * BONE)
@@ -94,7 +94,7 @@ def test_what_is_no_hand_gets_none(names: tuple[str, ...], count: int) -> None:
     rig = hand_rig(names)
     capsules = JointCapsules.from_rig(rig)
     assert (
-        len(with_finger_capsules(rig, world_of(rig), capsules)) == len(capsules) + count
+        len(add_finger_capsules(rig, world_of(rig), capsules)) == len(capsules) + count
     )
 
 
