@@ -103,6 +103,7 @@ class Colliders(Sequence[Collider]):
     """A set of colliders, prepared for repeated queries.
 
     Attributes:
+        rigid: Colliders of the sequence, then those of bodies, as kernels number them.
         sheets: Deforming surfaces; not members of the sequence.
         surfaces: The sheets, prepared for many substeps in one call.
         bodies: Bodies of other simulations; not members of the sequence.
@@ -120,10 +121,8 @@ class Colliders(Sequence[Collider]):
         self._colliders = tuple(colliders)
         self.sheets = tuple(sheets)
         self.bodies = tuple(bodies)
-        # All rigid colliders, in the kernels' numbering.
-        rigid = list(self._colliders)
-        rigid += [collider for system in bodies for collider in system.colliders]
-        self.rigid_count = len(rigid)
+        body_colliders = [one for system in bodies for one in system.colliders]
+        self.rigid = rigid = (*self._colliders, *body_colliders)
         self.surfaces = Surfaces(self.sheets)
         faults = [
             fault
@@ -157,11 +156,16 @@ class Colliders(Sequence[Collider]):
     @property
     def has_any(self) -> bool:
         """Whether the set contains any collider."""
-        return bool(self.rigid_count or self.sheets)
+        return bool(self.rigid or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
         """Return a collider, or a slice of them."""
         return self._colliders[index]
+
+    def label(self, index: int) -> str:
+        """Return the quoted name of one of the `rigid` colliders, or its key."""
+        name = self.rigid[index].name
+        return repr(name) if name else f"colliders[{index}]"
 
     def arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
         """Return the kernel's arrays for a step between two times [s]."""
@@ -332,7 +336,7 @@ def _stop_at_sheets(
         is_touching = touches[:, 0] >= 0
         rows = rows[is_touching]
         end_state[:, rows] = state[:, is_touching]
-        touches[is_touching, 0] = collider_set.rigid_count + i
+        touches[is_touching, 0] = len(collider_set.rigid) + i
         contacts.append((rows, touches[is_touching], normals[is_touching]))
     return contacts
 

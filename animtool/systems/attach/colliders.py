@@ -154,7 +154,7 @@ class CharacterColliders:
         depths = bind_depths(capsules, rig, points, radius / scale)
         # Allowed signed distances from capsules, at most 0 ``(C, N)`` [m].
         self._allowed_depths = scale * depths
-        rigid_depths = np.zeros((self._colliders.rigid_count, len(points)))
+        rigid_depths = np.zeros((len(self._colliders.rigid), len(points)))
         rigid_depths[capsule_rows] = self._allowed_depths
         targets = body.targets(start)[0]
         skin_depths = [

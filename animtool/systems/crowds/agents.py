@@ -22,6 +22,7 @@ from animtool.core.errors import (
     warning,
 )
 from animtool.core.record import dataclass
+from animtool.maths.rows import Rows
 from animtool.systems.crowds.ground import GroundFrame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.framework.groups import Groups, duplicate_names
@@ -73,7 +74,7 @@ class Agents(Groups):
 
 
 @dataclass(frozen=True, slots=True)
-class AgentMotion:
+class AgentMotion(Rows):
     """Positions, velocities and headings of N agents at a time."""
 
     points: FloatArray  # x and z (N, 2) [m]
@@ -103,10 +104,10 @@ def build_agents(
         },
     )
     has_points = [data.get("points") is not None for data in population_data]
-    return _without_overlaps(agents, has_points)
+    return _separate_at_start(agents, has_points)
 
 
-def _without_overlaps(
+def _separate_at_start(
     agents: Agents, has_points: Sequence[bool]
 ) -> tuple[Agents, list[Fault]]:
     """Return agents moved apart until they do not overlap at the start.
@@ -210,8 +211,8 @@ def _sample_population(
     speed = population.speed
     # Box-Muller transform.
     magnitudes = np.sqrt(-2 * np.log1p(-randoms[:, 1]))
-    deviates = magnitudes * np.cos(2 * np.pi * randoms[:, 2])
-    deviations = np.clip(deviates, -MAX_DEVIATIONS, MAX_DEVIATIONS) * speed.spread
+    normal_samples = magnitudes * np.cos(2 * np.pi * randoms[:, 2])
+    deviations = np.clip(normal_samples, -MAX_DEVIATIONS, MAX_DEVIATIONS) * speed.spread
     speeds = np.maximum(speed.mean + deviations, MIN_SPEED_RATIO * speed.mean)
     max_speed = MAX_SPEED_RATIO * speed.mean if speed.most is None else speed.most
     goal_directions = _unit_vectors(2 * np.pi * body_randoms[:, 3])

@@ -14,8 +14,8 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.footing import Blend, BodyState, Footing, limit_landings
-from animtool.systems.crowds.gaits import PHASE_COUNT
-from animtool.systems.crowds.ground import rotated_about_y, wrap_angles
+from animtool.systems.crowds.gaits import PHASE_COUNT, weighted_sum
+from animtool.systems.crowds.ground import ground_at, rotated_about_y, wrap_angles
 from animtool.systems.crowds.reach import MAX_CYCLE_RATE, LegReach, Stances, step_rates
 from animtool.systems.crowds.shoulders import Trunk
 
@@ -61,7 +61,7 @@ class AgentBodies(Footing):
         rest = gaits.walker.rig.rest_rotations
         is_moved = [
             (np.abs(gait.rotations - rest) > 1e-9).any(axis=(0, 2))
-            for gait in (*gaits.moving, gaits.idle, *gaits.reactions)
+            for gait in (*gaits.cycles, gaits.idle, *gaits.reactions)
         ]
         joints = [joint for leg in gaits.walker.legs for joint in leg[:3]]
         joints += self.trunk.joints.tolist()
@@ -76,7 +76,7 @@ class AgentBodies(Footing):
     def animated_rotations(self) -> tuple[list[FloatArray], FloatArray]:
         """Local rotations of the animated joints: of each gait and of the idle clip."""
         gaits, joints = self.gaits, self.animated
-        moving_rotations = [gait.rotations[:, joints] for gait in gaits.moving]
+        moving_rotations = [gait.rotations[:, joints] for gait in gaits.cycles]
         return moving_rotations, gaits.idle.rotations[:, joints]
 
     def initial(self, motion: AgentMotion, random_phases: FloatArray) -> BodyState:
@@ -103,12 +103,12 @@ class AgentBodies(Footing):
 
     def blend(self, paces: FloatArray) -> Blend:
         """Return gait weights and blended steps for speeds and yaw rates ``(N, 3)``."""
-        moving, leg = self.gaits.moving, self.gaits.walker.leg
+        moving, leg = self.gaits.cycles, self.gaits.walker.leg_length
         speeds = paces[:, 0] / self.scales
         yaw_rates = paces[:, 1]
         left_speeds = paces[:, 2] / self.scales
         samples = np.stack([np.maximum(speeds, 0.0), leg * yaw_rates], axis=1)
-        gait_points = np.array([[gait.speed, leg * gait.turning] for gait in moving])
+        gait_points = np.array([[gait.speed, leg * gait.yaw_rate] for gait in moving])
         weights = _gait_weights(samples, gait_points)
         # BLAS sums in an order that depends on the number of agents; einsum does not.
         gait_paces = np.array([[gait.speed, gait.period] for gait in moving])
@@ -158,7 +158,7 @@ class AgentBodies(Footing):
         blend = self.blend(paces)
         is_misplaced = self.is_misplaced(state, after, blend)
         is_standing = (state.swings < 0).all(axis=1)
-        slow_speed = STANDING_SPEED * self.gaits.moving[0].speed * self.scales
+        slow_speed = STANDING_SPEED * self.gaits.cycles[0].speed * self.scales
         total_speeds = np.linalg.norm(local_velocities, axis=1)
         is_walking = (forward_speeds > slow_speed) | is_misplaced.any(axis=1)
         is_walking |= total_speeds > PUSHED_SPEED * slow_speed
@@ -179,7 +179,7 @@ class AgentBodies(Footing):
         for k in range(2):
             swings[is_stance_over[:, k], k] = 0.0
             stance_phases = np.where(
-                is_stance_over[:, k], stances.begins[:, k], blend.stance_fractions[:, k]
+                is_stance_over[:, k], stances.phases[:, k], blend.stance_fractions[:, k]
             )
             heel_pitches = self.pitches(k, stance_phases, blend, state.still)
             self._advance_foot(
@@ -200,10 +200,10 @@ class AgentBodies(Footing):
             remaining_times = (1 - (phases - 0.5 * k) % 1.0) / rates
             yaw = np.clip(paces[:, 1] * remaining_times, -MAX_YAW, MAX_YAW)
             points = after.points + after.velocities * remaining_times[:, None]
-            requested = self.landing(k, blend, points, after.headings + yaw, footholds)
+            landings = self.landing(k, blend, points, after.headings + yaw, footholds)
             was_planted = state.swings[:, k] < 0
             aims[is_swinging, k] = limit_landings(
-                aims, requested, swings, was_planted, self.scales, dt, k
+                aims, landings, swings, was_planted, self.scales, dt, k
             )[is_swinging]
         is_stepping = is_walking | (swings >= 0).any(axis=1)
         standing_change = np.where(is_stepping, -dt, dt) / STANDING_TIME
@@ -234,7 +234,7 @@ class AgentBodies(Footing):
         """Return bodies with landed feet moved into reach, and hips lowered."""
         stances = self._foot_stances(state, motion, state.phases, blend)
         footholds = state.places.copy()
-        leg = self.gaits.walker.leg
+        leg = self.gaits.walker.leg_length
         lowering = np.maximum(before.lowered - HIP_RISE_SPEED * leg * dt, 0.0)
         for k in range(2):
             foot_stance = k, stances.thighs[:, k], stances.feet[:, k]
@@ -267,12 +267,11 @@ class AgentBodies(Footing):
         """Return the heel pitches of planted feet ``(N,)`` [rad]."""
         progress = np.clip(stance_phases / blend.stance_fractions[:, k], 0.0, 1.0)
         stance_rows = progress * (PHASE_COUNT - 1)
-        pitch = np.zeros(len(stance_phases))
-        for weight, gait in zip(blend.weights.T, self.gaits.moving, strict=True):
-            pitch += weight * np.interp(
-                stance_rows, np.arange(PHASE_COUNT), gait.pitches[k]
-            )
-        return np.asarray(pitch * (1 - standing_weights))
+        pitches = [
+            np.interp(stance_rows, np.arange(PHASE_COUNT), gait.pitches[k])
+            for gait in self.gaits.cycles
+        ]
+        return weighted_sum(pitches, blend.weights) * (1 - standing_weights)
 
     def _foot_stances(
         self, state: BodyState, motion: AgentMotion, phases: FloatArray, blend: Blend
@@ -283,20 +282,20 @@ class AgentBodies(Footing):
         offsets = rotated_about_y(offsets, -motion.headings[:, None])
         feet[..., [0, 2]] = offsets / self.scales[:, None, None]
         feet[..., 3] = wrap_angles(state.places[..., 2] - motion.headings[:, None])
-        heights, _ = self.heights(state.places[..., :2].reshape(-1, 2))
-        body_height, _ = self.heights(motion.points)
+        heights, _ = ground_at(self.ground, state.places[..., :2].reshape(-1, 2))
+        body_height, _ = ground_at(self.ground, motion.points)
         feet[..., 1] = heights.reshape(-1, 2) - body_height[:, None]
         feet[..., 1] /= self.scales[:, None]
         thighs = self.leg_reach.thighs(phases, blend.weights, state.still)
         thighs[..., 1] += feet[..., 1].mean(axis=1)[:, None]
-        begins = (phases[:, None] - [0.0, 0.5]) % 1.0
+        phase = (phases[:, None] - [0.0, 0.5]) % 1.0
         ends, is_swinging = blend.stance_fractions, state.swings >= 0
         pitches = [
             [self.pitches(k, stance[:, k], blend, state.still) for k in range(2)]
-            for stance in (begins, ends)
+            for stance in (phase, ends)
         ]
         pitch_array = np.array(pitches).swapaxes(1, 2)
-        return Stances(begins, ends, is_swinging, feet, thighs, pitch_array, blend.rate)
+        return Stances(phase, ends, is_swinging, feet, thighs, pitch_array, blend.rate)
 
     def _reaction_times(
         self, reacts: FloatArray, dt: float, is_hit: BoolArray | None
@@ -336,19 +335,19 @@ class AgentBodies(Footing):
         swings: FloatArray,
     ) -> None:
         """Lift, swing and land foot ``k`` of each body, in place."""
-        begin = (phases - 0.5 * k) % 1.0
-        end = begin + phase_change
+        start_phase = (phases - 0.5 * k) % 1.0
+        end_phase = start_phase + phase_change
         stance_end = blend.stance_fractions[:, k]
         # Feet that are planted longer than in the current gait lift at once.
-        is_lifting = (swings[:, k] < 0) & (phase_change > 0) & (end >= stance_end)
-        is_late = (begin > stance_end) & ~(begin < NO_LIFT_PHASE)
-        is_lifting &= (begin < 1) & ~is_late
+        is_lifting = (swings[:, k] < 0) & (phase_change > 0) & (end_phase >= stance_end)
+        is_late = (start_phase > stance_end) & ~(start_phase < NO_LIFT_PHASE)
+        is_lifting &= (start_phase < 1) & ~is_late
         swings[is_lifting, k] = 0.0
-        phase = np.where(is_lifting, np.maximum(begin, stance_end), begin)
+        phase = np.where(is_lifting, np.maximum(start_phase, stance_end), start_phase)
         is_swinging = swings[:, k] >= 0
-        progress = np.clip((end - phase) / np.maximum(1 - phase, 1e-9), 0.0, 1.0)
-        has_landed = is_swinging & (end >= 1)
-        fraction = (1 - begin) / np.where(phase_change > 0, phase_change, 1.0)
+        progress = np.clip((end_phase - phase) / np.maximum(1 - phase, 1e-9), 0.0, 1.0)
+        has_landed = is_swinging & (end_phase >= 1)
+        fraction = (1 - start_phase) / np.where(phase_change > 0, phase_change, 1.0)
         landings = self.landing_in_step(k, blend, motions, fraction, footholds)
         footholds[has_landed, k] = landings[has_landed]
         swings[is_swinging, k] += (1 - swings[is_swinging, k]) * progress[is_swinging]

@@ -1,4 +1,4 @@
-"""Builds crowds from specs: agents, steering, obstacles and bodies."""
+"""Builds crowds from specs, and checks and corrects their initial state."""
 
 from __future__ import annotations
 
@@ -7,18 +7,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
-from animtool.core.errors import refuse
-from animtool.systems.crowds.agents import Agents, build_agents
-from animtool.systems.crowds.beginning import (
-    clear_starts,
-    ground_of,
-    project_direction,
-    unreachable_goal_warnings,
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, counted, refuse, warning
+from animtool.core.quantities import length_text
+from animtool.maths.faces import triangulate
+from animtool.sim.colliders import Mesh
+from animtool.systems.crowds.agents import (
+    OVERLAP_TOLERANCE,
+    Agents,
+    build_agents,
+    separate_agents,
 )
 from animtool.systems.crowds.crowd import Crowd
 from animtool.systems.crowds.ground import GroundFrame, Terrain
-from animtool.systems.crowds.obstacles import Obstacles, navigation_grids
+from animtool.systems.crowds.obstacles import (
+    Obstacles,
+    is_blocked,
+    navigation_grids,
+)
+from animtool.systems.crowds.routes import NavGrid
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import Steering
 from animtool.systems.framework.simulation import SimContext
@@ -26,6 +33,9 @@ from animtool.systems.framework.simulation import SimContext
 if TYPE_CHECKING:
     from animtool.systems.crowds.cast import AgentCast
     from animtool.systems.crowds.falls import FallSimulator
+
+# Most passes that move agents out of obstacles at the start.
+MAX_CLEARING_PASSES = 20
 
 
 def build(spec: CrowdsModel, context: SimContext) -> Crowd:
@@ -35,25 +45,25 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
         OptionError: The spec is invalid (SIM145).
     """
     begin, parts = context.begin, context.parts["populations"]
-    frame, ground = ground_of(context)
+    frame, ground = read_ground(context)
     if context.colliders.sheets:
         message = "crowds avoid shapes, rigid bodies and the capsules of characters"
         hint = "use its colliders instead of the surface"
         refuse("SIM145", message, "systems", hint)
     agents, notices = build_agents(spec, parts, begin, frame)
     steering, obstacles = _build_steering(spec, agents, frame, ground, context)
-    start, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
+    start_points, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
     notices += moved_warnings
     notices += unreachable_goal_warnings(
-        spec, agents, steering, obstacles, start, begin
+        spec, agents, steering, obstacles, start_points, begin
     )
     prototypes = [part.get("shows") for part in parts]
     meshes_by_prototype = {show: show() for show in prototypes if show is not None}
     sources = list(meshes_by_prototype)
     mesh_indices = [sources.index(show) if show else 0 for show in prototypes]
-    casting, falling = _build_bodies(spec, agents, frame, ground, context)
-    if casting is not None:
-        for group in casting.groups:
+    cast, fall_simulator = _build_bodies(spec, agents, frame, ground, context)
+    if cast is not None:
+        for group in cast.groups:
             notices += group.bodies.gaits.notices
     return Crowd(
         spec,
@@ -63,10 +73,10 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
         agents,
         steering,
         obstacles,
-        start,
+        start_points,
         notices,
-        casting,
-        falling,
+        cast,
+        fall_simulator,
         tuple(cycle[0] for cycle in meshes_by_prototype.values()),
         np.array(mesh_indices, np.int64),
     )
@@ -91,17 +101,17 @@ def _build_steering(
     ]
     queue_spacings = np.array(queues).reshape(-1, 2)
     steering = Steering(agents, spec.goals, goals, queue_spacings, grid)
-    begins = _project_on_ground(frame, [door.begin for door in spec.doors])
-    ends = _project_on_ground(frame, [door.end for door in spec.doors])
-    ends = np.stack([begins, ends], axis=1)
-    for door, (first, last) in zip(spec.doors, ends, strict=True):
+    door_begins = _project_on_ground(frame, [door.begin for door in spec.doors])
+    door_ends = _project_on_ground(frame, [door.end for door in spec.doors])
+    door_ends = np.stack([door_begins, door_ends], axis=1)
+    for door, (first, last) in zip(spec.doors, door_ends, strict=True):
         if not ((last - first) ** 2).sum() > 0:
             message = f"both ends of {door.name!r} are at the same position on the "
             message += "ground"
             refuse("SIM145", message, "doors")
     horizon = spec.avoidance.obstacles
     obstacles = Obstacles(
-        agents, frame, ground, colliders, spec.doors, edge, horizon, ends
+        agents, frame, ground, colliders, spec.doors, edge, horizon, door_ends
     )
     return steering, obstacles
 
@@ -124,14 +134,14 @@ def _build_bodies(
     colliders = context.colliders
     is_fixed = all(collider.poses.is_fixed for collider in colliders)
     has_moving_colliders = bool(colliders.bodies) or not is_fixed
-    casting = AgentCast.of(agents, gaits, ground, can_fall=has_moving_colliders)
-    can_fall = [FallSimulator.has_bodies(group.cast.rig) for group in casting.groups]
+    cast = AgentCast.of(agents, gaits, ground, can_fall=has_moving_colliders)
+    can_fall = [FallSimulator.has_bodies(group.cast.rig) for group in cast.groups]
     if not (has_moving_colliders and all(can_fall) and len(agents)):
-        return casting, None
-    falling = FallSimulator(
-        casting.rigs, agents.sizes, frame, ground, colliders, spec.step
+        return cast, None
+    fall_simulator = FallSimulator(
+        cast.rigs, agents.sizes, frame, ground, colliders, spec.step
     )
-    return casting, falling
+    return cast, fall_simulator
 
 
 def _project_on_ground(
@@ -139,3 +149,142 @@ def _project_on_ground(
 ) -> FloatArray:
     """Return world points projected on the ground: x and z ``(K, 2)``."""
     return frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]
+
+
+def clear_starts(
+    agents: Agents, grid: NavGrid | None, obstacles: Obstacles, begin: float
+) -> tuple[FloatArray, list[Fault]]:
+    """Return start positions outside of obstacles, and warnings (SIM148)."""
+    positions, notices = agents.starts, list[Fault]()
+    count = len(agents)
+    if grid is not None and count and grid.is_free.any():
+        is_off_grid = is_blocked(grid, positions)
+        nodes = grid.node_positions(grid.nearest_free_node(positions))
+        positions = np.where(is_off_grid[:, None], nodes, positions)
+    radius = float(agents.radii.max(initial=1.0))
+    for _ in range(MAX_CLEARING_PASSES):
+        walls = obstacles.walls(begin, 0.0, positions)
+        if not (walls.gaps < 0).any() and (positions == agents.starts).all():
+            break
+        previous = positions
+        positions, _ = separate_agents(agents, positions, walls.first_walls, walls.rows)
+        if np.abs(positions - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
+            break
+    distances = np.linalg.norm(positions - agents.starts, axis=1)
+    is_moved = distances > OVERLAP_TOLERANCE * agents.radii
+    if is_moved.any():
+        first = agents.label(int(np.argmax(is_moved)))
+        message = f"{counted(int(is_moved.sum()), 'agent')} would start in an obstacle "
+        message += f"or off the ground, {first} first: moved out"
+        notices.append(warning("SIM148", message, "begin elsewhere"))
+    return positions, notices
+
+
+def _goal_obstacle(
+    obstacles: Obstacles, grid: NavGrid, position: FloatArray, t: float
+) -> tuple[str, str] | None:
+    """Return what blocks a goal at x and z ``(1, 2)``, and a hint; None if it is free.
+
+    Nodes deep inside a low obstacle count as free, since the nearest face is its top.
+    """
+    depths = obstacles.collider_depths(t, position)
+    depth = float(depths.max(initial=-np.inf))
+    if depth > 0:
+        name = obstacles.colliders.label(int(depths.argmax()))
+        problem = f"inside the collider {name}, {length_text(depth, 2)} deep"
+        return problem, "move the goal or the collider"
+    if not is_blocked(grid, position)[0]:
+        return None
+    radius = float(obstacles.agents.radii.max(initial=0.0))
+    if -depth > radius:
+        return "off the ground, or on a slope that is too steep", "move the goal"
+    name = obstacles.colliders.label(int(depths.argmax()))
+    problem = f"{length_text(-depth, 2)} from the collider {name}, nearer than the "
+    return f"{problem}radius of agents, {length_text(radius)}", "move the goal"
+
+
+def _nearest_reachable(
+    grid: NavGrid, position: FloatArray, components: IntArray
+) -> FloatArray:
+    """Return x and z of the node of the components nearest to a goal ``(2,)``."""
+    nodes = np.flatnonzero(np.isin(grid.components.ravel(), components))
+    if not len(nodes):
+        nodes = grid.nearest_free_node(position)
+    points = grid.node_positions(nodes)
+    return np.asarray(points[int(((points - position) ** 2).sum(axis=1).argmin())])
+
+
+def unreachable_goal_warnings(
+    spec: CrowdsModel,
+    agents: Agents,
+    steering: Steering,
+    obstacles: Obstacles,
+    start_points: FloatArray,
+    begin: float,
+) -> list[Fault]:
+    """Return warnings about goals that agents cannot reach (SIM146)."""
+    grid, faults = steering.grid, list[Fault]()
+    if grid is None or not grid.is_free.any():
+        return []
+    components = grid.components.ravel()
+    start_components = components[grid.nearest_free_node(start_points)]
+    for goal_index, goal in enumerate(spec.goals):
+        position = steering.goal_points[goal_index : goal_index + 1]
+        obstacle = _goal_obstacle(obstacles, grid, position, begin)
+        if obstacle is not None:
+            problem, hint = obstacle
+            nearest = _nearest_reachable(grid, position, start_components)
+            message = f"the goal {goal.name!r} is {problem}: agents go to "
+            message += f"{obstacles.world_text(nearest)} instead"
+            where = f"goals[{goal_index}].at"
+            faults.append(warning("SIM146", message, hint, where))
+            continue
+        goal_component = components[grid.nearest_free_node(position)[0]]
+        for population_index, population in enumerate(spec.populations):
+            is_cut_off = start_components != goal_component
+            is_cut_off &= agents.kinds == population_index
+            if goal.name in population.route and is_cut_off.any():
+                message = f"no path leads {counted(int(is_cut_off.sum()), 'agent')} of "
+                message += f"{population.name!r} to the goal {goal.name!r}: they go "
+                message += "to the nearest position that they can reach"
+                hint = "leave a gap wider than the agents, or move the goal"
+                faults.append(warning("SIM146", message, hint))
+    return faults
+
+
+def project_direction(frame: GroundFrame, direction: Sequence[float]) -> FloatArray:
+    """Return a world direction projected on the ground, normalized ``(2,)``."""
+    ground_direction = frame.vector_to_local(np.array(direction, float))[[0, 2]]
+    length = float(np.linalg.norm(ground_direction))
+    if not length > 0:
+        message = "the direction of a queue is vertical"
+        refuse("SIM145", message, "goals", "use a direction along the ground")
+    return np.asarray(ground_direction / length)
+
+
+def read_ground(context: SimContext) -> tuple[GroundFrame, Terrain]:
+    """Return the frame of the ground, and its height field."""
+    ground_data = context.parts["ground"]
+    poses = ground_data["poses"]
+    shape = ground_data.get("shape")
+    mesh = ground_data.get("mesh")
+    if not poses.is_fixed:
+        message = "the ground cannot move"
+        refuse("SIM145", message, "ground", "remove moves and turns")
+    pose = poses.at(context.begin)
+    frame = GroundFrame(pose[:3], pose[3:])
+    if shape is not None and mesh is not None:
+        message = "the ground is either a shape or a mesh of a file"
+        refuse("SIM145", message, "ground", "remove one of them")
+    if mesh is not None:
+        surface = mesh()[0]
+        corners = triangulate(surface.counts, surface.indices)
+        return frame, Terrain(surface.points[corners])
+    if shape is None:
+        return frame, Terrain()
+    if not isinstance(shape, Mesh):
+        message = "the ground must be a mesh, a height_field or, without a shape, a "
+        message += "plane"
+        refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
+    points, faces = shape.weld()
+    return frame, Terrain(points[faces])

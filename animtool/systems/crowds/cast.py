@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,15 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.crowds.agents import AgentMotion, Agents
 from animtool.systems.crowds.bodies import AgentBodies
-from animtool.systems.crowds.footing import BodyState, Heights
+from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
-from animtool.systems.crowds.ground import GroundFrame, rotations_about_y
+from animtool.systems.crowds.ground import (
+    GroundFrame,
+    Heights,
+    Terrain,
+    ground_at,
+    rotations_about_y,
+)
 from animtool.systems.crowds.poses import body_poses
 
 # Sample rate of the idle clip, which moves slowly [1/s].
@@ -70,7 +76,7 @@ class AgentCast:
         return self._in_agent_order(
             [
                 group.bodies.initial(
-                    select_rows(motion, group.agents), random_phases[group.agents]
+                    motion.select(group.agents), random_phases[group.agents]
                 )
                 for group in self.groups
             ]
@@ -88,9 +94,9 @@ class AgentCast:
         return self._in_agent_order(
             [
                 group.bodies.advance(
-                    select_rows(state, group.agents),
-                    select_rows(before, group.agents),
-                    select_rows(after, group.agents),
+                    state.select(group.agents),
+                    before.select(group.agents),
+                    after.select(group.agents),
                     dt,
                     is_hit[group.agents],
                 )
@@ -100,15 +106,7 @@ class AgentCast:
 
     def _in_agent_order(self, states: Sequence[BodyState]) -> BodyState:
         """Return the states of all groups in one record, in agent order."""
-        agent_rows = np.argsort(self.order)
-        return BodyState(
-            *(
-                np.concatenate([getattr(state, field.name) for state in states])[
-                    agent_rows
-                ]
-                for field in fields(BodyState)
-            )
-        )
+        return BodyState.concatenate(states).select(np.argsort(self.order))
 
     @property
     def rigs(self) -> list[Rig]:
@@ -132,13 +130,13 @@ class AgentCast:
         row, rig = np.array([agent]), group.cast.rig
         scales = group.bodies.scales[np.searchsorted(group.agents, row)]
         bodies = replace(group.bodies, scales=scales)
-        poses = body_poses(bodies, select_rows(state, row), select_rows(motion, row))
+        poses = body_poses(bodies, state.select(row), motion.select(row))
         positions = np.repeat(rig.rest_translations[None], 1, axis=0)
         positions[:, 0] = poses.roots
         world = forward_kinematics(rig, positions, poses.rotations)
         heading = rotations_about_y(motion.headings[row])
         rotation = so3.multiply(frame.rotation, heading)
-        heights = np.nan_to_num(ground(motion.points[row])[0])
+        heights, _ = ground_at(ground, motion.points[row])
         origin = np.insert(motion.points[row], 1, heights, axis=1)
         matrix = so3.to_matrix(rotation)
         positions = so3.rotate(rotation, scales[:, None, None] * world.positions)
@@ -172,10 +170,10 @@ class AgentCast:
         rotations, roots = [], []
         points = np.column_stack([motion.points[:, 0], heights, motion.points[:, 1]])
         for group in self.groups:
-            bodies, group_state = group.bodies, select_rows(state, group.agents)
-            poses = body_poses(bodies, group_state, select_rows(motion, group.agents))
+            bodies, agents = group.bodies, group.agents
+            poses = body_poses(bodies, state.select(agents), motion.select(agents))
             for i, (positions, fallen_rotations) in fallen_poses.items():
-                for row in np.flatnonzero(group.agents == i).tolist():
+                for row in np.flatnonzero(agents == i).tolist():
                     heading = rotations_about_y(motion.headings[i])
                     to_ground = so3.conjugate(so3.multiply(frame.rotation, heading))
                     root_rotation = so3.multiply(to_ground, fallen_rotations[0])
@@ -213,14 +211,6 @@ class AgentCast:
         )
 
 
-def select_rows(record: Any, rows: IntArray) -> Any:
-    """Return a record of arrays with selected rows."""
-    changes = {
-        field.name: getattr(record, field.name)[rows] for field in fields(record)
-    }
-    return replace(record, **changes)
-
-
 def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
     """Return the character of a group, with the idle pose that agents share."""
     gaits = bodies.gaits
@@ -228,7 +218,7 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
     count = max(round(period * IDLE_RATE), 1)
     clocks: FloatArray = np.arange(count, dtype=np.float64) * (period / count)
     motion = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
-    level_bodies = replace(bodies, scales=np.ones(count), ground=_flat_ground)
+    level_bodies = replace(bodies, scales=np.ones(count), ground=Terrain())
     initial = level_bodies.initial(motion, np.zeros(count))
     poses = body_poses(level_bodies, replace(initial, clocks=clocks), motion)
     animated_joints = bodies.animated
@@ -244,8 +234,3 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
         poses.roots,
         period,
     )
-
-
-def _flat_ground(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the heights and normals of flat ground: height 0, normals along y."""
-    return np.zeros(len(points)), np.tile([0.0, 1.0, 0.0], (len(points), 1))

@@ -24,6 +24,7 @@ from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, AgentMotion, Agent
 from animtool.systems.crowds.ground import (
     GroundFrame,
     Terrain,
+    ground_at,
     rotations_about_y,
     wrap_angles,
 )
@@ -132,19 +133,16 @@ class Crowd:
             has_fallen[state.falls.agents] = True
         modes = np.where(has_fallen, STAYING, WALKING)
         modes[state.progress.stages == GONE] = LEFT_SCENE
-        inputs = (x, v, relaxed_velocities, walls.rows)
-        if not all(np.isfinite(values).all() for values in inputs):
-            message = f"agents blew up at {t:g} s"
-            raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
+        _check_finite(t, x, v, relaxed_velocities, walls.rows)
         shoulders = self._shoulder_yaws(state, has_fallen)
         points, velocities, overlap, shoulder_targets = _kernels.crowd_step(
             points=x, velocities=v, preferred=relaxed_velocities,
             radii=agents.radii, max_speeds=agents.max_speeds, yielding=agents.yielding,
             shoulders=shoulder_vectors(state.headings, shoulders), depth=DEPTH_RATIO,
-            groups=agents.groups, modes=modes, starts=walls.starts, walls=walls.rows,
-            sight=avoidance.sight, nearest=avoidance.nearest, horizon=avoidance.horizon,
-            space=avoidance.space, push=avoidance.push, headway=avoidance.headway,
-            side=SIDE_PREFERENCES[avoidance.side], step=dt,
+            groups=agents.groups, modes=modes, starts=walls.first_walls,
+            walls=walls.rows, sight=avoidance.sight, nearest=avoidance.nearest,
+            horizon=avoidance.horizon, space=avoidance.space, push=avoidance.push,
+            headway=avoidance.headway, side=SIDE_PREFERENCES[avoidance.side], step=dt,
             max_passes=SEPARATION_PASSES,
             tolerance=OVERLAP_TOLERANCE * float(agents.radii.min()),
         )  # fmt: skip
@@ -165,9 +163,7 @@ class Crowd:
                 if len(new_falls):
                     falls = self._add_falls(state, falls, new_falls, dt)
                 falls = self.fall_simulator.step(falls, t, dt)
-        if not (np.isfinite(points).all() and np.isfinite(headings).all()):
-            message = f"agents blew up at {t + dt:g} s"
-            raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
+        _check_finite(t + dt, points, headings)
         overlap = max(state.overlap, overlap)
         return CrowdState(
             points, velocities, headings, progress, overlap, bodies, falls
@@ -176,7 +172,7 @@ class Crowd:
     def _add_falls(
         self, state: CrowdState, falls: Falls, new_falls: IntArray, dt: float
     ) -> Falls:
-        """Return falls with agents ``(K,)`` added that fall from the start of a step.
+        """Return the falls with agents ``(K,)`` added, which fall from a step's start.
 
         The bodies start with walking velocities, and are moved by colliders.
         """
@@ -239,8 +235,7 @@ class Crowd:
         else:
             ids = np.arange(len(is_visible))
         x, v = state.points[ids], state.velocities[ids]
-        heights, normals = self.ground(x)
-        heights = np.where(np.isfinite(heights), heights, 0.0)
+        heights, normals = ground_at(self.ground, x)
         # Velocities are along the ground.
         rise = -(normals[:, 0] * v[:, 0] + normals[:, 2] * v[:, 1]) / normals[:, 1]
         frame = self.ground_frame
@@ -299,6 +294,13 @@ class Crowd:
         passed_goals = np.where(has_left, 0, state.progress.stages)
         values["goals reached"] = float(passed_goals.sum())
         return Diagnostics(values=values, notices=self.notices)
+
+
+def _check_finite(t: float, *arrays: FloatArray) -> None:
+    """Raise SIM102 if a number is not finite."""
+    if not all(np.isfinite(values).all() for values in arrays):
+        message = f"agents blew up at {t:g} s"
+        raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
 
 
 def _motion_of(state: CrowdState) -> AgentMotion:

@@ -1,4 +1,4 @@
-"""Gaits from takes: walk cycles, cut into steps."""
+"""Gaits from takes: walk cycles, split into steps."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ CYCLE_REPEATS = 3
 
 
 def build_gaits(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
-    """Convert takes on a rig to gaits, by name."""
+    """Return the gaits of a rig from takes, which are given with their names."""
     walker = Walker.of(rig)
     gaits: dict[str, list[Gait]] = {"moves": [], "stands": [], "reacts": []}
     for name, take in takes:
@@ -59,7 +59,7 @@ def build_gaits(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
         raise OptionError(Fault("SIM149", message, where="gaits"))
     moving_gaits.sort(key=lambda gait: gait.speed)
     slowest = moving_gaits[0]
-    if slowest.speed > RUNNING_FROUDE * np.sqrt(9.81 * walker.leg):
+    if slowest.speed > RUNNING_FROUDE * np.sqrt(9.81 * walker.leg_length):
         message = f"no clip walks: {slowest.name!r}, which runs at {slowest.speed:.2g} "
         message += "m/s, is slowed down, with shorter steps"
         notices.append(warning("SIM150", message, "add a clip that walks"))
@@ -96,18 +96,18 @@ def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
     except OptionError:
         cycle_frames = None
     travel_range = float(np.ptp(hips[:, [0, 2]], axis=0).max())
-    if travel_range < MIN_TRAVEL_SPEED * walker.leg * min(seconds, 1.0):
-        return "stands", _uncut_gait(walker, name, take, world)
+    if travel_range < MIN_TRAVEL_SPEED * walker.leg_length * min(seconds, 1.0):
+        return "stands", _clip_gait(walker, name, take, world)
     if (
         cycle_frames is None
         or cycle_frames.share > MAX_SEAM_FRACTION
-        or distance < MIN_TRAVEL_SPEED * walker.leg * seconds
+        or distance < MIN_TRAVEL_SPEED * walker.leg_length * seconds
     ):
-        return "reacts", _uncut_gait(walker, name, take, world)
+        return "reacts", _clip_gait(walker, name, take, world)
     cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=CYCLE_REPEATS)
     gait = _cycle_gait(walker, name, cycle)
     if gait is None:
-        return "reacts", _uncut_gait(walker, name, take, world)
+        return "reacts", _clip_gait(walker, name, take, world)
     return "moves", gait
 
 
@@ -120,17 +120,17 @@ class CyclePath:
     origin: FloatArray  # position at the first frame, x and z (2,) [m]
     heading: float  # heading at the first frame [rad]
     velocity: FloatArray  # velocity in the frame of the body (2,) [m/frame]
-    turning: float  # yaw rate [rad/frame]
+    yaw_rate: float  # yaw rate [rad/frame]
 
     def headings(self, frames: FloatArray) -> FloatArray:
         """Return headings at frames ``(K,)`` [rad]."""
-        return self.heading + self.turning * (frames - self.begin)
+        return self.heading + self.yaw_rate * (frames - self.begin)
 
     def positions(self, frames: FloatArray) -> FloatArray:
         """Return x and z at frames ``(K, 2)`` [m]."""
         return (
             self.origin
-            + _arc_integrals(self.heading, self.turning, frames - self.begin)
+            + _arc_integrals(self.heading, self.yaw_rate, frames - self.begin)
             @ self.velocity
         )
 
@@ -138,24 +138,24 @@ class CyclePath:
     def of(hips: FloatArray, headings: FloatArray, length: int) -> CyclePath:
         """Return the path fitted to the second of three cycles ``(3 L, …)``."""
         frames = np.arange(length, 2 * length)
-        turning = float(headings[2 * length] - headings[length]) / length
-        heading = float((headings[frames] - turning * (frames - length)).mean())
-        flat = hips[:, [0, 2]]
-        cycle_integral = _arc_integrals(heading, turning, np.array([float(length)]))[0]
-        velocity = np.linalg.solve(cycle_integral, flat[2 * length] - flat[length])
-        path = CyclePath(length, length, np.zeros(2), heading, velocity, turning)
-        offsets = flat[frames] - path.positions(frames.astype(float))
+        yaw_rate = float(headings[2 * length] - headings[length]) / length
+        heading = float((headings[frames] - yaw_rate * (frames - length)).mean())
+        points = hips[:, [0, 2]]
+        cycle_integral = _arc_integrals(heading, yaw_rate, np.array([float(length)]))[0]
+        velocity = np.linalg.solve(cycle_integral, points[2 * length] - points[length])
+        path = CyclePath(length, length, np.zeros(2), heading, velocity, yaw_rate)
+        offsets = points[frames] - path.positions(frames.astype(float))
         return replace(path, origin=offsets.mean(axis=0))
 
 
-def _arc_integrals(heading: float, turning: float, frames: FloatArray) -> FloatArray:
+def _arc_integrals(heading: float, yaw_rate: float, frames: FloatArray) -> FloatArray:
     """Return matrices ``(K, 2, 2)`` that integrate a velocity in a rotating frame."""
-    end = heading + turning * frames
-    if abs(turning) < 1e-9:
+    end = heading + yaw_rate * frames
+    if abs(yaw_rate) < 1e-9:
         cosine, sine = np.cos(heading) * frames, np.sin(heading) * frames
     else:
-        cosine = (np.sin(end) - np.sin(heading)) / turning
-        sine = (np.cos(heading) - np.cos(end)) / turning
+        cosine = (np.sin(end) - np.sin(heading)) / yaw_rate
+        sine = (np.cos(heading) - np.cos(end)) / yaw_rate
     x_row, z_row = np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)
     return np.stack([x_row, z_row], axis=-2)
 
@@ -174,30 +174,30 @@ def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
     if any(stance is None for stance in stances):
         return None
     left, right = (stance for stance in stances if stance is not None)
-    right_phase = ((right.lands - left.lands) / length) % 1.0
+    right_phase = ((right.begin - left.begin) / length) % 1.0
     if not 0.2 < right_phase < 0.8:
         return None
     phases = np.arange(PHASE_COUNT) / PHASE_COUNT
     cycle_fractions = np.interp(phases, [0.0, 0.5, 1.0], [0.0, right_phase, 1.0])
-    frames = left.lands + cycle_fractions * length
+    frames = left.begin + cycle_fractions * length
     frames = np.where(frames >= 2 * length, frames - length, frames)
     to_body = rotations_about_y(-path.headings(frames))
     origins = np.insert(path.positions(frames), 1, ground, axis=1)
-    local = _interpolate(rotations, frames)
-    local[:, 0] = so3.multiply(to_body, local[:, 0])
-    root = so3.rotate(to_body, sample_rows(world.positions[:, 0], frames) - origins)
+    local_rotations = _interpolate(rotations, frames)
+    local_rotations[:, 0] = so3.multiply(to_body, local_rotations[:, 0])
+    roots = so3.rotate(to_body, sample_rows(world.positions[:, 0], frames) - origins)
     steps = [
         _build_step(walker, world, path, ground, k, stance)
         for k, stance in enumerate((left, right))
     ]
     return Gait(
         name,
-        local,
-        root,
+        local_rotations,
+        roots,
         length / fps,
         path.velocity * fps,
-        path.turning * fps,
-        np.array([(stance.lifts - stance.lands) / length for stance in (left, right)]),
+        path.yaw_rate * fps,
+        np.array([(stance.end - stance.begin) / length for stance in (left, right)]),
         *(np.stack(arrays) for arrays in zip(*steps, strict=True)),
     )
 
@@ -206,19 +206,19 @@ def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
 class FootStance:
     """Frames between which a foot is planted."""
 
-    lands: int  # first frame
-    lifts: int  # frame after the last
-    flat: BoolArray  # mask of frames in which the foot is flat ``(F,)``
+    begin: int  # first frame
+    end: int  # frame after the last
+    is_flat: BoolArray  # mask of frames in which the foot is flat ``(F,)``
 
 
 def _find_stance(
     walker: Walker, world: WorldTransforms, foot_index: int, length: int, fps: float
 ) -> FootStance | None:
-    """Return the only stance of a foot that begins in the second cycle, or None."""
+    """Return the stance of a foot from the second cycle; None unless there is one."""
     _, _, foot, toe = walker.legs[foot_index]
     toe_positions = None if toe < 0 else world.positions[:, toe]
     contacts: FootContacts = find_contacts(
-        world.positions[:, foot], toe_positions, fps, walker.leg
+        world.positions[:, foot], toe_positions, fps, walker.leg_length
     )
     stances = [run for run in runs(contacts.any) if length <= run[0] < 2 * length]
     if len(stances) != 1 or not 0 < stances[0][1] - stances[0][0] < length:
@@ -237,10 +237,10 @@ def _build_step(
     """Return a foot's landing pose, pitches, swing rotations and ankle offsets."""
     _, _, foot, toe = walker.legs[k]
     level, ball = walker.level_rotations[k], walker.ball_offsets[k]
-    stance_frames = np.arange(stance.lands, stance.lifts)
+    stance_frames = np.arange(stance.begin, stance.end)
     flat_frames = stance_frames
-    if stance.flat[stance_frames].any():
-        flat_frames = stance_frames[stance.flat[stance_frames]]
+    if stance.is_flat[stance_frames].any():
+        flat_frames = stance_frames[stance.is_flat[stance_frames]]
     soles = so3.multiply(world.rotations[:, foot], so3.conjugate(level))
     yaw = float(np.unwrap(headings_of(soles[flat_frames])).mean())
     toe_positions = world.positions[:, toe if toe >= 0 else foot]
@@ -248,7 +248,7 @@ def _build_step(
     foothold = toe_positions[stance_frames].mean(axis=0) - ball_offset
     foothold = foothold[[0, 2]]
     # In the frame of the body, the foot lands there in every cycle.
-    landing_frame = np.array([float(stance.lands)])
+    landing_frame = np.array([float(stance.begin)])
     (start,) = path.positions(landing_frame)
     (start_heading,) = path.headings(landing_frame)
     offset = rotated_about_y(foothold - start, -start_heading)
@@ -258,12 +258,12 @@ def _build_step(
     next_point = end_point + rotated_about_y(offset, end_heading)
     next_foothold = np.append(next_point, yaw + end_heading - start_heading)
     fractions = np.linspace(0.0, 1.0, PHASE_COUNT)
-    frames = stance.lands + fractions * (stance.lifts - stance.lands)
+    frames = stance.begin + fractions * (stance.end - stance.begin)
     stance_rotations = _interpolate(soles, frames)
     stance_rotations = so3.multiply(rotations_about_y(np.array(-yaw)), stance_rotations)
     pitches = 2 * np.arctan2(stance_rotations[:, 0], stance_rotations[:, 3])
     pitches = wrap_angles(pitches)
-    frames = stance.lifts + fractions * (stance.lands + path.length - stance.lifts)
+    frames = stance.end + fractions * (stance.begin + path.length - stance.end)
     progress = swing_progress(fractions)
     positions = foothold + progress[:, None] * (next_foothold[:2] - foothold)
     yaws = yaw + progress * (next_foothold[2] - yaw)
@@ -278,8 +278,8 @@ def _build_step(
         swing_rotation = swings[row : row + 1 or None]
         correction = so3.multiply(stance_rotation, so3.conjugate(swing_rotation))
         swings = so3.multiply(so3.exp(weights[:, None] * so3.log(correction)), swings)
-        change = standing_ankle(walker, k, stance_rotation)[0] - lifts[row]
-        lifts = lifts + weights[:, None] * change
+        ankle_change = standing_ankle(walker, k, stance_rotation)[0] - lifts[row]
+        lifts = lifts + weights[:, None] * ankle_change
     return step, pitches, swings, lifts
 
 
@@ -289,18 +289,18 @@ def _interpolate(rotations: FloatArray, frames: FloatArray) -> FloatArray:
     return np.asarray(values / np.linalg.norm(values, axis=-1, keepdims=True))
 
 
-def _uncut_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
+def _clip_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
     """Return a complete clip as a gait without steps, relative to the first hips."""
     _, rotations, _ = take.motion.dense()
     heading = _hip_headings(walker, world)[0]
     to_forward = rotations_about_y(np.array(-heading))
     hips = middle_of_hips(walker.skeleton, world.positions)
     origin = np.array([hips[0, 0], _ground_height(walker, world), hips[0, 2]])
-    root = so3.rotate(to_forward, world.positions[:, 0] - origin)
-    local = rotations.copy()
-    local[:, 0] = so3.multiply(to_forward, rotations[:, 0])
+    roots = so3.rotate(to_forward, world.positions[:, 0] - origin)
+    local_rotations = rotations.copy()
+    local_rotations[:, 0] = so3.multiply(to_forward, rotations[:, 0])
     seconds = max(take.clock.count - 1, 1) / float(take.clock.rate)
-    return Gait(name, local, root, seconds, np.zeros(2), 0.0)
+    return Gait(name, local_rotations, roots, seconds, np.zeros(2), 0.0)
 
 
 def _hip_headings(walker: Walker, world: WorldTransforms) -> FloatArray:

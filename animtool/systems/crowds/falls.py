@@ -1,4 +1,4 @@
-"""Falling agents: rigs that become ragdolls when hit."""
+"""Falling agents, which become ragdolls when hit, and the limits of their joints."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
+from animtool.maths.rows import Rows
 from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.limits import MIN_CONE, BallLimit, RangeLimit, swing_twist
 from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.crowds.ground import GroundFrame, Terrain
-from animtool.systems.crowds.limits import clamp_to_limits, widen_limits
 from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
@@ -38,12 +39,12 @@ FALL_STEP = 0.0025
 REST_SPEED, REST_TIME = 0.15, 0.3
 # Largest speed of a falling body [m/s]; steps with faster ones are repeated in this
 # many substeps.
-MAX_FALL_SPEED, SUBSTEPS = 60.0, 8
+MAX_FALL_SPEED, FAST_SUBSTEPS = 60.0, 8
 GRAVITY = 9.81  # [m/s²]
 
 
 @dataclass(frozen=True, slots=True)
-class Falls:
+class Falls(Rows):
     """Agents that have fallen, in the order of their falls."""
 
     agents: IntArray = field(metadata=growing())  # indices of the agents (K,)
@@ -57,13 +58,13 @@ class Falls:
     slow: FloatArray = field(metadata=growing())
 
     @staticmethod
-    def no_falls(joints: int, bodies: int) -> Falls:
-        """Return an empty record, sized for rigs of at most these joints and bodies."""
+    def no_falls(joint_count: int, body_count: int) -> Falls:
+        """Return an empty record for rigs of at most this many joints and bodies."""
         return Falls(
             np.zeros(0, np.int64),
-            np.zeros((0, joints, 3)),
-            np.zeros((0, joints, 4)),
-            np.zeros((0, bodies, 14)),
+            np.zeros((0, joint_count, 3)),
+            np.zeros((0, joint_count, 4)),
+            np.zeros((0, body_count, 14)),
             np.zeros(0),
         )
 
@@ -153,23 +154,18 @@ class FallSimulator:
             rotations = np.tile(so3.IDENTITY, (1, falls.turns.shape[1], 1))
             positions[0, : len(rig.joints)] = pose.positions[0]
             rotations[0, : len(rig.joints)] = pose.rotations[0]
-            fall = self._ragdoll(agent, positions[0], rotations[0])
+            ragdoll = self._ragdoll(agent, positions[0], rotations[0])
             # Velocities of a pose pair belong to the later one.
             pair_positions = np.concatenate([next_pose.positions, pose.positions])
             pair_linear = np.concatenate([next_pose.linear, pose.linear])
             pose_pair = WorldTransforms(pair_positions, pair_linear)
             times = np.array([dt, 0.0])
-            motion = fall.simulation.initial().motion.copy()
-            motion[:, 7:13] = ragdoll_velocities(fall.ragdoll, pose_pair, times, 1)
-            motion_row = np.zeros((1, *falls.motion.shape[1:]))
-            motion_row[0, : len(motion)] = motion
-            falls = Falls(
-                np.append(falls.agents, agent),
-                np.concatenate([falls.positions, positions]),
-                np.concatenate([falls.turns, rotations]),
-                np.concatenate([falls.motion, motion_row]),
-                np.append(falls.slow, 0.0),
-            )
+            motion = ragdoll.simulation.initial().motion.copy()
+            motion[:, 7:13] = ragdoll_velocities(ragdoll.ragdoll, pose_pair, times, 1)
+            states = np.zeros((1, *falls.motion.shape[1:]))
+            states[0, : len(motion)] = motion
+            fall = Falls(np.array([agent]), positions, rotations, states, np.zeros(1))
+            falls = Falls.concatenate([falls, fall])
         return falls
 
     def step(self, falls: Falls, t: float, dt: float) -> Falls:
@@ -255,7 +251,7 @@ def _step_ragdoll(
 ) -> FloatArray:
     """Return body states ``(B, 14)`` after a step [s]; fast bodies take substeps."""
     initial = simulation.initial()
-    for substeps in (1, SUBSTEPS):
+    for substeps in (1, FAST_SUBSTEPS):
         states, substep = body_states, dt / substeps
         for i in range(substeps):
             state = replace(initial, motion=np.ascontiguousarray(states))
@@ -277,3 +273,63 @@ def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
     to_parents = so3.conjugate(rotations[rig.parents[has_parent]])
     local[has_parent] = so3.multiply(to_parents, rotations[has_parent])
     return local
+
+
+def widen_limits(rig: Rig, rotations: FloatArray) -> Rig:
+    """Return a rig with limits widened to contain local rotations ``(J, 4)``.
+
+    A walking pose may exceed the limits of its rig, and would snap back to them.
+    """
+    joints = zip(rig.joints, _rotations_from_rest(rig, rotations), strict=True)
+    return replace(rig, joints=tuple(_widen_joint_limits(*args) for args in joints))
+
+
+def clamp_to_limits(rig: Rig, rotations: FloatArray) -> FloatArray:
+    """Return local rotations ``(J, 4)`` clamped to the limits of a rig.
+
+    Squeezed bodies may have arbitrary joint rotations for some frames.
+    """
+    rest_rotations = _rotations_from_rest(rig, rotations)
+    for j, joint in enumerate(rig.joints):
+        if joint.type is JointType.PIN:
+            angle = _pin_angle(joint, rest_rotations[j])
+            if isinstance(joint.limits, RangeLimit):
+                angle = float(joint.limits.clamped(np.array(angle)))
+            rest_rotations[j] = so3.from_axis_angle(joint.axis, np.array(angle))
+        elif joint.type is JointType.BALL and isinstance(joint.limits, BallLimit):
+            rest_rotations[j] = joint.limits.clamped(rest_rotations[j][None])[0]
+    return so3.multiply(rig.rest_rotations, rest_rotations)
+
+
+def _rotations_from_rest(rig: Rig, rotations: FloatArray) -> FloatArray:
+    """Return joint rotations relative to the rest pose ``(J, 4)``."""
+    return so3.multiply(so3.conjugate(rig.rest_rotations), rotations)
+
+
+def _pin_angle(joint: Joint, rotation: FloatArray) -> float:
+    """Return the angle of a pin joint, unwrapped to the middle of its limits [rad]."""
+    angle = 2 * float(np.arctan2(rotation[:3] @ np.array(joint.axis), rotation[3]))
+    limits = joint.limits
+    middle = (limits.low + limits.high) / 2 if isinstance(limits, RangeLimit) else 0.0
+    return angle - 2 * np.pi * round((angle - middle) / (2 * np.pi))
+
+
+def _widen_joint_limits(joint: Joint, rotation: FloatArray) -> Joint:
+    """Return a joint with limits widened to a rotation from rest ``(4,)``."""
+    limits = joint.limits
+    if joint.type is JointType.PIN and isinstance(limits, RangeLimit):
+        angle = _pin_angle(joint, rotation)
+        widened = RangeLimit(min(limits.low, angle), max(limits.high, angle))
+        return replace(joint, limits=widened)
+    if joint.type is not JointType.BALL or not isinstance(limits, BallLimit):
+        return joint
+    swings, twists = swing_twist(rotation[None], limits.twist_axis)
+    twist, swing = limits.twist, limits.swing
+    if twist is not None:
+        twist = min(twist[0], float(twists[0])), max(twist[1], float(twists[0]))
+    if swing is not None:
+        min_swing = np.maximum(swing, MIN_CONE)
+        ratio = np.linalg.norm(so3.log(swings[0]) @ limits.axes[1:].T / min_swing)
+        first, second = (min_swing * max(1.0, float(ratio))).tolist()
+        swing = first, second
+    return replace(joint, limits=replace(limits, swing=swing, twist=twist))

@@ -5,21 +5,25 @@ Coordinates are in the frame of the ground; a body has x to its left and z ahead
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
+from animtool.maths.rows import Rows
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.gaits import Gaits, swing_progress
-from animtool.systems.crowds.ground import rotated_about_y, wrap_angles
+from animtool.systems.crowds.ground import (
+    Heights,
+    ground_at,
+    rotated_about_y,
+    wrap_angles,
+)
 
 # Largest distance of a planted foot from its target, relative to the leg length, and
 # largest yaw [rad]; beyond them it is misplaced.
 MAX_FOOT_OFFSET, MAX_FOOT_YAW = 0.15, 0.45
 # Smallest step width relative to that of the gaits.
-STEP_WIDTH = 0.6
+MIN_STEP_WIDTH = 0.6
 # Gap of feet that pass each other, and range along z in which they do; both relative to
 # the leg length.
 PASSING_GAP, PASSING_RANGE = 0.09, 0.35
@@ -28,15 +32,8 @@ PASSING_GAP, PASSING_RANGE = 0.09, 0.35
 MAX_LANDING_SPEED, MAX_LANDING_YAW_RATE = 2.5, 6.0
 
 
-class Heights(Protocol):
-    """Interface of the ground as a height field."""
-
-    def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``."""
-
-
 @dataclass(frozen=True, slots=True)
-class BodyState:
+class BodyState(Rows):
     """Gait phases and feet of N bodies."""
 
     phases: FloatArray  # phase of the cycle; the left foot lands at 0 (N,)
@@ -108,7 +105,7 @@ class Footing:
         other_foot = footholds[:, 1 - foot_index, :2] - points
         other_foot = rotated_about_y(other_foot, -headings)
         width = blend.steps[:, 0, 0] - blend.steps[:, 1, 0]
-        min_width = STEP_WIDTH * width * self.scales
+        min_width = MIN_STEP_WIDTH * width * self.scales
         is_too_close = side * (step[:, 0] - other_foot[:, 0]) < min_width
         # Another foot that is out of reach is no obstacle.
         is_too_close &= np.abs(other_foot[:, 0]) < 2 * min_width
@@ -130,7 +127,7 @@ class Footing:
         """Return a mask of the feet too far from their standing targets ``(N, 2)``."""
         offsets = state.places - self.standing_targets(motion, blend)
         distances = np.linalg.norm(offsets[..., :2], axis=2)
-        leg = self.gaits.walker.leg * self.scales[:, None]
+        leg = self.gaits.walker.leg_length * self.scales[:, None]
         yaws = np.abs(wrap_angles(offsets[..., 2]))
         return np.asarray((distances > MAX_FOOT_OFFSET * leg) | (yaws > MAX_FOOT_YAW))
 
@@ -145,7 +142,7 @@ class Footing:
         feet = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
         foothold_distances = np.zeros((len(state.phases), 2))
-        ground_heights, _ = self.heights(motion.points)
+        ground_heights, _ = ground_at(self.ground, motion.points)
         footholds = state.places.copy()
         for k in range(2):
             is_swinging = state.swings[:, k] >= 0
@@ -156,9 +153,9 @@ class Footing:
             lengths = np.linalg.norm(stride[:, :2], axis=1)[:, None]
             distances = (lengths * np.hstack([fraction, 1 - fraction])).min(axis=1)
             foothold_distances[:, k] = np.where(is_swinging, distances, 0.0)
-            start_height, start_normal = self.heights(start[:, :2])
-            target_height, target_normal = self.heights(target[:, :2])
-            ground_height, _ = self.heights(footholds[:, k, :2])
+            start_height, start_normal = ground_at(self.ground, start[:, :2])
+            target_height, target_normal = ground_at(self.ground, target[:, :2])
+            ground_height, _ = ground_at(self.ground, footholds[:, k, :2])
             height = start_height + fraction[:, 0] * (target_height - start_height)
             height = np.maximum(height, ground_height)
             height = np.where(is_swinging, height, start_height)
@@ -185,7 +182,7 @@ class Footing:
         """
         detours = np.zeros((len(footholds), 2))
         local = rotated_about_y(footholds[..., :2], -motion.headings[:, None])
-        leg = self.gaits.walker.leg
+        leg = self.gaits.walker.leg_length
         gap = PASSING_GAP * leg * self.scales
         passing_range = PASSING_RANGE * leg * self.scales
         for k in range(2):
@@ -201,15 +198,10 @@ class Footing:
             detours[:, k] = np.abs(displacement[:, 0])
         return detours
 
-    def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights and normals of the ground; beyond the edge, heights are 0."""
-        heights, normals = self.ground(points)
-        return np.where(np.isfinite(heights), heights, 0.0), normals
-
 
 def limit_landings(
     aims: FloatArray,
-    requested: FloatArray,
+    new_landings: FloatArray,
     swings: FloatArray,
     was_planted: BoolArray,
     scales: FloatArray,
@@ -218,12 +210,11 @@ def limit_landings(
 ) -> FloatArray:
     """Return landings ``(N, 3)`` of a foot with a limited rate of change.
 
-    ``requested`` are the new landings. Feet that have just lifted (``was_planted``) use
-    the new landings without a limit.
+    Feet that have just lifted (``was_planted``) use their new landing without a limit.
     """
     progress = swing_progress(np.clip(swings[:, foot_index], 0.0, 1.0))
     progress = np.where(was_planted, 0.0, progress)
-    correction = requested - aims[:, foot_index]
+    correction = new_landings - aims[:, foot_index]
     distances = progress * np.linalg.norm(correction[:, :2], axis=1)
     fraction = MAX_LANDING_SPEED * scales * dt / np.maximum(distances, 1e-9)
     fraction = np.where(distances > 0, np.minimum(fraction, 1.0), 1.0)
@@ -232,4 +223,4 @@ def limit_landings(
     max_yaw = MAX_LANDING_YAW_RATE * dt / np.maximum(progress, 1e-9)
     max_yaw = np.where(progress > 0, max_yaw, np.inf)
     landings[:, 2] = aims[:, foot_index, 2] + np.clip(yaw, -max_yaw, max_yaw)
-    return np.where(was_planted[:, None], requested, landings)
+    return np.where(was_planted[:, None], new_landings, landings)

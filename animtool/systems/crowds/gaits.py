@@ -1,7 +1,8 @@
-"""Gaits of a biped: one cycle each by phase, with its steps."""
+"""Gaits of a biped, each a cycle sampled by phase, with its steps."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import field
 
 import numpy as np
@@ -34,7 +35,7 @@ class Walker:
     # Offset from each ankle to the toe joint, or to the ground without one, for a
     # planted foot heading along z (2, 3) [m].
     ball_offsets: FloatArray
-    leg: float  # total length of thigh and shin [m]
+    leg_length: float  # total length of thigh and shin [m]
 
     @property
     def rig(self) -> Rig:
@@ -98,7 +99,7 @@ class Gait:
     hips: FloatArray  # positions of the first joint (P, 3) [m]
     period: float  # length of the cycle [s]
     velocity: FloatArray  # velocity of the body in its frame, x and z (2,) [m/s]
-    turning: float  # yaw rate of the body [rad/s]
+    yaw_rate: float  # yaw rate of the body [rad/s]
     # Fraction of the cycle that each foot is planted (2,).
     stance_fractions: FloatArray = field(default_factory=lambda: np.ones(2))
     # Landing of each foot in the frame of the body: x, z and yaw (2, 3) [m], [rad].
@@ -123,7 +124,7 @@ class Gaits:
     """Clips of a rig: locomotion, standing and reactions."""
 
     walker: Walker
-    moving: tuple[Gait, ...]  # locomotion cycles, the slowest first; at least one
+    cycles: tuple[Gait, ...]  # locomotion cycles, the slowest first; at least one
     idle: Gait  # clip of standing agents
     reactions: tuple[Gait, ...]  # clips played once when hit
     notices: tuple[Fault, ...]  # warnings about missing clips, and the fallback
@@ -152,6 +153,14 @@ def standing_ankle(walker: Walker, foot_index: int, pitches: FloatArray) -> Floa
     on_heel = so3.rotate(pitches, ankle)
     on_ball = ankle + ball - so3.rotate(pitches, ball)
     return np.where(pitches[..., :1] > 0, on_ball, on_heel)
+
+
+def weighted_sum(values: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
+    """Return the sum of values of gaits ``(N, …)``, with weights ``(N, G)``."""
+    total = np.zeros_like(values[0])
+    for value, weight in zip(values, weights.T, strict=True):
+        total += weight.reshape(-1, *[1] * (total.ndim - 1)) * value
+    return total
 
 
 def sample_rows(

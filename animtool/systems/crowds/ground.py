@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import field
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -31,9 +32,22 @@ def rotated_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArra
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
 
 
+def ground_at(ground: Heights, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return heights and normals of the ground; beyond its edge, heights are 0."""
+    heights, normals = ground(points)
+    return np.where(np.isfinite(heights), heights, 0.0), normals
+
+
 def wrap_angles(angles: FloatArray) -> FloatArray:
     """Return angles wrapped to [-π, π] [rad]."""
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
+
+
+class Heights(Protocol):
+    """Interface of the ground as a height field."""
+
+    def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +96,7 @@ class Terrain:
         if self.is_plane:
             return np.zeros(count), normals
         heights = np.full(count, -np.inf)
-        rows, faces = self._candidates(points)
+        rows, faces = self._candidate_pairs(points)
         (a, edges_b, edges_c), inverse_doubled_areas, normal_table = self._planes
         offsets = points[rows] - a[faces][:, [0, 2]]
         b, c = edges_b[faces], edges_c[faces]
@@ -162,7 +176,7 @@ class Terrain:
         starts = np.searchsorted(cells[order], cell_indices)
         return low, cell_size, counts, faces[order], starts
 
-    def _candidates(self, points: FloatArray) -> tuple[IntArray, IntArray]:
+    def _candidate_pairs(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return pairs of points and triangles that may overlap seen from above."""
         low, size, counts, faces, starts = self._grid
         grid_points = (points - low) / size

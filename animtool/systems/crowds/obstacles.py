@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import field
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +16,13 @@ from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane
 from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.ground import GroundFrame, Terrain, walkable
+from animtool.systems.crowds.ground import GroundFrame, Terrain, ground_at, walkable
 from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
+
+# For N agents the gaps to an obstacle ``(N,)`` [m], directions from it ``(N, 2)``, and
+# closing speeds ``(N,)`` [m/s].
+Gaps: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
 # Smallest horizontal component of the normal of a wall; surfaces with less are floors
 # or ceilings.
@@ -35,7 +40,7 @@ LEAVING_SPEED = 0.8
 class Walls:
     """Obstacles near N agents, as half-planes sorted by agent."""
 
-    starts: npt.NDArray[np.int32]  # index of each agent's first wall (N + 1,)
+    first_walls: npt.NDArray[np.int32]  # index of each agent's first wall (N + 1,)
     # For each wall its unit normal (x, z), the minimum velocity along it [m/s], and the
     # minimum position along it [m] (M, 4).
     rows: FloatArray
@@ -61,7 +66,8 @@ class Obstacles:
 
     def walls(self, t: float, dt: float, x: FloatArray) -> Walls:
         """Return obstacles near agents at x and z ``(N, 2)``, in a step [s]."""
-        obstacles = [*self._colliders(t, dt, x), *self._doors(t, x), *self._edges(x)]
+        obstacles = self._collider_gaps(t, dt, x)
+        obstacles += self._door_gaps(t, x) + self._edge_gaps(x)
         count = len(x)
         if not obstacles:
             zeros = np.zeros(0)
@@ -85,19 +91,16 @@ class Obstacles:
         starts = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(np.int32)
         return Walls(starts, wall_rows, agents_of_walls, gaps, closing_speeds)
 
-    def _colliders(
-        self, t: float, dt: float, x: FloatArray
-    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gap, direction to each agent, and closing speed of each collider."""
-        if not self.colliders.rigid_count:
+    def _collider_gaps(self, t: float, dt: float, x: FloatArray) -> list[Gaps]:
+        """Return the gaps of all colliders."""
+        if not self.colliders.rigid:
             return []
         radii, body_heights = self.agents.radii, self.agents.heights
-        heights, _ = self.ground(x)
-        base = np.where(np.isfinite(heights), heights, 0.0)
+        base_heights, _ = ground_at(self.ground, x)
         return [
             (distances - radii, directions, speeds)
             for distances, directions, speeds in capsule_distances(
-                self.colliders, self.frame, x, base, radii, body_heights, t, dt
+                self.colliders, self.frame, x, base_heights, radii, body_heights, t, dt
             )
         ]
 
@@ -109,8 +112,7 @@ class Obstacles:
         """
         radius = float(self.agents.radii.max(initial=0.0))
         height = float(self.agents.heights.max(initial=radius))
-        ground_heights, _ = self.ground(position)
-        base = float(ground_heights[0]) if np.isfinite(ground_heights[0]) else 0.0
+        base = float(ground_at(self.ground, position)[0][0])
         low, high = base + radius, base + max(height - radius, radius)
         x, z = position[0]
         points = np.array([[x, y, z] for y in (low, (low + high) / 2, high)])
@@ -121,22 +123,14 @@ class Obstacles:
         is_fixed = [collider.poses.is_fixed for collider in self.colliders]
         return np.where(is_fixed, depths, -np.inf)
 
-    def collider_name(self, c: int) -> str:
-        """Return the name of a collider, or its key."""
-        name = self.colliders[c].name
-        return repr(name) if name else f"colliders[{c}]"
-
     def world_text(self, x: FloatArray) -> str:
         """Return the position of x and z on the ground ``(2,)`` as text."""
-        heights, _ = self.ground(x[None])
-        height = float(heights[0]) if np.isfinite(heights[0]) else 0.0
+        height = float(ground_at(self.ground, x[None])[0][0])
         point = self.frame.to_world(np.array([[x[0], height, x[1]]]))[0]
         return f"{vector_text(point)} m"
 
-    def _doors(
-        self, t: float, x: FloatArray
-    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gap, direction to each agent, and closing speed of closed doors."""
+    def _door_gaps(self, t: float, x: FloatArray) -> list[Gaps]:
+        """Return the gaps of closed doors."""
         doors = []
         for door, (a, b) in zip(self.doors, self.door_ends, strict=True):
             if any(first <= t < last for first, last in door.opens):
@@ -150,8 +144,8 @@ class Obstacles:
             doors.append((distances - self.agents.radii, directions, np.zeros(len(x))))
         return doors
 
-    def _edges(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gap, direction to each agent, and closing speed of ground edges."""
+    def _edge_gaps(self, x: FloatArray) -> list[Gaps]:
+        """Return the gaps of the edge of the ground."""
         if self.edge_grid is None:
             return []
         gaps, directions = self.edge_grid.edges(x)
@@ -167,7 +161,7 @@ def capsule_distances(
     body_heights: FloatArray,
     t: float,
     dt: float,
-) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+) -> list[Gaps]:
     """Return horizontal distances of colliders from upright capsules.
 
     For each collider it returns distances ``(K,)`` from the axes [m], infinite for
@@ -281,8 +275,8 @@ def _obstacle_bounds(
             if np.linalg.norm(horizontal) > MIN_WALL_NORMAL * np.linalg.norm(normal):
                 return low, high
             continue
-        ends = shape_bounds(collider.shape)
-        box = np.array([ends[list(corner), range(3)] for corner in np.ndindex(2, 2, 2)])
+        span = shape_bounds(collider.shape)
+        box = np.array([span[list(corner), range(3)] for corner in np.ndindex(2, 2, 2)])
         corners = frame.to_local(collider.poses.to_world(box)[0])[:, [0, 2]]
         obstacle_low = np.minimum(obstacle_low, corners.min(axis=0))
         obstacle_high = np.maximum(obstacle_high, corners.max(axis=0))
@@ -293,4 +287,4 @@ def _obstacle_bounds(
 def is_blocked(grid: NavGrid, x: FloatArray) -> BoolArray:
     """Return a mask of the points x and z ``(K, 2)`` that are not walkable ``(K,)``."""
     row, column = grid.nearest_nodes(x).T
-    return np.asarray(~grid.free[row, column])
+    return np.asarray(~grid.is_free[row, column])

@@ -23,6 +23,7 @@ from animtool.systems.crowds.gaits import (
     sample_rows,
     standing_ankle,
     swing_progress,
+    weighted_sum,
 )
 from animtool.systems.crowds.ground import rotations_about_y
 from animtool.systems.crowds.reach import MAX_LOWERING, SWING_MARGIN, reach_across
@@ -58,7 +59,7 @@ def body_poses(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> Bo
     gait_rotations, roots = _gait_rotations(bodies, state, blend)
     rotations = np.repeat(rig.rest_rotations[None], len(gait_rotations), axis=0)
     rotations[:, bodies.animated] = gait_rotations
-    bodies.trunk.rotate(rig.parents, rotations, state.shoulders)
+    bodies.trunk.rotate_shoulders(rig.parents, rotations, state.shoulders)
     feet, normals, foothold_distances = bodies.foot_poses(state, motion)
     goals, soles = _ankle_targets(
         bodies, state, blend, feet, normals, foothold_distances
@@ -99,23 +100,23 @@ def _solve_leg_ik(
     goals = _move_into_reach(walker, joints, goals, state.swings >= 0)
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         hip_parent = int(rig.parents[thigh])
-        upper, lower = ankle_rotations(
+        upper_leg, lower_leg = ankle_rotations(
             walker.skeleton,
             SIDES[k],
             joints[:, [thigh, shin, foot]],
             goals[:, k],
             (world_rotations[thigh], world_rotations[shin]),
         )
-        level_rotation = np.broadcast_to(walker.level_rotations[k], upper.shape)
+        level_rotation = np.broadcast_to(walker.level_rotations[k], upper_leg.shape)
         sole = so3.multiply(soles[:, k], level_rotation)
         if hip_parent >= 0:
             hip_rotation = world_rotations[hip_parent]
         else:
-            hip_rotation = np.broadcast_to(so3.IDENTITY, upper.shape)
+            hip_rotation = np.broadcast_to(so3.IDENTITY, upper_leg.shape)
         for joint, parent, joint_rotation in (
-            (thigh, hip_rotation, upper),
-            (shin, upper, lower),
-            (foot, lower, sole),
+            (thigh, hip_rotation, upper_leg),
+            (shin, upper_leg, lower_leg),
+            (foot, lower_leg, sole),
         ):
             rotations[:, joint] = so3.multiply(so3.conjugate(parent), joint_rotation)
     return lowering
@@ -138,12 +139,12 @@ def _hip_lowering(
         end_weight = np.clip(end_weight / (2 * LOWERING_PHASE), 0.0, 1.0)
         required_lowering = leg[:, 1] - max_height
         swing_lowering = swing_progress(end_weight) * required_lowering
-        max_lowering = state.lowered + SWING_MARGIN * walker.leg
+        max_lowering = state.lowered + SWING_MARGIN * walker.leg_length
         swing_lowering = np.minimum(swing_lowering, max_lowering)
         is_planted = state.swings[:, k] < 0
         foot_lowering = np.where(is_planted, required_lowering, swing_lowering)
         lowering = np.maximum(lowering, foot_lowering)
-    return np.minimum(lowering, MAX_LOWERING * walker.leg)
+    return np.minimum(lowering, MAX_LOWERING * walker.leg_length)
 
 
 def _move_into_reach(
@@ -157,7 +158,7 @@ def _move_into_reach(
     for k, (thigh, *_) in enumerate(walker.legs):
         leg = goals[:, k] - joints[:, thigh]
         distances = np.linalg.norm(leg[:, [0, 2]], axis=1)
-        reach = reach_across(walker.leg, leg[:, 1] ** 2)
+        reach = reach_across(walker.leg_length, leg[:, 1] ** 2)
         overreach = np.maximum(distances - reach, 0.0) * is_swinging[:, k]
         excess = overreach / np.maximum(distances, 1e-9)
         result[:, k, [0, 2]] -= excess[:, None] * leg[:, [0, 2]]
@@ -263,17 +264,13 @@ def _gait_swing(
     swings: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations and ankle offsets of swinging feet, from their gaits."""
-    moving_gaits = gaits.moving
+    moving_gaits = gaits.cycles
     rows = swings * (PHASE_COUNT - 1)
     weights = blend.weights[is_swinging]
     gait_rotations = [sample_rows(gait.swings[k], rows) for gait in moving_gaits]
     swing_rotations = _blend_rotations(gait_rotations, weights)
-    ankle_offsets = np.asarray(
-        sum(
-            weight[:, None] * sample_rows(gait.lifts[k], rows)
-            for weight, gait in zip(weights.T, moving_gaits, strict=True)
-        )
-    )
+    lifts = [sample_rows(gait.lifts[k], rows) for gait in moving_gaits]
+    ankle_offsets = weighted_sum(lifts, weights)
     # Offsets along the motion are scaled with the step length.
     end_offsets = [
         sum(
@@ -314,12 +311,8 @@ def _gait_rotations(
     tables, idle_table = bodies.animated_rotations
     gait_rotations = [sample_rows(table, rows, cyclic=True) for table in tables]
     walk_rotations = _blend_rotations(gait_rotations, blend.weights)
-    hips = np.asarray(
-        sum(
-            weight[:, None] * sample_rows(table.hips, rows, cyclic=True)
-            for weight, table in zip(blend.weights.T, gaits.moving, strict=True)
-        )
-    )
+    gait_hips = [sample_rows(gait.hips, rows, cyclic=True) for gait in gaits.cycles]
+    hips = weighted_sum(gait_hips, blend.weights)
     rows = idle_frames(gaits.idle, state.clocks)
     idle_weight = state.still[:, None]
     idle_rotations = sample_rows(idle_table, rows)

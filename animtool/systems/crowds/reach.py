@@ -18,6 +18,7 @@ from animtool.systems.crowds.gaits import (
     rotations_about_x,
     sample_rows,
     standing_ankle,
+    weighted_sum,
 )
 from animtool.systems.crowds.ground import rotations_about_y
 
@@ -48,19 +49,16 @@ class LegReach:
     @staticmethod
     def of(gaits: Gaits) -> LegReach:
         """Return the leg reach of the rig of the given gaits."""
-        walking = tuple(_gait_thighs(gaits, gait) for gait in gaits.moving)
-        return LegReach(gaits, walking, _gait_thighs(gaits, gaits.idle).mean(axis=0))
+        tables = tuple(_gait_thighs(gaits, gait) for gait in gaits.cycles)
+        return LegReach(gaits, tables, _gait_thighs(gaits, gaits.idle).mean(axis=0))
 
     def thighs(
         self, phases: FloatArray, weights: FloatArray, standing_weights: FloatArray
     ) -> FloatArray:
         """Return the thigh positions of bodies above level ground ``(N, 2, 3)``."""
         rows = phases * PHASE_COUNT
-        thighs = np.zeros((len(phases), 2, 3))
-        for weight, gait_thighs in zip(weights.T, self.gait_thighs, strict=True):
-            thighs += weight[:, None, None] * sample_rows(
-                gait_thighs, rows, cyclic=True
-            )
+        samples = [sample_rows(table, rows, cyclic=True) for table in self.gait_thighs]
+        thighs = weighted_sum(samples, weights)
         offsets = standing_weights[:, None, None] * (self.standing_thighs - thighs)
         return np.asarray(thighs + offsets)
 
@@ -77,7 +75,7 @@ class LegReach:
             feet: Position x, y, z and heading of the foot ``(N, 4)``.
             pitches: Heel pitch of the foot ``(N,)`` [rad].
         """
-        leg = self.gaits.walker.leg
+        leg = self.gaits.walker.leg_length
         to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
         heights = np.maximum(-to_ankle[:, 1] - MAX_STANCE_LOWERING * leg, 0.0)
         distances = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
@@ -88,7 +86,7 @@ class LegReach:
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
         """Return how far hips must be lowered for a planted foot ``(N,)`` [m]."""
-        leg = self.gaits.walker.leg
+        leg = self.gaits.walker.leg_length
         to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
         max_height = reach_across(leg, (to_ankle[:, [0, 2]] ** 2).sum(axis=1))
         lowering = np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
@@ -116,10 +114,10 @@ def reach_across(leg: FloatArray | float, squared_offset: FloatArray) -> FloatAr
 class Stances:
     """Feet of N bodies, with heel pitches now and at lift-off."""
 
-    begins: FloatArray  # phase of each foot, from its landing (N, 2)
+    phases: FloatArray  # phase of each foot, from its landing (N, 2)
     # Fraction of the cycle that each foot is planted (N, 2).
     stance_fractions: FloatArray
-    swings: BoolArray  # mask of feet in the air (N, 2)
+    is_swinging: BoolArray  # mask of feet in the air (N, 2)
     feet: FloatArray  # position x, y, z and heading of each foot (N, 2, 4)
     thighs: FloatArray  # thigh joints (N, 2, 3)
     pitches: FloatArray  # heel pitches now, and at lift-off (2, N, 2) [rad]
@@ -137,8 +135,8 @@ def step_rates(
     rate = stances.rate.copy()
     is_stance_over = np.zeros((len(rate), 2), np.bool_)
     for k in range(2):
-        is_swinging = stances.swings[:, k]
-        phase, stance_fraction = stances.begins[:, k], stances.stance_fractions[:, k]
+        is_swinging = stances.is_swinging[:, k]
+        phase, stance_fraction = stances.phases[:, k], stances.stance_fractions[:, k]
         foot_stance = k, stances.thighs[:, k], stances.feet[:, k]
         pitch, lift_pitch = stances.pitches[:, :, k]
         current_margin, _ = reach.reach_margin(*foot_stance, pitch)

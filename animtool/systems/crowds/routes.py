@@ -27,7 +27,7 @@ class NavGrid:
 
     low: FloatArray  # x and z of the first node (2,) [m]
     cell: float  # distance between nodes [m]
-    free: BoolArray  # mask of walkable nodes (R, C), rows along x
+    is_free: BoolArray  # mask of walkable nodes (R, C), rows along x
 
     @staticmethod
     def nodes(low: FloatArray, cell: float, shape: tuple[int, int]) -> FloatArray:
@@ -40,37 +40,37 @@ class NavGrid:
         """Connected component of each node ``(R, C)``; 0 for blocked nodes."""
         from scipy.ndimage import label
 
-        return np.asarray(label(self.free)[0], np.int64)
+        return np.asarray(label(self.is_free)[0], np.int64)
 
     @cached_property
-    def nearest_free(self) -> tuple[FloatArray, IntArray]:
-        """Distances ``(R, C)`` [m] to the nearest free nodes, and their indices."""
+    def _nearest_free_nodes(self) -> IntArray:
+        """Index of the free node nearest to each node ``(R, C)``."""
         from scipy.ndimage import distance_transform_edt
 
-        distances, nodes = distance_transform_edt(
-            ~self.free, self.cell, return_indices=True
+        rows, columns = distance_transform_edt(
+            ~self.is_free, self.cell, return_distances=False, return_indices=True
         )
-        return distances, nodes[0] * self.free.shape[1] + nodes[1]
+        return np.asarray(rows * self.is_free.shape[1] + columns)
 
     def nearest_nodes(self, points: FloatArray) -> IntArray:
         """Return rows and columns of the nodes nearest to x and z ``(K, 2)``."""
-        last = np.array(self.free.shape) - 1
+        last = np.array(self.is_free.shape) - 1
         indices = np.floor((points - self.low) / self.cell + 0.5)
         return np.clip(indices, 0, last).astype(np.int64)
 
     @property
     def high(self) -> FloatArray:
         """Position of the last node: x and z ``(2,)`` [m]."""
-        return np.asarray(self.low + self.cell * (np.array(self.free.shape) - 1))
+        return np.asarray(self.low + self.cell * (np.array(self.is_free.shape) - 1))
 
     def border_distance(self, points: FloatArray) -> FloatArray:
         """Return distances of points ``(K, 2)`` from the border, negative outside."""
         distances = np.minimum(points - self.low, self.high - points)
         return np.asarray(distances.min(axis=1), np.float64)
 
-    def facing_border(self, point: FloatArray) -> IntArray:
+    def border_facing(self, point: FloatArray) -> IntArray:
         """Return the border nodes on the sides that face a point outside the grid."""
-        indices = np.arange(self.free.size).reshape(self.free.shape)
+        indices = np.arange(self.is_free.size).reshape(self.is_free.shape)
         border = [np.zeros(0, np.int64)]
         for axis, edges in enumerate((indices, indices.T)):
             if point[axis] < self.low[axis] - self.cell:
@@ -82,11 +82,11 @@ class NavGrid:
     def nearest_free_node(self, points: FloatArray) -> IntArray:
         """Return the free nodes nearest to x and z ``(K, 2)``."""
         row, column = self.nearest_nodes(points).T
-        return np.asarray(self.nearest_free[1][row, column])
+        return np.asarray(self._nearest_free_nodes[row, column])
 
     def node_positions(self, nodes: IntArray) -> FloatArray:
         """Return x and z of nodes by index ``(K, 2)`` [m]."""
-        index = np.stack(np.divmod(nodes, self.free.shape[1]), axis=-1)
+        index = np.stack(np.divmod(nodes, self.is_free.shape[1]), axis=-1)
         return np.asarray(self.low + self.cell * index)
 
     @cached_property
@@ -94,7 +94,7 @@ class NavGrid:
         """Distance of each node from blocked nodes ``(R, C)`` [m]."""
         from scipy.ndimage import distance_transform_edt
 
-        distances = distance_transform_edt(np.pad(self.free, 1), self.cell)
+        distances = distance_transform_edt(np.pad(self.is_free, 1), self.cell)
         return np.asarray(distances)[1:-1, 1:-1]
 
     def cell_corners(self, points: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
@@ -102,7 +102,7 @@ class NavGrid:
 
         Rows of the four nodes are ``(K, 2, 1)``, and columns ``(K, 1, 2)``.
         """
-        last = np.array(self.free.shape) - 1
+        last = np.array(self.is_free.shape) - 1
         coordinates = np.clip((points - self.low) / self.cell, 0, last)
         lower_node = np.minimum(coordinates.astype(np.int64), np.maximum(last - 1, 0))
         corner_indices = np.minimum(lower_node[:, None] + np.array([[0], [1]]), last)
@@ -177,7 +177,7 @@ class FlowField:
         distances = np.linalg.norm(offset, axis=1)
         row, column = grid.nearest_nodes(points).T
         # Outside the grid, visibility is that of the nearest node.
-        node = grid.node_positions(row * grid.free.shape[1] + column)
+        node = grid.node_positions(row * grid.is_free.shape[1] + column)
         node_to_goal = np.linalg.norm(goal - node, axis=1)
         is_outside = grid.border_distance(points) < 0
         straight_distance = np.maximum(distances, np.where(is_outside, node_to_goal, 0))
@@ -203,8 +203,8 @@ class FlowField:
         directions = offset / np.maximum(distances, TINY_LENGTH)[:, None]
         samples = points + offsets * directions
         rows, columns = grid.nearest_nodes(samples.reshape(-1, 2)).T
-        free = grid.free[rows, columns].reshape(LOOKAHEAD_NODES, -1)
-        return np.asarray(free.all(axis=0), np.bool_)
+        is_free = grid.is_free[rows, columns].reshape(LOOKAHEAD_NODES, -1)
+        return np.asarray(is_free.all(axis=0), np.bool_)
 
     def path_ends(self, points: FloatArray) -> FloatArray:
         """Return the ends of paths from x and z ``(K, 2)`` [m]."""
@@ -219,7 +219,7 @@ def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
     """
     node = int(grid.nearest_free_node(goal[None])[0])
     goal_component = int(grid.components.ravel()[node])
-    nodes = np.flatnonzero(grid.free.ravel())
+    nodes = np.flatnonzero(grid.is_free.ravel())
     components = grid.components.ravel()[nodes]
     goal_distances = np.linalg.norm(grid.node_positions(nodes) - goal, axis=1)
     order = np.lexsort([goal_distances, components])
@@ -228,17 +228,17 @@ def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
     nearest_positions = grid.node_positions(nodes[nearest_to_goal])
     goals = np.concatenate([np.zeros((1, 2)), nearest_positions])
     goal_seeds: Sequence[int] | IntArray = []
-    if grid.free[row, column]:
+    if grid.is_free[row, column]:
         goals[goal_component] = goal
         # Seeded around the goal, so that paths end there and not at a node; outside the
         # grid nothing blocks the facing sides.
         is_near = goal_distances < 1.5 * grid.cell
         nearby_nodes = nodes[is_near & (components == goal_component)]
-        border = grid.facing_border(goal)
+        border = grid.border_facing(goal)
         border = border[grid.components.ravel()[border] == goal_component]
         goal_seeds = np.union1d(nearby_nodes, border)
     seeds = np.concatenate([nodes[nearest_to_goal], goal_seeds]).astype(np.int64)
     offsets = grid.node_positions(seeds) - goals[grid.components.ravel()[seeds]]
-    start_distances = np.linalg.norm(offsets, axis=1)
-    distances = _kernels.travel_distances(grid.free, grid.cell, seeds, start_distances)
+    lengths = np.linalg.norm(offsets, axis=1)
+    distances = _kernels.travel_distances(grid.is_free, grid.cell, seeds, lengths)
     return FlowField(grid, goals, distances)

@@ -74,7 +74,7 @@ class Trunk:
         """All joints that the trunk rotates: spine and neck."""
         return np.array([*self.spine, *self.neck], np.int64)
 
-    def rotate(
+    def rotate_shoulders(
         self, parents: IntArray, rotations: FloatArray, angles: FloatArray
     ) -> None:
         """Rotate the shoulders of poses by angles ``(N,)`` [rad], in place.

@@ -66,8 +66,8 @@ class Steering:
         for i, population in enumerate(populations):
             table[i, : counts[i]] = [names.index(name) for name in population.route]
         kinds = self.agents.kinds
-        then = np.array([population.then for population in populations])[kinds]
-        return table[kinds], counts[kinds], then == "repeat", then == "leave"
+        actions = np.array([population.then for population in populations])[kinds]
+        return table[kinds], counts[kinds], actions == "repeat", actions == "leave"
 
     def initial(self) -> Progress:
         """Return the initial progress."""
@@ -113,7 +113,7 @@ class Steering:
         return positions, is_queued
 
     def _reachable_goals(self, goal_indices: IntArray, x: FloatArray) -> FloatArray:
-        """Return each agent's reachable goal position, else ``x`` ``(N, 2)`` [m]."""
+        """Return each agent's reachable goal, its position without one ``(N, 2)``."""
         has_goal = (goal_indices >= 0)[:, None]
         positions = np.where(has_goal, self.goal_points[goal_indices], x)
         for g, route in enumerate(self.flow_fields):
@@ -148,9 +148,9 @@ class Steering:
             inward_speeds = inner_distances / STOPPING_TIME
             speeds = np.where(is_waiting, np.minimum(speeds, inward_speeds), speeds)
         preferred = directions * speeds[:, None]
-        return self._keep_groups(preferred, is_queued | is_waiting, x)
+        return self._keep_formation(preferred, is_queued | is_waiting, x)
 
-    def _keep_groups(
+    def _keep_formation(
         self, preferred: FloatArray, is_excluded: BoolArray, x: FloatArray
     ) -> FloatArray:
         """Return velocities that keep the members of groups side by side."""
@@ -201,8 +201,8 @@ class Steering:
         target_distances = np.linalg.norm(target - x, axis=1)
         offsets = self._reachable_goals(goal_indices, x) - x
         goal_distances = np.linalg.norm(offsets, axis=1)
-        is_first = (target == self.goal_points[goal_indices]).all(axis=1)
-        is_served = is_queued & (target_distances <= radius) & is_first
+        is_at_front = (target == self.goal_points[goal_indices]).all(axis=1)
+        is_served = is_queued & (target_distances <= radius) & is_at_front
         has_arrived = np.where(has_queue, is_served, goal_distances <= radius)
         has_arrived &= has_goal
         waited = np.where(has_arrived | ((progress.waited > 0) & has_goal & ~has_queue),

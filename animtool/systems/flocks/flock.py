@@ -167,7 +167,7 @@ class FlockForces(SecondOrder):
         members = self.members
         accelerations = rule_accelerations(self.rules, self.domain, x, v)
         accelerations += goal_accelerations(members, t, x, v)
-        if self.colliders.rigid_count:
+        if self.colliders.rigid:
             accelerations += avoidance_accelerations(members, self.colliders, t, x, v)
         accelerations = limit_steering(members, v, accelerations)
         if self.forces:

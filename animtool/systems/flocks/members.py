@@ -90,7 +90,7 @@ class Members(Groups):
         moved with a warning (SIM124).
         """
         points, is_moved = self.points, np.zeros(len(self), bool)
-        for _ in range(MAX_CLEARING_PASSES if colliders.rigid_count else 0):
+        for _ in range(MAX_CLEARING_PASSES if colliders.rigid else 0):
             volumes = colliders.volumes.sample(points, self.begin)
             depths = self.radii - volumes.distances
             deepest = np.argmax(depths, axis=0)
@@ -104,7 +104,7 @@ class Members(Groups):
             distances = (max_depths + CLEARANCE * self.radii) * is_inside
             points = points + normals * distances[:, None]
         else:
-            if colliders.rigid_count:
+            if colliders.rigid:
                 name = self.label(int(np.argmax(is_inside)))
                 message = f"{name} starts inside colliders, with no way out"
                 hint = "start elsewhere, or leave room between them"

@@ -91,7 +91,7 @@ def _fill_motion(
         _check_outside(state[0], colliders, t, name)
         return state
     points = _lattice_points(spec, data["shape"], data["poses"], t)
-    if colliders.rigid_count and len(points):
+    if colliders.rigid and len(points):
         gaps = colliders.volumes.sample(points, t).distances
         is_free = gaps.min(axis=0) >= (1 - ROUNDING) * spec.spacing / 2
         if (gaps < 0).all(axis=1).any():
@@ -108,7 +108,7 @@ def _fill_motion(
 def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:
     """Raise SIM064 for a fill inside a solid collider or outside a container."""
     c = int(np.argmax((gaps < 0).all(axis=1)))
-    collider, collider_name = _collider_at(c, colliders)
+    collider, collider_name = colliders.rigid[c], colliders.label(c)
     if collider.container:
         message = f"{name} is outside the container {collider_name}"
         refuse("SIM064", message, "fills", "move it inside")
@@ -117,13 +117,6 @@ def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:
     if not isinstance(collider.shape, Plane):
         hint = "for a tank that holds it, add 'container: true' to the collider"
     refuse("SIM064", message, "fills", hint)
-
-
-def _collider_at(c: int, colliders: Colliders) -> tuple[Collider, str]:
-    """Return the collider of a row of samples, and its name."""
-    bodies = [shape for system in colliders.bodies for shape in system.colliders]
-    collider = [*colliders, *bodies][c]
-    return collider, repr(collider.name) if collider.name else f"colliders[{c}]"
 
 
 def _fill_label(spec: FluidModel, i: int) -> str:
@@ -152,18 +145,18 @@ def _check_outside(
     points: FloatArray, colliders: Colliders, t: float, name: str
 ) -> None:
     """Raise SIM064 if points start inside colliders, or outside a container."""
-    if not colliders.rigid_count or not len(points):
+    if not colliders.rigid or not len(points):
         return
     gaps = colliders.volumes.sample(points, t).distances
     is_inside = gaps < 0
     if not is_inside.any():
         return
     collider_index, particle = (int(k) for k in np.argwhere(is_inside)[0])
-    collider, collider_name = _collider_at(collider_index, colliders)
-    relation = "outside the container" if collider.container else "inside"
+    is_container = colliders.rigid[collider_index].container
+    relation = "outside the container" if is_container else "inside"
     depth = -gaps[collider_index, particle]
     message = f"particle {particle} of {name} starts {depth:g} m {relation} "
-    message += collider_name
+    message += colliders.label(collider_index)
     other_count = int(is_inside.any(axis=0).sum()) - 1
     if other_count:
         message += f", and {counted(other_count, 'other')} start in colliders too"
@@ -319,7 +312,7 @@ def is_clear(
     if len(neighbours):
         gaps, _ = cKDTree(neighbours).query(points)
         is_free = gaps >= MIN_INFLOW_DISTANCE * spacing
-    if colliders.rigid_count:
+    if colliders.rigid:
         gaps = colliders.volumes.sample(points, t).distances
         is_free = is_free & (gaps >= 0).all(axis=0)
     return is_free

@@ -222,7 +222,7 @@ def closed_surfaces(colliders: Colliders, t: float) -> list[ClosedSurface]:
 
 def collider_depths(colliders: Colliders, points: FloatArray, t: float) -> FloatArray:
     """Return depths of points in rigid colliders ``(N,)`` [m]; below 0 is outside."""
-    if not colliders.rigid_count:
+    if not colliders.rigid:
         return np.full(len(points), -np.inf)
     return np.asarray(-colliders.sample(points, t).distances.min(axis=0))
 

@@ -232,9 +232,8 @@ def _start_notices(
     if not len(inside):
         return notices
     c = int(depths.max(axis=0).argmax())
-    name = repr(colliders[c].name) if colliders[c].name else f"colliders[{c}]"
     count = f"{len(inside)} of {counted(len(ragdoll.joints), 'body', 'bodies')}"
-    message = f"{count} start wholly inside {name}, up to "
+    message = f"{count} start wholly inside {colliders.label(c)}, up to "
     message += f"{length_text(float(depths.max()))} deep, and are pushed out"
     hint = "move it away from the rig; the ground is usually at 0"
     return [*notices, warning("SIM126", message, hint, f"colliders[{c}]")]

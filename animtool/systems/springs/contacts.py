@@ -55,7 +55,7 @@ def cell_colliders(
     origin, index, count = cells.origin, cells.index, cells.count
     steps = index + np.arange(count + 1)
     edges = np.asarray(origin + steps * cells.length, np.float64)
-    poses = np.zeros((count, colliders.rigid_count, 2, 7))
+    poses = np.zeros((count, len(colliders.rigid), 2, 7))
     world_count = len(colliders) - (0 if posed is None else len(posed.sizes))
     for i in range(world_count):
         poses[:, i] = _poses_at_ends(colliders[i], edges)
@@ -71,7 +71,7 @@ def cell_colliders(
     sizes[world_count : len(colliders)] = posed.sizes
     poses[:, world_count : len(colliders)] = posed.poses
     arrays, surfaces = (kinds, sizes, *materials), [*posed.skins, *surfaces]
-    missing_rows = colliders.rigid_count + len(surfaces) - len(posed.depths)
+    missing_rows = len(colliders.rigid) + len(surfaces) - len(posed.depths)
     depths = np.pad(posed.depths, ((0, missing_rows), (0, 0)))
     return arrays, poses, radius, depths, posed.inside, surfaces
 

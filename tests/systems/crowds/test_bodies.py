@@ -20,7 +20,7 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.systems.gaits import GaitsSource
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies
-from animtool.systems.crowds.cast import AgentCast, CastGroup, select_rows
+from animtool.systems.crowds.cast import AgentCast, CastGroup
 from animtool.systems.crowds.cycles import build_gaits
 from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
@@ -101,7 +101,7 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
         np.zeros((3, 2)),
         np.array([0.0, 1.0, 2.2]),
     )
-    some = select_rows(going, own)
+    some = going.select(own)
     state = bodies.initial(some, np.array([0.2, 0.7]))
     rig = SimpleNamespace(rig=gaits.walker.rig)
     groups = [
@@ -146,7 +146,7 @@ def test_who_spins_takes_steps_that_turn_by_eight_tenths_at_most() -> None:
     bodies = AgentBodies(
         library("walk", "stand"), np.array([1.0, 1.0, 1.25, 1.25]), level
     )
-    leg = bodies.gaits.walker.leg
+    leg = bodies.gaits.walker.leg_length
     paces = np.array([[0, 0.3, 0], [0, 2.0, 0], [0, 0, 1.0], [-1.0, 0, 0]])
     blend = bodies.blend(paces)
     stands = blend.stance_fractions.mean(axis=1)
@@ -199,11 +199,11 @@ def between(one: np.ndarray, other: np.ndarray) -> float:
 @pytest.mark.slow
 def test_clips_are_what_they_show() -> None:
     found = library("walk", "run", "turn", "stand", "stumble")
-    assert [one.name for one in found.moving] == ["turn", "walk", "run"]
+    assert [one.name for one in found.cycles] == ["turn", "walk", "run"]
     assert found.idle.name == "stand"
     assert [one.name for one in found.reactions] == ["stumble"]
     assert not found.notices
-    turn, walk, run = found.moving
+    turn, walk, run = found.cycles
     # What `make_takes.py` says of them, in the size of the biped.
     assert walk.period == pytest.approx(1.1, abs=1 / 30)
     assert run.period == pytest.approx(0.7, abs=1 / 30)
@@ -250,7 +250,7 @@ def test_feet_stay_where_they_stand_and_never_cross(ground: Any) -> None:
 def test_a_clip_at_its_own_speed_is_the_clip() -> None:
     """But for legs, whose feet go as the ground has them: within 5 cm in the air."""
     gaits = library("walk", "stand")
-    walk = gaits.moving[0]
+    walk = gaits.cycles[0]
     bodies = AgentBodies(gaits, np.ones(1), level)
     step = 1 / 60
     goings = [
@@ -289,15 +289,13 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
     goings = path(0.05, 3)[:120]
     row = np.array([1])
     state = bodies.initial(goings[0], np.array([0.1, 0.4, 0.7]))
-    own = select_rows(state, row)
+    own = state.select(row)
     for before, after in pairwise(goings):
         state = bodies.advance(state, before, after, 0.05)
-        own = alone.advance(
-            own, select_rows(before, row), select_rows(after, row), 0.05
-        )
+        own = alone.advance(own, before.select(row), after.select(row), 0.05)
     whole, single = (
         body_poses(bodies, state, goings[-1]),
-        body_poses(alone, own, select_rows(goings[-1], row)),
+        body_poses(alone, own, goings[-1].select(row)),
     )
     np.testing.assert_array_equal(whole.rotations[1], single.rotations[0])
     np.testing.assert_array_equal(whole.roots[1], single.roots[0])
@@ -425,7 +423,7 @@ def test_feet_that_swing_go_around_those_that_stand(
 ) -> None:
     """Of legs of 1 m, halfway of a swing; turned by 1 rad."""
     side = 1 - 2 * k
-    gaits: Any = SimpleNamespace(walker=SimpleNamespace(leg=1.0))
+    gaits: Any = SimpleNamespace(walker=SimpleNamespace(leg_length=1.0))
     going = AgentMotion(np.zeros((1, 2)), np.zeros((1, 2)), np.array([1.0]))
     x, z = np.array([np.cos(1.0), -np.sin(1.0)]), np.array([np.sin(1.0), np.cos(1.0)])
     places = np.zeros((1, 2, 3))

@@ -36,9 +36,9 @@ def test_a_foot_stands_once_in_the_second_cycle(
         mask[first:end] = True
     found = SimpleNamespace(any=mask, ankle=mask, toe=np.ones_like(mask))
     monkeypatch.setattr(cycles, "find_contacts", lambda *_: found)
-    walker: Any = SimpleNamespace(legs=((0, 1, 2, -1),), leg=1.0)
+    walker: Any = SimpleNamespace(legs=((0, 1, 2, -1),), leg_length=1.0)
     world: Any = SimpleNamespace(positions=np.zeros((3 * LENGTH, 3, 3)))
     made = cycles._find_stance(walker, world, 0, LENGTH, 24.0)
-    assert (None if made is None else (made.lands, made.lifts)) == stance
+    assert (None if made is None else (made.begin, made.end)) == stance
     if made is not None:
-        assert (made.flat == mask).all()
+        assert (made.is_flat == mask).all()

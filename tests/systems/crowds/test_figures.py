@@ -60,7 +60,7 @@ def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
 @pytest.mark.slow
 def test_gaits_of_clips() -> None:
     gaits = library("walk", "run", "turn", "stand", "stumble")
-    all_ = [*gaits.moving, gaits.idle, *gaits.reactions]
+    all_ = [*gaits.cycles, gaits.idle, *gaits.reactions]
     check_figures(__file__, "gaits", {one.name: one for one in all_})
 
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Poses
-from animtool.systems.crowds.beginning import ground_of
+from animtool.systems.crowds.building import read_ground
 from animtool.systems.crowds.ground import (
     GroundFrame,
     Terrain,
@@ -59,10 +59,10 @@ def test_many_triangles_are_found_by_their_cells() -> None:
     first = np.floor(points[:, 1])
     wanted = first**2 + (points[:, 1] - first) * (2 * first + 1)
     assert_allclose(ground(points)[0], wanted)
-    rows, which = ground._candidates(points)
+    rows, which = ground._candidate_pairs(points)
     assert set(rows.tolist()) == set(range(200))
     assert len(which) < 200 * 12
-    assert not len(ground._candidates(np.array([[3.1, 1.0], [1.0, -0.1]]))[0])
+    assert not len(ground._candidate_pairs(np.array([[3.1, 1.0], [1.0, -0.1]]))[0])
 
 
 def test_agents_walk_up_to_a_slope_and_not_where_there_is_no_ground() -> None:
@@ -91,7 +91,7 @@ def test_the_ground_may_be_a_mesh_of_a_file() -> None:
     context: Any = SimpleNamespace(
         parts={"ground": {"poses": Poses(), "mesh": lambda: (mesh,)}}, begin=0.0
     )
-    _, terrain = ground_of(context)
+    _, terrain = read_ground(context)
     heights, _ = terrain(np.array([[1.0, 2.0], [5.0, 2.0]]))
     assert heights[0] == 1
     assert np.isnan(heights[1])

@@ -93,7 +93,7 @@ def test_a_foot_lands_on_its_side_of_the_other_where_that_is_near(
     k: int, other: float, x: float, size: float
 ) -> None:
     """Of a body at (3, 4) that looks along x: its left is against z."""
-    gaits: Any = SimpleNamespace(walker=SimpleNamespace(leg=1.0))
+    gaits: Any = SimpleNamespace(walker=SimpleNamespace(leg_length=1.0))
     steps = np.array([[[0.1, 0.3, 0.2], [-0.1, 0.25, -0.1]]])
     blend: Any = SimpleNamespace(steps=steps)
     own = Footing(gaits, np.array([size]), level)
@@ -134,7 +134,9 @@ def test_gaits_are_blended_by_how_far_points_are_along_the_ways_between() -> Non
 def reach() -> LegReach:
     """Return that of legs of 1 m, whose ankles are 0.1 m high where feet stand."""
     walker = SimpleNamespace(
-        leg=1.0, ankle_heights=np.array([0.1, 0.1]), ball_offsets=np.zeros((2, 3))
+        leg_length=1.0,
+        ankle_heights=np.array([0.1, 0.1]),
+        ball_offsets=np.zeros((2, 3)),
     )
     gaits: Any = SimpleNamespace(walker=walker)
     return LegReach(gaits, (), np.zeros((2, 3)))

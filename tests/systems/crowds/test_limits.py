@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.systems.crowds.limits import clamp_to_limits, widen_limits
+from animtool.systems.crowds.falls import clamp_to_limits, widen_limits
 
 # At rest turned about y, and a pin about z.
 REST = tuple(so3.exp(np.array([0.0, 0.7, 0.0])).tolist())

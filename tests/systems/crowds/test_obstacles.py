@@ -34,7 +34,7 @@ def shut(*opens: list[float]) -> Obstacles:
 def test_a_shut_door_is_as_far_as_the_nearest_point_of_it() -> None:
     """Beside its middle by 0.5, before its begin, behind its end, and upon it."""
     x = np.array([[1.5 + 0.4, 2 - 0.3], [-0.3, -0.4], [3.0, 6.0], [1.5, 2.0]])
-    ((gaps, ways, speeds),) = shut()._doors(0.0, x)
+    ((gaps, ways, speeds),) = shut()._door_gaps(0.0, x)
     assert_allclose(gaps, np.array([0.5, 0.5, 2.0, 0.0]) - RADII)
     assert_allclose(ways, [[0.8, -0.6], [-0.6, -0.8], [0, 1], [0, 0]], atol=1e-12)
     assert not speeds.any()
@@ -42,7 +42,7 @@ def test_a_shut_door_is_as_far_as_the_nearest_point_of_it() -> None:
 
 def test_a_door_is_open_from_the_first_of_its_times_until_the_last() -> None:
     own, x = shut([1, 2], [3, 4]), np.zeros((4, 2))
-    found = [len(own._doors(t, x)) for t in (0.9, 1.0, 1.9, 2.0, 2.5, 3.0, 4.0)]
+    found = [len(own._door_gaps(t, x)) for t in (0.9, 1.0, 1.9, 2.0, 2.5, 3.0, 4.0)]
     assert found == [1, 0, 0, 1, 1, 0, 1]
 
 
@@ -54,12 +54,12 @@ def test_walls_are_those_near_and_say_how_fast_one_may_come() -> None:
     x = np.array([[1.5 + 0.4, 2 - 0.3], [-0.9, -1.2], [3.0, 4.1], [1.5, 2.0]])
     walls = shut().walls(0.0, 0.1, x)
     assert walls.agents_of_walls.tolist() == [0, 2, 3]
-    assert walls.starts.tolist() == [0, 1, 1, 2, 3]
+    assert walls.first_walls.tolist() == [0, 1, 1, 2, 3]
     assert_allclose(walls.gaps, [0.4, -0.2, -0.4])
     assert_allclose(walls.rows[:, 2], [-0.8, 0.4, 0.8])
     assert_allclose(walls.rows[:, :2], [[0.8, -0.6], [0, 1], [0, 0]], atol=1e-12)
     places = [1.9 * 0.8 - 1.7 * 0.6 - 0.4, 4.1 + 0.2, 0.4]
     assert_allclose(walls.rows[:, 3], places)
     none = shut([0, 9]).walls(1.0, 0.1, x)
-    assert none.starts.tolist() == [0] * 5
+    assert none.first_walls.tolist() == [0] * 5
     assert none.rows.shape == (0, 4)

@@ -101,7 +101,7 @@ def swinging(swings: list[float], still: list[float]) -> tuple[Any, Any, Any]:
         stance_fractions=np.full((count, 2), 0.5),
         free_rate=np.ones(count),
     )
-    return SimpleNamespace(walker=WALKER, moving=(gait,)), state, blend
+    return SimpleNamespace(walker=WALKER, cycles=(gait,)), state, blend
 
 
 def test_feet_in_the_air_lean_as_those_of_the_clip() -> None:
@@ -159,7 +159,7 @@ def test_hips_are_lowered_for_feet_in_the_air_by_little_in_a_step() -> None:
 
 def hips_lowered(swing: float, before: float, far: float) -> float:
     """Return how far hips are lowered for one foot so far below the hip [m]."""
-    walker: Any = SimpleNamespace(legs=((0, 1, 2, 3), (0, 1, 2, 3)), leg=1.0)
+    walker: Any = SimpleNamespace(legs=((0, 1, 2, 3), (0, 1, 2, 3)), leg_length=1.0)
     joints = np.array([[[0.0, 1.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]])
     goals = np.array([[[0.0, 1.0 - far, 0.0], [0.0, 0.1, 0.0]]])
     state: Any = SimpleNamespace(

@@ -48,7 +48,7 @@ def test_who_is_outside_faces_the_sides_that_he_is_beyond() -> None:
         ([10.5, -1.9], [3, 7, 11]),
         ([9.0, -9.0], [0, 1, 2, 3, 4, 8]),
     ):
-        assert own.facing_border(np.array(point)).tolist() == nodes
+        assert own.border_facing(np.array(point)).tolist() == nodes
 
 
 def test_edges_are_half_a_cell_from_what_is_not_free() -> None:
@@ -94,7 +94,7 @@ def test_a_way_longer_by_up_to_a_cell_and_a_half_is_straight() -> None:
     point = np.array([[10.0, -4.0]])
     straight = np.sqrt(2) / 2
     for longer, way in ((1.45, [straight, straight]), (1.55, [0.0, 1.0])):
-        far = np.full(own.free.shape, np.sqrt(2) + longer * 0.5)
+        far = np.full(own.is_free.shape, np.sqrt(2) + longer * 0.5)
         far -= 0.1 * np.arange(5)
         far[0, 0] = np.sqrt(2) + longer * 0.5
         goals = np.array([[0.0, 0.0], goal[0]])

@@ -96,7 +96,7 @@ def test_the_chest_turns_as_far_and_the_head_looks_ahead() -> None:
     rig = gaits.walker.rig
     turns = np.repeat(rig.rest_rotations[None], 2, axis=0)
     angles = np.array([0.0, MAX_YAW])
-    bodies.trunk.rotate(rig.parents, turns, angles)
+    bodies.trunk.rotate_shoulders(rig.parents, turns, angles)
     places = np.repeat(rig.rest_translations[None], 2, axis=0)
     world = forward_kinematics(rig, places, turns).rotations
     names = [joint.name for joint in rig.joints]

@@ -69,10 +69,10 @@ def test_who_is_of_a_group_walks_on_its_own_side() -> None:
         3, groups=np.zeros(3, np.int32), lateral_offsets=np.array([0.1, 0.0, -2.0])
     )
     x = np.zeros((3, 2))
-    found = own._keep_groups(np.tile([0.0, 1.2], (3, 1)), np.zeros(3, np.bool_), x)
+    found = own._keep_formation(np.tile([0.0, 1.2], (3, 1)), np.zeros(3, np.bool_), x)
     assert_allclose(found, [[0.2, 1.2], [0.0, 1.2], [-0.6, 1.2]], atol=1e-12)
     # Along -x left is along z.
-    found = own._keep_groups(np.tile([-1.0, 0.0], (3, 1)), np.zeros(3, np.bool_), x)
+    found = own._keep_formation(np.tile([-1.0, 0.0], (3, 1)), np.zeros(3, np.bool_), x)
     assert_allclose(found, [[-1.0, 0.2], [-1.0, 0.0], [-1.0, -0.6]], atol=1e-12)
 
 
@@ -81,9 +81,9 @@ def test_a_group_goes_by_its_middle_and_who_queues_by_himself() -> None:
     own = steering(3, groups=np.array([1, 0, 1], np.int32))
     x = np.array([[0.0, 0.0], [7.0, 7.0], [1.0, 0.0]])
     ahead = np.tile([0.0, 1.2], (3, 1))
-    found = own._keep_groups(ahead, np.zeros(3, np.bool_), x)
+    found = own._keep_formation(ahead, np.zeros(3, np.bool_), x)
     assert_allclose(found, [[0.6, 1.2], [0, 1.2], [-0.6, 1.2]], atol=1e-12)
-    assert_allclose(own._keep_groups(ahead, np.array([True, False, True]), x), ahead)
+    assert_allclose(own._keep_formation(ahead, np.array([True, False, True]), x), ahead)
 
 
 def test_a_goal_grows_with_the_ground_that_those_who_are_there_cover() -> None:
