@@ -201,7 +201,7 @@ class FlockForces(SecondOrder):
     ) -> FloatArray:
         """Return velocities ``(N, 3)`` after braking for members ahead."""
         assert self.spacing is not None
-        brakes = self.spacing.braking(x, v)
+        brakes = self.spacing.braking_accelerations(x, v)
         accelerations = limit_steering(self.members, before, (v - before) / h + brakes)
         is_braking = (brakes != 0).any(axis=1, keepdims=True)
         return np.where(is_braking, before + h * accelerations, v)

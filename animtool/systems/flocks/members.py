@@ -112,8 +112,8 @@ class Members(Groups):
         notices, is_outside = [], np.zeros(len(self), bool)
         if domain is not None and not domain.wrap:
             low, high = _bounds(domain)
-            reach = self.radii[:, None]
-            is_outside = (self.points < low + reach) | (self.points > high - reach)
+            radii = self.radii[:, None]
+            is_outside = (self.points < low + radii) | (self.points > high - radii)
             is_outside = np.asarray(is_outside.any(axis=1))
         if is_outside.any():
             assert domain is not None
@@ -129,26 +129,26 @@ class Members(Groups):
     def _outside_notice(self, domain: DomainModel, is_outside: BoolArray) -> Fault:
         """Return a warning about members that start outside of the domain (SIM124)."""
         low, high = _bounds(domain)
-        reach = self.radii[:, None]
-        first, last = (
-            (self.points - reach).min(axis=0),
-            (self.points + reach).max(axis=0),
+        radii = self.radii[:, None]
+        lowest, highest = (
+            (self.points - radii).min(axis=0),
+            (self.points + radii).max(axis=0),
         )
-        axis = int(np.maximum(low - first, last - high).argmax())
+        axis = int(np.maximum(low - lowest, highest - high).argmax())
         count = int(is_outside.sum())
         message = f"{count} of {counted(len(self), 'member')} "
         message += f"{'starts' if count == 1 else 'start'} outside of the domain, "
         message += f"{self.label(int(np.argmax(is_outside)))} first, and "
         message += f"{'is' if count == 1 else 'are'} moved into it: it is from "
         message += f"{low[axis]:.3g} to {high[axis]:.3g} m along {'xyz'[axis]}, they "
-        message += f"start from {first[axis]:.3g} to {last[axis]:.3g} m"
+        message += f"start from {lowest[axis]:.3g} to {highest[axis]:.3g} m"
         size, centre = np.array(domain.size), np.array(domain.at)
-        sides = np.maximum(size, 2 * np.maximum(last - centre, centre - first))
-        hint = f"a size of {vector_text(_ceiled(sides))} m holds all"
-        if (last - first <= size).all():
+        sides = np.maximum(size, 2 * np.maximum(highest - centre, centre - lowest))
+        hint = f"a size of {vector_text(_round_up(sides))} m holds all"
+        if (highest - lowest <= size).all():
             # Along the other axes it stays where it is.
-            is_beyond = (first < low) | (last > high)
-            centre = np.where(is_beyond, (first + last) / 2, centre)
+            is_beyond = (lowest < low) | (highest > high)
+            centre = np.where(is_beyond, (lowest + highest) / 2, centre)
             hint = f"with its centre `at` {vector_text(centre)} m it holds all"
         return warning("SIM124", message, hint, "domain")
 
@@ -185,7 +185,7 @@ def _bounds(domain: DomainModel) -> tuple[FloatArray, FloatArray]:
     return centre - size / 2, centre + size / 2
 
 
-def _ceiled(lengths: FloatArray) -> FloatArray:
+def _round_up(lengths: FloatArray) -> FloatArray:
     """Return lengths rounded up to two digits."""
     steps = 10.0 ** (np.floor(np.log10(lengths)) - 1)
     return np.asarray(np.ceil(lengths / steps - 1e-9) * steps)
@@ -226,9 +226,8 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
     yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
         where = f"species[{k}]"
-        related = [*species.joins, *(relation.species for relation in species.flees)]
-        related += [relation.species for relation in species.chases]
-        for name in related:
+        relations = [*species.flees, *species.chases]
+        for name in [*species.joins, *(relation.species for relation in relations)]:
             if name not in names:
                 hint = f"the species are {', '.join(names)}"
                 yield f"unknown species {excerpt(name)}", where, hint
@@ -247,7 +246,7 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
 
 
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:
-    """Yield a problem for each species too large, or seeing too far, for the domain."""
+    """Yield a problem for each species whose radius or sight exceeds the domain."""
     min_side = min(domain.size)
     for species in spec.species:
         radius, label = species.radius, "its radius"

@@ -38,7 +38,7 @@ def min_distance(species: SpeciesModel) -> float:
 
 @dataclass(frozen=True)
 class Spacing:
-    """Minimum distances of N members; a pair has the mean of both."""
+    """Minimum distances of N members; that of a pair is the mean of both."""
 
     distances: FloatArray  # minimum distances (N,) [m]; 0 for none
     period: FloatArray  # origin and length of each axis (2, 3) [m], 0 if not periodic
@@ -52,7 +52,7 @@ class Spacing:
         has_distances = len(distances) > 1 and distances.max() > 0
         return Spacing(distances, periodic_box(domain)) if has_distances else None
 
-    def braking(self, x: FloatArray, v: FloatArray) -> FloatArray:
+    def braking_accelerations(self, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return the decelerations for members ahead ``(N, 3)`` [m/s²].
 
         Each of two approaching members contributes half of the deceleration: the

@@ -313,13 +313,13 @@ class Fluid:
     def _solid_colliders(self, t: float) -> Colliders:
         """Return the colliders of the pressure solve: rigid ones, closed surfaces."""
         colliders = self._colliders
-        skins = [
+        closed_sheets = [
             sheet.collider(sheet.motion.points(t), sheet.motion.triangles(t))
             for sheet in colliders.sheets
             if sheet.closed
         ]
-        if skins:
-            return Colliders([*colliders, *skins], (), colliders.bodies)
+        if closed_sheets:
+            return Colliders([*colliders, *closed_sheets], (), colliders.bodies)
         return colliders
 
     def _has_energy_gain(self, state: FluidState) -> bool:

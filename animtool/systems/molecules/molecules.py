@@ -75,12 +75,12 @@ class Interactions:
         per_charge = screened_potential + self._damping / np.sqrt(np.pi)
         return -float(per_charge * (self._charges**2).sum())
 
-    def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
-        """Return the reference positions of a neighbour list that is valid at ``x``."""
+    def valid_reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
+        """Return ``before`` if its neighbour list is valid at ``x``, else ``x``."""
         squares = ((x - before) ** 2).sum(axis=1)
         return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
-    def acting(self, x: FloatArray, reference: FloatArray) -> AtomForces:
+    def forces_at(self, x: FloatArray, reference: FloatArray) -> AtomForces:
         """Return the forces on atoms, with the neighbour list of ``reference``.
 
         Both positions are ``(N, 3)`` [nm].
@@ -203,7 +203,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
     def _start(self, motion: FloatArray) -> MoleculeState:
         points = motion[0]
-        forces = self._interactions.acting(points, points)
+        forces = self._interactions.forces_at(points, points)
         return MoleculeState(motion, points, forces, 0.0, 0)
 
     def _state_sums(self, state: MoleculeState) -> ListedForces:
@@ -214,8 +214,8 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
         All positions are ``(N, 3)`` [nm].
         """
-        list_positions = self._interactions.reference(x, last_sums[1])
-        return self._interactions.acting(x, list_positions), list_positions
+        reference = self._interactions.valid_reference(x, last_sums[1])
+        return self._interactions.forces_at(x, reference), reference
 
     def _forces(self, sums: ListedForces) -> FloatArray:
         return sums[0].forces
@@ -247,7 +247,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         if not distances[fastest] <= MAX_STEP_TRAVEL * self._periodic_box.size.min():
             reason = f"atom {fastest} moves {distances[fastest]:.3g} nm in a step"
             self._stop(state, t + dt, reason)
-        (forces, list_positions), heat = system.sums_at(motion[0]), state.heat
+        (forces, reference), heat = system.sums_at(motion[0]), state.heat
         if spec.thermostat is not None:
             kinetic = self._kinetic_energy(motion)
             factor = thermostat_factor(
@@ -261,9 +261,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             )
             motion = np.stack([motion[0], factor * motion[1]])
             heat += (factor**2 - 1) * kinetic
-        next_state = MoleculeState(
-            motion, list_positions, forces, heat, state.steps + 1
-        )
+        next_state = MoleculeState(motion, reference, forces, heat, state.steps + 1)
         self._check_energy(next_state, t + dt)
         return next_state
 

@@ -58,7 +58,7 @@ class NbodyState:
 
 
 class CloseEncounterError(Exception):
-    """Raised if two bodies come too close for a step; holds time, positions, rates."""
+    """Two bodies are too close for a step; holds the time, positions and rates."""
 
 
 def _check_closest_pair(

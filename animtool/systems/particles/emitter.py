@@ -141,7 +141,7 @@ class Emitter(Emission, Checked):
         lifetimes = self.lifetime + self.lifetime_spread * (2 * randoms[:, 6] - 1)
         radii = self.radius + self.radius_spread * (2 * randoms[:, 7] - 1)
         velocities = directions * speeds[:, None]
-        positions, velocities = self._in_world(births.times, points, velocities)
+        positions, velocities = self._to_world(births.times, points, velocities)
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
 
     def sample_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
@@ -170,7 +170,7 @@ class Emitter(Emission, Checked):
         radial = first_tangent * np.cos(angle) + second_tangent * np.sin(angle)
         return np.asarray(axes * height + radial * radius, np.float64)
 
-    def _in_world(
+    def _to_world(
         self, times: FloatArray, points: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return world positions and velocities, including the inherited velocity."""
@@ -205,8 +205,8 @@ class Emitter(Emission, Checked):
         ):
             message = "its direction must be three finite numbers, not all 0"
             problems.append(("direction", message))
-        for i, (when, count) in enumerate(self.bursts):
-            if not math.isfinite(when) or not 0 <= count <= MAX_BURST:
+        for i, (burst_time, count) in enumerate(self.bursts):
+            if not math.isfinite(burst_time) or not 0 <= count <= MAX_BURST:
                 message = f"burst {i} must be at a finite time, of 0 particles or more"
                 message += f" and {MAX_BURST:g} at most"
                 problems.append(("bursts", message))

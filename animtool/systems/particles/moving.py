@@ -62,11 +62,11 @@ class ParticleForces(_ParticleSystem, SecondOrder):
     ) -> FloatArray:
         """Return the state after contacts exchanged momentum with bodies."""
         state = np.stack([collision.points, collision.velocities])
-        first_body = len(self._colliders)
+        first_collider = len(self._colliders)
         for i, system in enumerate(self._colliders.bodies):
-            shapes = collision.contacts.colliders - first_body
+            shapes = collision.contacts.colliders - first_collider
             shapes[shapes >= len(system.colliders)] = -1
-            first_body += len(system.colliders)
+            first_collider += len(system.colliders)
             if not system.count:
                 continue
             masses = self.particles.masses
@@ -132,15 +132,6 @@ class ParticleFlow(_ParticleSystem, FirstOrder):
         collision = collide(after, speed, start, self._colliders, t - h, t, radii)
         self.contacts = collision.contacts
         return collision.points if collision.contacts.any.any() else after
-
-
-def particle_system(
-    setup: Particles, colliders: Colliders, particles: ParticleState, state: FloatArray
-) -> ParticleForces | ParticleFlow:
-    """Return particles in a state ``(2, N, 3)`` as a system."""
-    if setup.velocity is not None:
-        return ParticleFlow(setup, colliders, particles, state[0])
-    return ParticleForces(setup, colliders, particles, state)
 
 
 def particle_energies(
@@ -250,13 +241,13 @@ class DivergenceCheck:
         """Set the particles to check, in a state ``(2, N, 3)``."""
         if particles is self._particles or self._setup.velocity is not None:
             return
-        rows = np.searchsorted(self._ids, particles.ids)
-        rows = np.minimum(rows, max(len(self._ids) - 1, 0))
+        indices = np.searchsorted(self._ids, particles.ids)
+        indices = np.minimum(indices, max(len(self._ids) - 1, 0))
         is_known = np.zeros(len(particles), bool)
         if len(self._ids):
-            is_known = self._ids[rows] == particles.ids
+            is_known = self._ids[indices] == particles.ids
         first_energies = np.zeros((2, len(particles)))
-        first_energies[:, is_known] = self._first_energies[:, rows[is_known]]
+        first_energies[:, is_known] = self._first_energies[:, indices[is_known]]
         is_new = ~is_known
         first_energies[:, is_new] = particle_energies(
             self._setup, particles.select(is_new), state[:, is_new]

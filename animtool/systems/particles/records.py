@@ -18,7 +18,7 @@ _SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
 _FINITE = Range("finite", "SIM021", -math.inf, finite=True)
 
 
-def _bursts(rows: Sequence[Sequence[float]]) -> list[tuple[float, int]]:
+def _read_bursts(rows: Sequence[Sequence[float]]) -> list[tuple[float, int]]:
     """Return bursts from rows of a file."""
     return [(t, int(count)) for t, count in rows]
 
@@ -37,7 +37,7 @@ class Emission:
         "Seconds from the first frame, and number of particles at once.",
         [[0, 50], [1.5, 50]],
         (),
-        read=_bursts,
+        read=_read_bursts,
     )
     start: float = key(
         "Time at which the rate starts [s]. Default: the first frame.", 0.5, -math.inf

@@ -81,7 +81,7 @@ class Particles:
             OptionError: The setup is invalid (SIM001, SIM004 to SIM006, SIM020 to
                 SIM024); lists all faults.
         """
-        faults = self._option_faults() + self._parts()
+        faults = self._option_faults() + self._part_faults()
         if faults:
             raise OptionError(faults)
 
@@ -106,7 +106,7 @@ class Particles:
             faults.append(Fault("SIM024", message, where="velocity", hint=hint))
         return faults
 
-    def _parts(self) -> list[Fault]:
+    def _part_faults(self) -> list[Fault]:
         """Return faults of emitters, forces, colliders and regions."""
         faults = _record_faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):

@@ -43,7 +43,6 @@ from animtool.systems.particles.moving import (
     ParticleFlow,
     ParticleForces,
     advance_births,
-    particle_system,
 )
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
@@ -142,8 +141,10 @@ class ParticleSimulation:
 
     def _system(self, state: ParticleRunState) -> ParticleForces | ParticleFlow:
         """Return the particles of a state as a system for integrators."""
-        setup, colliders = self.setup, self.colliders
-        return particle_system(setup, colliders, state.particles, state.state)
+        setup, colliders, motion = self.setup, self.colliders, state.state
+        if setup.velocity is not None:
+            return ParticleFlow(setup, colliders, state.particles, motion[0])
+        return ParticleForces(setup, colliders, state.particles, motion)
 
     def _advance(
         self, state: ParticleRunState, start: float, until: float, notices: list[Fault]
@@ -257,8 +258,8 @@ class ParticleSimulation:
                 self.setup, self.colliders, particles, birth_states, start, end_time
             )
         elif self.setup.velocity is not None:
-            field = self.setup.velocity
-            birth_states[1] = field.velocity(end_time, birth_states[0], particles)
+            flow = self.setup.velocity
+            birth_states[1] = flow.velocity(end_time, birth_states[0], particles)
         particles = ParticleState.concatenate([state.particles, particles])
         motion = np.concatenate([state.state, birth_states], axis=1)
         return replace(state, particles=particles, state=motion)
@@ -312,12 +313,10 @@ class ParticleSimulation:
         names = [one.name or f"colliders[{i}]" for i, one in enumerate(setup.colliders)]
         names += [one.name for system in setup.bodies for one in system.colliders]
         names += [one.name or f"sheets[{i}]" for i, one in enumerate(setup.sheets)]
-        message = (
-            f"{label} is inside {names[index]!r} at {t:g} s, and cannot be pushed "
-        )
-        message += "out at "
+        message = f"{label} is inside {names[index]!r} at {t:g} s, and cannot be "
+        message += "pushed out at once"
         hint = "particles start inside, or colliders close in on them from several "
-        yield warning("SIM123", f"{message}once", f"{hint}sides", self.setup.name)
+        yield warning("SIM123", message, f"{hint}sides", self.setup.name)
 
     def _remove_particles(self, state: ParticleRunState, t: float) -> ParticleRunState:
         """Return a state without particles that died or are in kill regions."""
@@ -349,7 +348,7 @@ class ParticleSimulation:
         """Return a warning that there are no particles until a time [s] (SIM188)."""
         message = "there are no particles in any frame"
         emitters = self.setup.emitters
-        killing = [
+        regions = [
             k
             for k, region in enumerate(self._kill_regions)
             if all(
@@ -357,8 +356,8 @@ class ParticleSimulation:
                 for one in emitters
             )
         ]
-        if killing:
-            k = killing[0]
+        if regions:
+            k = regions[0]
             region = self.setup.kills[k].region
             message += f": kill[{k}] contains all emitters, and removes what is "
             if isinstance(region.shape, Plane):
@@ -371,16 +370,16 @@ class ParticleSimulation:
                 message += "inside it"
                 hint = "to remove what leaves it, write container: true"
             return warning("SIM188", message, hint, f"kill[{k}]")
-        begins = [
+        starts = [
             min([*(time for time, _ in one.bursts), one.start if one.rate else np.inf])
             for one in emitters
         ]
-        first = min(begins)
+        first = min(starts)
         if t < first < np.inf:
             message += f": the first emitter starts at {first:g} s, after the last "
             message += f"frame, at {t:.3g} s"
             hint = "times are in seconds from the first frame of the range"
-            where = f"emitters[{begins.index(first)}]"
+            where = f"emitters[{starts.index(first)}]"
             return warning("SIM188", message, hint, where)
         hint = "set a rate or bursts, and a start and a lifetime with which "
         return warning("SIM188", message, hint + "particles exist in the range")

@@ -79,7 +79,7 @@ class BodyForces:
         jacobians = np.zeros((2, len(x), 3, 3))
         for force in self.forces:
             if force.varies:
-                jacobians += force.slopes(t, x, v, self._particles)
+                jacobians += force.jacobians(t, x, v, self._particles)
         by_position, by_speed = jacobians / self._bodies.masses[:, None, None]
         return by_position, by_speed
 

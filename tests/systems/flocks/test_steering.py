@@ -167,7 +167,7 @@ def test_two_that_close_in_brake_by_the_room_that_is_left(
     spacing = Spacing(np.array([1.0, 1.0]), np.zeros((2, 3)))
     way = np.array([2.0, -1, 2]) / 3
     x = np.array([[5.0, 6, 7], [5, 6, 7] + apart * way])
-    found = spacing.braking(x, np.array([closing * way, [0, 0, 0]]))
+    found = spacing.braking_accelerations(x, np.array([closing * way, [0, 0, 0]]))
     assert_allclose(found, each * np.array([-way, way]), atol=1e-9)
 
 

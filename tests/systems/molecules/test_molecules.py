@@ -337,7 +337,9 @@ def test_two_kinds_act_by_the_mean_sigma_and_the_geometric_mean_epsilon() -> Non
             np.zeros(2),
             np.ones(2),
         )
-        acting = Interactions(spec, atoms, placing).acting(atoms.points, atoms.points)
+        acting = Interactions(spec, atoms, placing).forces_at(
+            atoms.points, atoms.points
+        )
         assert acting.energies.sum() == pytest.approx(-depth)
         assert_allclose(acting.forces, 0, atol=1e-9)
 
@@ -397,7 +399,9 @@ def test_a_step_is_judged_by_the_stiffest_kind() -> None:
             x = np.array([[2.0, 2, 2], [2, 2 + near + off, 2]])
             atoms = Atoms(x, 0 * x, np.ones(2), two, np.zeros(2), np.ones(2))
             pulls.append(
-                Interactions(spec, atoms, PeriodicBox(spec)).acting(x, x).forces[1, 1]
+                Interactions(spec, atoms, PeriodicBox(spec))
+                .forces_at(x, x)
+                .forces[1, 1]
             )
         square = 8 * (pulls[0] - pulls[1]) / 2e-6 / one["mass"]
         stiffest = max(stiffest, np.sqrt(square))

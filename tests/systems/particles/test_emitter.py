@@ -127,19 +127,19 @@ def test_places_and_speeds_are_of_the_emitters_frame() -> None:
     quarter = so3.exp(np.array([0.0, 0, np.pi / 2]))
     points, ways = np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])
     still = Emitter(poses=Poses([0], [[5, 6, 7]], [quarter]))
-    x, v = still._in_world(np.zeros(1), points, ways)
+    x, v = still._to_world(np.zeros(1), points, ways)
     assert_allclose(x, [[5, 7, 7]], atol=1e-12)
     assert_allclose(v, [[0, 2, 0]], atol=1e-12)
     poses = Poses([0, 2], [[0, 0, 0], [6, 0, 0]], [quarter, quarter])
     for inherit in (0.0, 1.0, -0.5):
         cart = Emitter(poses=poses, inherit=inherit)
-        x, v = cart._in_world(np.array([1.0]), points, ways)
+        x, v = cart._to_world(np.array([1.0]), points, ways)
         assert_allclose(x, [[3, 1, 0]], atol=1e-9)
         assert_allclose(v, [[3 * inherit, 2, 0]], atol=1e-6)
     times, turns = np.linspace(0, 1, 11), np.linspace(0, 1, 11)
     spin = [so3.exp(np.array([0.0, 0, 2 * s])) for s in turns]
     wheel = Emitter(poses=Poses(times, np.zeros((11, 3)), spin))
-    x, v = wheel._in_world(np.array([0.5]), points, 0 * ways)
+    x, v = wheel._to_world(np.array([0.5]), points, 0 * ways)
     assert_allclose(x, [[np.cos(1), np.sin(1), 0]], atol=1e-6)
     assert_allclose(v, [[-2 * np.sin(1), 2 * np.cos(1), 0]], atol=1e-3)
 

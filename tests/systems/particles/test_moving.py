@@ -132,7 +132,8 @@ def test_bodies_take_what_meets_their_own_shapes(
         _colliders=type("Walls", (list,), {"bodies": bodies})([0, 0]),
         particles=SimpleNamespace(masses="masses"),
         wrenches=[
-            SimpleNamespace(after=lambda h, k=k: f"before {k} by {h}") for k in range(3)
+            SimpleNamespace(delayed_by=lambda h, k=k: f"before {k} by {h}")
+            for k in range(3)
         ],
     )
     done = SimpleNamespace(
@@ -306,8 +307,8 @@ def test_turbulence_is_a_sum_of_octaves_of_half_the_size_and_strength() -> None:
     each = force.force(np.array([1.2, 0.0]), x, 0 * x, own)
     assert_allclose(each[0], expected[0])
     assert not np.allclose(each[1], expected[1])
-    for slope in force.slopes(0.0, x, x, own):
-        assert_allclose(slope, np.zeros((2, 3, 3)))
+    for jacobian in force.jacobians(0.0, x, x, own):
+        assert_allclose(jacobian, np.zeros((2, 3, 3)))
 
 
 def test_dampings_and_signs_of_forces_in_numbers() -> None:
@@ -338,13 +339,13 @@ def test_dampings_and_signs_of_forces_in_numbers() -> None:
     assert find_force("drag")(linear=1).potential(x, own).tolist() == [0, 0]
     assert find_force("wind")().potential(x, own) is None
     brake = find_force("propulsion")(thrust=-6.0, duration=1.0)
-    by_place, by_speed = brake.slopes(1.0, x, v, own)
+    by_place, by_speed = brake.jacobians(1.0, x, v, own)
     assert_allclose(by_place, np.zeros((2, 3, 3)))
     assert_allclose(by_speed[0], -6 / 5 * np.eye(3))
     assert_allclose(by_speed[1], -6 / 1e-9 * np.eye(3))
-    assert not brake.slopes(1.01, x, v, own)[1].any()
+    assert not brake.jacobians(1.01, x, v, own)[1].any()
     for given in ({"thrust": 0.0}, {"thrust": -6.0, "direction": (1, 0, 0)}):
-        assert not np.any(find_force("propulsion")(**given).slopes(0.0, x, v, own))
+        assert not np.any(find_force("propulsion")(**given).jacobians(0.0, x, v, own))
     for power, softening, faulty in (
         (1.0, 0.0, False), (0.99, 0.0, True), (-2.0, 0.1, False),
     ):  # fmt: skip

@@ -226,7 +226,7 @@ def test_what_a_field_takes_along_has_its_speed_from_the_first_frame_on() -> Non
 )
 def test_faults_say_where_they_are(keys: Any, wheres: list[str]) -> None:
     setup = Particles(**{"emitters": [Emitter(rate=1)], **keys})
-    found = setup._option_faults() + setup._parts()
+    found = setup._option_faults() + setup._part_faults()
     assert [str(fault.where).partition(".")[0] for fault in found] == wheres
 
 

@@ -35,10 +35,10 @@ class Drag(Force):
         speed = np.linalg.norm(v, axis=1)[:, None]
         return np.asarray(-(self.linear + self.quadratic * speed) * v)
 
-    def slopes(
+    def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the force, as `Force.slopes` does."""
+        """Return the Jacobians of the force, as `Force.jacobians` does."""
         directions, speed = unit_vectors(v)
         isotropic = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
         radial = (self.quadratic * speed)[:, :, None] * directions[:, :, None]
@@ -64,10 +64,10 @@ class Viscosity(Force):
         """Return forces ``(N, 3)`` [N]."""
         return -6 * np.pi * self.viscosity * particles.radii[:, None] * v
 
-    def slopes(
+    def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the force, as `Force.slopes` does."""
+        """Return the Jacobians of the force, as `Force.jacobians` does."""
         drag = (6 * np.pi * self.viscosity * particles.radii)[:, None, None] * np.eye(3)
         return np.zeros_like(drag), -drag
 
@@ -89,10 +89,10 @@ class Wind(Force):
         """Return forces ``(N, 3)`` [N]."""
         return self.drag * (np.asarray(self.velocity, np.float64) - v)
 
-    def slopes(
+    def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the force, as `Force.slopes` does."""
+        """Return the Jacobians of the force, as `Force.jacobians` does."""
         drag = np.broadcast_to(self.drag * np.eye(3), (len(x), 3, 3))
         return np.zeros_like(drag), -drag
 
@@ -122,10 +122,10 @@ class Friction(Force):
         coefficients = self.deceleration * particles.masses / speed
         return np.asarray(-coefficients[:, None] * v)
 
-    def slopes(
+    def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return zero, and force over velocity: friction never reverses motion."""
+        """Return Jacobians of 0 and of force over speed: motion is never reversed."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         coefficients = self.deceleration * particles.masses / speed
         drag = coefficients[:, None, None] * np.eye(3)

@@ -13,9 +13,9 @@ from animtool.core.options import Range, at_least, range_faults
 from animtool.systems.particles.state import ParticleState
 
 # Types of options.
-_THREE = Range("three finite numbers", "SIM022", -math.inf, finite=True, count=3)
-Vector: TypeAlias = Annotated[tuple[float, float, float], _THREE]
-AnyVector: TypeAlias = Annotated[tuple[float, float, float] | None, _THREE]
+_VECTOR = Range("three finite numbers", "SIM022", -math.inf, finite=True, count=3)
+Vector: TypeAlias = Annotated[tuple[float, float, float], _VECTOR]
+AnyVector: TypeAlias = Annotated[tuple[float, float, float] | None, _VECTOR]
 Finite: TypeAlias = Annotated[float, Range("finite", "SIM022", -math.inf, finite=True)]
 NotNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
 Positive: TypeAlias = Annotated[
@@ -29,7 +29,7 @@ DIFFERENCE_STEP = 1e-6
 
 
 def unit_vectors(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return unit vectors ``(N, 3)``, zeros for zeros, and lengths ``(N, 1)``."""
+    """Return unit vectors ``(N, 3)``, 0 for vectors of 0, and lengths ``(N, 1)``."""
     lengths = np.linalg.norm(vectors, axis=1)[:, None]
     zeros = np.zeros_like(vectors)
     return np.divide(vectors, lengths, out=zeros, where=lengths > 0), lengths
@@ -54,7 +54,7 @@ class Force(ABC):
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N] at positions and velocities ``(N, 3)``."""
 
-    def slopes(
+    def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
         """Return the Jacobians of each force with respect to position and velocity.

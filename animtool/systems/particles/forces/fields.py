@@ -75,7 +75,7 @@ class Turbulence(Force):
             noise += _kernels.curl_noise(lattice, times * frequency, seed) / frequency
         return noise * (self.strength * particles.masses[:, None])
 
-    def slopes(
+    def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
         """Return zero Jacobians: turbulence has no restoring force."""
@@ -109,7 +109,7 @@ class Electromagnetic(Force):
 
 
 # Number of particles processed at once, to limit memory.
-_BLOCK_ROWS = 256
+_BLOCK_SIZE = 256
 
 
 @dataclass(frozen=True)
@@ -126,10 +126,10 @@ class Charges(Force):
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         fields = np.zeros_like(x)
-        for first in range(0, len(x), _BLOCK_ROWS):
-            rows = slice(first, first + _BLOCK_ROWS)
-            offsets = x[rows, None] - x
+        for first in range(0, len(x), _BLOCK_SIZE):
+            block = slice(first, first + _BLOCK_SIZE)
+            offsets = x[block, None] - x
             squared = (offsets * offsets).sum(axis=2) + self.softening**2
             weights = particles.charges / squared**1.5
-            fields[rows] = (offsets * weights[:, :, None]).sum(axis=1)
+            fields[block] = (offsets * weights[:, :, None]).sum(axis=1)
         return fields * (self.constant * particles.charges[:, None])

@@ -123,20 +123,20 @@ class Spring(Force):
         tension = self.k * (length - self.rest) + self.kd * rate
         return np.asarray(-tension * directions)
 
-    def slopes(
+    def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the force, as `Force.slopes` does."""
-        unit = np.eye(3)
+        """Return the Jacobians of the force, as `Force.jacobians` does."""
+        identity = np.eye(3)
         offsets = x - self._anchors(particles)
-        stiffness = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
+        stiffness = np.broadcast_to(-self.k * identity, (len(x), 3, 3))
         if self.rest == 0 and self.kd == 0:
             return stiffness, np.zeros_like(stiffness)
         directions, length = unit_vectors(offsets)
         outer = directions[:, :, None] * directions[:, None]
         length_ratio = np.zeros_like(length)
         np.divide(self.rest, length, out=length_ratio, where=length > 0)
-        by_position = stiffness + self.k * length_ratio[:, :, None] * (unit - outer)
+        by_position = stiffness + self.k * length_ratio[:, :, None] * (identity - outer)
         return by_position, -self.kd * outer
 
     def _anchors(self, particles: ParticleState) -> FloatArray:
@@ -177,10 +177,10 @@ class Propulsion(Force):
         is_burning = (t - particles.births <= self.duration)[:, None]
         return np.asarray(self.thrust * directions * is_burning)
 
-    def slopes(
+    def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the force divided by velocity for a brake, zeros for a thrust."""
+        """Return Jacobians: force over speed for a brake, zero for a thrust."""
         zeros = np.zeros((len(x), 3, 3))
         if self.direction is not None or self.thrust >= 0:
             return zeros, zeros

@@ -34,8 +34,8 @@ def particles() -> ParticleState:
 def test_they_are_those_of_the_force(name: str, options: dict[str, Any]) -> None:
     force, rng = find_force(name)(**options), np.random.default_rng(2)
     x, v = rng.normal(size=(2, 3, 3))
-    found = force.slopes(0.0, x, v, particles())
-    expected = Force.slopes(force, 0.0, x, v, particles())
+    found = force.jacobians(0.0, x, v, particles())
+    expected = Force.jacobians(force, 0.0, x, v, particles())
     for one, other in zip(found, expected, strict=True):
         assert_allclose(one, other, atol=1e-7)
 
@@ -43,8 +43,10 @@ def test_they_are_those_of_the_force(name: str, options: dict[str, Any]) -> None
 def test_what_a_spring_damps_is_along_it() -> None:
     force = find_force("spring")(k=3.0, anchor=(1, 0, 0), rest=0.5, kd=0.2)
     x, v = np.random.default_rng(2).normal(size=(2, 3, 3))
-    by_speed = force.slopes(0.0, x, v, particles())[1]
-    assert_allclose(by_speed, Force.slopes(force, 0.0, x, v, particles())[1], atol=1e-7)
+    by_speed = force.jacobians(0.0, x, v, particles())[1]
+    assert_allclose(
+        by_speed, Force.jacobians(force, 0.0, x, v, particles())[1], atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("name", sorted(FORCES))
@@ -53,8 +55,8 @@ def test_what_does_not_vary_has_none(name: str) -> None:
     if force.varies:
         return
     x, v = np.random.default_rng(3).normal(size=(2, 3, 3))
-    for slope in force().slopes(0.0, x, v, particles()):
-        assert_allclose(slope, 0, atol=1e-7)
+    for jacobian in force().jacobians(0.0, x, v, particles()):
+        assert_allclose(jacobian, 0, atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -66,6 +68,6 @@ def test_those_of_a_brake_are_its_force_over_the_velocity(
 ) -> None:
     force = find_force(name)(**options)
     x, v = np.random.default_rng(2).normal(size=(2, 3, 3))
-    by_speed = force.slopes(0.0, x, v, particles())[1]
+    by_speed = force.jacobians(0.0, x, v, particles())[1]
     pull = force.force(0.0, x, v, particles())
     assert_allclose((by_speed @ v[:, :, None])[:, :, 0], pull, atol=1e-12)
