@@ -23,22 +23,18 @@ if TYPE_CHECKING:
     from animtool.sim.trajectory import Status as Status
     from animtool.sim.trajectory import Trajectory as Trajectory
 
+_MODULES = {
+    "integrating": ("integrate",),
+    "integrators.integrator": ("Integrator",),
+    "integrators.table": ("INTEGRATORS", "find_integrator"),
+    "options": ("IntegrateOptions",),
+    "system": (
+        *("Energy", "FirstOrder", "ForceSystem", "RateSystem", "SecondOrder", "System"),
+    ),
+    "trajectory": ("Checkpoint", "Stats", "Status", "Trajectory"),
+}
 _PUBLIC = {
-    "INTEGRATORS": "animtool.sim.integrators.table",
-    "Checkpoint": "animtool.sim.trajectory",
-    "Energy": "animtool.sim.system",
-    "FirstOrder": "animtool.sim.system",
-    "ForceSystem": "animtool.sim.system",
-    "IntegrateOptions": "animtool.sim.options",
-    "Integrator": "animtool.sim.integrators.integrator",
-    "RateSystem": "animtool.sim.system",
-    "SecondOrder": "animtool.sim.system",
-    "Stats": "animtool.sim.trajectory",
-    "Status": "animtool.sim.trajectory",
-    "System": "animtool.sim.system",
-    "Trajectory": "animtool.sim.trajectory",
-    "find_integrator": "animtool.sim.integrators.table",
-    "integrate": "animtool.sim.integrating",
+    name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names
 }
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list

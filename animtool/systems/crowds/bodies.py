@@ -348,7 +348,11 @@ class AgentBodies(Footing):
         progress = np.clip((end_phase - phase) / np.maximum(1 - phase, 1e-9), 0.0, 1.0)
         has_landed = is_swinging & (end_phase >= 1)
         fraction = (1 - start_phase) / np.where(phase_change > 0, phase_change, 1.0)
-        landings = self.landing_in_step(k, blend, motions, fraction, footholds)
+        before, after = motions
+        points = before.points + fraction[:, None] * (after.points - before.points)
+        rotation = wrap_angles(after.headings - before.headings)
+        headings = before.headings + fraction * rotation
+        landings = self.landing(k, blend, points, headings, footholds)
         footholds[has_landed, k] = landings[has_landed]
         swings[is_swinging, k] += (1 - swings[is_swinging, k]) * progress[is_swinging]
         swings[has_landed, k] = -1.0

@@ -135,8 +135,8 @@ def _build_bodies(
     is_fixed = all(collider.poses.is_fixed for collider in colliders)
     has_moving_colliders = bool(colliders.bodies) or not is_fixed
     cast = AgentCast.of(agents, gaits, ground, can_fall=has_moving_colliders)
-    can_fall = [FallSimulator.has_bodies(group.cast.rig) for group in cast.groups]
-    if not (has_moving_colliders and all(can_fall) and len(agents)):
+    can_fall = all(group.cast.rig.colliders for group in cast.groups)
+    if not (has_moving_colliders and can_fall and len(agents)):
         return cast, None
     fall_simulator = FallSimulator(
         cast.rigs, agents.sizes, frame, ground, colliders, spec.step

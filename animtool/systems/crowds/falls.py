@@ -17,7 +17,6 @@ from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
-from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.crowds.ground import GroundFrame, Terrain
 from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
@@ -57,28 +56,8 @@ class Falls(Rows):
     # Time for which each agent has moved slowly (K,) [s].
     slow: FloatArray = field(metadata=growing())
 
-    @staticmethod
-    def no_falls(joint_count: int, body_count: int) -> Falls:
-        """Return an empty record for rigs of at most this many joints and bodies."""
-        return Falls(
-            np.zeros(0, np.int64),
-            np.zeros((0, joint_count, 3)),
-            np.zeros((0, joint_count, 4)),
-            np.zeros((0, body_count, 14)),
-            np.zeros(0),
-        )
-
 
 _LocalPose = tuple[FloatArray, FloatArray]
-
-
-@dataclass(frozen=True)
-class FallingRagdoll:
-    """The ragdoll of a falling agent."""
-
-    rig: Rig  # agent-sized rig, with limits widened to the start pose
-    ragdoll: Ragdoll
-    simulation: RigidSimulation
 
 
 class FallSimulator:
@@ -118,20 +97,21 @@ class FallSimulator:
         self._colliders = Colliders([*colliders, floor], (), colliders.bodies)
         self._gravity = (-GRAVITY * self._up).tolist()
         self._step = step
-        self._ragdolls: dict[tuple[int, bytes], FallingRagdoll] = {}
+        self._ragdolls: dict[tuple[int, bytes], tuple[Ragdoll, RigidSimulation]] = {}
         self._cached_poses: dict[int, tuple[tuple[bytes, ...], _LocalPose]] = {}
 
-    @staticmethod
-    def has_bodies(rig: Rig) -> bool:
-        """Return whether a rig has bodies for a ragdoll."""
-        return bool(len(JointCapsules.from_rig(rig)))
-
     def no_falls(self) -> Falls:
-        """Return a record without falls."""
+        """Return a record without falls, for the rigs with most joints and bodies."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
-        joints = max(len(rig.joints) for rig in rigs)
-        capsules = [JointCapsules.from_rig(rig) for rig in rigs]
-        return Falls.no_falls(joints, max(len(np.unique(c.joints)) for c in capsules))
+        joint_count = max(len(rig.joints) for rig in rigs)
+        body_count = max(len({one.joint for one in rig.colliders}) for rig in rigs)
+        return Falls(
+            np.zeros(0, np.int64),
+            np.zeros((0, joint_count, 3)),
+            np.zeros((0, joint_count, 4)),
+            np.zeros((0, body_count, 14)),
+            np.zeros(0),
+        )
 
     def add_falls(
         self,
@@ -154,14 +134,14 @@ class FallSimulator:
             rotations = np.tile(so3.IDENTITY, (1, falls.turns.shape[1], 1))
             positions[0, : len(rig.joints)] = pose.positions[0]
             rotations[0, : len(rig.joints)] = pose.rotations[0]
-            ragdoll = self._ragdoll(agent, positions[0], rotations[0])
+            ragdoll, simulation = self._ragdoll(agent, positions[0], rotations[0])
             # Velocities of a pose pair belong to the later one.
             pair_positions = np.concatenate([next_pose.positions, pose.positions])
             pair_linear = np.concatenate([next_pose.linear, pose.linear])
             pose_pair = WorldTransforms(pair_positions, pair_linear)
             times = np.array([dt, 0.0])
-            motion = ragdoll.simulation.initial().motion.copy()
-            motion[:, 7:13] = ragdoll_velocities(ragdoll.ragdoll, pose_pair, times, 1)
+            motion = simulation.initial().motion.copy()
+            motion[:, 7:13] = ragdoll_velocities(ragdoll, pose_pair, times, 1)
             states = np.zeros((1, *falls.motion.shape[1:]))
             states[0, : len(motion)] = motion
             fall = Falls(np.array([agent]), positions, rotations, states, np.zeros(1))
@@ -174,9 +154,9 @@ class FallSimulator:
         for k, agent in enumerate(falls.agents.tolist()):
             if slow[k] >= REST_TIME:
                 continue
-            fall = self._ragdoll(agent, falls.positions[k], falls.turns[k])
-            count = len(fall.simulation.initial().motion)
-            next_motion = _step_ragdoll(fall.simulation, motion[k, :count], t, dt)
+            _, simulation = self._ragdoll(agent, falls.positions[k], falls.turns[k])
+            count = len(simulation.bodies.dynamic)
+            next_motion = _step_ragdoll(simulation, motion[k, :count], t, dt)
             speeds = np.linalg.norm(next_motion[:, 7:10], axis=1)
             motion[k, :count] = next_motion
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
@@ -197,18 +177,19 @@ class FallSimulator:
     def _pose(self, falls: Falls, row: int) -> _LocalPose:
         """Compute the local translations and rotations of a fallen agent."""
         agent = int(falls.agents[row])
-        fall = self._ragdoll(agent, falls.positions[row], falls.turns[row])
-        rig, bodies = fall.rig, fall.ragdoll.bodies
-        motion = falls.motion[row, : len(bodies.kind_of_body)]
-        state = replace(fall.simulation.initial(), motion=np.ascontiguousarray(motion))
-        frame = fall.simulation.frame(state, 0.0)
+        ragdoll, simulation = self._ragdoll(
+            agent, falls.positions[row], falls.turns[row]
+        )
+        rig, motion = ragdoll.rig, falls.motion[row, : len(ragdoll.joints)]
+        state = replace(simulation.initial(), motion=np.ascontiguousarray(motion))
+        frame = simulation.frame(state, 0.0)
         count = len(rig.joints)
         local = _local_rotations(rig, falls.turns[row, :count])
         has_parent = rig.parents >= 0
         translations = rig.rest_translations.copy()
         translations[~has_parent] = falls.positions[row, :count][~has_parent]
         local_translations, local_rotations = ragdoll_transforms(
-            fall.ragdoll,
+            ragdoll,
             frame.points[None],
             frame.rotations[None],
             translations[None],
@@ -218,8 +199,11 @@ class FallSimulator:
 
     def _ragdoll(
         self, agent: int, positions: FloatArray, rotations: FloatArray
-    ) -> FallingRagdoll:
-        """Return the ragdoll of an agent that fell from a world pose, cached."""
+    ) -> tuple[Ragdoll, RigidSimulation]:
+        """Return the ragdoll of an agent that fell from a world pose, cached.
+
+        Its rig has the size of the agent, and limits widened to the pose.
+        """
         key = agent, positions.tobytes()
         if key not in self._ragdolls:
             scale, identity = self._sizes[[agent]], so3.IDENTITY[None]
@@ -242,7 +226,7 @@ class FallSimulator:
                 substeps=max(1, round(self._step / FALL_STEP)),
                 iterations=10,
             )
-            self._ragdolls[key] = FallingRagdoll(rig, ragdoll, simulation)
+            self._ragdolls[key] = ragdoll, simulation
         return self._ragdolls[key]
 
 

@@ -72,21 +72,6 @@ class Footing:
     scales: FloatArray  # size of each body relative to its rig (N,)
     ground: Heights
 
-    def landing_in_step(
-        self,
-        foot_index: int,
-        blend: Blend,
-        motions: tuple[AgentMotion, AgentMotion],
-        fractions: FloatArray,
-        footholds: FloatArray,
-    ) -> FloatArray:
-        """Return landings ``(N, 3)`` of a foot, for bodies at fractions of a step."""
-        before, after = motions
-        points = before.points + fractions[:, None] * (after.points - before.points)
-        change = wrap_angles(after.headings - before.headings)
-        headings = before.headings + fractions * change
-        return self.landing(foot_index, blend, points, headings, footholds)
-
     def landing(
         self,
         foot_index: int,

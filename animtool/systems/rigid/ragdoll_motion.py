@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,7 @@ class DriveTargets:
     ragdoll: Ragdoll
     times: FloatArray  # times of frames (F,) [s]
     coordinates: FloatArray  # joint coordinates of frames (F, Q)
-    coordinate_slices: Sequence[slice] = field(default=())
+    coordinate_slices: Sequence[slice]
 
     def __call__(self, t: float) -> FloatArray:
         """Return position and rotation targets of drives ``(N, 5)`` at a time [s]."""

@@ -97,7 +97,7 @@ def test_who_is_larger_than_the_rig_falls_as_large(biped: Rig) -> None:
     assert_allclose(fell, np.broadcast_to(fell[0], fell.shape), atol=1e-4)
     assert fell[0, 1] < 0
     masses = [
-        own._ragdoll(k, one.positions[0], one.rotations[0]).ragdoll.bodies.masses
+        own._ragdoll(k, one.positions[0], one.rotations[0])[0].bodies.masses
         for k, one in ((0, pose(biped, [0, 50, 0])), (1, stands))
     ]
     assert_allclose(masses[1], 1.2**3 * masses[0])
@@ -183,7 +183,7 @@ def test_joints_of_who_is_torn_apart_are_shown_as_they_can_be(biped: Rig) -> Non
     own, toe = falling(biped), biped.index("toe_r")
     stands = pose(biped, [3.0, 50.0, -2.0])
     falls = own.add_falls(own.no_falls(), np.array([0]), [stands], [stands], STEP)
-    ragdoll = own._ragdoll(0, falls.positions[0], falls.turns[0]).ragdoll
+    ragdoll = own._ragdoll(0, falls.positions[0], falls.turns[0])[0]
     body = ragdoll.joints.tolist().index(toe)
     torn = so3.multiply(
         so3.exp(np.radians([150.0, 0.0, 0.0])), so3.exp(np.radians([0.0, 60.0, 0.0]))
@@ -210,7 +210,9 @@ def test_who_would_fall_too_fast_takes_the_step_in_eight_parts(
         motion[0, 7] = 1.0 if dt <= longest else MAX_FALL_SPEED
         return replace(state, motion=motion)
 
-    begun = Falls.no_falls(1, 1)
+    begun = Falls(
+        *(np.zeros(shape) for shape in ((0,), (0, 1, 3), (0, 1, 4), (0, 1, 14), (0,)))
+    )
     simulation: Any = SimpleNamespace(initial=lambda: begun, step=step)
     motion = np.zeros((1, 14))
     motion[0, 7] = 2.0
