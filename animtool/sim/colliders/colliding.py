@@ -296,10 +296,10 @@ def collide(
         spawn_times,
         t1 - t0,
     )
-    for rows, kinds, sheet_normals in sheet_contacts:
-        is_untouched = touches[rows, 0] < 0
-        touches[rows[is_untouched]] = kinds[is_untouched]
-        normals[rows[is_untouched]] = sheet_normals[is_untouched]
+    for indices, kinds, sheet_normals in sheet_contacts:
+        is_untouched = touches[indices, 0] < 0
+        touches[indices[is_untouched]] = kinds[is_untouched]
+        normals[indices[is_untouched]] = sheet_normals[is_untouched]
     collider_indices, kinds = touches.T.copy()
     return Collided(state[0], state[1], Contacts(collider_indices, kinds, normals))
 
@@ -323,21 +323,21 @@ def _stop_at_sheets(
         )
         if nearby is None:
             continue
-        rows = nearby.indices
+        indices = nearby.indices
         state, touches, normals = _kernels.collide_particles(
             Colliders([nearby.collider]).arrays(t0, t1),
             nearby.start,
             nearby.end,
-            radii[rows],
-            spawn_times[rows],
+            radii[indices],
+            spawn_times[indices],
             t1 - t0,
         )
         state[1] += nearby.velocity
         is_touching = touches[:, 0] >= 0
-        rows = rows[is_touching]
-        end_state[:, rows] = state[:, is_touching]
+        indices = indices[is_touching]
+        end_state[:, indices] = state[:, is_touching]
         touches[is_touching, 0] = len(collider_set.rigid) + i
-        contacts.append((rows, touches[is_touching], normals[is_touching]))
+        contacts.append((indices, touches[is_touching], normals[is_touching]))
     return contacts
 
 

@@ -70,7 +70,7 @@ class Agents(Groups):
     @cached_property
     def heights(self) -> FloatArray:
         """Body height of each agent ``(N,)`` [m]."""
-        return self.per_individual([one.height for one in self.entries])
+        return self.per_individual([entry.height for entry in self.entries])
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +239,9 @@ def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
     """Yield conflicts between goals, populations and doors."""
     goals = [goal.name for goal in spec.goals]
     yield from duplicate_names("goals", goals)
-    yield from duplicate_names("populations", [one.name for one in spec.populations])
+    yield from duplicate_names(
+        "populations", [entry.name for entry in spec.populations]
+    )
     for k, population in enumerate(spec.populations):
         where = f"populations[{k}]"
         for name in population.route:
@@ -251,7 +253,7 @@ def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
             message = f"the route of {population.name!r} repeats one goal"
             yield message, where, "then: stay"
     for key in ("shows", "gaits"):
-        has_key = [getattr(one, key) is not None for one in spec.populations]
+        has_key = [getattr(entry, key) is not None for entry in spec.populations]
         if any(has_key) and not all(has_key):
             name = spec.populations[has_key.index(False)].name
             message = f"some populations have {key}, but {name!r} does not"

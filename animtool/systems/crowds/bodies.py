@@ -266,9 +266,9 @@ class AgentBodies(Footing):
     ) -> FloatArray:
         """Return the heel pitches of planted feet ``(N,)`` [rad]."""
         progress = np.clip(stance_phases / blend.stance_fractions[:, k], 0.0, 1.0)
-        stance_rows = progress * (PHASE_COUNT - 1)
+        stance_frames = progress * (PHASE_COUNT - 1)
         pitches = [
-            np.interp(stance_rows, np.arange(PHASE_COUNT), gait.pitches[k])
+            np.interp(stance_frames, np.arange(PHASE_COUNT), gait.pitches[k])
             for gait in self.gaits.cycles
         ]
         return weighted_sum(pitches, blend.weights) * (1 - standing_weights)

@@ -64,10 +64,10 @@ class AgentCast:
         sources_of_agents = np.array(source_indices)[agents.kinds]
         groups = []
         for k, source in enumerate(distinct_sources):
-            rows = np.flatnonzero(sources_of_agents == k)
-            bodies = AgentBodies(source(), agents.sizes[rows], ground)
+            agent_indices = np.flatnonzero(sources_of_agents == k)
+            bodies = AgentBodies(source(), agents.sizes[agent_indices], ground)
             cast = _build_cast(bodies, can_fall=can_fall)
-            groups.append(CastGroup(rows, bodies, cast))
+            groups.append(CastGroup(agent_indices, bodies, cast))
         order = np.concatenate([group.agents for group in groups])
         return AgentCast(groups, order)
 

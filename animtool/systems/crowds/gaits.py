@@ -164,19 +164,17 @@ def weighted_sum(values: Sequence[FloatArray], weights: FloatArray) -> FloatArra
 
 
 def sample_rows(
-    table: FloatArray, rows: FloatArray, *, cyclic: bool = False
+    table: FloatArray, frames: FloatArray, *, cyclic: bool = False
 ) -> FloatArray:
     """Return rows of a table ``(P, …)`` interpolated at fractional indices.
 
     With ``cyclic``, the first row follows the last.
     """
     count = len(table)
-    lower_rows = np.clip(rows.astype(np.int64), 0, count - 1)
-    upper_rows = (
-        (lower_rows + 1) % count if cyclic else np.minimum(lower_rows + 1, count - 1)
-    )
-    fraction = (rows - lower_rows).reshape(-1, *[1] * (table.ndim - 1))
-    lower_values, upper_values = table[lower_rows], table[upper_rows]
+    lower = np.clip(frames.astype(np.int64), 0, count - 1)
+    upper = (lower + 1) % count if cyclic else np.minimum(lower + 1, count - 1)
+    fraction = (frames - lower).reshape(-1, *[1] * (table.ndim - 1))
+    lower_values, upper_values = table[lower], table[upper]
     if table.shape[-1] == 4:
         is_opposite = (lower_values * upper_values).sum(axis=-1, keepdims=True) < 0
         upper_values = np.where(is_opposite, -upper_values, upper_values)

@@ -96,25 +96,25 @@ class Terrain:
         if self.is_plane:
             return np.zeros(count), normals
         heights = np.full(count, -np.inf)
-        rows, faces = self._candidate_pairs(points)
+        point_indices, faces = self._candidate_pairs(points)
         (a, edges_b, edges_c), inverse_doubled_areas, normal_table = self._planes
-        offsets = points[rows] - a[faces][:, [0, 2]]
+        offsets = points[point_indices] - a[faces][:, [0, 2]]
         b, c = edges_b[faces], edges_c[faces]
         x, z = offsets.T
         weight_b = (x * c[:, 2] - z * c[:, 0]) * inverse_doubled_areas[faces]
         weight_c = (b[:, 0] * z - b[:, 2] * x) * inverse_doubled_areas[faces]
         weights = np.stack([weight_b, weight_c, 1 - weight_b - weight_c])
         is_inside = weights.min(axis=0) >= -EDGE_TOLERANCE
-        rows, faces = rows[is_inside], faces[is_inside]
+        point_indices, faces = point_indices[is_inside], faces[is_inside]
         face_heights = (
             a[faces, 1]
             + weight_b[is_inside] * b[is_inside, 1]
             + weight_c[is_inside] * c[is_inside, 1]
         )
-        np.maximum.at(heights, rows, face_heights)
-        is_highest = face_heights == heights[rows]
+        np.maximum.at(heights, point_indices, face_heights)
+        is_highest = face_heights == heights[point_indices]
         # On a common edge of two faces, the last face is used.
-        normals[rows[is_highest]] = normal_table[faces[is_highest]]
+        normals[point_indices[is_highest]] = normal_table[faces[is_highest]]
         return np.where(np.isfinite(heights), heights, np.nan), normals
 
     @cached_property
@@ -187,9 +187,9 @@ class Terrain:
         cell_indices = cells[:, 0] * counts[1] + cells[:, 1]
         face_counts = starts[cell_indices + 1] - starts[cell_indices]
         pair_counts = np.where(is_inside, face_counts, 0)
-        rows = np.repeat(np.arange(len(points)), pair_counts)
-        k = np.arange(len(rows)) - _group_starts(pair_counts)
-        return rows, faces[starts[cell_indices[rows]] + k]
+        point_indices = np.repeat(np.arange(len(points)), pair_counts)
+        k = np.arange(len(point_indices)) - _group_starts(pair_counts)
+        return point_indices, faces[starts[cell_indices[point_indices]] + k]
 
 
 def _group_starts(counts: IntArray) -> IntArray:

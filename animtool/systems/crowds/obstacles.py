@@ -77,8 +77,8 @@ class Obstacles:
         walls_near = []
         for gaps, directions, closing_speeds in obstacles:
             ranges = (max_speeds + np.abs(closing_speeds)) * self.horizon
-            rows = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
-            columns = rows, gaps[rows], directions[rows], closing_speeds[rows]
+            i = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
+            columns = i, gaps[i], directions[i], closing_speeds[i]
             walls_near.append(columns)
         walls = [np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)]
         order = np.argsort(walls[0], kind="stable")
@@ -208,7 +208,7 @@ def navigation_grids(
     The first is None without obstacles, the second if the ground is infinite. If agents
     are too far apart for one grid, it covers the surroundings of obstacles only.
     """
-    static_obstacles = [one for one in colliders if one.poses.is_fixed]
+    static_obstacles = [collider for collider in colliders if collider.poses.is_fixed]
     if ground.is_plane and not static_obstacles:
         return None, None
     radius = float(agents.radii.max(initial=0.0)) or 1.0

@@ -265,11 +265,11 @@ def _gait_swing(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations and ankle offsets of swinging feet, from their gaits."""
     moving_gaits = gaits.cycles
-    rows = swings * (PHASE_COUNT - 1)
+    frames = swings * (PHASE_COUNT - 1)
     weights = blend.weights[is_swinging]
-    gait_rotations = [sample_rows(gait.swings[k], rows) for gait in moving_gaits]
+    gait_rotations = [sample_rows(gait.swings[k], frames) for gait in moving_gaits]
     swing_rotations = _blend_rotations(gait_rotations, weights)
-    lifts = [sample_rows(gait.lifts[k], rows) for gait in moving_gaits]
+    lifts = [sample_rows(gait.lifts[k], frames) for gait in moving_gaits]
     ankle_offsets = weighted_sum(lifts, weights)
     # Offsets along the motion are scaled with the step length.
     end_offsets = [
@@ -279,7 +279,7 @@ def _gait_swing(
         )
         for end in (0, -1)
     ]
-    fraction = rows / (PHASE_COUNT - 1)
+    fraction = frames / (PHASE_COUNT - 1)
     straight_offsets = end_offsets[0] + fraction * (end_offsets[1] - end_offsets[0])
     stride = np.minimum(blend.stride[is_swinging], 1.0)
     deviations = ankle_offsets[:, 2] - straight_offsets
@@ -307,27 +307,27 @@ def _gait_rotations(
     bodies: AgentBodies, state: BodyState, blend: Blend
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations of animated joints ``(N, M, 4)``, and hip positions."""
-    gaits, rows = bodies.gaits, state.phases * PHASE_COUNT
+    gaits, frames = bodies.gaits, state.phases * PHASE_COUNT
     tables, idle_table = bodies.animated_rotations
-    gait_rotations = [sample_rows(table, rows, cyclic=True) for table in tables]
+    gait_rotations = [sample_rows(table, frames, cyclic=True) for table in tables]
     walk_rotations = _blend_rotations(gait_rotations, blend.weights)
-    gait_hips = [sample_rows(gait.hips, rows, cyclic=True) for gait in gaits.cycles]
+    gait_hips = [sample_rows(gait.hips, frames, cyclic=True) for gait in gaits.cycles]
     hips = weighted_sum(gait_hips, blend.weights)
-    rows = idle_frames(gaits.idle, state.clocks)
+    frames = idle_frames(gaits.idle, state.clocks)
     idle_weight = state.still[:, None]
-    idle_rotations = sample_rows(idle_table, rows)
+    idle_rotations = sample_rows(idle_table, frames)
     rotations = _mix_rotations(walk_rotations, idle_rotations, idle_weight)
-    hips = hips + idle_weight * (sample_rows(gaits.idle.hips, rows) - hips)
+    hips = hips + idle_weight * (sample_rows(gaits.idle.hips, frames) - hips)
     if gaits.reactions and (state.reacts >= 0).any():
         reaction = gaits.reactions[0]
         elapsed = np.maximum(state.reacts, 0.0)
         fraction = np.minimum(elapsed, reaction.period - elapsed) / REACTION_BLEND_TIME
         weight = swing_progress(np.clip(fraction, 0.0, 1.0)) * (state.reacts >= 0)
-        rows = elapsed / reaction.period * (len(reaction.rotations) - 1)
-        reaction_rotations = sample_rows(reaction.rotations[:, bodies.animated], rows)
+        frames = elapsed / reaction.period * (len(reaction.rotations) - 1)
+        reaction_rotations = sample_rows(reaction.rotations[:, bodies.animated], frames)
         rotations = _mix_rotations(rotations, reaction_rotations, weight[:, None])
         # Height of the hips; their ground position is the agent's.
-        height_change = sample_rows(reaction.hips, rows)[:, 1] - hips[:, 1]
+        height_change = sample_rows(reaction.hips, frames)[:, 1] - hips[:, 1]
         hips[:, 1] += weight * height_change
     return rotations, hips
 

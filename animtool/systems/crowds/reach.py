@@ -56,9 +56,9 @@ class LegReach:
         self, phases: FloatArray, weights: FloatArray, standing_weights: FloatArray
     ) -> FloatArray:
         """Return the thigh positions of bodies above level ground ``(N, 2, 3)``."""
-        rows = phases * PHASE_COUNT
-        samples = [sample_rows(table, rows, cyclic=True) for table in self.gait_thighs]
-        thighs = weighted_sum(samples, weights)
+        frames = phases * PHASE_COUNT
+        tables = [sample_rows(table, frames, cyclic=True) for table in self.gait_thighs]
+        thighs = weighted_sum(tables, weights)
         offsets = standing_weights[:, None, None] * (self.standing_thighs - thighs)
         return np.asarray(thighs + offsets)
 

@@ -81,21 +81,21 @@ class Trunk:
 
         ``rotations`` ``(N, J, 4)`` are local; the head keeps facing forward.
         """
-        rows = np.flatnonzero(angles)
-        if not len(rows) or not self.spine:
+        indices = np.flatnonzero(angles)
+        if not len(indices) or not self.spine:
             return
-        agent_rotations, agent_angles = rotations[rows], angles[rows]
+        agent_rotations, agent_angles = rotations[indices], angles[indices]
         joint_fractions = [(j, 1 / len(self.spine)) for j in self.spine]
         joint_fractions += [(j, -1 / len(self.neck)) for j in self.neck]
         for joint, fraction in joint_fractions:
-            parent_rotation = np.broadcast_to(so3.IDENTITY, (len(rows), 4))
+            parent_rotation = np.broadcast_to(so3.IDENTITY, (len(indices), 4))
             for j in _ancestors(parents, joint):
                 parent_rotation = so3.multiply(parent_rotation, agent_rotations[:, j])
             yaw = rotations_about_y(fraction * agent_angles)
             to_parent = so3.conjugate(parent_rotation)
             yaw = so3.multiply(to_parent, so3.multiply(yaw, parent_rotation))
             agent_rotations[:, joint] = so3.multiply(yaw, agent_rotations[:, joint])
-        rotations[rows] = agent_rotations
+        rotations[indices] = agent_rotations
 
 
 def _ancestors(parents: IntArray, joint: int) -> list[int]:

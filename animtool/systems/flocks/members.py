@@ -160,7 +160,7 @@ class Members(Groups):
         """
         displacements = np.linalg.norm(points - self.points, axis=1)
         points_data = [data.get("points") for data in self.species_data]
-        has_points = np.array([one is not None for one in points_data])
+        has_points = np.array([array is not None for array in points_data])
         is_moved = displacements > MIN_REPORTED_MOVE * self.radii
         is_moved &= has_points[self.kinds]
         faults = []

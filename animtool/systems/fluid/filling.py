@@ -62,8 +62,8 @@ def coarse_drop_warnings(
         if isinstance(data.get("shape"), Sphere | Capsule):
             min_size = float(np.diff(shape_bounds(data["shape"]), axis=0).min())
             radii.append((_fill_label(spec, i), min_size / 2))
-    nozzles = [one.radius for one in spec.emitters if one.radius is not None]
-    for i, nozzle_radius in enumerate(nozzles):
+    nozzle_radii = [one.radius for one in spec.emitters if one.radius is not None]
+    for i, nozzle_radius in enumerate(nozzle_radii):
         radii.append((f"a drop of nozzle {i}", JET_DROP_RATIO * nozzle_radius))
     for name, radius in radii:
         radius_in_spacings = radius / spec.spacing

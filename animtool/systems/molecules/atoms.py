@@ -77,7 +77,7 @@ class Atoms(PointMasses):
         def per_atom(values: list[float]) -> FloatArray:
             return np.array(values, np.float64)[kinds]
 
-        radii = [one.radius or one.sigma / 2 * spec.scale for one in spec.species]
+        radii = [atom.radius or atom.sigma / 2 * spec.scale for atom in spec.species]
         masses = per_atom([species.mass for species in spec.species])
         atoms = Atoms(
             np.concatenate(points),

@@ -279,9 +279,9 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
 
     def _force_error(self, x: FloatArray, pulls: MutualGravity) -> float:
         """Return the relative force error of the tree, from sampled bodies [1]."""
-        rows = np.linspace(0, len(x) - 1, ERROR_SAMPLES).astype(int)
-        exact = np.array([self._direct_sum(x, x[i]) for i in rows])
-        errors = np.linalg.norm(pulls.accelerations[rows] - exact, axis=1)
+        sampled_bodies = np.linspace(0, len(x) - 1, ERROR_SAMPLES).astype(int)
+        exact = np.array([self._direct_sum(x, x[i]) for i in sampled_bodies])
+        errors = np.linalg.norm(pulls.accelerations[sampled_bodies] - exact, axis=1)
         magnitudes = np.maximum(np.linalg.norm(exact, axis=1), 1e-300)
         return float(np.sqrt(((errors / magnitudes) ** 2).mean()))
 

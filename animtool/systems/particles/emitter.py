@@ -44,9 +44,9 @@ def uniforms(seed: int, keys: IntArray, count: int) -> FloatArray:
     True
     """
     start = hash64(np.array([seed % 2**64], np.uint64))
-    rows = hash64(keys.astype(np.uint64) ^ start)
+    key_hashes = hash64(keys.astype(np.uint64) ^ start)
     columns = np.arange(count, dtype=np.uint64) * _HASH_INCREMENT
-    bits = hash64(rows[:, None] + columns)
+    bits = hash64(key_hashes[:, None] + columns)
     return np.asarray((bits >> np.uint64(11)).astype(np.float64) * 2.0**-53)
 
 

@@ -65,7 +65,7 @@ def evaluate_expressions(
     variables = [*x.T, *v.T, times, ages, particles.masses, particles.charges]
     values = dict(zip(VARIABLES, variables, strict=True))
     components = [expression.evaluate(values) for expression in expressions]
-    return np.stack([np.broadcast_to(one, len(x)) for one in components], axis=1)
+    return np.stack([np.broadcast_to(value, len(x)) for value in components], axis=1)
 
 
 def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:

@@ -247,12 +247,12 @@ class RigidBodies:
     @cached_property
     def collision_shapes(self) -> CollisionShapes:
         """Collision shapes of all bodies; mesh shapes are convex hulls."""
-        rows = [
+        shapes = [
             (Collider(collider_shape(shape), name=self.names[i]), i, origin, rotation)
             for i in range(len(self.names))
             for shape, origin, rotation in self.kind_of(i).shapes
         ]
-        colliders, body_indices, origins, rotations = zip(*rows, strict=True)
+        colliders, body_indices, origins, rotations = zip(*shapes, strict=True)
         arrays = np.array(body_indices), np.array(origins), np.array(rotations)
         return CollisionShapes(colliders, *arrays)
 

@@ -92,9 +92,9 @@ class Joints:
     def excluded_pairs(self) -> IntArray:
         """All pairs of bodies that do not collide ``(P, 2)``."""
         pairs = [joint.excluded_pair for joint in self.members]
-        rows = [pair for pair in pairs if pair[0] >= 0]
+        excluded = [pair for pair in pairs if pair[0] >= 0]
         return np.concatenate(
-            [np.array(rows, np.int64).reshape(-1, 2), self.other_pairs]
+            [np.array(excluded, np.int64).reshape(-1, 2), self.other_pairs]
         )
 
     def anchor_frames(self, t0: float, t1: float) -> FloatArray:
