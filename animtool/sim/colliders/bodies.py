@@ -73,7 +73,7 @@ class Wrenches:
     delayed: FloatArray  # sum of the impulses times the time since they were applied
 
     @staticmethod
-    def none(count: int) -> Wrenches:
+    def zeros(count: int) -> Wrenches:
         """Return zero impulses on ``count`` bodies."""
         return Wrenches(np.zeros((count, 6)), np.zeros((count, 6)))
 
@@ -164,7 +164,7 @@ def exchange_impulses(
     velocity_change = with_contacts[1] - without_contacts[1]
     speed_change = np.linalg.norm(velocity_change, axis=1)
     (touching,) = np.nonzero((owners >= 0) & (speed_change > 0))
-    wrenches = Wrenches.none(bodies.count)
+    wrenches = Wrenches.zeros(bodies.count)
     if not len(touching):
         return with_contacts, wrenches
     owners = owners[touching]

@@ -101,8 +101,8 @@ def _fill_motion(
         message = f"{name} has no particles: it is thinner than the spacing of "
         message += f"{spec.spacing:g} m, or inside colliders"
         refuse("SIM064", message, "fills", "use a smaller spacing, or a larger fill")
-    speeds = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
-    return np.stack([points, speeds])
+    velocities = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
+    return np.stack([points, velocities])
 
 
 def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:

@@ -156,7 +156,7 @@ class Fluid:
         if not np.isfinite(accelerations).all():
             self._stop("SIM102", end, "a force is not finite", "weaker forces")
         wrenches: Sequence[Wrenches] = [
-            Wrenches.none(system.count) for system in self._colliders.bodies
+            Wrenches.zeros(system.count) for system in self._colliders.bodies
         ]
         if len(state.ids):
             state, wrenches = self._solve_pressure(state, t, dt, accelerations, notices)
@@ -273,7 +273,7 @@ class Fluid:
         substep = dt / collision_substeps
         pressures = np.zeros(len(state.ids))
         compression = 0.0
-        wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
+        wrenches = [Wrenches.zeros(system.count) for system in colliders.bodies]
         for k in range(collision_substeps):
             t0 = t + k * substep
             t1 = t0 + substep

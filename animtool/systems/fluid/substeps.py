@@ -87,8 +87,8 @@ class Substeps:
         layer_head = MIN_LAYERS * self._spec.spacing * acceleration
         static_head = max(pressure_head, layer_head, self._drop_pressure)
         required_speed = self._sound_speed(static_head + max_speed**2 / 2)
-        least = required_speed / SOUND_TOLERANCE
-        if previous and least <= previous <= required_speed * SOUND_TOLERANCE:
+        min_sound = required_speed / SOUND_TOLERANCE
+        if previous and min_sound <= previous <= required_speed * SOUND_TOLERANCE:
             return previous
         min_speed = previous * math.exp(-dt / SOUND_FALL_TIME)
         max_allowed = previous * math.exp(dt / SOUND_RISE_TIME)

@@ -173,8 +173,8 @@ def _initial_velocities(
     m = masses[is_thermal][:, None]
     v = normal_samples(u) / np.sqrt(m)
     v -= (m * v).sum(axis=0) / m.sum()
-    square = float((m * v * v).sum()) / (3 * count - 3)
-    velocities[is_thermal] = v * np.sqrt(BOLTZMANN * spec.temperature / square)
+    mean_square = float((m * v * v).sum()) / (3 * count - 3)
+    velocities[is_thermal] = v * np.sqrt(BOLTZMANN * spec.temperature / mean_square)
     return velocities
 
 

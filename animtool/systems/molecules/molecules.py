@@ -196,8 +196,8 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         x = start.motion[0] % size
         distances, neighbours = cKDTree(x % size, boxsize=size).query(x, 2)
         i = int(np.argmin(distances[:, 1]))
-        species, second = sorted(neighbours[i].tolist())
-        message = f"atoms {species} and {second} start {distances[i, 1]:.3g} nm apart"
+        first, second = sorted(neighbours[i].tolist())
+        message = f"atoms {first} and {second} start {distances[i, 1]:.3g} nm apart"
         hint = "move one of them, or use a larger box"
         refuse(self._spec.code, message, "species", hint)
 
@@ -336,12 +336,12 @@ def thermostat_factor(
     times, temperatures = np.array(model.temperatures).T
     target = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
     randoms = uniforms(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
-    random, random_rest = np.clip(randoms, 2.0**-53, 1 - 2.0**-53)
+    random, second_random = np.clip(randoms, 2.0**-53, 1 - 2.0**-53)
     normal = float(normal_samples(random))
     # Sum of squares of the other normal samples.
     squares = 0.0
     if degrees_of_freedom > 1:
-        squares = 2 * float(gammaincinv((degrees_of_freedom - 1) / 2, random_rest))
+        squares = 2 * float(gammaincinv((degrees_of_freedom - 1) / 2, second_random))
     decay = float(np.exp(-dt / model.relaxation))
     exchanged_fraction = target / kinetic * (1 - decay)
     squared_factor = decay + exchanged_fraction * (normal**2 + squares)

@@ -131,8 +131,8 @@ def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
         masses = [galaxy.masses.sum() for galaxy in galaxies]
         starts = orbit_motions(spec.encounter, masses, constant)
     result = []
-    for model, bodies, (at, v) in zip(spec.galaxies, galaxies, starts, strict=True):
-        frame = matter.UnitFrame(at, unit_quaternion(model.rotate))
+    for model, bodies, (centre, v) in zip(spec.galaxies, galaxies, starts, strict=True):
+        frame = matter.UnitFrame(centre, unit_quaternion(model.rotate))
         points = frame.to_scene(bodies.points)
         velocities = frame.velocities_to_scene(bodies.velocities) + v
         result.append(PointMasses(points, velocities, bodies.masses))

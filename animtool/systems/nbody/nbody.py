@@ -122,11 +122,11 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         radii = [body.radius for body in spec.bodies]
         radii += [galaxy.radius for galaxy in spec.galaxies]
         self.radii = np.repeat(radii, counts)
-        dark_counts = [0] * len(spec.bodies)
-        dark_counts += [galaxy.hidden_count for galaxy in spec.galaxies]
+        hidden_counts = [0] * len(spec.bodies)
+        hidden_counts += [galaxy.hidden_count for galaxy in spec.galaxies]
         is_visible = [
-            np.arange(count) < count - dark
-            for count, dark in zip(counts, dark_counts, strict=True)
+            np.arange(count) < count - hidden
+            for count, hidden in zip(counts, hidden_counts, strict=True)
         ]
         self.written_bodies = np.flatnonzero(np.concatenate(is_visible))
         accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, MIN_TREE_ACCURACY)
@@ -147,8 +147,8 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     ) -> MutualGravity:
         """Return mutual accelerations of bodies at points ``(N, 3)`` [m]."""
         spec, accuracy = self._spec, self._spec.accuracy if self.uses_tree else 0.0
-        law = spec.gravity_constant, spec.softening, accuracy
-        return MutualGravity(*_kernels.gravity(x, self.bodies.masses, *law))
+        constants = spec.gravity_constant, spec.softening, accuracy
+        return MutualGravity(*_kernels.gravity(x, self.bodies.masses, *constants))
 
     def _forces(self, sums: MutualGravity) -> FloatArray:
         return sums.accelerations
@@ -235,8 +235,8 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         accelerations = state.pulls.accelerations + self.external_accelerations(t, x)[0]
         centre = masses @ x / masses.sum()
         distances = np.maximum(np.linalg.norm(x - centre, axis=1), self._spec.softening)
-        sizes = np.maximum(np.linalg.norm(accelerations, axis=1), 1e-300)
-        return RECOMMENDED_STEP * float(np.sqrt(distances / sizes).min())
+        magnitudes = np.maximum(np.linalg.norm(accelerations, axis=1), 1e-300)
+        return RECOMMENDED_STEP * float(np.sqrt(distances / magnitudes).min())
 
     def _potential(self, state: NbodyState, t: float) -> float:
         masses, x = self.bodies.masses, state.motion[0]

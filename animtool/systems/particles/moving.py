@@ -28,7 +28,7 @@ class _ParticleSystem:
         self.settles = colliders.has_any
         self.contacts: Contacts | None = None
         # Impulses on the bodies of each system so far.
-        self.wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
+        self.wrenches = [Wrenches.zeros(system.count) for system in colliders.bodies]
         self._colliders = colliders
         self._state = state
 

@@ -147,49 +147,49 @@ class ParticleSimulation:
         return ParticleForces(setup, colliders, state.particles, motion)
 
     def _advance(
-        self, state: ParticleRunState, start: float, until: float, notices: list[Fault]
+        self, state: ParticleRunState, start: float, end: float, notices: list[Fault]
     ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
         """Return particles after a step [s], and impulses on bodies."""
         system, options = self._system(state), self.setup.options
         start_state = system.state
         with np.errstate(all="ignore"):
             self._divergence_check.set_particles(state.particles, state.state)
-            self._check_step_length(system, start, until)
+            self._check_step_length(system, start, end)
             notices += self._step_warnings
             integration = IntegrationRun(
                 self._integrator,
                 Equations(system),
                 options,
                 self._divergence_check,
-                until,
+                end,
                 start,
                 start_state,
                 state.memory,
                 state.trial,
             )
-            status = advance_run(integration, until)
+            status = advance_run(integration, end)
             self._steps_taken += integration.steps
             if status is not Status.OK:
-                end = integration.time, integration.state
-                self._stop(integration, status, [(start, start_state), end])
+                stop_sample = integration.time, integration.state
+                self._stop(integration, status, [(start, start_state), stop_sample])
         end_state = integration.state
         if isinstance(system, ParticleFlow):
-            end_state = np.stack([end_state, system.rate(until, end_state)])
+            end_state = np.stack([end_state, system.rate(end, end_state)])
         self.contacts = contacts = system.contacts
         if contacts is not None:
             # The speed of deforming colliders is unknown.
             is_moved = contacts.colliders >= len(self.colliders)
             is_moved |= contacts.touches == Touch.UNRESOLVED
             self._divergence_check.reset_energies(is_moved, end_state)
-            notices += self._stuck_notices(state.particles, contacts, until)
-        checkpoint = checkpoint_of(integration, status, until, integration.state)
+            notices += self._stuck_notices(state.particles, contacts, end)
+        checkpoint = checkpoint_of(integration, status, end, integration.state)
         state = replace(
             state, state=end_state, memory=checkpoint.memory, trial=checkpoint.trial
         )
         return state, system.wrenches
 
     def _check_step_length(
-        self, system: ParticleForces | ParticleFlow, start: float, until: float
+        self, system: ParticleForces | ParticleFlow, start: float, end: float
     ) -> None:
         """Check whether steps are too long for the fastest motion; warn once."""
         modes = None if self._step_warnings else system.frequencies(start, system.state)
@@ -206,7 +206,7 @@ class ParticleSimulation:
             Equations(system),
             self._integrator,
             self.setup.options,
-            np.array([start, until]),
+            np.array([start, end]),
             system.state,
         )
         self._divergence_check.has_long_steps = bool(self._step_warnings)
@@ -221,8 +221,8 @@ class ParticleSimulation:
         # Forces that are not finite at the start are a fault, not a divergence.
         check_start(integration.equations, *samples[0])
         stats = stats_of(integration, status, samples)
-        stop = stop_warning(self._integrator, self.setup.options, stats)
-        warnings = [*self._step_warnings, stop]
+        stop_fault = stop_warning(self._integrator, self.setup.options, stats)
+        warnings = [*self._step_warnings, stop_fault]
         faults = [replace(fault, severity=Severity.ERROR) for fault in warnings]
         raise StoppedError(faults, stats)
 

@@ -85,13 +85,13 @@ class RigidBodies:
                 continue
             notices = [_locate_fault(notice, where, origin) for notice in kind.notices]
             kinds.append(replace(kind, notices=notices))
-            carrier: Poses = entry_data["poses"]
+            entry_poses: Poses = entry_data["poses"]
             for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
                 is_numbered = len(points) > 1 or model.grid is not None
                 names.append(f"{model.name}[{k}]" if is_numbered else model.name)
                 entry_indices.append(entry_index)
                 is_dynamic.append(not model.kinematic or model.release is not None)
-                poses.append(offset_poses(carrier, point, rotation))
+                poses.append(offset_poses(entry_poses, point, rotation))
         refusals.check()
         if len(names) > MAX_BODIES:
             message = f"there are {len(names)} bodies; the limit is {MAX_BODIES}"
