@@ -148,17 +148,10 @@ def exchange_impulses(
     Benevolenski and Voroshilov 2012, "Mass splitting for jitter-free parallel rigid
     body simulation").
 
-    Args:
-        bodies: The bodies.
-        t: Time at the end of the step [s].
-        shapes: Index of the collider that each point touched, negative for none
-            ``(N,)``.
-        without_contacts: Positions, then velocities without contacts ``(2, N, 3)``.
-        with_contacts: Positions, then velocities with contacts ``(2, N, 3)``.
-        masses: Masses of the points ``(N,)`` [kg].
-
-    Returns:
-        Positions and velocities of the points, and the impulses on the bodies.
+    ``shapes`` has the index of the collider that each point touched, negative for none
+    ``(N,)``. States at the end of the step, at ``t`` [s], are positions, then
+    velocities ``(2, N, 3)``; masses of points are ``(N,)`` [kg]. Returns the state of
+    the points, and the impulses on the bodies.
     """
     owners = np.where(shapes >= 0, bodies.owners[shapes], -1)
     velocity_change = with_contacts[1] - without_contacts[1]

@@ -76,10 +76,8 @@ class Sheet(Material, Checked):
 def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
     """Return a closed mesh around a surface: both sides and the rim.
 
-    Args:
-        points: ``(N, 3)`` [m].
-        triangles: ``(T, 3)``.
-        radius: Half the thickness [m].
+    Points are ``(N, 3)`` [m], triangles ``(T, 3)``; the radius is half the thickness
+    [m].
 
     >>> flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     >>> mesh = hull(flat, np.array([[0, 1, 2]]), 0.1)
@@ -143,14 +141,9 @@ def nearby_states(
     Limits of the method: if a sheet rotates by a large angle in one step, positions of
     particles have an error of this angle times their distance from the nearest point.
 
-    Args:
-        sheet: The surface.
-        before: Positions and velocities at the start of the step ``(2, N, 3)``.
-        after: Positions and velocities at its end, without contacts ``(2, N, 3)``.
-        interval: Start and end of the step [s].
-        radii: Radii of the particles ``(N,)`` [m].
-        spawn_times: Times at which particles spawn, from the start of the step ``(N,)``
-            [s].
+    ``before`` and ``after`` are positions and velocities of particles at both ends of
+    the step, without contacts ``(2, N, 3)``. Radii are ``(N,)`` [m], spawn times are
+    from the start of the step ``(N,)`` [s].
     """
     t0, t1 = interval
     sheet.motion.forget(t0)

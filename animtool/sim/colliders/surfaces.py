@@ -27,9 +27,6 @@ class Surfaces:
 
     Attributes:
         fastest: Highest speed so far [m/s]; teleports do not count.
-
-    Args:
-        sheets: Surfaces whose points are available at any time.
     """
 
     def __init__(self, sheets: Sequence[Sheet]) -> None:
@@ -42,13 +39,9 @@ class Surfaces:
     def kernel_arrays(
         self, start: float, dt: float, first_step: int, step_count: int
     ) -> list[tuple[Any, ...]]:
-        """Return the kernel's arrays for consecutive steps of equal length.
+        """Return the kernel's arrays for consecutive steps of length ``dt`` [s].
 
-        Args:
-            start: Time at which step 0 begins [s].
-            dt: Length of a step [s].
-            first_step: Index of the first step.
-            step_count: Number of steps.
+        Step 0 begins at ``start`` [s]; the first has the index ``first_step``.
         """
         if self._start != start:
             self._start = start

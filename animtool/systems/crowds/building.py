@@ -39,11 +39,7 @@ MAX_CLEARING_PASSES = 20
 
 
 def build(spec: CrowdsModel, context: SimContext) -> Crowd:
-    """Build the crowd of a spec.
-
-    Raises:
-        OptionError: The spec is invalid (SIM145).
-    """
+    """Build the crowd of a spec; raise SIM145 if the spec is invalid."""
     begin, parts = context.begin, context.parts["populations"]
     frame, ground = read_ground(context)
     if context.colliders.sheets:

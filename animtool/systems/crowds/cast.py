@@ -153,18 +153,12 @@ class AgentCast:
         primvars: Mapping[str, Any],
         fallen_poses: Mapping[int, tuple[FloatArray, FloatArray]],
     ) -> CharactersFrame:
-        """Return the characters as a frame.
+        """Return the characters of all agents as a frame.
 
-        Args:
-            state: State of the bodies of all agents.
-            motion: Motion of the agents.
-            heights: Heights of the ground below the agents ``(N,)`` [m].
-            placement: Frame of the ground, and world velocities of agents ``(N, 3)``
-                [m/s].
-            is_visible: Mask of visible agents ``(N,)``.
-            primvars: Values per agent, by name.
-            fallen_poses: Local translations and rotations of fallen agents, by index;
-                those of the root are in world space.
+        ``heights`` are those of the ground below the agents ``(N,)`` [m]; ``placement``
+        is the frame of the ground, and world velocities of agents ``(N, 3)`` [m/s].
+        Visibility and primvars have a value for each agent. Local translations and
+        rotations of fallen agents are by index; those of the root are in world space.
         """
         frame, velocities = placement
         rotations, roots = [], []

@@ -68,12 +68,8 @@ class LegReach:
         """Return the remaining horizontal reach of a planted foot ``(N,)`` [m].
 
         Also returns the horizontal direction from the thigh to the ankle ``(N, 2)``.
-
-        Args:
-            k: Leg: 0 left, 1 right.
-            thighs: Positions of the thigh joint of that leg ``(N, 3)``.
-            feet: Position x, y, z and heading of the foot ``(N, 4)``.
-            pitches: Heel pitch of the foot ``(N,)`` [rad].
+        Leg ``k`` (0 left, 1 right) has thigh joints ``(N, 3)``, and feet with x, y, z
+        and heading ``(N, 4)`` and a heel pitch ``(N,)`` [rad].
         """
         leg = self.gaits.walker.leg_length
         to_ankle = self._ankle_vectors(k, thighs, feet, pitches)

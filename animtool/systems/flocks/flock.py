@@ -210,8 +210,7 @@ class FlockForces(SecondOrder):
 def build(spec: FlocksModel, context: SimContext) -> Flock:
     """Build the flock of a spec; members start apart and outside of colliders.
 
-    Raises:
-        OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM060).
+    Raises SIM001, SIM005, SIM006 or SIM060 if the spec is invalid.
     """
     refuse_all("SIM060", key_problems(spec))
     options = IntegrateOptions(spec.method, spec.step, spec.tolerance)

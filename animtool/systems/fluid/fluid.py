@@ -74,11 +74,7 @@ class FluidState:
 
 
 def build(spec: FluidModel, context: SimContext) -> Fluid:
-    """Build the fluid of a spec, with its initial particles.
-
-    Raises:
-        OptionError: The spec is invalid (SIM064).
-    """
+    """Build the fluid of a spec with its initial particles; raise SIM064 if invalid."""
     data, colliders, begin = context.parts, context.colliders, context.begin
     initial_motion = initial_fluid(spec, data.get("fills", ()), colliders, begin)
     emitters = zip(spec.emitters, data.get("emitters", ()), strict=True)

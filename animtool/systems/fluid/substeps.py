@@ -73,12 +73,9 @@ class Substeps:
     ) -> float:
         """Return the speed of sound for a step [m/s].
 
-        Args:
-            previous: Speed of sound of the last step [m/s]; 0 without one.
-            pressures: Pressures of particles ``(N,)`` [Pa].
-            speeds: Largest approach speeds of particles ``(N,)`` [m/s].
-            acceleration: Largest external acceleration [m/s²].
-            dt: Step [s].
+        ``previous`` is that of the last step, 0 without one. Particles have pressures
+        [Pa] and largest approach speeds [m/s] ``(N,)``; ``acceleration`` is the largest
+        external one [m/s²].
         """
         index = len(pressures) - 1 - int(IGNORED_QUANTILE * len(pressures))
         pressure, speed = (np.partition(a, index)[index] for a in (pressures, speeds))

@@ -121,11 +121,7 @@ ListedForces: TypeAlias = tuple[AtomForces, FloatArray]
 
 @np.errstate(all="ignore")
 def build(spec: MoleculesModel, context: SimContext) -> Molecules:
-    """Build the atoms of a spec in their box.
-
-    Raises:
-        OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM071).
-    """
+    """Build the atoms of a spec; raise SIM001, SIM005, SIM006, SIM071 if invalid."""
     box = PeriodicBox(spec)
     atoms = Atoms.of(spec, context.parts["species"], box)
     molecules = Molecules(spec, context, box, atoms)
@@ -320,14 +316,8 @@ def thermostat_factor(
     Reference: G. Bussi, D. Donadio, M. Parrinello, Canonical sampling through velocity
     rescaling, Journal of Chemical Physics 126, 2007, equation A7.
 
-    Args:
-        model: The thermostat.
-        seed: Seed of the system.
-        step: Index of the step, for random numbers.
-        t: Time at the end of the step [s].
-        dt: Length of the step [ps].
-        kinetic: Kinetic energy [kJ/mol].
-        degrees_of_freedom: Number of degrees of freedom.
+    Random numbers depend on the seed and on the index of the step, which ends at ``t``
+    [s] and takes ``dt`` [ps]. ``kinetic`` is the kinetic energy [kJ/mol].
     """
     from scipy.special import gammaincinv
 

@@ -73,8 +73,7 @@ def _check_closest_pair(
 def build(spec: NbodyModel, context: SimContext) -> Nbody:
     """Build the bodies of a spec, from files and of generated galaxies.
 
-    Raises:
-        OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM070).
+    Raises SIM001, SIM005, SIM006 or SIM070 if the spec is invalid.
     """
     body_sets, refusals = [], Refusals()
     for body, data in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):

@@ -223,9 +223,8 @@ class RigidBodies:
     def excluded_pairs(self, pairs: IntArray, first_collider: int) -> IntArray:
         """Return pairs that do not collide, as kernel indices ``(Q, 2)``.
 
-        Args:
-            pairs: Pairs of indices of all bodies ``(P, 2)``.
-            first_collider: Index of the first of `colliders` among all colliders.
+        ``pairs`` are indices of all bodies ``(P, 2)``; ``first_collider`` is the index
+        of the first of `colliders` among all colliders.
         """
         shape_counts = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
         counts = np.where(self.is_dynamic, 0, shape_counts[self.kind_of_body])

@@ -210,12 +210,8 @@ def subset_joints(
 ) -> tuple[Joints, IntArray]:
     """Return the joints of a subset of dynamic bodies, and their original indices.
 
-    Joints between two bodies outside the subset have no effect, and are left out.
-
-    Args:
-        joints: Joints of all bodies.
-        all_bodies: All bodies that are ever dynamic.
-        bodies: The bodies that are dynamic now.
+    Joints between two bodies outside the subset have no effect, and are left out. Of
+    ``all_bodies``, which are dynamic at some time, ``bodies`` are dynamic now.
     """
     if bodies is all_bodies:
         return joints, np.arange(len(joints))
@@ -271,9 +267,7 @@ def to_body_frame(
 def joint_forces_and_torques(joints: Joints, impulses: FloatArray) -> FloatArray:
     """Return joint forces [N] and torques [N m] ``(K, 2)``, without drives.
 
-    Args:
-        joints: The joints.
-        impulses: Constraint impulses of each joint ``(K, 12)``.
+    ``impulses`` are the constraint impulses of each joint ``(K, 12)``.
     """
     force, torque = impulses[:, :3].copy(), impulses[:, 3:6].copy()
     is_prismatic = joints.kinds_and_bodies[:, 0] == JOINT_KINDS["prismatic"]

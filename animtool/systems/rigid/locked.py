@@ -50,10 +50,8 @@ def locked_joints(
 ) -> list[LockedJoint]:
     """Return the joints of closed loops that cannot move at the start.
 
-    Args:
-        kinds_and_bodies: Kind and both bodies of K joints ``(K, 3)``; -1 is static.
-        frames: World frame of each joint on its first body ``(K, 7)`` [m].
-        centres: Centres of N bodies ``(N, 3)`` [m].
+    Joints have a kind and two bodies ``(K, 3)``, -1 for static ones, and world frames
+    on their first body ``(K, 7)`` [m]; centres of bodies are ``(N, 3)`` [m].
     """
     locked = []
     for loop in _closed_loops(kinds_and_bodies, len(centres)):

@@ -301,13 +301,8 @@ def _replace_masses(
     """Return body kinds with their masses replaced by those of the rig.
 
     A mass is added to the body of its joint, or of the next ancestor that has a body.
-    Bodies without a mass in the rig are unchanged.
-
-    Args:
-        rig: Rig with masses.
-        world: World transforms of one frame.
-        joints: Joints of the bodies ``(N,)``.
-        kinds: Kind of each body.
+    Bodies without a mass in the rig are unchanged. ``world`` has one frame; ``joints``
+    are those of the bodies ``(N,)``.
     """
     body_of_joint = {int(j): i for i, j in enumerate(joints)}
     masses_by_body: dict[int, list[Mass]] = {}

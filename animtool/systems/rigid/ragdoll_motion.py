@@ -100,12 +100,9 @@ def ragdoll_transforms(
     Joints between two bodies keep their initial transform; joints below the last body
     follow the take.
 
-    Args:
-        ragdoll: The ragdoll.
-        body_origins: World positions of the bodies ``(F, N, 3)`` [m].
-        body_rotations: World rotations of the bodies ``(F, N, 4)``.
-        local_translations: Translations of the take's joints ``(F, J, 3)`` [m].
-        local_rotations: Rotations of the take's joints ``(F, J, 4)``.
+    Origins [m] and rotations of bodies are in world space ``(F, N, 3)``, ``(F, N, 4)``.
+    Translations [m] and rotations of the take's joints are ``(F, J, 3)`` and
+    ``(F, J, 4)``.
     """
     rig = ragdoll.rig
     body_of_joint = {int(j): i for i, j in enumerate(ragdoll.joints)}

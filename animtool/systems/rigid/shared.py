@@ -138,11 +138,8 @@ class RigidStates:
     ) -> FloatArray:
         """Return the inverse effective masses of bodies at points ``(K,)`` [1/kg].
 
-        Args:
-            state: The state of the bodies.
-            owners: The body of each point ``(K,)``.
-            points: Points in the world ``(K, 3)`` [m].
-            directions: Unit vectors along which the points are pushed ``(K, 3)``.
+        The bodies ``owners`` ``(K,)`` are pushed at points in the world ``(K, 3)`` [m]
+        along unit vectors ``(K, 3)``.
         """
         motion, moments = state.motion[owners], self.bodies.moments[owners]
         arms = np.cross(points - motion[:, :3], directions)

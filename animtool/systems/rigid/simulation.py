@@ -55,11 +55,7 @@ MAX_MOMENTUM = 1e100  # angular momenta [kg m²/s]
 
 
 def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
-    """Build the simulation of a spec.
-
-    Raises:
-        OptionError: A key is invalid (SIM020, SIM061).
-    """
+    """Build the simulation of a spec; raise SIM020 or SIM061 if a key is invalid."""
     parts, colliders = context.parts, context.colliders
     stages: Sequence[Physics] = parts.get("stages", ())
     models, body_parts = list(spec.bodies), list(parts.get("bodies", ()))

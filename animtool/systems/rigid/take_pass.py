@@ -244,11 +244,8 @@ def _free_fall_notices(
 ) -> list[Fault]:
     """Return a warning about a body that falls far below its motion (SIM201).
 
-    Args:
-        rig: The rig.
-        world: World transforms of the take before the fall.
-        motion: Its motion with the fall.
-        frames: Numbers of the frames ``(F,)``.
+    ``world`` is the take without the fall, ``motion`` with it; ``frames`` are frame
+    numbers ``(F,)``.
     """
     up = np.array(rig.up.vector, np.float64)
     last = motion.select(slice(motion.frames - 1, motion.frames))

@@ -33,12 +33,7 @@ def add_finger_capsules(
     """Return the capsules of a rig, with finger capsules added to the hands.
 
     A hand is a joint that has capsules, has no descendants with capsules, and from
-    which fingers branch off.
-
-    Args:
-        rig: The rig.
-        world: World transforms of its joints in one pose ``(1, J, …)``.
-        capsules: The capsules of the rig.
+    which fingers branch off. ``world`` has the joints in one pose ``(1, J, …)``.
     """
     children: dict[int, list[int]] = {}
     for j, joint in enumerate(rig.joints):
@@ -90,14 +85,9 @@ def passive_springs(
 ) -> FloatArray:
     """Return stiffness [N m/rad] and damping [N m s/rad] of joints ``(N, 2)``.
 
-    Both increase with the weight below the joint, and with its lever arm.
-
-    Args:
-        parent_bodies: Parent body of each body ``(N,)``, -1 for none; parents come
-            first.
-        masses: Masses ``(N,)`` [kg].
-        centres: Centres of mass in the world ``(N, 3)`` [m].
-        pivots: Positions of the joints to the parent bodies ``(N, 3)`` [m].
+    Both increase with the weight below the joint, and with its lever arm. Parent bodies
+    ``(N,)``, -1 for none, come first. Centres of mass ``(N, 3)`` [m] are in the world,
+    and so are the pivots of the joints to the parent bodies; masses are ``(N,)`` [kg].
     """
     supported_masses, weighted_centres = masses.copy(), masses[:, None] * centres
     for i in range(len(parent_bodies) - 1, -1, -1):
