@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
+from animtool.maths.rows import Rows
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.collider import Collider, Poses
@@ -16,7 +17,7 @@ from animtool.sim.colliders.shapes import Capsule
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointCapsules:
+class JointCapsules(Rows):
     """C capsules attached to joints."""
 
     joints: IntArray  # index of the joint of each capsule (C,)
@@ -44,10 +45,6 @@ class JointCapsules:
     def empty() -> JointCapsules:
         """Return an empty set of capsules."""
         return JointCapsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
-
-    def select(self, mask: BoolArray) -> JointCapsules:
-        """Return the capsules selected by a mask ``(C,)``."""
-        return JointCapsules(self.joints[mask], self.ends[mask], self.radii[mask])
 
     def __len__(self) -> int:
         """Return the number of capsules."""

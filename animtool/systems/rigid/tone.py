@@ -65,11 +65,8 @@ def add_finger_capsules(
                 radii.append(FINGER_RADIUS_RATIO * lengths.mean() * scale)
     if not joints:
         return capsules
-    return JointCapsules(
-        np.concatenate([capsules.joints, joints]),
-        np.concatenate([capsules.ends, np.array(ends)]),
-        np.concatenate([capsules.radii, np.array(radii)]),
-    )
+    fingers = JointCapsules(np.array(joints), np.array(ends), np.array(radii))
+    return JointCapsules.concatenate([capsules, fingers])
 
 
 def _joint_chain(children: dict[int, list[int]], joint: int) -> list[int]:
