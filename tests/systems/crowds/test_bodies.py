@@ -210,8 +210,8 @@ def test_clips_are_what_they_show() -> None:
     # From when the sole is down to when the ball leaves: the heel strikes before.
     assert walk.stance_fractions == pytest.approx(0.62 - 0.075, abs=1.1 / 33)
     assert run.stance_fractions.max() < 0.35
-    assert abs(walk.turning) < 1e-6
-    assert turn.turning > 1
+    assert abs(walk.yaw_rate) < 1e-6
+    assert turn.yaw_rate > 1
     assert walk.steps[0, 0] > 0 > walk.steps[1, 0]
     assert walk.steps[0, 1] == pytest.approx(walk.steps[1, 1], abs=0.03)
 
