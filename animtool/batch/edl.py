@@ -27,7 +27,7 @@ MAX_BYTES = 100_000_000
 MAX_FAULTS = 100
 MAX_FRAME = 10**9
 # Reel names that mean black and bars.
-BLACK_REELS = {"BL", "BLACK_REELS", "BARS"}
+BLACK_REELS = {"BL", "BLACK", "BARS"}
 UNKNOWN_REEL = "AX"
 _LABEL_PATTERN = r"\d{1,2}:\d\d:\d\d[:;,.]\d\d+|\d+"
 _EVENT = re.compile(

@@ -53,8 +53,17 @@ def shown(cuts: CutList) -> list[tuple[str, Fraction, int, Fraction]]:
     return found
 
 
-def event(number: int, source: str, record: str = "", edit: str = "C") -> str:
-    return f"{number:03d}  AX  V  {edit}  {source} {record or source}\n"
+def event(
+    number: int, source: str, record: str = "", edit: str = "C", reel: str = "AX"
+) -> str:
+    return f"{number:03d}  {reel}  V  {edit}  {source} {record or source}\n"
+
+
+@pytest.mark.parametrize("reel", ["BL", "BLACK", "bars"])
+def test_black_is_a_gap_and_not_a_shot(folder: Path, reel: str) -> None:
+    first, second = "00:00:00:00 00:00:01:00", "00:00:01:00 00:00:02:00"
+    text = HEAD + event(1, first) + NAME + event(2, first, second, reel=reel)
+    assert [name for name, *_ in shown(read(folder, text))] == ["walk"]
 
 
 @pytest.mark.parametrize(
