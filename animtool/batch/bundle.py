@@ -54,11 +54,8 @@ class CutArguments:
     """Shot options of the command line that complete a batch file."""
 
     path: Path | None = None  # the timeline; None uses the batch file's
-    words: tuple[str, ...] = ()  # options of its shots, replacing those of the batch
-
-
-# Items without a timeline.
-NO_CUT_ARGUMENTS = CutArguments()
+    # Options of its shots as command-line arguments; they replace those of the batch.
+    shot_arguments: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +87,11 @@ class WrittenBundle:
     @property
     def run(self) -> list[str]:
         """Command that runs the bundle locally."""
-        values = self.bundle.values.items()
-        parameters = [
-            word for name, value in values for word in ("-p", f"{name}={value}")
-        ]
         command = ["openjd", "run", str(self.files[0]), "--step", "Settle"]
-        return [*command, "--run-dependencies", *parameters]
+        command.append("--run-dependencies")
+        for name, value in self.bundle.values.items():
+            command += ["-p", f"{name}={value}"]
+        return command
 
 
 def mean_seconds(path: Path) -> float:
@@ -132,11 +128,10 @@ def chunk_size(
     return max(1, min(items, round(task_seconds / max(seconds, 1e-6))))
 
 
-def batch_bundle(
-    batch: Batch, path: Path, chunk: int, cuts: CutArguments = NO_CUT_ARGUMENTS
-) -> Bundle:
+def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: CutArguments) -> Bundle:
     """Return the bundle of a batch, with the shot options of the command line."""
-    cut_words = _cut_words(cuts)
+    cut_words = [] if cuts.path is None else ["--cut", "{{Param.CutList}}"]
+    cut_words += cuts.shot_arguments
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
         "specificationVersion": "jobtemplate-2023-09",
@@ -171,59 +166,37 @@ def batch_bundle(
     return Bundle(template, values, len(batch.items), chunk)
 
 
-def _cut_words(cuts: CutArguments) -> list[str]:
-    words = [] if cuts.path is None else ["--cut", "{{Param.CutList}}"]
-    return [*words, *cuts.words]
-
-
 def _parameters(batch: Batch, chunk: int, cuts: CutArguments) -> list[dict[str, Any]]:
-    timeline = {
-        "name": "CutList",
-        "type": "PATH",
-        "objectType": "FILE",
-        "dataFlow": "IN",
-        "description": "The timeline whose clips are the items.",
-    }
+    """Return the definitions of the parameters of a job."""
+    file = {"type": "PATH", "objectType": "FILE", "dataFlow": "IN"}
+    number: dict[str, Any] = {"type": "INT", "minValue": 1}
+    text = {"type": "STRING"}
+    count, jobs = len(batch.items), str(batch.jobs or "auto")
+    definitions: list[tuple[str, dict[str, Any], str]] = [
+        ("BatchFile", file, "The batch file; its relative paths start there."),
+        ("Items", number | {"default": count}, "How many items the batch has."),
+        ("ChunkSize", number | {"default": chunk}, "How many items a task builds."),
+        (
+            "Jobs",
+            text | {"default": jobs},
+            "Processes per task, or auto: one per processor.",
+        ),
+        (
+            "Command",
+            text | {"default": "animtool"},
+            "Command that starts animtool on the workers.",
+        ),
+    ]
+    if cuts.path is not None:
+        definitions.append(("CutList", file, "The timeline whose clips are the items."))
     return [
-        {
-            "name": "BatchFile",
-            "type": "PATH",
-            "objectType": "FILE",
-            "dataFlow": "IN",
-            "description": "The batch file; its relative paths start there.",
-        },
-        {
-            "name": "Items",
-            "type": "INT",
-            "minValue": 1,
-            "default": len(batch.items),
-            "description": "How many items the batch has.",
-        },
-        {
-            "name": "ChunkSize",
-            "type": "INT",
-            "minValue": 1,
-            "default": chunk,
-            "description": "How many items a task builds.",
-        },
-        {
-            "name": "Jobs",
-            "type": "STRING",
-            "default": str(batch.jobs or "auto"),
-            "description": "Processes per task, or auto: one per processor.",
-        },
-        {
-            "name": "Command",
-            "type": "STRING",
-            "default": "animtool",
-            "description": "Command that starts animtool on the workers.",
-        },
-        *([] if cuts.path is None else [timeline]),
+        {"name": name, **properties, "description": description}
+        for name, properties, description in definitions
     ]
 
 
 def _script(*selection: str) -> dict[str, Any]:
-    """Return the script that runs a step of the bundle."""
+    """Return the script of a step; ``selection`` chooses its items."""
     arguments = ["batch", "{{Param.BatchFile}}", *selection, "-j", "{{Param.Jobs}}"]
     arguments += ["--lines", "openjd"]
     arguments += ["--path-mapping", "{{Session.PathMappingRulesFile}}"]
@@ -231,12 +204,8 @@ def _script(*selection: str) -> dict[str, Any]:
         "mode": "NOTIFY_THEN_TERMINATE",
         "notifyPeriodInSeconds": NOTICE_SECONDS,
     }
-    run = {
-        "command": "{{Param.Command}}",
-        "args": arguments,
-        "cancelation": cancelation,
-    }
-    return {"actions": {"onRun": run}}
+    action = {"command": "{{Param.Command}}", "args": arguments}
+    return {"actions": {"onRun": {**action, "cancelation": cancelation}}}
 
 
 def write_bundle(
@@ -247,12 +216,10 @@ def write_bundle(
         message = f"a bundle is a folder, not a {folder.suffix} file"
         hint = f"for example {folder.with_suffix('.job')}"
         raise OptionError(Fault("OUT004", message, str(folder), (), hint))
-    parameters = [
-        {"name": name, "value": value} for name, value in bundle.values.items()
-    ]
+    values = [{"name": name, "value": value} for name, value in bundle.values.items()]
     texts = {
         folder / TEMPLATE_FILE: yaml_text(dict(bundle.template)),
-        folder / VALUES_FILE: yaml_text({"parameterValues": parameters}),
+        folder / VALUES_FILE: yaml_text({"parameterValues": values}),
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)

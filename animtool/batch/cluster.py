@@ -41,7 +41,7 @@ from animtool.batch.executors import Work
 from animtool.batch.item import Item
 from animtool.batch.work import RESUME, ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
-from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
+from animtool.core.errors import Fault, OptionError, counted, excerpt, listed, warning
 from animtool.core.files.reading import FileState, changed_error
 from animtool.core.record import dataclass
 
@@ -100,7 +100,7 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
 def _fetch_results(
     finished_futures: SimpleQueue[Any], results: SimpleQueue[Any]
 ) -> None:
-    """Fetch the results of finished tasks until the queue yields None."""
+    """Fetch the results of finished tasks until None is in the queue."""
     while (future := finished_futures.get()) is not None:
         try:
             value = future.result()
@@ -113,10 +113,10 @@ def _fetch_results(
 class _ClusterWorker:
     """State of one worker of the cluster."""
 
-    address: str  # address of the worker
-    threads: int  # its number of threads
-    is_fit: bool | None = None  # whether it builds items; None if unknown
-    host: str = ""  # its machine
+    address: str
+    threads: int  # number of threads
+    is_fit: bool | None = None  # whether it may build items; None until it is checked
+    host: str = ""  # name of its machine
     running_count: int = 0  # number of running items
     built_count: int = 0  # number of finished items
 
@@ -130,9 +130,9 @@ class _ClusterWorker:
 
 @dataclass(slots=True)
 class _SentItem:
-    """A running task: it builds an item or, if the item is None, checks a worker."""
+    """A task sent to a worker: it builds an item, or checks the worker if None."""
 
-    worker: _ClusterWorker  # receiving worker
+    worker: _ClusterWorker
     item: Item | None = None
 
 
@@ -140,10 +140,11 @@ class _SentItem:
 class _ClusterRun:
     """A run of a batch on a cluster."""
 
-    client: Any  # connection to the cluster
-    name: str  # name of the run
-    work: Work  # input of the executor
-    tokens: Mapping[str, str]  # files by which workers recognise the output disks
+    client: Any  # dask client
+    name: str  # unique name of the run
+    work: Work
+    # Content by path of files by which workers recognise the output disks.
+    tokens: Mapping[str, str]
     workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # live workers
     sent: dict[Any, _SentItem] = field(default_factory=dict)  # running tasks by future
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # finished futures
@@ -156,9 +157,9 @@ class _ClusterRun:
     undelivered: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
         default_factory=list
     )
-    pending_warnings: list[Fault] = field(default_factory=list)  # pending warnings
+    pending_warnings: list[Fault] = field(default_factory=list)
     delivery: Delivery = field(init=False)
-    check: bytes = field(init=False)
+    check: bytes = field(init=False)  # pickled `WorkerCheck`
     build: Callable[[bytes], ItemOutcome | None] = field(init=False)
     _last_worker_time: float = field(default_factory=time.monotonic)
     _warned_of_no_workers: bool = False  # whether the lack of workers was reported
@@ -171,7 +172,7 @@ class _ClusterRun:
         self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
 
     def outcomes(self) -> Iterator[ItemOutcome | Fault]:
-        """Yield outcomes and warnings until all items are built."""
+        """Yield the outcome of every item, and warnings about workers."""
         last_count_time = -POLL_INTERVAL
         while True:
             if time.monotonic() - last_count_time >= POLL_INTERVAL:
@@ -182,11 +183,8 @@ class _ClusterRun:
             self.pending_warnings.clear()
             if has_more and not self.undelivered:
                 self._refuse_unfit()
-            if not (
-                has_more
-                or self.undelivered
-                or any(sent_item.item for sent_item in self.sent.values())
-            ):
+            is_building = any(sent_item.item for sent_item in self.sent.values())
+            if not (has_more or self.undelivered or is_building):
                 return
             with suppress(Empty):
                 future, value = self.results.get(timeout=POLL_INTERVAL)
@@ -197,9 +195,8 @@ class _ClusterRun:
     def _addresses(self) -> Mapping[str, int]:
         """Return the number of threads of each current worker, by address."""
         if self.client.status in {"closing", "closed"}:
-            raise unusable_cluster_error(
-                self.work.argument, "the scheduler has stopped", RESUME
-            )
+            reason = "the scheduler has stopped"
+            raise unusable_cluster_error(self.work.argument, reason, RESUME)
         try:
             threads: Mapping[str, int] = self.client.nthreads(callback_timeout=TIMEOUT)
         except (OSError, RuntimeError):
@@ -217,9 +214,7 @@ class _ClusterRun:
             message = f"the cluster at {self.work.argument} has no workers now: "
             message += f"waiting up to {MAX_WORKERLESS_SECONDS:g} s for one"
             hint = "start workers: dask worker ADDRESS"
-            self.pending_warnings.append(
-                Fault("BAT076", message, None, (), hint, Severity.WARNING)
-            )
+            self.pending_warnings.append(warning("BAT076", message, hint))
         return threads
 
     def _reclaim_lost_items(
@@ -228,15 +223,12 @@ class _ClusterRun:
         """Reclaim the items of lost workers and start the checks of new workers."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
-            for future in [
-                lost_future
-                for lost_future, sent_item in self.sent.items()
-                if sent_item.worker is worker
-            ]:
-                future.cancel()
-                yield from self._resend_lost_item(
-                    self.sent.pop(future), "the worker has stopped"
-                )
+            for future, sent_item in list(self.sent.items()):
+                if sent_item.worker is worker:
+                    future.cancel()
+                    del self.sent[future]
+                    reason = "the worker has stopped"
+                    yield from self._resend_lost_item(sent_item, reason)
         for address in addresses.keys() - self.workers.keys():
             self.workers[address] = _ClusterWorker(address, addresses[address])
             self._start_check(self.workers[address])
@@ -255,18 +247,14 @@ class _ClusterRun:
             return
         message = f"{MAX_LOSSES} workers were lost while they built it: the last, "
         message += f"{sent_item.worker}: {reason}"
-        hint = (
-            "out of memory or over a time limit of the cluster; see the workers' logs"
-        )
+        hint = "out of memory or over a time limit of the cluster; see the workers' "
+        hint += "logs"
         fault = Fault("BAT020", message, str(sent_item.item.file.path), (), hint)
         yield ItemOutcome.failed(sent_item.item, fault)
 
     def _start_check(self, worker: _ClusterWorker) -> None:
-        self._submit(
-            check_task(self.name, builder_versions()),
-            self.check,
-            _SentItem(worker, None),
-        )
+        task = check_task(self.name, builder_versions())
+        self._submit(task, self.check, _SentItem(worker))
 
     def _submit(self, function: Any, argument: bytes, sent_item: _SentItem) -> None:
         future = self.client.submit(
@@ -294,17 +282,11 @@ class _ClusterRun:
             ]
             if not idle_workers:
                 return True
-            item = (
-                self.items_to_resend.pop(0)
-                if self.items_to_resend
-                else next(self.work.items, None)
-            )
+            resent_items = self.items_to_resend
+            item = resent_items.pop(0) if resent_items else next(self.work.items, None)
             if item is None:
                 return False
-            worker = min(
-                idle_workers,
-                key=lambda candidate: candidate.running_count / candidate.threads,
-            )
+            worker = min(idle_workers, key=lambda w: w.running_count / w.threads)
             worker.running_count += 1
             total_running += 1
             self._submit(self.build, pickle.dumps(item), _SentItem(worker, item))
@@ -312,27 +294,24 @@ class _ClusterRun:
 
     def _refuse_unfit(self) -> None:
         """Raise an error if all workers were checked and none is fit."""
-        if not self.workers or any(
-            worker.is_fit is not False for worker in self.workers.values()
-        ):
-            return
-        count = counted(len(self.workers), "worker")
-        reason = f"{count}, all excluded: the warnings say why"
-        raise unusable_cluster_error(self.work.argument, reason, RESUME)
+        workers = self.workers.values()
+        if workers and all(worker.is_fit is False for worker in workers):
+            count = counted(len(workers), "worker")
+            reason = f"{count}, all excluded: the warnings say why"
+            raise unusable_cluster_error(self.work.argument, reason, RESUME)
 
     def _handle_answer(
         self, sent_item: _SentItem, value: object
     ) -> Iterator[ItemOutcome | Fault]:
-        """Process the answer of a worker: the result of a check or an item outcome."""
+        """Yield what follows from a worker's answer to a check or a build."""
         worker, item = sent_item.worker, sent_item.item
         if item is None:
             yield from self._accept_check(worker, value)
             return
         if isinstance(value, BaseException):
             # A lost worker is detected in the next count.
-            yield from self._resend_lost_item(
-                sent_item, f"{type(value).__name__}: {value}"
-            )
+            reason = f"{type(value).__name__}: {value}"
+            yield from self._resend_lost_item(sent_item, reason)
             return
         worker.running_count -= 1
         if value is None:
@@ -367,7 +346,7 @@ class _ClusterRun:
         """Stop sending items to a worker, and yield one warning about it."""
         worker.is_fit = False
         message = f"worker {worker} is excluded: {excerpt(reason, 400)[1:-1]}"
-        yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
+        yield warning(code, message, _HINTS[code])
 
     def _accept_outcome(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
@@ -381,9 +360,8 @@ class _ClusterRun:
         if changed_inputs:
             yield ItemOutcome.failed(item, *changed_error(*changed_inputs).faults)
         elif other_inputs:
-            reason = (
-                f"it has different files with the same names: {listed(other_inputs, 2)}"
-            )
+            reason = "it has different files with the same names: "
+            reason += listed(other_inputs, 2)
             yield from self._exclude(worker, INPUTS_CODE, reason)
             self.items_to_resend.append(item)
         else:
@@ -404,10 +382,8 @@ class _ClusterRun:
             else:
                 self.items_to_resend.append(item)
                 if worker.is_fit:
-                    reason = (
-                        f"its {str(item.output.parent)!r} is not the folder of this "
-                        "machine"
-                    )
+                    folder = str(item.output.parent)
+                    reason = f"its {folder!r} is not the folder of this machine"
                     yield from self._exclude(worker, DISK_CODE, reason)
 
     def _accept_failure(

@@ -32,9 +32,8 @@ def scheduler_address(path: Path) -> str:
     except RecordError as error:
         raise _unreachable_error(str(path), error) from error
     if not ADDRESS_PATTERN.fullmatch(address):
-        raise _unreachable_error(
-            str(path), RecordError(f"{excerpt(address)} is not an address")
-        )
+        reason = RecordError(f"{excerpt(address)} is not an address")
+        raise _unreachable_error(str(path), reason)
     return address
 
 
@@ -68,10 +67,8 @@ def _unreachable_error(scheduler_text: str, error: Exception) -> OutputError:
     reason = f"{type(error).__name__}: {excerpt(str(error), 200)}"
     if not isinstance(error, OSError | ValueError):
         reason = f"the scheduler there runs another version of dask ({reason})"
-    hint = (
-        "check that the scheduler runs, at this address, with the same version of "
-        "distributed"
-    )
+    hint = "check that the scheduler runs, at this address, with the same version of "
+    hint += "distributed"
     return unusable_cluster_error(scheduler_text, reason, hint)
 
 
@@ -105,7 +102,10 @@ def leave_cluster(client: Any, name: str) -> None:
 
 @contextmanager
 def disk_tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
-    """In a block, keep token files in output folders that workers can look for."""
+    """Create files in output folders by which workers find them; remove them after.
+
+    The context is their content, by path.
+    """
     texts: dict[str, str] = {}
     try:
         for folder in folders[:MAX_TOKENS]:

@@ -42,7 +42,7 @@ class InputCheck:
 class WorkerCheck:
     """Requirements that a worker must meet before it is sent an item."""
 
-    task: WorkerTask  # how it builds items
+    task: WorkerTask
     inputs: tuple[InputCheck, ...]  # required files
     # Content by path of files that the run has just written to the output folders.
     tokens: Mapping[str, str]
@@ -71,7 +71,7 @@ def _code_digest() -> str:
 def version_differences(
     expected_versions: Mapping[str, str], actual_versions: Mapping[str, str]
 ) -> str:
-    """Return a text with the versions that differ; "" if all versions are equal.
+    """Return the packages whose versions differ, as text; "" if there are none.
 
     >>> version_differences({"numpy": "2.1"}, {"numpy": "1.9"})
     'numpy 1.9 instead of 2.1'
@@ -95,40 +95,29 @@ def prepare_worker(
         versions: Result of `builder_versions` on the machine of the run.
         pickled: A `WorkerCheck`, read only if the versions are equal.
     """
-    differences_text = version_differences(versions, builder_versions())
-    if differences_text:
-        return VERSIONS_CODE, f"it has {differences_text}"
+    differences = version_differences(versions, builder_versions())
+    if differences:
+        return VERSIONS_CODE, f"it has {differences}"
     check: WorkerCheck = pickle.loads(pickled)
-    for code, reason in _unfit_reasons(check):
-        return code, reason
-    worker.plugins[name] = WorkerProcesses(check.task)
-    return "", ""
+    code, reason = next(_unfit_reasons(check), ("", ""))
+    if not code:
+        worker.plugins[name] = WorkerProcesses(check.task)
+    return code, reason
 
 
 def _unfit_reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
+    """Yield a code and a reason for each requirement that this worker does not meet."""
     if not Path(check.task.folder).is_dir():
         yield INPUTS_CODE, f"it has no folder {excerpt(check.task.folder, 200)}"
-    missing_paths = [
-        expected_input.path
-        for expected_input in check.inputs
-        if not os.access(expected_input.path, os.R_OK)
-    ]
+    paths = [entry.path for entry in check.inputs]
+    missing_paths = [path for path in paths if not os.access(path, os.R_OK)]
     if missing_paths:
-        count, total = len(missing_paths), len(check.inputs)
-        yield (
-            INPUTS_CODE,
-            f"it cannot read {count} of {total} inputs: {listed(missing_paths, 2)}",
-        )
-    different_paths = [
-        expected_input.path
-        for expected_input in check.inputs
-        if not _is_same(expected_input)
-    ]
+        counts = f"{len(missing_paths)} of {len(paths)} inputs"
+        yield INPUTS_CODE, f"it cannot read {counts}: {listed(missing_paths, 2)}"
+    different_paths = [entry.path for entry in check.inputs if not _is_same(entry)]
     if different_paths:
-        yield (
-            INPUTS_CODE,
-            f"it has different files with the same names: {listed(different_paths, 2)}",
-        )
+        reason = "it has different files with the same names: "
+        yield INPUTS_CODE, reason + listed(different_paths, 2)
     for path, text in check.tokens.items():
         folder = Path(path).parent
         try:
@@ -141,18 +130,19 @@ def _unfit_reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
             yield DISK_CODE, f"it has no permission to write to {str(folder)!r}"
 
 
-def _is_same(expected_check: InputCheck) -> bool:
+def _is_same(expected: InputCheck) -> bool:
+    """Return whether a file of this machine has the expected size and content."""
     try:
-        path = Path(expected_check.path)
-        if path.stat().st_size != expected_check.size:
+        path = Path(expected.path)
+        if path.stat().st_size != expected.size:
             return False
-        return not expected_check.sha256 or file_digest(path) == expected_check.sha256
+        return not expected.sha256 or file_digest(path) == expected.sha256
     except (OSError, AnimtoolError):
         return False
 
 
 def build_on(worker: Any, name: str, item: Item) -> ItemOutcome | None:
-    """Build an item on a worker and return its outcome; None if it is unprepared."""
+    """Build an item on a worker; return None if it is not prepared for the run."""
     processes: WorkerProcesses | None = worker.plugins.get(name)
     return None if processes is None else processes.build(item)
 
@@ -166,9 +156,9 @@ def release(worker: Any, name: str) -> None:
 
 @dataclass(slots=True)
 class WorkerProcesses:
-    """Subprocesses of a worker that build items; each busy thread uses one."""
+    """The subprocesses in which the threads of a worker build items."""
 
-    task: WorkerTask  # how they build items
+    task: WorkerTask
     _idle: list[WorkerProcess] = field(default_factory=list)
     _busy: list[WorkerProcess] = field(default_factory=list)
 
@@ -183,9 +173,8 @@ class WorkerProcesses:
             self._busy.remove(process)
             process.end()
             message = f"cannot be built there: {error}"
-            return ItemOutcome.failed(
-                item, Fault("BAT020", message, str(item.file.path))
-            )
+            fault = Fault("BAT020", message, str(item.file.path))
+            return ItemOutcome.failed(item, fault)
         self._busy.remove(process)
         self._idle.append(process)
         return outcome
@@ -200,7 +189,7 @@ class WorkerProcesses:
 def check_task(
     name: str, versions: Mapping[str, str]
 ) -> Callable[[bytes], tuple[str, str, str]]:
-    """Return a task that checks a worker: it returns the host, and a code and reason.
+    """Return a function that checks a worker; it returns host, code and reason.
 
     A worker that cannot import names in a message leaves its cluster. Therefore the
     function is sent as code, and its animtool arguments as bytes.
@@ -230,7 +219,7 @@ def check_task(
 
 
 def build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
-    """Return a task that builds an item on a checked worker, sent as code."""
+    """Return a function that builds a pickled item on a checked worker."""
 
     def build_item(pickled: bytes) -> ItemOutcome | None:
         import pickle

@@ -20,20 +20,34 @@ from animtool.core.timecode import is_timecode, parse_timecode
 
 
 @dataclass(frozen=True, slots=True)
-class CutMetadata:
-    """The ``metadata.animtool`` of a timeline or clip; unstated values are None."""
+class CutOptions:
+    """Shot settings from options, a timeline's metadata or a clip's; None if not set.
 
-    start_frame: int | None = None  # first frame of the shot, including the head handle
-    cut_start: int | None = None  # first frame of the cut, after the head handle
-    handles: int | None = None  # shot frames before and after the cut
-    first_timecode: str | None = None  # of the media, such as 01:00:00:00
-    fps: Fraction | None = None  # of a timeline: the rate of its shots
+    Metadata are the keys of ``metadata.animtool``. Options take precedence over those
+    of a clip, which do over those of the timeline.
+
+    Attributes:
+        start_frame: First frame of each shot, including the head handle. Default: the
+            project's, else 1001.
+        cut_start: First frame of each cut, after the head handle, instead of
+            ``start_frame``.
+        handles: Shot frames before and after each cut. Default: 0.
+        first_timecode: Time code of the media's first frame, such as 01:00:00:00,
+            instead of the timeline's.
+        fps: Rate of the shots. Options apply if the timeline states none.
+    """
+
+    start_frame: int | None = None
+    cut_start: int | None = None
+    handles: int | None = None
+    first_timecode: str | None = None
+    fps: Fraction | None = None
 
 
 def cut_metadata(
     metadata: Mapping[str, Any], owner_text: str, *, allows_fps: bool = False
-) -> tuple[CutMetadata, list[tuple[str, str]]]:
-    """Return the metadata of a cut, and its faults with hints.
+) -> tuple[CutOptions, list[tuple[str, str]]]:
+    """Return the shot settings in metadata, and a message and hint for each fault.
 
     >>> cut_metadata({"animtool": {"handles": 8.0}}, "clip 'a'")[0].handles
     8
@@ -42,31 +56,27 @@ def cut_metadata(
     """
     stated_values = metadata.get("animtool")
     if stated_values is None:
-        return CutMetadata(), []
+        return CutOptions(), []
     location = f"metadata.animtool of {owner_text}"
-    names = [
-        metadata_field.name
-        for metadata_field in fields(CutMetadata)
-        if allows_fps or metadata_field.name != "fps"
-    ]
+    names = [entry.name for entry in fields(CutOptions)]
+    if not allows_fps:
+        names.remove("fps")
     if not isinstance(stated_values, Mapping):
-        return CutMetadata(), [
-            (f"{location} is not a table", f"keys: {', '.join(names)}")
-        ]
+        hint = f"keys: {', '.join(names)}"
+        return CutOptions(), [(f"{location} is not a table", hint)]
     values: dict[str, Any] = {}
     faults = []
     for key, value in stated_values.items():
         if key not in names:
-            faults.append(
-                (f"{location} has no key {excerpt(key)}", nearest(key, names))
-            )
+            message = f"{location} has no key {excerpt(key)}"
+            faults.append((message, nearest(key, names)))
             continue
         try:
             values[key] = _PARSERS.get(key, _parse_integer)(key, value)
         except (TypeError, ValueError) as error:
             hint = f"write a value such as {EXAMPLES[key]}"
             faults.append((f"{location}: {key}: {error}", hint))
-    return CutMetadata(**values), faults
+    return CutOptions(**values), faults
 
 
 EXAMPLES = {
@@ -91,10 +101,8 @@ def _parse_integer(key: str, value: object) -> int:
 
 def _parse_timecode(_key: str, value: object) -> str:
     if not is_timecode(value):
-        value_text = excerpt(str(value))
-        raise ValueError(
-            f"{value_text} is not a time code such as 01:00:00:00 or 01:00:00;02"
-        )
+        examples = "01:00:00:00 or 01:00:00;02"
+        raise ValueError(f"{excerpt(str(value))} is not a time code such as {examples}")
     return str(value).strip()
 
 
@@ -112,40 +120,23 @@ SHOT_NAMES = (
 
 
 @dataclass(frozen=True, slots=True)
-class CutOptions:
-    """Shot options that a timeline's metadata may leave open.
-
-    Attributes:
-        handles: Shot frames before and after each cut; None uses clip and timeline
-            metadata, else 0.
-        start: First frame of each shot; None uses clip and timeline metadata, else the
-            project's, else 1001.
-        fps: Rate of the shots if the timeline states none.
-        cut_start: First frame of each cut, instead of ``start``.
-        first_timecode: Time code of the media's first frame, instead of the timeline's.
-    """
-
-    handles: int | None = None
-    start: int | None = None
-    fps: Fraction | None = None
-    cut_start: int | None = None
-    first_timecode: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class CutContext:
     """Settings of a shot by precedence: options, clip, timeline, project."""
 
     options: CutOptions
-    clip: CutMetadata
-    timeline: CutMetadata
+    clip: CutOptions
+    timeline: CutOptions
     project: Config
+
+    def _first_set(self, name: str) -> Any:
+        """Return the setting of options, clip or timeline, the first that sets it."""
+        values = (getattr(o, name) for o in (self.options, self.clip, self.timeline))
+        return next((value for value in values if value is not None), None)
 
     @property
     def handles(self) -> int:
         """Number of frames before and after the cut that the shot includes."""
-        candidates = (self.options.handles, self.clip.handles, self.timeline.handles)
-        return next((count for count in candidates if count is not None), 0)
+        return self._first_set("handles") or 0
 
     def first_timecode(
         self, default: Fraction | None, rate: Fraction, *, drop: bool = False
@@ -157,12 +148,9 @@ class CutContext:
             rate: Frames per second counted by the time codes.
             drop: Whether they are drop-frame.
         """
-        texts = [
-            level.first_timecode for level in (self.options, self.clip, self.timeline)
-        ]
-        if default is None:
-            texts.append(self.project.timeline.first_timecode)
-        text = next((text for text in texts if text is not None), None)
+        text: str | None = self._first_set("first_timecode")
+        if text is None and default is None:
+            text = self.project.timeline.first_timecode
         if text is None:
             return Fraction(0) if default is None else default
         if drop and ";" not in text:
@@ -174,29 +162,25 @@ class CutContext:
 
         A start includes the head handle. The project's default is 1001.
         """
-        faults, settings = list[str](), self.project
-        levels = [
-            (self.options.start, self.options.cut_start, "options"),
-            (self.clip.start_frame, self.clip.cut_start, "its metadata"),
-            (self.timeline.start_frame, self.timeline.cut_start, "the timeline's"),
-            (None, settings.timeline.cut_start, "settings"),
-        ]
-        for start_frame, cut_start, level_name in levels:
-            if start_frame is not None and cut_start not in {
-                None,
-                start_frame + self.handles,
-            }:
-                message = f"{level_name}: start_frame {start_frame} with handles of "
-                message += (
-                    f"{self.handles} puts the start of the cut at "
-                    f"{start_frame + self.handles}, "
-                )
-                faults.append(f"{message}but cut_start is {cut_start}")
+        faults, project = list[str](), self.project
+        levels = {
+            "options": self.options,
+            "its metadata": self.clip,
+            "the timeline's": self.timeline,
+            "settings": CutOptions(cut_start=project.timeline.cut_start),
+        }
+        for level_name, level in levels.items():
+            start, cut_start = level.start_frame, level.cut_start
+            after_handle = None if start is None else start + self.handles
+            if after_handle is not None and cut_start not in {None, after_handle}:
+                message = f"{level_name}: start_frame {start} with handles of "
+                message += f"{self.handles} puts the start of the cut at {after_handle}"
+                faults.append(f"{message}, but cut_start is {cut_start}")
             if cut_start is not None:
                 return cut_start, faults
-            if start_frame is not None:
-                return start_frame + self.handles, faults
-        start = SHOT_START if settings.start is None else int(settings.start)
+            if after_handle is not None:
+                return after_handle, faults
+        start = SHOT_START if project.start is None else int(project.start)
         return start + self.handles, faults
 
 
@@ -210,7 +194,7 @@ def shot_of(
     *,
     drop: bool = False,
 ) -> Shot:
-    """Return the shot of a clip: its cut, handles and media times.
+    """Return the shot of a clip.
 
     Args:
         name: Name of the shot.
@@ -245,33 +229,25 @@ def shot_notices(
     shot: Shot, span: Span, fps: Fraction, clip_text: str
 ) -> Iterator[tuple[str, str, Severity]]:
     """Yield notices about a shot: code, message and severity."""
-    first_time, last_time = (
-        f"{float(shot.seconds_at(frame)):.6g} s"
-        for frame in (shot.cut_in, shot.cut_out)
-    )
+    frames = (shot.cut_in, shot.cut_out)
+    begin, end = (f"{float(shot.seconds_at(frame)):.6g} s" for frame in frames)
     if shot.speed == 0:
-        message = f"{clip_text} freezes its media at {first_time}; so does the shot"
+        message = f"{clip_text} freezes its media at {begin}; so does the shot"
         yield "BAT044", message, Severity.NOTE
     elif shot.speed < 0:
-        range_text = f"from {first_time} of its media to {last_time}"
+        range_text = f"from {begin} of its media to {end}"
         message = f"{clip_text} plays in reverse, {range_text}; so does the shot"
         yield "BAT044", message, Severity.WARNING
-    frames = span.seconds * fps
-    if frames < 1 - FRAME_TOLERANCE:
-        message = (
-            f"{clip_text} shows {float(frames):.3g} of a frame; the shot has one frame"
-        )
+    shown = float(span.seconds * fps)
+    if span.seconds * fps < 1 - FRAME_TOLERANCE:
+        message = f"{clip_text} shows {shown:.3g} of a frame; the shot has one frame"
         yield "BAT043", message, Severity.WARNING
 
 
 def media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
     """Return the media frames that a cut shows, counted from 1, for use in patterns."""
-    media_seconds = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
-    first_frame, last_frame = (
-        floor(seconds * media_fps + FRAME_TOLERANCE) + 1 for seconds in media_seconds
-    )
-    return {
-        "media_first": str(first_frame),
-        "media_last": str(last_frame),
-        "media_fps": str(media_fps),
-    }
+    names = {"media_fps": str(media_fps)}
+    for name, frame in (("media_first", shot.cut_in), ("media_last", shot.cut_out)):
+        media_frame = shot.seconds_at(frame) * media_fps
+        names[name] = str(floor(media_frame + FRAME_TOLERANCE) + 1)
+    return names

@@ -12,14 +12,13 @@ from typing import Any
 
 from animtool.batch.cut_frames import (
     CutContext,
-    CutMetadata,
     CutOptions,
     cut_metadata,
     media_names,
     shot_notices,
     shot_of,
 )
-from animtool.batch.edl import edl_timeline, read_edl
+from animtool.batch.edl import TimelineBuilder, read_edl
 from animtool.batch.spans import (
     ClipVisitor,
     ShownClip,
@@ -33,7 +32,6 @@ from animtool.batch.timeline import (
     exact_rate,
     import_otio,
     is_edl,
-    is_remote,
     media_path,
     read_timeline,
     seconds_of,
@@ -69,7 +67,7 @@ _ILLEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 class Cut:
     """One item's media: a clip of a timeline with its shot, or a file."""
 
-    media: MatchedFile  # the media
+    media: MatchedFile
     # Values of `SHOT_NAMES` for its scene and its output.
     names: Mapping[str, str] = field(default_factory=dict)
     # Frames of the clip; None for a file outside of a timeline.
@@ -78,7 +76,7 @@ class Cut:
 
 @dataclass(slots=True)
 class CutList:
-    """The shots of a timeline."""
+    """The shots of a timeline, and notices."""
 
     shots: list[Cut] = field(default_factory=list)  # in its order
     # Notices about clips that were left out or changed.
@@ -97,12 +95,15 @@ def read_cuts(
     is missing, it is the entry of ``media`` with the name of the clip or of the file.
     Times are seconds of the media; a shot counts frames at the timeline's rate.
     """
-    return _CutReader(path, media, options or CutOptions(), is_excluded).read()
+    reader = _CutReader(path, media, options or CutOptions(), is_excluded)
+    return reader.cuts_of(reader.clips().clips)
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
     """Return the named shot, or the only one (else BAT048); see `read_cuts`."""
-    return _CutReader(path, (), options).read_one(name)
+    reader = _CutReader(path, (), options)
+    walk = reader.clips()
+    return reader.cuts_of(_shot_clips(walk.clips, name, path, walk.skip_reasons))
 
 
 def _shot_clips(
@@ -111,7 +112,10 @@ def _shot_clips(
     path: Path,
     skip_reasons: Mapping[str, str],
 ) -> list[ShownClip]:
-    """Return the clips of a named shot; without a name, the only clip."""
+    """Return the clip of a named shot, or the only clip; raise BAT048 without one.
+
+    ``skip_reasons`` say why clips are not shots, by their names.
+    """
     names = [entry.name for entry in entries]
     if name is not None and name not in names and name in skip_reasons:
         message = f"has no shot {excerpt(name)}: {skip_reasons[name]}"
@@ -148,22 +152,13 @@ class _CutReader:
         self.faults: list[Fault] = []
         # Shot names, each with the highest number appended so far.
         self.used_names: dict[str, int] = {}
-        self.timeline_metadata = CutMetadata()
+        self.timeline_metadata = CutOptions()
         self.fps = Fraction(0)
         self.tree: Any = None  # the timeline; without it clips have no parents
         self.is_drop_frame = False  # whether time codes of media are drop-frame
         self.media: dict[str, MatchedFile] = {}
         for file in media:
             self.media.setdefault(source_stem(file.path).casefold(), file)
-
-    def read(self) -> CutList:
-        """Return the shots."""
-        return self.cuts_of(self.clips().clips)
-
-    def read_one(self, name: str | None) -> CutList:
-        """Return the shot with a name, or the only shot if the name is None."""
-        walk = self.clips()
-        return self.cuts_of(_shot_clips(walk.clips, name, self.path, walk.skip_reasons))
 
     def clips(self) -> ClipVisitor:
         """Return the visible clips, each with the name of its shot."""
@@ -199,7 +194,7 @@ class _CutReader:
                 return None
             self.fps = edl_rate(edl, self.options.fps)
             self.is_drop_frame = edl.is_all_drop_frame
-            timeline, notices = edl_timeline(edl, self.fps)
+            timeline, notices = TimelineBuilder(edl, self.fps).build()
         self.cuts.notices += notices
         return timeline
 
@@ -222,14 +217,13 @@ class _CutReader:
 
     def metadata(
         self, schema: Any, owner_text: str, *, allows_fps: bool = False
-    ) -> CutMetadata:
+    ) -> CutOptions:
         """Return the ``metadata.animtool`` of a clip or of the timeline."""
-        metadata, faults = cut_metadata(
-            schema.metadata, owner_text, allows_fps=allows_fps
-        )
+        owner = (schema.metadata, owner_text)
+        options, faults = cut_metadata(*owner, allows_fps=allows_fps)
         for message, hint in faults:
             self.fault("BAT047", message, hint)
-        return metadata
+        return options
 
     def entry(self, shown_clip: ShownClip) -> ShownClip:
         """Return a clip with the name of its shot."""
@@ -247,23 +241,19 @@ class _CutReader:
         media_file = self.find_media_file(clip, clip_text)
         if media_file is None:
             return
-        clip_metadata = self.metadata(clip, clip_text)
-        settings = find_config(self.path)
-        context = CutContext(
-            self.options, clip_metadata, self.timeline_metadata, settings
-        )
+        metadata = (self.metadata(clip, clip_text), self.timeline_metadata)
+        context = CutContext(self.options, *metadata, find_config(self.path))
         for message in context.cut_in()[1]:
             self.fault("BAT047", f"{clip_text}: {message}", "write one of them")
         media_range = clip.media_reference.available_range
+        is_drop_frame = self.is_drop_frame
         try:
             span = span_of(entry)
             media_start, media_fps = None, span.rate
             if media_range is not None:
                 media_start = seconds_of(media_range.start_time)
                 media_fps = exact_rate(media_range.start_time.rate)
-            first_timecode = context.first_timecode(
-                media_start, span.rate, drop=self.is_drop_frame
-            )
+            first = context.first_timecode(media_start, span.rate, drop=is_drop_frame)
             transitions = self.overlaps(entry, span)
         except UnsupportedTimeError as error:
             message = f"{clip_text}: {error}; it is skipped"
@@ -276,15 +266,8 @@ class _CutReader:
         if span.seconds <= 0:
             self.fault("BAT041", f"{clip_text} shows no frame of its media")
             return
-        shot = shot_of(
-            entry.name,
-            span,
-            self.fps,
-            context,
-            first_timecode,
-            transitions,
-            drop=self.is_drop_frame,
-        )
+        arguments = (span, self.fps, context, first, transitions)
+        shot = shot_of(entry.name, *arguments, drop=is_drop_frame)
         if shot.end - shot.start >= MAX_FRAMES:
             message = f"{clip_text} has too many frames: {shot.end - shot.start + 1}"
             self.fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
@@ -319,19 +302,14 @@ class _CutReader:
             if stem and stem.casefold() in self.media:
                 return self.media[stem.casefold()]
         if path is not None:
-            hint = (
-                "pass the folder that contains it, or a file with the clip's name, as "
-                "INPUT"
-            )
+            hint = "pass the folder that contains it, or a file with the clip's name, "
+            hint += "as INPUT"
             problem = "a folder" if _is_file(path) is False else "not there"
-            reference_text = (
-                clip.media_reference.target_url if is_remote(clip) else path
-            )
-            self.fault(
-                "BAT042",
-                f"the media of {clip_text} is {problem}: {reference_text}",
-                hint,
-            )
+            url = clip.media_reference.target_url
+            # URLs that are not of a file are printed as they are.
+            is_remote = "://" in url.removeprefix("file:///")
+            message = f"the media of {clip_text} is {problem}: "
+            self.fault("BAT042", f"{message}{url if is_remote else path}", hint)
         elif self.media:
             self.fault("BAT042", f"no media matches the name of {clip_text}")
         else:
@@ -351,13 +329,9 @@ class _CutReader:
             for transition, is_end_visible in transitions_and_ends
         )
         if frames_before or frames_after:
-            overlap_text = (
-                f"{frames_before} frames before its cut and {frames_after} after it"
-            )
-            self.note(
-                "BAT043",
-                f"{entry.clip_text} is in transitions: {overlap_text} are included",
-            )
+            message = f"{entry.clip_text} is in transitions: {frames_before} frames "
+            message += f"before its cut and {frames_after} after it are included"
+            self.note("BAT043", message)
         return frames_before, frames_after
 
     def name(self, shot: str, clip_text: str) -> str:

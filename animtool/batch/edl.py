@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import field
 from fractions import Fraction
+from itertools import zip_longest
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -109,23 +111,19 @@ def read_edl(path: Path) -> Edl:
         elif line[:1].isdigit():
             match = _EVENT.fullmatch(line)
             if match is None:
-                faults.append((f"{excerpt(line)} is not an EDL event", number))
+                message = f"{excerpt(line)} is not an EDL event"
+                faults.append(Fault("BAT041", message, str(path), (number,)))
             else:
                 edl.events.append(_event(match, number, drop=is_drop_frame))
         elif (stated_rate := _RATE.fullmatch(line)) is not None and edl.fps is None:
-            edl.fps = _rate_or_none(stated_rate["rate"])
+            with suppress(ValueError):
+                edl.fps = parse_rate(stated_rate["rate"])
         elif edl.events:
             _comment(edl.events[-1], line)
     if not is_edl and not edl.events and not faults:
-        faults.append(("contains no EDL event", 1))
+        faults.append(Fault("BAT041", "contains no EDL event", str(path), (1,)))
     if faults:
-        shown_faults = faults[:MAX_FAULTS]
-        raise FormatError(
-            [
-                Fault("BAT041", message, str(path), (line_number,))
-                for message, line_number in shown_faults
-            ]
-        )
+        raise FormatError(faults[:MAX_FAULTS])
     return edl
 
 
@@ -147,13 +145,6 @@ def _event(match: re.Match[str], line: int, *, drop: bool) -> Event:
     )
 
 
-def _rate_or_none(text: str) -> Fraction | None:
-    try:
-        return parse_rate(text)
-    except ValueError:
-        return None
-
-
 def _comment(event: Event, line: str) -> None:
     """Apply a comment line to the event above it."""
     if (speed := _SPEED_LINE.fullmatch(line)) is not None:
@@ -166,22 +157,19 @@ def _comment(event: Event, line: str) -> None:
             return
 
 
-def edl_timeline(edl: Edl, rate: Fraction) -> tuple[Any, list[Fault]]:
-    """Return an EDL as an OpenTimelineIO timeline, with notices."""
-    return _TimelineBuilder(edl, rate).build()
-
-
 @dataclass(frozen=True, slots=True)
 class _EventTimes:
     """Source and record times of an event [frame]."""
 
-    first: int
-    count: int
-    record: int
-    shown_count: int
+    source_start: int
+    source_count: int
+    record_start: int
+    record_count: int
 
 
-class _TimelineBuilder:
+class TimelineBuilder:
+    """Builds an OpenTimelineIO timeline of an EDL at a frame rate."""
+
     def __init__(self, edl: Edl, rate: Fraction) -> None:
         import opentimelineio as otio
 
@@ -192,7 +180,7 @@ class _TimelineBuilder:
         self.faults: list[Fault] = []
 
     def build(self) -> tuple[Any, list[Fault]]:
-        """Return the timeline."""
+        """Return the timeline, and notices."""
         timeline = self.otio.schema.Timeline(self.edl.title)
         for event, belongs_to_next in _with_continuation(self.edl.events):
             times = self.times(event)
@@ -208,20 +196,14 @@ class _TimelineBuilder:
             frames = [self.frame(text) for text in event.times]
         except ValueError as error:
             message = f"{error}, at {rate_label(self.rate)}"
-            hint = (
-                "set the rate that its time codes count, such as "
-                f"{argument('fps', '30000/1001')}"
-            )
+            hint = "set the rate that its time codes count, such as "
+            hint += argument("fps", "30000/1001")
             location = str(self.edl.path), (event.line,)
             self.faults.append(Fault("BAT041", message, *location, hint))
             return None
         # For backward motion some systems write the last frame first.
-        first_frame, last_frame = (
-            sorted(frames[:2]) if _event_speed(event) < 0 else frames[:2]
-        )
-        return _EventTimes(
-            first_frame, last_frame - first_frame, frames[2], frames[3] - frames[2]
-        )
+        first, end = sorted(frames[:2]) if _event_speed(event) < 0 else frames[:2]
+        return _EventTimes(first, end - first, frames[2], frames[3] - frames[2])
 
     def frame(self, text: str) -> int:
         """Return the frame of a time code or frame number."""
@@ -236,33 +218,33 @@ class _TimelineBuilder:
     ) -> None:
         """Add the clip of an event to all its tracks."""
         schema = self.otio.schema
-        for name in _tracks_of(event.channel):
+        for name in TRACKS_OF_CHANNEL.get(event.channel, (event.channel,)):
             if name not in self.tracks:
                 kind = "Audio" if name.startswith("A") else "Video"
                 self.tracks[name] = schema.Track(name, kind=kind)
                 timeline.tracks.append(self.tracks[name])
             track = self.tracks[name]
-            gap_frames = times.record - self.end_by_track.get(name, times.record)
+            gap_frames = times.record_start - self.end_by_track.get(
+                name, times.record_start
+            )
             if gap_frames > 0 and len(track):
                 track.append(schema.Gap(source_range=self.span(0, gap_frames)))
-            shown_frames = max(times.shown_count, 0) or times.count
-            self.end_by_track[name] = times.record + shown_frames
+            shown_frames = max(times.record_count, 0) or times.source_count
+            self.end_by_track[name] = times.record_start + shown_frames
             if event.edit_type != "C" and event.length and len(track):
                 track.append(self.transition(event))
             if event.reel.upper() in BLACK_REELS:
                 if shown_frames:
                     track.append(schema.Gap(source_range=self.span(0, shown_frames)))
-            elif not (belongs_to_next and times.count <= 0):
+            elif not (belongs_to_next and times.source_count <= 0):
                 track.append(self.clip(event, times))
 
     def transition(self, event: Event) -> Any:
         """Return the dissolve of an event, which begins with the incoming clip."""
-        rational_time = self.otio.opentime.RationalTime
-        offsets = (
-            rational_time(0, float(self.rate)),
-            rational_time(event.length, float(self.rate)),
+        offsets = self.span(0, event.length)
+        return self.otio.schema.Transition(
+            event.edit_type, "SMPTE_Dissolve", offsets.start_time, offsets.duration
         )
-        return self.otio.schema.Transition(event.edit_type, "SMPTE_Dissolve", *offsets)
 
     def clip(self, event: Event, times: _EventTimes) -> Any:
         """Return the clip of an event with its speed."""
@@ -277,7 +259,7 @@ class _TimelineBuilder:
             name = stem or reel or event.number
         reference = None if url is None else schema.ExternalReference(url)
         speed, count = self.speed(event, times, name)
-        clip = schema.Clip(name, reference, self.span(times.first, count))
+        clip = schema.Clip(name, reference, self.span(times.source_start, count))
         if speed != 1:
             clip.effects.append(schema.LinearTimeWarp(time_scalar=float(speed)))
         return clip
@@ -286,7 +268,7 @@ class _TimelineBuilder:
         self, event: Event, times: _EventTimes, name: str
     ) -> tuple[Fraction, int]:
         """Return the speed of an event and its number of frames."""
-        source, record_frames = max(times.count, 0), max(times.shown_count, 0)
+        source, record_frames = max(times.source_count, 0), max(times.record_count, 0)
         if event.freeze:
             return Fraction(0), record_frames or source
         if event.speed is not None:
@@ -301,13 +283,12 @@ class _TimelineBuilder:
             return speed, record_frames
         if record_frames and source and record_frames != source:
             message = f"clip {excerpt(name)}: its source has {source} frames, its "
-            message += (
-                f"record {record_frames}, and no speed (M2) is stated: the {source} "
-            )
-            message += "frames of its source are used, at their own speed"
+            message += f"record {record_frames}, and no speed (M2) is stated: the "
+            message += f"{source} frames of its source are used, at their own speed"
             location = str(self.edl.path), (event.line,)
-            warning = Fault("BAT056", message, *location, severity=Severity.WARNING)
-            self.notices.append(warning)
+            self.notices.append(
+                Fault("BAT056", message, *location, severity=Severity.WARNING)
+            )
         return Fraction(1), source
 
     def span(self, first: int, count: int) -> Any:
@@ -327,13 +308,10 @@ def _with_continuation(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
 
     Comments follow the second event and belong to both.
     """
-    for i, event in enumerate(events):
-        next_event = events[i + 1] if i + 1 < len(events) else None
-        is_pair = next_event is not None and next_event.number == event.number
-        is_pair = (
-            is_pair and next_event is not None and next_event.channel == event.channel
-        )
-        if is_pair and next_event is not None:
+    for event, next_event in zip_longest(events, events[1:]):
+        edit = None if next_event is None else (next_event.number, next_event.channel)
+        is_pair = edit == (event.number, event.channel)
+        if is_pair:
             event.comments = {**next_event.comments, **event.comments}
         yield event, is_pair
 
@@ -346,12 +324,3 @@ TRACKS_OF_CHANNEL = {
     "A2/V": ("V", "A2"),
     "AA/V": ("V", "A1", "A2"),
 }
-
-
-def _tracks_of(channel: str) -> tuple[str, ...]:
-    """Return the names of the tracks of an EDL channel.
-
-    >>> _tracks_of("B"), _tracks_of("V2")
-    (('V', 'A1'), ('V2',))
-    """
-    return TRACKS_OF_CHANNEL.get(channel, (channel,))

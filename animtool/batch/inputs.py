@@ -57,9 +57,12 @@ def cuts_of(spec: BatchSpec) -> CutList:
     if start is not None and start.denominator != 1:
         message = f"start is {float(start):g}, but shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
-    start_frame = None if start is None else int(start)
     cut_options = CutOptions(
-        spec.handles, start_frame, spec.fps or fps, spec.cut_start, spec.first_timecode
+        None if start is None else int(start),
+        spec.cut_start,
+        spec.handles,
+        spec.first_timecode,
+        spec.fps or fps,
     )
     listed_cuts = read_cuts(spec.cuts, cuts, cut_options, is_excluded)
     return replace(listed_cuts, notices=[*listed_cuts.notices, *unmatched])

@@ -168,12 +168,6 @@ def _escape_null(path: str) -> str:
     return path.replace("\0", "%00")
 
 
-def is_remote(clip: Any) -> bool:
-    """Return whether the media of a clip has a URL that is not a file path."""
-    url = clip.media_reference.target_url
-    return "://" in url.removeprefix("file:///")
-
-
 def exact_rate(rate: float) -> Fraction:
     """Return the exact frame rate of a float in a timeline."""
     if not MIN_MEDIA_RATE <= rate <= MAX_MEDIA_RATE:

@@ -178,11 +178,11 @@ def timeline_shot(
     from animtool.batch.cuts import read_cut
 
     options = CutOptions(
-        params["handles"],
         None if start is None else int(start),
-        fps,
         params["cut_start"],
+        params["handles"],
         params["first_timecode"],
+        fps,
     )
     cuts = read_cut(path, params["shot"], options)
     console.faults(cuts.notices)

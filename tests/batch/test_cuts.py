@@ -135,8 +135,13 @@ def test_the_rate_is_that_of_most_clips_where_none_is_stated(takes: Path) -> Non
         ({"start_frame": 101, "handles": 4}, {}, {}, (101, 4)),
         ({"start_frame": 101, "handles": 4}, {"handles": 6}, {}, (101, 6)),
         ({"handles": 4}, {"start_frame": 901}, {}, (901, 4)),
-        ({"start_frame": 101}, {"handles": 6}, {"handles": 2, "start": 11}, (11, 2)),
-        ({}, {"start_frame": 901}, {"start": 11}, (11, 0)),
+        (
+            {"start_frame": 101},
+            {"handles": 6},
+            {"handles": 2, "start_frame": 11},
+            (11, 2),
+        ),
+        ({}, {"start_frame": 901}, {"start_frame": 11}, (11, 0)),
         ({"start_frame": 101}, {"start_frame": 901}, {}, (901, 0)),
     ],
 )
@@ -162,7 +167,7 @@ def test_start_and_handles(
         ({"cut_start": 1001, "handles": 8}, {"start_frame": 1001}, {}, (1009, 8)),
         ({"handles": 4}, {"cut_start": 51}, {}, (51, 4)),
         ({"cut_start": 51}, {}, {"cut_start": 1, "handles": 2}, (1, 2)),
-        ({"cut_start": 51}, {}, {"start": 1, "handles": 2}, (3, 2)),
+        ({"cut_start": 51}, {}, {"start_frame": 1, "handles": 2}, (3, 2)),
         ({"cut_start": 1009, "start_frame": 1001, "handles": 8}, {}, {}, (1009, 8)),
     ],
 )

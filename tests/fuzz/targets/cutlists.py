@@ -55,7 +55,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
         fps = RATES[int(rng.integers(len(RATES)))]
         cut_start = int(rng.integers(2000)) if rng.integers(2) else None
         label = TIMECODES[int(rng.integers(len(TIMECODES)))]
-        options = CutOptions(int(rng.integers(9)), None, fps, cut_start, label)
+        options = CutOptions(None, cut_start, int(rng.integers(9)), label, fps)
         try:
             cuts = read_cuts(path, found if rng.integers(2) else (), options)
             for cut in cuts.shots:
