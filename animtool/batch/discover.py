@@ -52,19 +52,10 @@ RECORDS_FOLDER = ".animtool"
 MAX_FAULTS = 50
 
 
-def sample_source(
-    spec: BatchSpec, item_task: ItemTask, shot: Cut, variables: Mapping[str, str]
-) -> Source:
-    """Return the source of the first item of an input.
-
-    variables: Overridden variables of the input.
-    """
-    return item_task.source(_sample_item(spec, shot, variables))
-
-
-def _sample_item(spec: BatchSpec, shot: Cut, variables: Mapping[str, str]) -> Item:
-    """Return the first item of an input, with ``variables`` as its overrides."""
+def _first_item(spec: BatchSpec, shot: Cut, overrides: OverriddenVariables) -> Item:
+    """Return the item of an input and of the first row of the variants."""
     names, file = {**shot.names, **spec.rows[0]}, shot.media
+    variables = overrides.values.get(file.path, {})
     return Item(1, file, file.path, names, variables=variables, shot=shot.shot)
 
 
@@ -80,10 +71,8 @@ def check_columns(spec: BatchSpec) -> None:
     reserved = {*_item_names(spec), *spec.variables}
     path = spec.variants.path
     path_text, location = (None, ()) if path is None else (str(path), (1,))
-    hint = (
-        f"names of inputs, shots and {argument('set')} are reserved: "
-        f"{listed(sorted(reserved))}"
-    )
+    hint = f"names of inputs, shots and {argument('set')} are reserved: "
+    hint += listed(sorted(reserved))
     faults = [
         Fault("BAT063", message, path_text, location, hint)
         for _, message in name_problems(spec.variants.names, reserved)
@@ -98,7 +87,7 @@ def check_effects(
     shots: Sequence[Cut],
     overrides: OverriddenVariables,
 ) -> None:
-    """Raise an error if a scene gives equal results for all its items or variants."""
+    """Raise an error for a scene that uses neither its inputs nor the variants."""
     shots_by_source = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
     item_names = _item_names(spec)
@@ -106,18 +95,16 @@ def check_effects(
     for path, shot in sorted(shots_by_source.items()):
         if not has_kind_suffix(path, "scene"):
             if names:
-                message = "variants need a scene"
-                hint = (
-                    f"{argument('scene')} names a scene that uses ${{input}} and "
-                    "the variants"
-                )
-                faults.append(Fault("BAT060", message, str(path), (), hint))
+                hint = f"{argument('scene')} names a scene that uses ${{input}} and "
+                hint += "the variants"
+                fault = Fault("BAT060", "variants need a scene", str(path), (), hint)
+                faults.append(fault)
             continue
         if spec.scene is None and not names:
             continue
-        values = overrides.values.get(shot.media.path, {})
         with located_values(spec):
-            scene = cast("Scene", sample_source(spec, item_task, shot, values))
+            source = item_task.source(_first_item(spec, shot, overrides))
+        scene = cast("Scene", source)
         if spec.scene is not None and not scene.effective_variables & item_names:
             faults.append(_unused_inputs_fault(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
@@ -127,22 +114,19 @@ def check_effects(
 
 
 def _unused_variants_fault(spec: BatchSpec, scene: Scene) -> Fault:
-    """Return the fault of a scene that uses no variant, where the batch names them."""
+    """Return the fault of a scene that uses no variant, located in the batch."""
     assert spec.variants is not None
     names, used_names = spec.variants.names, sorted(scene.effective_variables)
     file = Path(str(scene.path)).name
     message = f"{file} uses no {' or '.join(f'${{{name}}}' for name in names)}"
     if used_names:
-        used_text = listed([f"${{{name}}}" for name in used_names])
-        message += f"; it uses {used_text}"
-    varying = [name for name in used_names if name not in _item_names(spec)]
-    similar = [most_similar(name, varying) for name in names]
+        message += f"; it uses {listed([f'${{{name}}}' for name in used_names])}"
+    candidates = [name for name in used_names if name not in _item_names(spec)]
+    for name in names:
+        if similar_name := most_similar(name, candidates):
+            hint = f"did you mean {similar_name!r}?"
+            return variable_fault(spec, name, "BAT060", message, hint)
     hint = f"write ${{{names[0]}}} in {file} in place of a value"
-    for name, other in zip(names, similar, strict=True):
-        if other:
-            return variable_fault(
-                spec, name, "BAT060", message, f"did you mean {other!r}?"
-            )
     return variable_fault(spec, names[0], "BAT060", message, hint)
 
 
@@ -201,13 +185,11 @@ def find_batch(spec: BatchSpec) -> Batch:
     if not shots:
         raise no_input_error(spec)
     files = [shot.media for shot in shots]
-    item_task = _item_task(spec, files)
-    overrides = resolve_overrides(spec, files)
+    item_task, overrides = _item_task(spec, files), resolve_overrides(spec, files)
     sample = None
     if spec.scene is not None:
-        values = overrides.values.get(files[0].path, {})
         with located_values(spec):
-            sample = sample_source(spec, item_task, shots[0], values)
+            sample = item_task.source(_first_item(spec, shots[0], overrides))
         if spec.output is not None:
             item_task.refuse_several(sample)
     _check_variables(spec, item_task, sample)
@@ -242,16 +224,14 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     spec = _with_scene_input(with_timeline(spec))
     shots = cuts_of(spec).shots
     files = [shot.media for shot in shots]
-    item_task = _item_task(spec, files)
-    overrides = resolve_overrides(spec, files)
+    item_task, overrides = _item_task(spec, files), resolve_overrides(spec, files)
     values_by_scene: dict[Path, SceneValues] = {}
     for shot in shots:
         path = spec.scene or shot.media.path
         if path not in values_by_scene and has_kind_suffix(path, "scene"):
-            item = _sample_item(spec, shot, overrides.values.get(shot.media.path, {}))
-            values_by_scene[path] = SceneValues(
-                item_task.names(item), frozenset(item.names)
-            )
+            item = _first_item(spec, shot, overrides)
+            names = item_task.names(item)
+            values_by_scene[path] = SceneValues(names, frozenset(item.names))
     return values_by_scene
 
 
@@ -294,10 +274,8 @@ def _check_variables(
     spec: BatchSpec, item_task: ItemTask, sample: Source | None
 ) -> None:
     """Raise an error for variables that neither the scene nor the output uses."""
-    override_names = [
-        name for override in spec.overrides for name in override.variables
-    ]
-    variables = [*dict.fromkeys([*spec.variables, *override_names]), *spec.rows[0]]
+    names = [*spec.variables, *(n for o in spec.overrides for n in o.variables)]
+    variables = [*dict.fromkeys(names), *spec.rows[0]]
     used_names = {name for name in variables if f"{{{name}}}" in (spec.output or "")}
     if sample is not None:
         scene_names = set(getattr(sample, "variables", ()))
@@ -366,14 +344,11 @@ class _ItemListBuilder:
                 output_path = outputs.path(names)
             except UnsafeNameError as error:
                 self._record_unsafe_output(shot, row, error)
-        item = Item(
-            number, file, output_path, row_values, (), row, variables, shot.shot
-        )
-        named_by_scene = getattr(self.sample, "output", None) is not None
-        if outputs is None and (
-            named_by_scene
-            or (spec.scene is None and has_kind_suffix(file.path, "scene"))
-        ):
+        variant = ((), row, variables, shot.shot)
+        item = Item(number, file, output_path, row_values, *variant)
+        has_scene = spec.scene is None and has_kind_suffix(file.path, "scene")
+        scene_names_output = getattr(self.sample, "output", None) is not None
+        if outputs is None and (has_scene or scene_names_output):
             item = self.item_task.with_scene_outputs(item)
         return item
 
@@ -405,16 +380,11 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
     roots_text = listed([str(root) for root in spec.roots])
     hint = f"set {argument('output')}, or add the folder to roots in animtool.toml"
-    faults = [
-        Fault(
-            "DOC014",
-            f"{str(folder)!r} is outside {roots_text}",
-            spec.path_text,
-            (),
-            hint,
-        )
+    messages = [
+        f"{str(folder)!r} is outside {roots_text}"
         for folder in folders
         if not any(is_inside(folder, root) for root in spec.roots)
     ]
+    faults = [Fault("DOC014", text, spec.path_text, (), hint) for text in messages]
     if faults:
         raise OptionError(faults[:MAX_FAULTS])

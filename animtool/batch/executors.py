@@ -126,7 +126,7 @@ def _argument_error(name: str, hint: str) -> OptionError:
 
 
 def find_executor(name: str) -> Executor:
-    """Return the executor with a name, including those of plug-ins.
+    """Return a built-in executor, or one of a plug-in, by its name.
 
     >>> find_executor("serial").about
     "one after another, in animtool's own process"

@@ -44,8 +44,7 @@ def value_text(document: Document, location: Location, value: Value) -> str:
     """Return a value as text, with numbers spelled as in the file."""
     if isinstance(value, str):
         return value
-    source_text = document.source_text(location)
-    return source_text or str(value).lower()
+    return document.source_text(location) or str(value).lower()
 
 
 def variables_of_document(
@@ -68,10 +67,7 @@ def overrides_of_document(
 ) -> tuple[Override, ...]:
     """Return the overrides of a batch file; record faults of variable names.
 
-    Args:
-        document: The batch file.
-        models: Entries of the batch file.
-        reserved_names: Names whose values come from elsewhere.
+    Overrides cannot set ``reserved_names``, whose values come from elsewhere.
     """
     overrides = []
     for i, model in enumerate(models):
@@ -88,10 +84,10 @@ def overrides_of_document(
 VARIANTS_LOCATION = ("variants",)
 
 
-def rows_of_document(
+def variants_of_document(
     document: Document, variants: Any, reserved_names: Collection[str]
 ) -> Variants | None:
-    """Return the variants of a batch file; None without any, or if they are invalid."""
+    """Return the variants that a batch file lists; None with faults."""
     reader = _VariantReader(document, reserved_names)
     fault_count = len(document.faults)
     if isinstance(variants, list):
@@ -106,6 +102,8 @@ def rows_of_document(
 
 
 class _VariantReader:
+    """Reads the variants of a batch file and records their faults."""
+
     def __init__(self, document: Document, reserved_names: Collection[str]) -> None:
         self.document, self.reserved_names = document, reserved_names
 
@@ -128,31 +126,24 @@ class _VariantReader:
     def rows(self, table: list[Mapping[str, Any]]) -> Variants | None:
         """Return the variants of a list that has one mapping per row."""
         if len(table) > MAX_VARIANTS:
-            self.document.add(
-                "BAT065", VARIANTS_LOCATION, f"{len(table)} variants: {TOO_MANY_TEXT}"
-            )
+            message = f"{len(table)} variants: {TOO_MANY_TEXT}"
+            self.document.add("BAT065", VARIANTS_LOCATION, message)
             return None
-        column_names = list(table[0])
-        self._check_names((*VARIANTS_LOCATION, 0), column_names)
-        if not column_names:
+        names = list(table[0])
+        self._check_names((*VARIANTS_LOCATION, 0), names)
+        if not names:
             self.document.add("BAT061", (*VARIANTS_LOCATION, 0), "a row has no values")
-        rows_read = []
+        rows = []
         for i, entry in enumerate(table):
-            if set(entry) != set(column_names):
-                different_names = ", ".join(sorted(set(entry) ^ set(column_names)))
-                message = (
-                    f"the columns differ from those of the first row: {different_names}"
-                )
-                hint = f"columns: {', '.join(column_names)}"
-                self.document.add("BAT062", (*VARIANTS_LOCATION, i), message, hint)
+            location = (*VARIANTS_LOCATION, i)
+            if set(entry) != set(names):
+                message = "the columns differ from those of the first row: "
+                message += ", ".join(sorted(set(entry) ^ set(names)))
+                hint = f"columns: {', '.join(names)}"
+                self.document.add("BAT062", location, message, hint)
                 continue
-            rows_read.append(
-                {
-                    name: self._value((*VARIANTS_LOCATION, i, name), entry)
-                    for name in column_names
-                }
-            )
-        return Variants(tuple(rows_read))
+            rows.append({name: self._value((*location, name), entry) for name in names})
+        return Variants(tuple(rows))
 
     def _check_names(self, location: Location, names: list[str]) -> None:
         for i, message in name_problems(names, self.reserved_names):
@@ -166,13 +157,11 @@ class _VariantReader:
             return
         try:
             if isinstance(values, RangeModel):
-                ends = {"start": values.start, "stop": values.stop, "step": values.step}
-                yield from range_values(
-                    *(
-                        value_text(self.document, (*location, key), value)
-                        for key, value in ends.items()
-                    )
+                texts = (
+                    value_text(self.document, (*location, key), getattr(values, key))
+                    for key in ("start", "stop", "step")
                 )
+                yield from range_values(*texts)
             else:
                 yield from values_of_text(values)
         except ValueError as error:
@@ -211,14 +200,15 @@ def batch_of_document(document: Document, *, of_shots: bool = False) -> BatchSpe
 
 
 class _BatchReader:
+    """Reads the spec of a batch from a validated batch file."""
+
     def __init__(
         self, document: Document, model: BatchModel, *, of_shots: bool
     ) -> None:
         self.document, self.model = document, model
-        timeline = any(
-            is_timeline(document.path.parent / text) for text in model.inputs
-        )
-        self.of_shots = of_shots or timeline or model.cut is not None
+        folder = document.path.parent
+        has_timeline = any(is_timeline(folder / text) for text in model.inputs)
+        self.of_shots = of_shots or has_timeline or model.cut is not None
         self.keys = KeyReader(document, project_roots(document.path), "BAT002")
 
     def spec(self) -> BatchSpec:
@@ -230,18 +220,18 @@ class _BatchReader:
         has_inputs = not self.document.is_placeholder(("inputs",))
         is_scene_alone = model.scene and model.variants
         if has_inputs and not (model.inputs or self.of_shots or is_scene_alone):
-            states_inputs = "inputs" in model.model_fields_set
-            message = "has no entries" if states_inputs else "key 'inputs' is missing"
+            location: Location = ()
+            message = "key 'inputs' is missing"
+            if "inputs" in model.model_fields_set:
+                location, message = ("inputs",), "has no entries"
             hint = "files, folders and globs; a scene alone can have variants"
-            self.document.add(
-                "DOC021", ("inputs",) if states_inputs else (), message, hint
-            )
+            self.document.add("DOC021", location, message, hint)
         variants = self._variants()
         columns = () if variants is None else variants.names
         self._check_output_names(columns)
-        memory = self.keys.parse_value(
-            ("limits", "memory"), model.limits.memory, parse_bytes
-        )
+        memory_key = ("limits", "memory")
+        memory = self.keys.parse_value(memory_key, model.limits.memory, parse_bytes)
+        reserved_names = {*self._reserved_names(), *columns}
         return BatchSpec(
             tuple(model.inputs),
             path.parent,
@@ -258,9 +248,7 @@ class _BatchReader:
             model.handles,
             variants,
             self.keys.roots,
-            overrides_of_document(
-                self.document, model.overrides, {*self._reserved_names(), *columns}
-            ),
+            overrides_of_document(self.document, model.overrides, reserved_names),
             None,
             None if model.cut_start is None else int(model.cut_start),
             self._first_timecode(),
@@ -287,12 +275,11 @@ class _BatchReader:
                 self.document.add("BAT061", ("variants",), "has no values", hint)
             return None
         if isinstance(variants, str):
-            path = resolve_input(
-                self.document, ("variants",), variants, self.keys.roots
-            )
+            location = ("variants",)
+            path = resolve_input(self.document, location, variants, self.keys.roots)
             return None if path is None else read_variants(path)
-        taken_names = {*self._reserved_names(), *self.model.variables}
-        return rows_of_document(self.document, variants, taken_names)
+        reserved_names = {*self._reserved_names(), *self.model.variables}
+        return variants_of_document(self.document, variants, reserved_names)
 
     def _check_output_names(self, columns: Sequence[str]) -> None:
         """Record a fault for each unknown name in braces in the output."""

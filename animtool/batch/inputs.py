@@ -53,7 +53,8 @@ def cuts_of(spec: BatchSpec) -> CutList:
         assert fps is not None
         assert spec.fps is not None
         message = f"{argument('fps')} is {rate_label(spec.fps)}, but the scene has "
-        raise OptionError(Fault("BAT051", f"{message}{rate_label(fps)}"))
+        message += rate_label(fps)
+        raise OptionError(Fault("BAT051", message))
     if start is not None and start.denominator != 1:
         message = f"start is {float(start):g}, but shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
@@ -69,13 +70,16 @@ def cuts_of(spec: BatchSpec) -> CutList:
 
 
 def _with_rate(spec: BatchSpec) -> BatchSpec:
-    """Return a batch with the frame rate of the command line applied."""
+    """Return a batch whose options have the frame rate of the command line.
+
+    Raise CLI002 for options of timelines if the batch has no timeline.
+    """
     flags = []
     if spec.cuts is None:
-        flags = (
-            [] if spec.cut_start is None else [f"cut_start ({argument('cut_start')})"]
-        )
-        flags += [] if spec.first_timecode is None else ["first_timecode"]
+        if spec.cut_start is not None:
+            flags.append(f"cut_start ({argument('cut_start')})")
+        if spec.first_timecode is not None:
+            flags.append("first_timecode")
         if spec.fps is not None and spec.scene is not None:
             flags.append(f"{argument('fps')} together with a scene")
     if flags:
@@ -118,30 +122,25 @@ def _matched_inputs(
         for file in _match_files(spec.folder, text, suffixes)
     }
     files: dict[Path, MatchedFile] = {}
-    unmatched_patterns = []
+    unmatched = []
     for i, text in enumerate(spec.inputs):
         matched_files = _match_files(spec.folder, text, suffixes)
-        remaining_files = {resolve(file.path): file for file in matched_files}
         remaining_files = {
-            index: f
-            for index, f in remaining_files.items()
-            if index not in excluded_paths
+            path: file
+            for file in matched_files
+            if (path := resolve(file.path)) not in excluded_paths
         }
         if not matched_files or _is_missing(text, remaining_files):
-            unmatched_patterns.append(_unmatched_fault(spec, "inputs", i, suffixes))
+            unmatched.append(_unmatched_fault(spec, "inputs", i, suffixes))
         files = {**remaining_files, **files}
     # Globs that match nothing yet are usual among those that exclude.
-    unmatched_patterns += [
+    unmatched += [
         _unmatched_fault(spec, "exclude", i, suffixes)
         for i, text in enumerate(spec.exclude)
         if not is_pattern(text) and not exists(spec.folder / text)
     ]
-    ordered_files = [files[path] for path in sorted(files, key=os.fspath)]
-    return (
-        ordered_files,
-        lambda path: resolve(path) in excluded_paths,
-        unmatched_patterns,
-    )
+    sorted_files = [files[path] for path in sorted(files, key=os.fspath)]
+    return sorted_files, lambda path: resolve(path) in excluded_paths, unmatched
 
 
 def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
@@ -192,13 +191,11 @@ def _other_suffix_hint(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
         stem, dot, suffix = text.rpartition(".")
         known_suffixes = [known_suffix.removeprefix(".") for known_suffix in suffixes]
         for other_suffix in (suffix.lower(), suffix.upper(), *known_suffixes):
-            other_pattern = f"{stem}{dot}{other_suffix}"
-            if (
-                dot
-                and other_suffix != suffix
-                and _match_files(spec.folder, other_pattern, suffixes)
-            ):
-                return f"did you mean {other_pattern!r}?"
+            if not dot or other_suffix == suffix:
+                continue
+            pattern = f"{stem}.{other_suffix}"
+            if _match_files(spec.folder, pattern, suffixes):
+                return f"did you mean {pattern!r}?"
     return None
 
 
@@ -231,19 +228,15 @@ def resolve_overrides(
     values: dict[Path, dict[str, str]] = {}
     notices = []
     for i, override in enumerate(spec.overrides):
-        matched_paths = {
+        matched_locations = {
             resolve(file.path)
             for text in override.inputs
             for file in _match_files(spec.folder, text, suffixes)
         }
-        overridden_paths = [
-            path_by_location[location]
-            for location in matched_paths
-            if location in path_by_location
-        ]
-        for input_path in overridden_paths:
-            values.setdefault(input_path, {}).update(override.variables)
-        if not overridden_paths:
+        overridden_inputs = path_by_location.keys() & matched_locations
+        for location in overridden_inputs:
+            values.setdefault(path_by_location[location], {}).update(override.variables)
+        if not overridden_inputs:
             message = f"no input of the batch is {listed(override.inputs)}"
             hint = "inputs are files, folders and globs, relative to the batch file"
             where, warning = f"overrides[{i}].inputs", Severity.WARNING

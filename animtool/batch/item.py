@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, fields, is_dataclass, replace
+from itertools import takewhile
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from string import Formatter
 from typing import TYPE_CHECKING, Any, cast
@@ -37,6 +38,7 @@ from animtool.scene.sources.open import OpenTake, fitting_options, source_stem
 
 if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
+    from animtool.scene.bake.outline import Outline
     from animtool.scene.bake.reading import Source
     from animtool.scene.scene import Scene
 
@@ -70,7 +72,7 @@ def input_names(file: MatchedFile) -> dict[str, str]:
 
 
 def file_pattern(pattern: str, name: str) -> str:
-    """Return the glob of a pattern, which may name a folder.
+    """Return an output pattern, completed by ``name`` if it ends in a slash.
 
     >>> file_pattern("out/", "{parent}/{stem}"), file_pattern("{stem}.usda", "{stem}")
     ('out/{parent}/{stem}.usdc', '{stem}.usda')
@@ -81,7 +83,7 @@ def file_pattern(pattern: str, name: str) -> str:
 def unknown_names(
     pattern: str, variables: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield each fault of a pattern with a hint.
+    """Yield a message and a hint for each fault of an output pattern.
 
     >>> list(unknown_names("out/{stm}.usdc", {}))
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
@@ -89,10 +91,8 @@ def unknown_names(
     try:
         fields = [literal[1:] for literal in Formatter().parse(pattern)]
     except ValueError as error:
-        yield (
-            (f"{pattern!r} is not a valid pattern: {error}"),
-            "write {{ for a literal brace",
-        )
+        message = f"{pattern!r} is not a valid pattern: {error}"
+        yield message, "write {{ for a literal brace"
         return
     names = [*INPUT_NAMES, *variables]
     for name, format_spec, conversion in fields:
@@ -108,10 +108,7 @@ def output_root(pattern: str) -> PurePath:
     'out'
     """
     parts = PurePath(pattern).parent.parts
-    fixed_count = next(
-        (i for i, component in enumerate(parts) if "{" in component), len(parts)
-    )
-    return PurePath(*parts[:fixed_count])
+    return PurePath(*takewhile(lambda part: "{" not in part, parts))
 
 
 @dataclass(slots=True)
@@ -148,10 +145,8 @@ class OutputPattern:
             if name not in self.paths:
                 bad_character = bad_character or re.search("/", value)
             if bad_character is not None:
-                message = (
-                    f"{{{name}}} is {excerpt(value)}, which has {bad_character[0]!r}"
-                )
-                raise UnsafeNameError(name, message)
+                message = f"{{{name}}} is {excerpt(value)}, which has "
+                raise UnsafeNameError(name, f"{message}{bad_character[0]!r}")
         for component in text.split("/"):
             problem = None if component == "." else name_problem(component)
             if problem is not None:
@@ -241,19 +236,20 @@ def map_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
     """
     if not rules:
         return spec
+
+    def mapped(texts: Iterable[str]) -> tuple[str, ...]:
+        return tuple(map_path(text, rules) for text in texts)
+
     output = spec.output
     mapped_output = None if output is None else map_path(output, rules)
     return replace(
         spec,
         # The path mapping determines where outputs go.
         roots=spec.roots if mapped_output == output else (),
-        inputs=tuple(map_path(text, rules) for text in spec.inputs),
-        exclude=tuple(map_path(text, rules) for text in spec.exclude),
+        inputs=mapped(spec.inputs),
+        exclude=mapped(spec.exclude),
         overrides=tuple(
-            replace(
-                override,
-                inputs=tuple(map_path(text, rules) for text in override.inputs),
-            )
+            replace(override, inputs=mapped(override.inputs))
             for override in spec.overrides
         ),
         output=mapped_output,
@@ -340,9 +336,8 @@ class ItemTask:
         for output in scene.outputs:
             if output.bake.form == "library":
                 message = "items of a batch cannot share a library"
-                hint = (
-                    "bake each first, then combine them: animtool bake *.usdc -o FILE"
-                )
+                hint = "bake each first, then combine them: "
+                hint += "animtool bake *.usdc -o FILE"
                 raise OptionError(output.location.fault("SCN052", message, hint))
         return scene
 
@@ -352,19 +347,15 @@ class ItemTask:
         output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
         if self._names_outputs(scene):
-            from animtool.scene.bake.outline import create_outline
-
-            files = create_outline(scene, None, self._options(item.file.path)).files
+            files = self._outline(scene, None, item).files
         return replace(item, output=output or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
         """Raise an error if both a scene and a pattern name outputs."""
         if self._names_outputs(source):
             message = "the scene names its outputs, but the batch names one too"
-            hint = (
-                f"remove the batch's output ({argument('output')}), and use "
-                "${stem} in the scene's"
-            )
+            hint = f"remove the batch's output ({argument('output')}), and use "
+            hint += "${stem} in the scene's"
             location = cast("Scene", source).outputs[-1].location
             raise OptionError(location.fault("SCN044", message, hint))
 
@@ -377,10 +368,7 @@ class ItemTask:
         return has_several_outputs(source)
 
     def bake(self, item: Item) -> list[OutputReport]:
-        """Bake an item; return a report of each output.
-
-        Existing outputs are replaced.
-        """
+        """Bake an item, replace existing outputs, and return a report of each."""
         source, options = self.source(item), self._options(item.file.path)
         from animtool.scene.bake.bake import bake_outputs
 
@@ -393,9 +381,12 @@ class ItemTask:
 
     def outputs(self, item: Item, source: Source) -> list[Path]:
         """Return the files that the bake of an item writes."""
+        return self._outline(source, item.output, item).files
+
+    def _outline(self, source: Source, output: Path | None, item: Item) -> Outline:
         from animtool.scene.bake.outline import create_outline
 
-        return create_outline(source, item.output, self._options(item.file.path)).files
+        return create_outline(source, output, self._options(item.file.path))
 
     def _options(self, path: Path) -> BakeOptions:
         """Return the options that apply to a file's format."""
@@ -415,9 +406,8 @@ class ItemTask:
                 names[key] = relative_name(Path(names[key]), root)
             result["variables"] = names
         if item.shot is not None:
-            result["shot"] = {
-                name: str(value) for name, value in plain_value(item.shot).items()
-            }
+            shot = plain_value(item.shot)
+            result["shot"] = {name: str(value) for name, value in shot.items()}
         if self.scene is not None:
             result["scene"] = relative_name(self.scene, root)
             result["strict"] = self.options.strict
@@ -428,19 +418,16 @@ class ItemTask:
     def _digest(self, path: Path, root: Path) -> str:
         kind = path.suffix.lower()
         if kind not in self._digest_by_suffix:
-            self._digest_by_suffix[kind] = digest_of(
-                _to_json(self._options(path), root)
-            )
+            values = _to_json(self._options(path), root)
+            self._digest_by_suffix[kind] = digest_of(values)
         return self._digest_by_suffix[kind]
 
 
 def _to_json(value: object, root: Path) -> object:
-    """Return options as JSON values."""
+    """Return options as JSON values; paths are relative to ``root`` where possible."""
     if is_dataclass(value):
-        return {
-            entry.name: _to_json(getattr(value, entry.name), root)
-            for entry in fields(value)
-        }
+        names = [entry.name for entry in fields(value)]
+        return {name: _to_json(getattr(value, name), root) for name in names}
     if isinstance(value, tuple):
         return [_to_json(element, root) for element in value]
     if isinstance(value, Path):

@@ -121,10 +121,9 @@ class _RecordFiles:
             return self.parts / f"{self.part}{suffix}"
         return self.folder / f"batch-{self.name}{suffix}"
 
-    def has_records(self) -> bool:
-        """Return whether any record file exists."""
-        paths = self.record_path(".jsonl"), self.record_path(".failed.jsonl")
-        return any(path.exists() for path in paths)
+    def records(self) -> tuple[Path, Path]:
+        """Return the paths of the manifest and of the failures."""
+        return self.record_path(".jsonl"), self.record_path(".failed.jsonl")
 
     def batch_files(self) -> _RecordFiles:
         return _RecordFiles(self.folder, self.name)
@@ -150,27 +149,22 @@ def read_history(folder: Path, name: str) -> History:
     return _read(_RecordFiles(folder, name))[0]
 
 
-@dataclass(frozen=True, slots=True)
-class _LocalRecords:
-    """The records in the files to which this run appends."""
+def _read(files: _RecordFiles) -> tuple[History, Manifest, int]:
+    """Return the results of earlier runs, and the records to which a run appends.
 
-    manifest: Manifest = field(default_factory=Manifest)
-    failures: int = 0
-
-
-def _read(files: _RecordFiles) -> tuple[History, _LocalRecords]:
-    """Return the results of earlier runs, and the records in the files of this run."""
-    history, local_records = History(), _LocalRecords()
+    The latter are the manifest in ``files``, and the length of their failures [bytes].
+    """
+    history, local_manifest, failures_length = History(), Manifest(), 0
     full_files = files.batch_files()
     for source in (full_files, *full_files.part_files()):
-        manifest = read_manifest(source.record_path(".jsonl"))
-        failures = read_failures(source.record_path(".failed.jsonl"))
+        manifest_path, failures_path = source.records()
+        manifest, failures = read_manifest(manifest_path), read_failures(failures_path)
         history.manifest.merge(manifest)
         history.failed |= failures.reasons
         history.damaged += [*manifest.damaged, *failures.damaged]
         if source == files:
-            local_records = _LocalRecords(manifest, failures.length)
-    return history, local_records
+            local_manifest, failures_length = manifest, failures.length
+    return history, local_manifest, failures_length
 
 
 class Ledger:
@@ -183,13 +177,12 @@ class Ledger:
 
     def __init__(self, files: _RecordFiles, start_time_ns: int) -> None:
         self.start_time_ns, self._files = start_time_ns, files
-        self.history, local_records = _read(files)
+        self.history, local_manifest, self._failures_length = _read(files)
         # Damaged lines are reported once.
         self._has_changes = bool(self.history.damaged)
         self._exit_stack = ExitStack()
-        writer = ManifestWriter(files.record_path(".jsonl"), local_records.manifest)
+        writer = ManifestWriter(files.record_path(".jsonl"), local_manifest)
         self._writer = self._exit_stack.enter_context(writer)
-        self._failed_length = local_records.failures
 
     def claim(self, names: Iterable[str]) -> None:
         """Record the files that are about to be written."""
@@ -210,9 +203,9 @@ class Ledger:
         """Record a failed item and the reason."""
         path = self._files.record_path(".failed.jsonl")
         self._has_changes = True
-        with LineWriter(path, FAILURES_HEADER, self._failed_length) as writer:
+        with LineWriter(path, FAILURES_HEADER, self._failures_length) as writer:
             writer.write([_failure_line(key, reason)])
-            self._failed_length = writer.length
+            self._failures_length = writer.length
         self.history.failed[key] = reason
 
     def close(self) -> None:
@@ -222,10 +215,10 @@ class Ledger:
     def merge_records(self, keep: Callable[[ItemRecord], bool]) -> None:
         """Rewrite the records of the full batch, merged with those of parts."""
         self.close()
-        merged_files = [] if self._files.part else self._files.part_files()
-        if self._files.part or not (
-            self._has_changes or any(files.has_records() for files in merged_files)
-        ):
+        if self._files.part:
+            return
+        part_records = [path for f in self._files.part_files() for path in f.records()]
+        if not (self._has_changes or any(path.exists() for path in part_records)):
             return
         manifest = self.history.manifest
         kept_records = [item for item in manifest.items.values() if keep(item)]
@@ -239,16 +232,16 @@ class Ledger:
             if name in recorded_names
             or FileState.of(path_of_name(name, root)) is not None
         ]
-        rewrite_manifest(self._files.record_path(".jsonl"), kept_records, known_names)
-        rewrite_failures(self._files.record_path(".failed.jsonl"), self.history.failed)
-        for part in merged_files:
-            part.record_path(".jsonl").unlink(missing_ok=True)
-            part.record_path(".failed.jsonl").unlink(missing_ok=True)
+        manifest_path, failures_path = self._files.records()
+        rewrite_manifest(manifest_path, kept_records, known_names)
+        rewrite_failures(failures_path, self.history.failed)
+        for path in part_records:
+            path.unlink(missing_ok=True)
 
 
 @contextmanager
 def locked_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
-    """Return a context with the records of a batch, locked against other runs."""
+    """Lock the records of a batch, or of a part of it, against other runs."""
     files = _RecordFiles(folder, name, part)
     with ExitStack() as locks:
         if part:

@@ -33,14 +33,14 @@ def variable_fault(
     entries = document.value.get(key)
     has_rows = isinstance(entries, list)
     if not has_rows and name not in (entries or {}):
-        # An override, or a value of the command line beside the batch.
+        # An override, or a value that the command line adds to those of the batch.
         return Fault(code, f"{name}: {message}", str(spec.path), hint=hint)
     return document.fault(code, (key, *([0] if has_rows else []), name), message, hint)
 
 
 @contextmanager
 def located_values(spec: BatchSpec) -> Iterator[None]:
-    """Locate faults of a scene in values of the batch where the batch gives them."""
+    """In a block, locate faults of values that the batch sets in the batch."""
     try:
         yield
     except FormatError as error:
@@ -48,7 +48,7 @@ def located_values(spec: BatchSpec) -> Iterator[None]:
 
 
 def _located(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
-    """Return the faults of a scene, those in values of the batch located there."""
+    """Return the faults of a scene; those of values from the batch located there."""
     values = {**spec.variables, **spec.rows[0]}
     documents: dict[str, Document] = {}
     located = []

@@ -107,6 +107,7 @@ class ItemRecord:
     ) -> ItemRecord:
         """Return the record of `as_dict`."""
         outputs = _nonempty_list(values, "outputs")
+        scores = list_in(values, "scores") if "scores" in values else ()
         return cls(
             text_in(values, "item"),
             text_in(values, "how", MAX_DIGEST),
@@ -115,7 +116,7 @@ class ItemRecord:
             tuple(_files_of(_nonempty_list(values, "inputs"), files)),
             tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
             integer_in(values, "at", -MAX_CLOCK, MAX_CLOCK),
-            _scores_in(values),
+            tuple(_pass_scores(object_of(entry)) for entry in scores),
         )
 
 
@@ -222,10 +223,8 @@ def _add_line(
     if "known" in line:
         manifest.known.update(texts_in(line, "known"))
     elif "file" in line:
-        number, record = (
-            integer_in(line, "file", 0, MAX_FILES),
-            FileRecord.from_dict(line),
-        )
+        number = integer_in(line, "file", 0, MAX_FILES)
+        record = FileRecord.from_dict(line)
         manifest.next_number = max(manifest.next_number, number + 1)
         if files.setdefault(number, record) != record:
             # It is unknown which of the two an item means.
@@ -248,27 +247,19 @@ class ManifestWriter(LineWriter):
 
     def claim(self, names: Iterable[str]) -> None:
         """Record the files that are about to be written."""
-        name_list = list(names)
-        name_chunks = (
-            name_list[i : i + NAMES_PER_LINE]
-            for i in range(0, len(name_list), NAMES_PER_LINE)
-        )
-        self.write({"known": chunk} for chunk in name_chunks)
+        listed_names = list(names)
+        starts = range(0, len(listed_names), NAMES_PER_LINE)
+        self.write({"known": listed_names[i : i + NAMES_PER_LINE]} for i in starts)
 
     def add(self, record: ItemRecord) -> None:
-        """Append an item."""
-        new_files = list(self._number_files(record.inputs))
-        self.write([*new_files, record.as_dict(self._files)])
-
-    def _number_files(
-        self, records: Iterable[FileRecord]
-    ) -> Iterator[dict[str, object]]:
-        """Assign numbers to new files, and yield a line for each of them."""
-        for record in records:
-            if record not in self._files:
-                number = self._files[record] = self._next_number
+        """Append an item, after a line for each file that has no number yet."""
+        lines: list[dict[str, object]] = []
+        for file in record.inputs:
+            if file not in self._files:
+                number = self._files[file] = self._next_number
                 self._next_number += 1
-                yield {"file": number, **record.as_dict()}
+                lines.append({"file": number, **file.as_dict()})
+        self.write([*lines, record.as_dict(self._files)])
 
 
 def rewrite_manifest(
@@ -282,13 +273,6 @@ def rewrite_manifest(
         writer.claim(known_names)
         for record in items:
             writer.add(record)
-
-
-def _scores_in(record: Mapping[str, Any]) -> tuple[PassScores, ...]:
-    """Return the pass scores of the record of an item."""
-    if "scores" not in record:
-        return ()
-    return tuple(_pass_scores(object_of(entry)) for entry in list_in(record, "scores"))
 
 
 def _pass_scores(record: Mapping[str, Any]) -> PassScores:

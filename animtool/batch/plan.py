@@ -45,12 +45,12 @@ class BuildReason(StrEnum):
 class Decision:
     """Whether to build an item, and the reason."""
 
-    item: Item  # the item
-    reason: BuildReason  # why it is built or skipped
+    item: Item
+    reason: BuildReason
     detail: str = ""  # the changed file, or the last failure
     # The item's record with updated file states, if files were touched but have the
     # same content.
-    refreshed: ItemRecord | None = None
+    updated_record: ItemRecord | None = None
     scores: tuple[PassScores, ...] = ()  # scores of an up-to-date item, from its record
 
     @property
@@ -94,11 +94,6 @@ class Planner:
         """Digest of the versions of the packages that build items."""
         return digest_of(package_versions())
 
-    def decisions(self, items: Sequence[Item]) -> Iterator[Decision]:
-        """Yield the decision for each item in order."""
-        for item in items:
-            yield self.decide(item)
-
     def decide(self, item: Item) -> Decision:
         """Return the decision for an item."""
         key = self.key(item)
@@ -110,12 +105,12 @@ class Planner:
             if failure is not None:
                 return Decision(item, BuildReason.FAILED, failure)
             return Decision(item, BuildReason.NEW)
-        decision = self._decide(item, record)
+        decision = self._decide_by_record(item, record)
         if decision.is_due and failure is not None:
             return Decision(item, BuildReason.FAILED, failure)
         return decision
 
-    def _decide(self, item: Item, record: ItemRecord) -> Decision:
+    def _decide_by_record(self, item: Item, record: ItemRecord) -> Decision:
         if record.settings_digest != self.settings_digest(item):
             return Decision(item, BuildReason.OPTIONS)
         if record.versions != self.versions:
@@ -135,23 +130,19 @@ class Planner:
                 if current_record is None:
                     return Decision(item, reason, file.path)
                 current_records.append(current_record)
-        if tuple(inputs) == record.inputs and tuple(outputs) == record.outputs:
-            return Decision(item, BuildReason.UP_TO_DATE, scores=record.scores)
-        refreshed = replace(
-            record, inputs=tuple(inputs), outputs=tuple(outputs), written_at=self._now
-        )
-        return Decision(
-            item, BuildReason.UP_TO_DATE, refreshed=refreshed, scores=record.scores
-        )
+        new_record: ItemRecord | None = None
+        if (tuple(inputs), tuple(outputs)) != (record.inputs, record.outputs):
+            new_record = replace(record, inputs=tuple(inputs), outputs=tuple(outputs))
+            new_record = replace(new_record, written_at=self._now)
+        return Decision(item, BuildReason.UP_TO_DATE, "", new_record, record.scores)
 
     def _unchanged_record(
         self, file: FileRecord, *, is_young: bool
     ) -> FileRecord | None:
         """Return the current record of a file; None if its content differs."""
         if file.path not in self._states:
-            self._states[file.path] = FileState.of(
-                path_of_name(file.path, self._batch.root)
-            )
+            path = path_of_name(file.path, self._batch.root)
+            self._states[file.path] = FileState.of(path)
         state = self._states[file.path]
         if state is None or file.state is None:
             return file if state is file.state else None
@@ -192,6 +183,7 @@ def check_output_files(batch: Batch) -> None:
 def _output_clashes(
     batch: Batch, resolve: Callable[[Path], Path], inputs: set[Path]
 ) -> Iterator[Fault]:
+    """Yield a fault for each output that is an input or is written twice."""
     writers: dict[str, list[tuple[Item, Path]]] = {}
     for item in batch.items:
         item_names: set[str] = set()
@@ -211,9 +203,8 @@ def _output_clashes(
     for (first_item, _), *other_writers in writers.values():
         if other_writers:
             second_item, path = other_writers[0]
-            message = (
-                f"would be written for both {first_item.label} and {second_item.label}"
-            )
+            labels = f"{first_item.label} and {second_item.label}"
+            message = f"would be written for both {labels}"
             if len(other_writers) > 1:
                 message += f", and for {len(other_writers) - 1} more"
             hint = _separating_hint(second_item, first_item, batch.items)
@@ -221,72 +212,54 @@ def _output_clashes(
 
 
 def _separating_hint(item: Item, other_item: Item, items: Sequence[Item]) -> str:
-    """Return a hint with the names that make the outputs of two items distinct.
+    """Return a hint with a name that makes the outputs of two items distinct.
 
-    Names that keep all ``items`` apart are preferred.
+    Names that make those of all ``items`` distinct are preferred.
     """
     if item.shot is not None and item.shot != other_item.shot:
         return "use {shot} in the output to keep the shots separate"
     if item.file != other_item.file:
         names, other_names = input_names(item.file), input_names(other_item.file)
-        every_names = [input_names(batch_item.file) for batch_item in items]
-        stems = {input_name["stem"] for input_name in every_names}
-        pairs = {(one["parent"], one["stem"]) for one in every_names}
-        if len(stems) < len(items) == len(pairs):
+        all_names = [input_names(batch_item.file) for batch_item in items]
+        stems = {each["stem"] for each in all_names}
+        paths = {(each["parent"], each["stem"]) for each in all_names}
+        if len(stems) < len(items) == len(paths):
             return "use {parent}/{stem} in the output to keep the inputs separate"
         for name in ("stem", "parent", "name"):
             if names[name] != other_names[name]:
                 return f"use {{{name}}} in the output to keep the inputs separate"
-    differing_values = [
-        name_
-        for name_, value in item.values.items()
-        if other_item.values.get(name_) != value
-    ]
-    if not differing_values:
-        return "these values appear twice: remove one"
-    name = differing_values[0]
-    return f"use {{{name}}} in the output to keep the variants separate"
+    for name, value in item.values.items():
+        if other_item.values.get(name) != value:
+            return f"use {{{name}}} in the output to keep the variants separate"
+    return "these values appear twice: remove one"
 
 
 def _unwritable_folders(folders: Iterable[Path]) -> Iterator[Fault]:
     """Yield a fault for each folder that is not writable."""
     checked_folders: set[Path] = set()
     for folder in folders:
-        existing_folder = next(
-            (
-                parent_folder
-                for parent_folder in (folder, *folder.parents)
-                if parent_folder.exists()
-            ),
-            Path(),
-        )
+        existing_folders = (path for path in (folder, *folder.parents) if path.exists())
+        existing_folder = next(existing_folders, Path())
         if existing_folder in checked_folders:
             continue
         checked_folders.add(existing_folder)
+        reason = None
         if not existing_folder.is_dir():
-            yield Fault(
-                "OUT002",
-                "cannot be written to: it is not a folder",
-                str(existing_folder),
-            )
+            reason = "it is not a folder"
         elif not os.access(existing_folder, os.W_OK | os.X_OK):
-            yield Fault(
-                "OUT002", "cannot be written to: no permission", str(existing_folder)
-            )
+            reason = "no permission"
+        if reason is not None:
+            message = f"cannot be written to: {reason}"
+            yield Fault("OUT002", message, str(existing_folder))
 
 
 def check_overwrites(
     batch: Batch, items: Iterable[Item], is_known: Callable[[Path], bool]
 ) -> None:
     """Raise an error for existing outputs that no run of the batch wrote."""
+    hint = f"{argument('overwrite', True)} replaces it"
     faults = [
-        Fault(
-            "OUT001",
-            "already exists",
-            str(path),
-            (),
-            f"{argument('overwrite', True)} replaces it",
-        )
+        Fault("OUT001", "already exists", str(path), (), hint)
         for item in items
         for path in batch.outputs(item)
         if path.exists() and not is_known(path)

@@ -17,7 +17,6 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, SpawnContext
 from multiprocessing.process import BaseProcess
-from pathlib import Path
 from typing import Any, cast
 
 from animtool.batch.item import Item, ItemTask
@@ -29,6 +28,7 @@ from animtool.batch.work import (
     ItemBuilder,
     ItemOutcome,
     ItemStatus,
+    memory_bytes,
     needed_modules,
     serve,
 )
@@ -82,9 +82,6 @@ class _Worker:
     start_time: float = field(default_factory=time.perf_counter)
     path: str = ""
 
-    def waits_for_item(self) -> bool:
-        return self.is_ready and self.item is None
-
     def send_item(self, item: Item) -> None:
         self.item, self.start_time = item, time.perf_counter()
         # If it has ended, its sentinel shows that.
@@ -126,12 +123,12 @@ class _Worker:
 class _Pool:
     """The worker processes of a run."""
 
-    builder: ItemBuilder  # builds the items
+    builder: ItemBuilder
     items: Iterator[Item]  # items to build
-    limits: Limits  # limits of each item
+    limits: Limits  # of each item
     # Whether to send the next item before the last outcome is received.
     queue_next: bool
-    has_more_items: bool = True  # whether there may be more items
+    has_more_items: bool = True  # False once ``items`` is exhausted
     workers: list[_Worker] = field(default_factory=list)  # live workers
     # Number of consecutive processes that ended before accepting an item.
     failed_starts: int = 0
@@ -151,7 +148,7 @@ class _Pool:
 
     def send_next_item(self, worker: _Worker) -> None:
         """Send the next item to an idle worker."""
-        if self.has_more_items and worker.waits_for_item():
+        if self.has_more_items and worker.is_ready and worker.item is None:
             item = next(self.items, None)
             self.has_more_items = item is not None
             if item is not None:
@@ -164,10 +161,9 @@ class _Pool:
             for worker in self.workers
             for key in (worker.connection, worker.process.sentinel)
         }
-        ready_handles = wait(list(workers_by_handle), self._time_left())
-        for worker in dict.fromkeys(
-            workers_by_handle[cast(Any, key)] for key in ready_handles
-        ):
+        handles = wait(list(workers_by_handle), self._time_left())
+        workers = (workers_by_handle[cast(Any, handle)] for handle in handles)
+        for worker in dict.fromkeys(workers):
             yield from self._handle_message(worker)
         for worker in list(self.workers):
             elapsed = time.perf_counter() - worker.start_time
@@ -178,17 +174,14 @@ class _Pool:
                 yield self._fail_item(worker, fault)
 
     def _handle_message(self, worker: _Worker) -> Iterator[ItemOutcome]:
-        received_message = worker.receive()
-        if received_message == READY:
+        message = worker.receive()
+        number = None if worker.item is None else worker.item.number
+        if message == READY:
             worker.is_ready, self.failed_starts = True, 0
-        elif isinstance(received_message, FileBeingRead):
+        elif isinstance(message, FileBeingRead):
             pass
-        elif (
-            isinstance(received_message, ItemOutcome)
-            and worker.item is not None
-            and received_message.number == worker.item.number
-        ):
-            yield from self._end_item(worker, received_message)
+        elif isinstance(message, ItemOutcome) and message.number == number:
+            yield from self._end_item(worker, message)
         elif not worker.is_ready:
             self._failed_to_start(worker)
         elif worker.item is None:
@@ -201,11 +194,11 @@ class _Pool:
             if worker.path and -code in CRASH_SIGNALS and code != -9:
                 yield self._fail_item(worker, crash_fault(worker.path, -code))
                 return
-            message = f"the process that built it {_exit_text(worker.process)}"
+            reason = f"the process that built it {_exit_text(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
                 hint = hint and f"raise {argument('memory_limit')}; {RESUME}"
-            yield self._fail_item(worker, Fault("BAT020", message, hint=hint))
+            yield self._fail_item(worker, Fault("BAT020", reason, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
         """Remove a worker that accepts no item; raise after too many failures."""
@@ -242,15 +235,13 @@ class _Pool:
         elapsed = time.perf_counter() - worker.start_time
         if limits.seconds is not None and elapsed > limits.seconds:
             message = f"took more than its {limits.seconds:g} s"
-            return Fault(
-                "BAT021", message, hint="raise `limits: {seconds: …}` to allow more"
-            )
-        used_memory = _used_bytes(worker.process) if limits.memory is not None else 0
-        if limits.memory is not None and used_memory > limits.memory:
-            message = f"used more than its {bytes_text(limits.memory)} of memory"
-            return Fault(
-                "BAT022", message, hint="raise `limits: {memory: …}` to allow more"
-            )
+            hint = "raise `limits: {seconds: …}` to allow more"
+            return Fault("BAT021", message, hint=hint)
+        limit = limits.memory
+        if limit is not None and _used_bytes(worker.process) > limit:
+            message = f"used more than its {bytes_text(limit)} of memory"
+            hint = "raise `limits: {memory: …}` to allow more"
+            return Fault("BAT022", message, hint=hint)
         return None
 
     def _fail_item(self, worker: _Worker, fault: Fault) -> ItemOutcome:
@@ -324,9 +315,8 @@ def run_processes(
                 pool.start()
             for worker in pool.workers:
                 pool.send_next_item(worker)
-            if not pool.has_more_items and not any(
-                worker.item for worker in pool.workers
-            ):
+            is_building = any(worker.item for worker in pool.workers)
+            if not pool.has_more_items and not is_building:
                 break
             yield from pool.outcomes()
         succeeded = True
@@ -349,7 +339,7 @@ def _start_context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
 
 @contextlib.contextmanager
 def _worker_environment() -> Iterator[None]:
-    """In a block, set `ENVIRONMENT` for processes that are started."""
+    """In a block, set `WORKER_ENVIRONMENT` for processes that are started."""
     previous_values = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
     os.environ.update(WORKER_ENVIRONMENT)
     try:
@@ -365,10 +355,8 @@ def _worker_environment() -> Iterator[None]:
 
 def _start_error(reason: str) -> OutputError:
     message = f"worker processes cannot be started: {reason}"
-    hint = (
-        f"allow more memory, or lower {argument('jobs')}; finished items are "
-        "recorded and will be skipped"
-    )
+    hint = f"allow more memory, or lower {argument('jobs')}; finished items are "
+    hint += "recorded and will be skipped"
     return OutputError(Fault("BAT071", message, hint=hint))
 
 
@@ -388,8 +376,4 @@ def _exit_text(process: BaseProcess) -> str:
 
 def _used_bytes(process: BaseProcess) -> int:
     """Return the memory that a process uses [bytes]; 0 if unknown."""
-    try:
-        pages = int(Path(f"/proc/{process.pid}/statm").read_bytes().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, IndexError, ValueError):
-        return 0
+    return (memory_bytes(process.pid) or (0, 0))[1]

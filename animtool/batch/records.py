@@ -80,10 +80,10 @@ def object_of(value: object) -> dict[str, Any]:
 
 def text_in(record: Mapping[str, Any], key: str, max_length: int = MAX_TEXT) -> str:
     """Return the text value of a key."""
-    return _text(record.get(key), key, max_length)
+    return _checked_text(record.get(key), key, max_length)
 
 
-def _text(value: object, key: str, max_length: int = MAX_TEXT) -> str:
+def _checked_text(value: object, key: str, max_length: int = MAX_TEXT) -> str:
     if not isinstance(value, str):
         raise RecordError(f"{key!r} is not text")
     if len(value) > max_length:
@@ -95,7 +95,7 @@ def _text(value: object, key: str, max_length: int = MAX_TEXT) -> str:
 
 def texts_in(record: Mapping[str, Any], key: str) -> list[str]:
     """Return the list of texts of a key, each checked as in `text_in`."""
-    return [_text(value, key) for value in list_in(record, key)]
+    return [_checked_text(value, key) for value in list_in(record, key)]
 
 
 def integer_in(
@@ -153,7 +153,7 @@ class LineReader:
         self.path, self.header = path, header
         self.length = self.number = 0
         self.damaged: dict[int, str] = {}
-        self._summed = False
+        self._has_checksums = False
 
     def lines(self) -> Iterator[dict[str, Any]]:
         """Yield all lines after the first; skip an incomplete last line.
@@ -216,30 +216,29 @@ class LineReader:
         content, checksum_text = line[:-_CHECKSUM_LENGTH], line[-_CHECKSUM_LENGTH:]
         is_valid = checksum_text == _checksum_end(content)
         record = json_object(line, refuses_duplicates=not is_valid)
-        self._summed |= is_valid
-        if not is_valid and (self._summed or "crc" in record):
+        self._has_checksums |= is_valid
+        if not is_valid and (self._has_checksums or "crc" in record):
             raise RecordError("differs from what was written")
         record.pop("crc", None)
         return record
 
     def notices(self) -> list[Fault]:
-        """Return a warning of damaged lines, if there are any."""
+        """Return one warning about all damaged lines, or none."""
         if not self.damaged:
             return []
         number, reason = next(iter(self.damaged.items()))
         count = counted(len(self.damaged), "line")
         message = f"{count} of the record cannot be used: line {number} {reason}"
         hint = "the items in them are rebuilt"
-        lines = tuple(self.damaged)[:100]
-        warning = Severity.WARNING
-        return [Fault("BAT070", message, str(self.path), lines, hint, warning)]
+        location = str(self.path), tuple(self.damaged)[:100]
+        return [Fault("BAT070", message, *location, hint, Severity.WARNING)]
 
     def _foreign_error(self, line: JsonLine) -> FormatError:
         (kind, version), *_ = self.header.items()
         message = f"is not a {kind} file of {version}"
-        file_version = line.get(kind)
-        if isinstance(file_version, str) and file_version != version:
-            message = f"is of version {file_version[:40]!r}; {version} is supported"
+        other_version = line.get(kind)
+        if isinstance(other_version, str) and other_version != version:
+            message = f"is of version {other_version[:40]!r}; {version} is supported"
         hint = "remove it to rebuild everything"
         return FormatError(Fault("BAT011", message, str(self.path), (1,), hint))
 
@@ -252,7 +251,7 @@ def _line_text(line: JsonLine) -> str:
     return json.dumps(line, separators=(",", ":"), allow_nan=False) + "\n"
 
 
-def _summed(line: JsonLine) -> bytes:
+def _with_checksum(line: JsonLine) -> bytes:
     body = _line_text(line).encode()[:-2]
     return body + _checksum_end(body)
 
@@ -294,7 +293,7 @@ class LineWriter:
 
     def write(self, lines: Iterable[JsonLine]) -> None:
         """Append lines in one call."""
-        self._write(b"".join(map(_summed, lines)))
+        self._write(b"".join(map(_with_checksum, lines)))
 
     def _write(self, data: bytes) -> None:
         try:

@@ -10,7 +10,7 @@ from typing import ClassVar
 from animtool.batch.discover import Batch
 from animtool.batch.item import Item
 from animtool.batch.plan import BuildReason
-from animtool.batch.work import BakeMeasurements, ItemOutcome, ItemStatus
+from animtool.batch.work import BakeMeasurements, ItemStatus
 from animtool.core.arguments import ArgumentNamer
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
@@ -24,10 +24,10 @@ LISTED_ITEMS = 3
 
 @dataclass(frozen=True, slots=True)
 class ItemReport:
-    """Report of an item."""
+    """Report of an item that was built, skipped or is planned."""
 
-    item: Item  # the item
-    status: ItemStatus  # its status
+    item: Item
+    status: ItemStatus
     reason: BuildReason  # why it was built or skipped
     detail: str = ""  # the changed file, or the last failure
     seconds: float = 0.0  # wall time; 0 if it was not built
@@ -45,29 +45,10 @@ class ItemReport:
         "error=measured?{meters=error joint} scores+ faults+ notices+ again+"
     )
 
-    @classmethod
-    def of(
-        cls, item: Item, reason: BuildReason, detail: str, outcome: ItemOutcome
-    ) -> ItemReport:
-        """Return the report of an item that was built or that failed."""
-        return cls(
-            item,
-            outcome.status,
-            reason,
-            detail,
-            outcome.seconds,
-            outcome.faults,
-            outcome.notices,
-            outcome.measured,
-            outcome.scores,
-        )
-
     def worded(self, namer: ArgumentNamer) -> ItemReport:
         """Return a copy whose texts name arguments as an interface does."""
-        faults, notices = (
-            tuple(fault.worded(namer) for fault in fault_list)
-            for fault_list in (self.faults, self.notices)
-        )
+        faults = tuple(fault.worded(namer) for fault in self.faults)
+        notices = tuple(notice.worded(namer) for notice in self.notices)
         return replace(self, faults=faults, notices=notices)
 
     @property
@@ -91,17 +72,16 @@ class ItemReport:
         """Reason of the failure in one line."""
         if not self.faults:
             return ""
-        more_text = (
-            f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
-        )
-        return f"{self.faults[0].code} " + self.faults[0].message + more_text
+        first_fault, *others = self.faults
+        more_text = f" (and {len(others)} more)" if others else ""
+        return f"{first_fault.code} " + first_fault.message + more_text
 
 
 @dataclass(frozen=True, slots=True)
 class BatchReport:
-    """Report of a batch."""
+    """Report of a run of a batch, or of its plan."""
 
-    batch: Batch  # the batch
+    batch: Batch
     items: tuple[ItemReport, ...]  # considered items, in order
     seconds: float  # total wall time
     notices: tuple[Fault, ...] = ()  # warnings about records of earlier runs
@@ -125,7 +105,7 @@ class BatchReport:
 
     @property
     def reasons(self) -> Counter[BuildReason]:
-        """Return the number of items for each reason."""
+        """Number of items for each reason."""
         return Counter(report.reason for report in self.items)
 
     @property
@@ -149,11 +129,7 @@ class BatchReport:
     def scored(self) -> list[ItemReport]:
         """Reports of the items whose passes have scores, worst first."""
         with_scores = [report for report in self.items if report.scores]
-        return sorted(
-            with_scores,
-            key=lambda report: sort_key_of_scores(report.scores),
-            reverse=True,
-        )
+        return sorted(with_scores, key=_scores_key, reverse=True)
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
         """Return each distinct notice with the items that have it."""
@@ -165,7 +141,7 @@ class BatchReport:
 
     @property
     def warned(self) -> list[ItemReport]:
-        """Return the reports of items with warnings."""
+        """Reports of the items with warnings."""
         return [
             report
             for report in self.items
@@ -176,6 +152,10 @@ class BatchReport:
     def exit_code(self) -> ExitCode:
         """Exit code of a process that runs the batch."""
         return ExitCode.FINDINGS if self.failed else ExitCode.OK
+
+
+def _scores_key(report: ItemReport) -> list[float]:
+    return sort_key_of_scores(report.scores)
 
 
 def _error(report: ItemReport) -> float:
@@ -189,22 +169,12 @@ def junit_report(reports: Sequence[ItemReport]) -> str:
 
 def _case(report: ItemReport) -> JunitCase:
     name = str(report.item.output)
-    warnings = [
-        notice for notice in report.notices if notice.severity is not Severity.NOTE
-    ]
-    warnings_text = "\n".join(map(str, warnings))
+    warnings = (str(n) for n in report.notices if n.severity is not Severity.NOTE)
+    output = "\n".join(warnings)
     if report.status is ItemStatus.FAILED:
-        first_fault = report.faults[0]
-        text = "\n".join(map(str, report.faults))
-        return JunitCase(
-            name,
-            "failure",
-            first_fault.code,
-            first_fault.message,
-            text,
-            warnings_text,
-            report.seconds,
-        )
+        fault, text = report.faults[0], "\n".join(map(str, report.faults))
+        cause = (fault.code, fault.message, text)
+        return JunitCase(name, "failure", *cause, output, report.seconds)
     if report.status is ItemStatus.DONE:
-        return JunitCase(name, output=warnings_text, seconds=report.seconds)
+        return JunitCase(name, output=output, seconds=report.seconds)
     return JunitCase(name, "skipped", message=str(report.reason))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from animtool.batch.discover import Batch, find_batch
@@ -100,14 +101,10 @@ def run_batch(
     if options.dry_run:
         history = read_history(batch.records, batch.name)
         planner = Planner(batch, history, verify=options.verify, force=options.force)
-        selected_items = _items_to_consider(items, options, planner, history)
-        planned_reports = [
-            _planned_report(decision) for decision in planner.decisions(selected_items)
-        ]
+        decisions = _decisions(items, options, planner, history)
+        reports = tuple(map(_planned_report, decisions))
         seconds = time.perf_counter() - start_time
-        return BatchReport(
-            batch, tuple(planned_reports), seconds, tuple(history.damaged)
-        )
+        return BatchReport(batch, reports, seconds, tuple(history.damaged))
     part = "" if options.numbers is None else "{}-{}".format(*options.numbers)
     with locked_ledger(batch.records, batch.name, part) as ledger:
         run = _BatchRun(batch, options, listener, ledger)
@@ -125,21 +122,18 @@ def _selected_items(batch: Batch, options: RunOptions) -> Sequence[Item]:
         return batch.items
     first_number, last_number = options.numbers
     if not 1 <= first_number <= last_number <= len(batch.items):
-        message = (
-            f"items {first_number} to {last_number} are not within 1 to "
-            f"{len(batch.items)}"
-        )
-        raise OptionError(Fault("BAT033", message))
+        message = f"items {first_number} to {last_number} are not within 1 to "
+        raise OptionError(Fault("BAT033", f"{message}{len(batch.items)}"))
     return batch.items[first_number - 1 : last_number]
 
 
-def _items_to_consider(
+def _decisions(
     items: Sequence[Item], options: RunOptions, planner: Planner, history: History
-) -> Sequence[Item]:
-    """Return the items to consider: all, or those that failed in the last run."""
-    if not options.retry_failed:
-        return items
-    return [item for item in items if planner.key(item) in history.failed]
+) -> Iterator[Decision]:
+    """Yield the decision for each item, or only for those that failed last time."""
+    for item in items:
+        if not options.retry_failed or planner.key(item) in history.failed:
+            yield planner.decide(item)
 
 
 def _planned_report(decision: Decision) -> ItemReport:
@@ -173,18 +167,16 @@ class _BatchRun:
     def plan(self, items: Sequence[Item]) -> None:
         """Decide which items to build, and check their outputs."""
         due_items: list[Item] = []
-        considered_items = _items_to_consider(
-            items, self.options, self.planner, self.ledger.history
-        )
-        for decision in self.planner.decisions(considered_items):
+        history = self.ledger.history
+        for decision in _decisions(items, self.options, self.planner, history):
             item = decision.item
             self.decisions[item.number] = decision
             if decision.is_due:
                 if not due_items:
                     self._executor()[0].prepare(self.batch.item_task)
                 due_items.append(item)
-            if decision.refreshed is not None:
-                self.ledger.add(decision.refreshed)
+            if decision.updated_record is not None:
+                self.ledger.add(decision.updated_record)
         self._remove_temporary_files()
         if not self.options.overwrite:
             check_overwrites(self.batch, due_items, self._is_known)
@@ -192,9 +184,8 @@ class _BatchRun:
 
     def _is_known(self, path: Path) -> bool:
         """Return whether a run of the batch wrote a file, or started to."""
-        return (
-            relative_name(path, self.batch.root) in self.ledger.history.manifest.known
-        )
+        name = relative_name(path, self.batch.root)
+        return name in self.ledger.history.manifest.known
 
     def _executor(self) -> tuple[Executor, str]:
         """Return the executor of the run, and the text after its name and ``=``."""
@@ -210,31 +201,22 @@ class _BatchRun:
 
     def build_due_items(self) -> None:
         """Build the items that the plan requires."""
-        due_items = [
-            decision.item for decision in self.decisions.values() if decision.is_due
-        ]
+        batch, decisions = self.batch, self.decisions.values()
+        due_items = [decision.item for decision in decisions if decision.is_due]
         if not due_items:
             return
         executor, argument = self._executor()
         run_executor = executor.load()
-        builder = ItemBuilder(self.batch.item_task, self.batch.root)
-        requested_jobs = self.options.jobs or self.batch.jobs
-        jobs = min(requested_jobs or _processor_count(), len(due_items))
-        items = self._start_items(due_items)
+        requested_jobs = self.options.jobs or batch.jobs
         work = Work(
-            builder,
-            items,
-            self.batch.limits,
-            jobs,
+            ItemBuilder(batch.item_task, batch.root),
+            self._start_items(due_items),
+            batch.limits,
+            min(requested_jobs or _processor_count(), len(due_items)),
             argument,
             requested_jobs,
-            (*self.batch.shared_inputs, *(item.file.path for item in due_items)),
-            (
-                self.batch.records,
-                *dict.fromkeys(
-                    folder for due_item in due_items for folder in due_item.folders
-                ),
-            ),
+            (*batch.shared_inputs, *(item.file.path for item in due_items)),
+            (batch.records, *dict.fromkeys(f for i in due_items for f in i.folders)),
             self.options.max_failures is None,
         )
         outcomes = run_executor(work)
@@ -278,15 +260,21 @@ class _BatchRun:
 
     def _record_outcome(self, outcome: ItemOutcome) -> None:
         """Add an outcome to the reports, and to the ledger if the item is built."""
-        if (
-            outcome.number not in self.started_numbers
-            or outcome.number in self.reports_by_number
-        ):
+        pending_numbers = self.started_numbers - self.reports_by_number.keys()
+        if outcome.number not in pending_numbers:
             # A plug-in's executor reported it twice, or reported an unknown item.
             return
         decision = self.decisions[outcome.number]
         item = decision.item
-        report = ItemReport.of(item, decision.reason, decision.detail, outcome)
+        report = replace(
+            _planned_report(decision),
+            status=outcome.status,
+            seconds=outcome.seconds,
+            faults=outcome.faults,
+            notices=outcome.notices,
+            measured=outcome.measured,
+            scores=outcome.scores,
+        )
         key = self.planner.key(item)
         if outcome.status is ItemStatus.DONE:
             self.ledger.add(
@@ -308,9 +296,8 @@ class _BatchRun:
 
     def should_keep(self, record: ItemRecord) -> bool:
         """Return whether any output of a recorded item exists."""
-        return any(
-            path_of_name(file.path, self.batch.root).exists() for file in record.outputs
-        )
+        paths = (path_of_name(file.path, self.batch.root) for file in record.outputs)
+        return any(path.exists() for path in paths)
 
     def reports(self) -> Iterator[ItemReport]:
         """Yield the report of every considered item, in order."""

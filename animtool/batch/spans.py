@@ -76,11 +76,7 @@ def span_of(shown_clip: ShownClip) -> Span:
     start = seconds_of(trimmed_range.start_time)
     length = seconds_of(trimmed_range.duration)
     rate, speed = exact_rate(trimmed_range.start_time.rate), speed_of(shown_clip.clip)
-    visible_begin, visible_end = (
-        (Fraction(0), length)
-        if shown_clip.visible_range is None
-        else shown_clip.visible_range
-    )
+    visible_begin, visible_end = shown_clip.visible_range or (Fraction(0), length)
     hidden_before = length - visible_end if speed < 0 else visible_begin
     return Span(
         start + hidden_before * abs(speed),
@@ -103,10 +99,9 @@ def speed_of(item: Any) -> Fraction:
             if is_time_effect(effect):
                 raise UnsupportedTimeError(f"{_effect_name(effect)} has no speed")
             continue
-        if not isfinite(scalar):
-            raise ValueError(f"it plays at {scalar:g} times its speed")
-        speed *= Fraction(float(scalar)).limit_denominator(MAX_DENOMINATOR)
-        if abs(speed) > MAX_SPEED:
+        if isfinite(scalar):
+            speed *= Fraction(float(scalar)).limit_denominator(MAX_DENOMINATOR)
+        if not isfinite(scalar) or abs(speed) > MAX_SPEED:
             raise ValueError(f"it plays at {scalar:g} times its speed")
     return speed
 
@@ -115,9 +110,9 @@ def is_time_effect(effect: Any) -> bool:
     """Return whether an effect changes times, by its kind or name."""
     import opentimelineio as otio
 
-    if isinstance(effect, otio.schema.TimeEffect):
-        return True
-    return _TIME_EFFECT_NAME.search(str(effect.effect_name or "")) is not None
+    name = str(effect.effect_name or "")
+    is_time_effect = isinstance(effect, otio.schema.TimeEffect)
+    return is_time_effect or _TIME_EFFECT_NAME.search(name) is not None
 
 
 def _effect_name(effect: Any) -> str:
@@ -162,11 +157,15 @@ class ClipVisitor:
             return
         for number, track in enumerate(tracks, 1):
             name = track.name or f"track {number}"
-            kind = getattr(track, "kind", "Video")
-            if kind != "Video":
-                self._note("BAT043", f"{name}, of type {kind}, is skipped")
-            elif not self._is_disabled(track, name):
+            if self._is_video(track, name) and not self._is_disabled(track, name):
                 self._visit_item(track, name, name, window, Fraction(0), tracks_speed)
+
+    def _is_video(self, item: Any, item_text: str) -> bool:
+        """Return whether a track or stack is a video track; else note that."""
+        kind = getattr(item, "kind", "Video")
+        if kind != "Video":
+            self._note("BAT043", f"{item_text}, of type {kind}, is skipped")
+        return bool(kind == "Video")
 
     def _is_disabled(self, item: Any, item_text: str) -> bool:
         if getattr(item, "enabled", True):
@@ -196,26 +195,19 @@ class ClipVisitor:
         begin: Fraction,
         speed: Fraction,
     ) -> None:
-        """Visit an item at a time in its parent, of which a window is visible.
+        """Visit an item that begins at a time in its parent [s].
 
-        window: visible window of the parent; begin: start of the item in it [s]; speed:
-        of the parent.
+        ``window`` is the visible part of the parent, ``speed`` that of the parent.
         """
         visible_part: Window = None
         if window is not None:
             item_end = begin + duration_of(item)
             if not max(begin, window[0]) < min(item_end, window[1]):
-                self.skip_item(
-                    item,
-                    "BAT043",
-                    f"{item_text} is trimmed away",
-                    severity=Severity.NOTE,
-                )
+                reason = f"{item_text} is trimmed away"
+                self.skip_item(item, "BAT043", reason, Severity.NOTE)
                 return
-            visible_part = (
-                max(begin, window[0]) - begin,
-                min(item_end, window[1]) - begin,
-            )
+            visible_end = min(item_end, window[1])
+            visible_part = max(begin, window[0]) - begin, visible_end - begin
         if not hasattr(item, "find_children"):
             self.clips.append(ShownClip(item, path, item_text, visible_part, speed))
             return
@@ -248,19 +240,11 @@ class ClipVisitor:
                         child, child_text, parent_text, window, child_begin, speed
                     )
             elif isinstance(child, otio.core.Composition):
-                child_path = (
-                    f"{parent_text}/{child.name}" if child.name else parent_text
-                )
-                kind = getattr(child, "kind", "Video")
-                if kind != "Video":
-                    self._note("BAT043", f"{child_path}, of type {kind}, is skipped")
-                elif not self._is_disabled(child, child_path):
-                    self._note(
-                        "BAT043", f"{child_path} is nested; its clips become shots"
-                    )
-                    self._visit_item(
-                        child, child_path, child_path, window, child_begin, speed
-                    )
+                path = f"{parent_text}/{child.name}" if child.name else parent_text
+                if self._is_video(child, path) and not self._is_disabled(child, path):
+                    message = f"{path} is nested; its clips become shots"
+                    self._note("BAT043", message)
+                    self._visit_item(child, path, path, window, child_begin, speed)
 
 
 def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]:
@@ -277,9 +261,7 @@ def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]
     first_time, length = Fraction(0), duration_of(item)
     if source_range is not None:
         first_time = seconds_of(source_range.start_time)
-    part_begin, part_end = (
-        (Fraction(0), length) if visible_range is None else visible_range
-    )
+    part_begin, part_end = visible_range or (Fraction(0), length)
     return (first_time + part_begin * speed, first_time + part_end * speed), speed
 
 
@@ -302,12 +284,10 @@ def duration_of(item: Any) -> Fraction:
     if not isinstance(item, schema.Track):
         return max(durations, default=Fraction(0))
     length = sum(durations, Fraction(0))
-    outer_offsets = (
-        [(item[0], "in_offset"), (item[-1], "out_offset")] if len(item) else []
-    )
-    for child, offset_name in outer_offsets:
-        if isinstance(child, schema.Transition):
-            length += seconds_of(getattr(child, offset_name))
+    if len(item) and isinstance(item[0], schema.Transition):
+        length += seconds_of(item[0].in_offset)
+    if len(item) and isinstance(item[-1], schema.Transition):
+        length += seconds_of(item[-1].out_offset)
     return length
 
 
@@ -315,7 +295,4 @@ def _clip_names(item: Any) -> list[str]:
     """Return the name of an item and the names of the clips in it."""
     if not hasattr(item, "find_children"):
         return [item.name or ""]
-    names = []
-    for child in item:
-        names += _clip_names(child)
-    return names
+    return [name for child in item for name in _clip_names(child)]

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import field, replace
 from fractions import Fraction
 from functools import cache
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 
 from animtool.batch.variants import Variants
@@ -87,11 +88,8 @@ def relative_name(path: Path, root: Path) -> str:
     # The target of a step up is unknown if a folder is a link.
     if PARENT_FOLDER in absolute.parts or PARENT_FOLDER in root.parts:
         return absolute.as_posix()
-    common_count = 0
-    for component, root_component in zip(absolute.parts, root.parts, strict=False):
-        if component != root_component:
-            break
-        common_count += 1
+    pairs = zip(absolute.parts, root.parts, strict=False)
+    common_count = len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
     if common_count < 2:
         return absolute.as_posix()
     steps = [PARENT_FOLDER] * (len(root.parts) - common_count)
@@ -107,12 +105,10 @@ def path_of_name(name: str, root: Path) -> Path:
     path = Path(name)
     if path.is_absolute():
         return path
-    steps = 0
-    while steps < len(path.parts) and path.parts[steps] == PARENT_FOLDER:
-        steps += 1
+    up_count = len(list(takewhile(PARENT_FOLDER.__eq__, path.parts)))
     # The topmost folder is its own parent.
-    ancestor = (root, *root.parents)[min(steps, len(root.parents))]
-    return ancestor.joinpath(*path.parts[steps:])
+    ancestor = (root, *root.parents)[min(up_count, len(root.parents))]
+    return ancestor.joinpath(*path.parts[up_count:])
 
 
 PACKAGES = ("animtool", "numpy", "scipy", "usd-core")
@@ -158,16 +154,14 @@ class Override:
     variables: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, names: Collection[str]) -> Override:
-        """Return a copy without the values of the given names."""
-        remaining = {
-            name: value for name, value in self.variables.items() if name not in names
-        }
-        return replace(self, variables=remaining)
+        """Return a copy without the values of some names."""
+        items = self.variables.items()
+        return replace(self, variables={n: v for n, v in items if n not in names})
 
 
 @dataclass(frozen=True, slots=True)
 class BatchSpec:
-    """The spec of a batch.
+    """What a batch reads, builds and writes, before its inputs are searched for.
 
     Attributes:
         inputs: Files, folders and globs, relative to ``folder``; a timeline among them

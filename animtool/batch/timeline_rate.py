@@ -39,11 +39,9 @@ def edl_rate(edl: Edl, requested_fps: Fraction | None) -> Fraction:
     if edl.has_drop_frame:
         message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
         hint = SET_RATE_HINT.format("30000/1001", "60000/1001")
-    elif edl.max_frame_label > 0:
-        message += (
-            f"; the highest frame label is {edl.max_frame_label:02d}, so the rate is "
-        )
-        message += f"above {edl.max_frame_label} fps"
+    elif (label := edl.max_frame_label) > 0:
+        message += f"; the highest frame label is {label:02d}, so the rate is above "
+        message += f"{label} fps"
     raise OptionError(Fault("BAT054", message, path, (), hint))
 
 
@@ -85,17 +83,14 @@ def timeline_rate(
     common_rate, count = rates.most_common(1)[0]
     if len(rates) == 1:
         return common_rate, []
-    rate_list = ", ".join(
-        f"{clip_count} at {rate_label(rate)}"
-        for rate, clip_count in rates.most_common()
-    )
+    counts = (f"{number} at {rate_label(rate)}" for rate, number in rates.most_common())
+    rate_list = ", ".join(counts)
     message = f"states no rate, and its clips and gaps use several: {rate_list}"
     if 2 * count <= total:
         raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
     message += f"; using {rate_label(common_rate)}"
-    return common_rate, [
-        Fault("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
-    ]
+    notice = ("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
+    return common_rate, [Fault(*notice)]
 
 
 def _checked_rate(
@@ -103,10 +98,8 @@ def _checked_rate(
 ) -> Fraction:
     """Return the stated rate; raise BAT051 if another rate is requested."""
     if requested_rate is not None and requested_rate != stated_rate:
-        message = (
-            f"has {rate_label(stated_rate)}, "
-            f"but {rate_label(requested_rate)} was requested"
-        )
+        message = f"has {rate_label(stated_rate)}, but "
+        message += f"{rate_label(requested_rate)} was requested"
         hint = "shots are written at the rate of their timeline"
         raise OptionError(Fault("BAT051", message, path, (), hint))
     return stated_rate
@@ -126,8 +119,6 @@ def picture_rates(composition: Any) -> Iterator[Fraction]:
         if span is None:
             media = getattr(child, "media_reference", None)
             span = getattr(media, "available_range", None)
-        if (
-            span is not None
-            and MIN_MEDIA_RATE <= span.start_time.rate <= MAX_MEDIA_RATE
-        ):
-            yield rate_from_float(span.start_time.rate)
+        rate = 0.0 if span is None else span.start_time.rate
+        if MIN_MEDIA_RATE <= rate <= MAX_MEDIA_RATE:
+            yield rate_from_float(rate)

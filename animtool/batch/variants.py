@@ -89,8 +89,7 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
         hint = f"write {name}={suggested_range}" if suggested_range else hint
         if "=" not in text:
             message = f"{marker}: the sign = is missing"
-            assignment_hint = _assignment_hint(text)
-            faults.append(Fault("BAT064", message, hint=assignment_hint))
+            faults.append(Fault("BAT064", message, hint=_assignment_hint(text)))
         elif i in problems:
             faults.append(Fault("BAT063", f"{marker}: {problems[i]}", hint=hint))
         else:
@@ -123,7 +122,7 @@ def _assignment_hint(text: str) -> str:
 
 
 def _translate_range(text: str) -> str | None:
-    """Convert a range from another notation to animtool's; None if it is no range.
+    """Convert a range with colons or dots to animtool's; None if it is not one.
 
     >>> texts = ("50:200:50", "50:50:200", "01:00:00")
     >>> tuple(map(_translate_range, texts))
@@ -139,7 +138,7 @@ def _translate_range(text: str) -> str | None:
 
 
 def translate_range(text: str) -> str | None:
-    """Convert a range, also one with a hyphen; None if it is none.
+    """Convert a range that may have a hyphen, too; None if it is not a range.
 
     >>> tuple(map(translate_range, ("1-4", "50:200:50", "2 - 12", "4-1", "walk-2")))
     ('1..4', '50..200/50', '2..12', None, None)
@@ -228,12 +227,10 @@ def name_problems(
     for i, name in enumerate(names):
         is_duplicate = name in previous_names
         previous_names.add(name)
-        if not is_variable_name(name):
-            valid_names = "a name of letters, digits and _"
-            problem = (
-                f"{excerpt(name)} is not {valid_names}" if name else "a name is missing"
-            )
-            yield i, problem
+        if not name:
+            yield i, "a name is missing"
+        elif not is_variable_name(name):
+            yield i, f"{excerpt(name)} is not a name of letters, digits and _"
         elif name in reserved_names:
             yield i, f"{name!r} is reserved here"
         elif is_duplicate:
@@ -267,9 +264,8 @@ def read_variants(path: Path) -> Variants:
     separator = "\t" if path.suffix.lower() == ".tsv" else ","
     # One line more than allowed is enough to detect the excess.
     max_lines = MAX_VARIANTS + 2
-    lines = list(
-        itertools.islice(_parse_lines(read_text(path), separator, path), max_lines)
-    )
+    parsed_lines = _parse_lines(read_text(path), separator, path)
+    lines = list(itertools.islice(parsed_lines, max_lines))
     if len(lines) < 2:
         message = "has no rows" if lines else "is empty"
         hint = "the first line names the columns; every other line is a variant"
@@ -278,15 +274,9 @@ def read_variants(path: Path) -> Variants:
     separator_hint = None
     if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
         separator_hint = "separate columns by commas, or by tabs in a .tsv file"
+    header = (str(path), (lines[0][0],), separator_hint)
     faults = [
-        Fault(
-            "BAT063",
-            message,
-            str(path),
-            (lines[0][0],),
-            separator_hint,
-            column=columns[i],
-        )
+        Fault("BAT063", message, *header, column=columns[i])
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:
@@ -325,9 +315,8 @@ def _parse_lines(
         except (csv.Error, ValueError) as error:
             message = f"cannot be read as a table: {error}"
             hint = "inside quotes, double a quote; values cannot contain line ends"
-            raise FormatError(
-                Fault("BAT061", message, str(path), (number,), hint, column=1)
-            ) from error
+            fault = Fault("BAT061", message, str(path), (number,), hint, column=1)
+            raise FormatError(fault) from error
         columns = _value_columns(line, separator)
         # Readers disagree on quotes inside a value.
         columns += columns[-1:] * (len(values) - len(columns))
@@ -340,9 +329,8 @@ def _parse_line(line: str, separator: str) -> list[str]:
         raise ValueError(f"a line can have up to {MAX_LINE} characters")
     (values,) = csv.reader(io.StringIO(line), delimiter=separator, strict=True)
     if len(values) > MAX_COLUMNS:
-        raise ValueError(
-            f"the table has {len(values)} columns; the limit is {MAX_COLUMNS}"
-        )
+        message = f"the table has {len(values)} columns; the limit is {MAX_COLUMNS}"
+        raise ValueError(message)
     return values
 
 

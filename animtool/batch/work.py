@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from enum import StrEnum
 from importlib import import_module
 from multiprocessing.connection import Connection
@@ -54,9 +54,9 @@ class BakeMeasurements:
 
 @dataclass(frozen=True, slots=True)
 class ItemOutcome:
-    """Outcome of building an item."""
+    """Result of building an item: files, measurements and notices, or faults."""
 
-    number: int  # number of the item
+    number: int  # of the item
     status: ItemStatus  # done or failed
     seconds: float  # wall time
     faults: tuple[Fault, ...] = ()  # why it failed
@@ -99,10 +99,8 @@ class ItemBuilder:
         except Exception as error:
             kind, is_retired = type(error).__name__, True
             message = f"internal error: {kind}: {excerpt(str(error), 200)}"
-            hint = (
-                f"please report it; {argument('executor', 'serial')} "
-                f"{argument('debug', True)} shows where"
-            )
+            hint = f"please report it; {argument('executor', 'serial')} "
+            hint += f"{argument('debug', True)} shows where"
             faults = (Fault("BAT023", message, _item_path(item), (), hint),)
         finally:
             _forget_layers()
@@ -128,17 +126,14 @@ class ItemBuilder:
             record_of(path, relative_name(path, self.root), FileState.of(path))
             for path in paths
         )
-        written_at = max(
-            file.state.changed_at for file in outputs if file.state is not None
-        )
+        written_at = max(file.state.changed_at for file in outputs if file.state)
+        notices = (notice for report in reports for notice in report.notices)
         return ItemOutcome(
             item.number,
             ItemStatus.DONE,
             time.perf_counter() - start_time,
             (),
-            tuple(
-                dict.fromkeys(notice for report in reports for notice in report.notices)
-            ),
+            tuple(dict.fromkeys(notices)),
             _measurements(reports),
             tuple(reports[0].scores),
             self._input_records(inputs, written_at),
@@ -167,11 +162,7 @@ def _measurements(reports: Sequence[OutputReport]) -> BakeMeasurements:
     """Return the total number of samples and the largest error of all outputs."""
     measurements = [_output_measurements(report) for report in reports]
     largest = max(measurements, key=lambda measurement: measurement.error)
-    return BakeMeasurements(
-        sum(measurement.samples for measurement in measurements),
-        largest.error,
-        largest.joint,
-    )
+    return replace(largest, samples=sum(each.samples for each in measurements))
 
 
 def _output_measurements(report: OutputReport) -> BakeMeasurements:
@@ -181,11 +172,10 @@ def _output_measurements(report: OutputReport) -> BakeMeasurements:
         worst_take = report.worst
         error = worst_take.written.rounding.error
         return BakeMeasurements(report.result.samples, error, worst_take.error_joint)
-    if report.reduction is None:
+    reduction = report.reduction
+    if reduction is None:
         return BakeMeasurements(report.frames, 0.0, "")
-    return BakeMeasurements(
-        report.frames, report.reduction.error, report.reduction.joint
-    )
+    return BakeMeasurements(report.frames, reduction.error, reduction.joint)
 
 
 def _item_path(item: Item) -> str:
@@ -193,7 +183,7 @@ def _item_path(item: Item) -> str:
 
 
 def _forget_layers() -> None:
-    """Release USD layers that are still in memory and may be outdated."""
+    """Release USD layers in memory: their files may change before the next item."""
     if "animtool.usd.layers.sdf" in sys.modules:
         from animtool.usd.layers.sdf import forget_layers
 
@@ -266,7 +256,7 @@ class FileBeingRead:
 def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> None:
     """Receive items, build them and send their outcomes until None is received.
 
-    ``memory`` is the memory limit [bytes].
+    ``memory`` is the memory limit of this process [bytes]; None for no limit.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     follow_parent()
@@ -298,20 +288,24 @@ def _limit_memory(memory: int) -> None:
         return
     import resource
 
-    mapped_memory = mapped_bytes()
-    if mapped_memory is not None:
+    if process_memory := memory_bytes():
         with contextlib.suppress(OSError, ValueError):
             hard_limit = resource.getrlimit(resource.RLIMIT_AS)[1]
-            limit = mapped_memory + memory
+            limit = process_memory[0] + memory
             if hard_limit != resource.RLIM_INFINITY:
                 limit = min(limit, hard_limit)
             resource.setrlimit(resource.RLIMIT_AS, (limit, hard_limit))
 
 
-def mapped_bytes() -> int | None:
-    """Return the mapped memory of this process [bytes]; None if unknown."""
+def memory_bytes(process_id: int | None = None) -> tuple[int, int] | None:
+    """Return the mapped and the resident memory of a process [bytes].
+
+    Without an id it is this process. Returns None if the memory is unknown.
+    """
     try:
-        with open("/proc/self/statm", "rb") as file:  # noqa: PTH123
-            return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
+        with open(f"/proc/{process_id or 'self'}/statm", "rb") as file:  # noqa: PTH123
+            mapped_pages, resident_pages = map(int, file.read().split()[:2])
+    except (OSError, ValueError):
         return None
+    page_size = os.sysconf("SC_PAGE_SIZE")
+    return mapped_pages * page_size, resident_pages * page_size
