@@ -103,7 +103,6 @@ OPENED = {
     "animtool.core.files.reading": "what is named, once it was looked at",
     "animtool.batch.ledger": "a lock that it writes",
     "animtool.batch.records": "a record that it writes",
-    "animtool.batch.pool": "/proc",
     "animtool.batch.timeline": "a cut list that timeline_text has looked at",
     "animtool.batch.work": "/proc",
     "animtool.core.files.leftovers": "/proc",

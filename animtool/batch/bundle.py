@@ -64,13 +64,13 @@ class Bundle:
 
     template: Mapping[str, Any]  # template of the job
     values: Mapping[str, str]  # values of parameters without a default
-    items: int  # number of items
-    chunk: int  # number of items per task
+    item_count: int
+    chunk_size: int  # number of items per task
 
     @property
-    def tasks(self) -> int:
+    def task_count(self) -> int:
         """Number of tasks that build the items."""
-        return -(-self.items // self.chunk)
+        return -(-self.item_count // self.chunk_size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,8 @@ class WrittenBundle:
     files: list[Path]  # the template first
     bundle: Bundle
     json_keys: ClassVar[str] = (
-        "'job' files items=bundle.items chunk=bundle.chunk tasks=bundle.tasks run"
+        "'job' files items=bundle.item_count chunk=bundle.chunk_size "
+        "tasks=bundle.task_count run"
     )
 
     @property
@@ -97,26 +98,26 @@ class WrittenBundle:
 def mean_seconds(path: Path) -> float:
     """Return the mean build time of an item from a batch's JSON report [s]."""
     try:
-        items = list_in(json_of_file(path, MAX_REPORT_BYTES), "items")
-        seconds = [
+        item_records = list_in(json_of_file(path, MAX_REPORT_BYTES), "items")
+        item_seconds = [
             number_in(item, "seconds")
-            for item in map(object_of, items)
+            for item in map(object_of, item_records)
             if text_in(item, "status") == ItemStatus.DONE
         ]
     except RecordError as error:
-        options = (flag("items", "1-20"), flag("force"), flag("format", "json"))
-        hint = f"animtool batch JOB {' '.join(options)} writes one"
+        report_options = (flag("items", "1-20"), flag("force"), flag("format", "json"))
+        hint = f"animtool batch JOB {' '.join(report_options)} writes one"
         message = f"is not the report of a batch: {error}"
         raise FormatError(Fault("BAT037", message, str(path), (), hint)) from error
-    if not seconds:
+    if not item_seconds:
         hint = f"{argument('force', True)} also rebuilds what is up to date"
         fault = Fault("BAT037", "reports no item that was built", str(path), (), hint)
         raise FormatError(fault)
-    return min(sum(seconds) / len(seconds), MAX_SECONDS)
+    return min(sum(item_seconds) / len(item_seconds), MAX_SECONDS)
 
 
 def chunk_size(
-    items: int, seconds: float | None = None, task_seconds: float = TASK_SECONDS
+    item_count: int, seconds: float | None = None, task_seconds: float = TASK_SECONDS
 ) -> int:
     """Return the number of items per task, given the seconds per item and per task.
 
@@ -124,8 +125,8 @@ def chunk_size(
     (240, 100, 10)
     """
     if seconds is None:
-        return min(DEFAULT_CHUNK, items)
-    return max(1, min(items, round(task_seconds / max(seconds, 1e-6))))
+        return min(DEFAULT_CHUNK, item_count)
+    return max(1, min(item_count, round(task_seconds / max(seconds, 1e-6))))
 
 
 def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: CutArguments) -> Bundle:

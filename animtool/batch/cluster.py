@@ -66,17 +66,17 @@ def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
     the same paths on all machines. Workers with different files or versions are
     excluded with a warning.
     """
-    argument = work.argument
-    is_file = argument.endswith(".json")
-    if not (is_file or ADDRESS_PATTERN.fullmatch(argument)):
-        message = f"{excerpt(argument)} is not the address of a dask scheduler"
+    location = work.argument
+    is_file = location.endswith(".json")
+    if not (is_file or ADDRESS_PATTERN.fullmatch(location)):
+        message = f"{excerpt(location)} is not the address of a dask scheduler"
         hint = "write it as dask=tcp://host:8786 or dask=scheduler.json"
         raise OptionError(Fault("BAT031", message, hint=hint))
     if importlib.util.find_spec("distributed") is None:
         message = "the dask executor needs the package distributed"
         hint = "pip install 'animtool[farm]'"
         raise OptionError(Fault("IO005", message, hint=hint))
-    return _outcomes(work, scheduler_address(Path(argument)) if is_file else argument)
+    return _outcomes(work, scheduler_address(Path(location)) if is_file else location)
 
 
 def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
@@ -87,12 +87,12 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
             run = _ClusterRun(client, name, work, tokens)
             # dask calls back in one thread for all clients of a process; waiting for a
             # lost result there would block them.
-            queues = (run.finished, run.results)
+            queues = (run.finished_futures, run.results)
             Thread(target=_fetch_results, args=queues, daemon=True).start()
             try:
                 yield from run.outcomes()
             finally:
-                run.finished.put(None)
+                run.finished_futures.put(None)
     finally:
         leave_cluster(client, name)
 
@@ -114,7 +114,7 @@ class _ClusterWorker:
     """State of one worker of the cluster."""
 
     address: str
-    threads: int  # number of threads
+    thread_count: int  # number of threads
     is_fit: bool | None = None  # whether it may build items; None until it is checked
     host: str = ""  # name of its machine
     running_count: int = 0  # number of running items
@@ -122,7 +122,9 @@ class _ClusterWorker:
 
     def has_room(self, *, queue_next: bool) -> bool:
         """Return whether to send another item; ``queue_next`` allows one extra item."""
-        return self.running_count < self.threads + (queue_next and self.built_count > 0)
+        return self.running_count < self.thread_count + (
+            queue_next and self.built_count > 0
+        )
 
     def __str__(self) -> str:
         return f"{self.address} ({self.host})" if self.host else self.address
@@ -146,66 +148,72 @@ class _ClusterRun:
     # Content by path of files by which workers recognise the output disks.
     tokens: Mapping[str, str]
     workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # live workers
-    sent: dict[Any, _SentItem] = field(default_factory=dict)  # running tasks by future
-    finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # finished futures
+    sent_items: dict[Any, _SentItem] = field(
+        default_factory=dict
+    )  # running tasks by future
+    finished_futures: SimpleQueue[Any] = field(
+        default_factory=SimpleQueue
+    )  # finished futures
     results: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # their results
     # Items to send to another worker.
     items_to_resend: list[Item] = field(default_factory=list)
     # Number of losses by item number.
-    losses: dict[int, int] = field(default_factory=dict)
+    loss_counts: dict[int, int] = field(default_factory=dict)
     # Outcomes whose files are not visible yet, with the deadline.
     undelivered: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
         default_factory=list
     )
     pending_warnings: list[Fault] = field(default_factory=list)
     delivery: Delivery = field(init=False)
-    check: bytes = field(init=False)  # pickled `WorkerCheck`
-    build: Callable[[bytes], ItemOutcome | None] = field(init=False)
+    pickled_check: bytes = field(init=False)  # pickled `WorkerCheck`
+    build_item: Callable[[bytes], ItemOutcome | None] = field(init=False)
     _last_worker_time: float = field(default_factory=time.monotonic)
     _warned_of_no_workers: bool = False  # whether the lack of workers was reported
 
     def __post_init__(self) -> None:
         self.delivery = Delivery(self.work.builder.root)
-        self.build = build_task(self.name)  # pickled only once
+        self.build_item = build_task(self.name)  # pickled only once
         task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
         inputs = tuple(self.delivery.input_checks(self.work.inputs))
-        self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
+        self.pickled_check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
 
     def outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield the outcome of every item, and warnings about workers."""
         last_count_time = -POLL_INTERVAL
         while True:
             if time.monotonic() - last_count_time >= POLL_INTERVAL:
-                yield from self._reclaim_lost_items(self._addresses())
+                yield from self._reclaim_lost_items(self._thread_counts())
                 last_count_time = time.monotonic()
-            has_more = self._send()
+            has_more = self._send_items()
             yield from self.pending_warnings
             self.pending_warnings.clear()
             if has_more and not self.undelivered:
-                self._refuse_unfit()
-            is_building = any(sent_item.item for sent_item in self.sent.values())
+                self._raise_if_all_excluded()
+            is_building = any(sent_item.item for sent_item in self.sent_items.values())
             if not (has_more or self.undelivered or is_building):
                 return
             with suppress(Empty):
                 future, value = self.results.get(timeout=POLL_INTERVAL)
-                if future in self.sent:
-                    yield from self._handle_answer(self.sent.pop(future), value)
+                if future in self.sent_items:
+                    yield from self._handle_answer(self.sent_items.pop(future), value)
             yield from self._delivered_outcomes()
 
-    def _addresses(self) -> Mapping[str, int]:
+    def _thread_counts(self) -> Mapping[str, int]:
         """Return the number of threads of each current worker, by address."""
         if self.client.status in {"closing", "closed"}:
             reason = "the scheduler has stopped"
             raise unusable_cluster_error(self.work.argument, reason, RESUME)
         try:
-            threads: Mapping[str, int] = self.client.nthreads(callback_timeout=TIMEOUT)
+            thread_counts: Mapping[str, int] = self.client.nthreads(
+                callback_timeout=TIMEOUT
+            )
         except (OSError, RuntimeError):
             # The client searches for its scheduler again, and closes if it is gone.
-            threads = {}
+            thread_counts = {}
         current_time = time.monotonic()
-        if threads:
+        if thread_counts:
             self._last_worker_time, self._warned_of_no_workers = current_time, False
-            return threads
+            return thread_counts
         if current_time - self._last_worker_time > MAX_WORKERLESS_SECONDS:
             reason = f"it has had no worker for {MAX_WORKERLESS_SECONDS:g} s"
             raise unusable_cluster_error(self.work.argument, reason, RESUME)
@@ -215,22 +223,22 @@ class _ClusterRun:
             message += f"waiting up to {MAX_WORKERLESS_SECONDS:g} s for one"
             hint = "start workers: dask worker ADDRESS"
             self.pending_warnings.append(warning("BAT076", message, hint))
-        return threads
+        return thread_counts
 
     def _reclaim_lost_items(
-        self, addresses: Mapping[str, int]
+        self, thread_counts: Mapping[str, int]
     ) -> Iterator[ItemOutcome]:
         """Reclaim the items of lost workers and start the checks of new workers."""
-        for address in self.workers.keys() - addresses.keys():
+        for address in self.workers.keys() - thread_counts.keys():
             worker = self.workers.pop(address)
-            for future, sent_item in list(self.sent.items()):
+            for future, sent_item in list(self.sent_items.items()):
                 if sent_item.worker is worker:
                     future.cancel()
-                    del self.sent[future]
+                    del self.sent_items[future]
                     reason = "the worker has stopped"
                     yield from self._resend_lost_item(sent_item, reason)
-        for address in addresses.keys() - self.workers.keys():
-            self.workers[address] = _ClusterWorker(address, addresses[address])
+        for address in thread_counts.keys() - self.workers.keys():
+            self.workers[address] = _ClusterWorker(address, thread_counts[address])
             self._start_check(self.workers[address])
 
     def _resend_lost_item(
@@ -241,8 +249,8 @@ class _ClusterRun:
         if sent_item.item is None:
             return
         number = sent_item.item.number
-        self.losses[number] = self.losses.get(number, 0) + 1
-        if self.losses[number] < MAX_LOSSES:
+        self.loss_counts[number] = self.loss_counts.get(number, 0) + 1
+        if self.loss_counts[number] < MAX_LOSSES:
             self.items_to_resend.append(sent_item.item)
             return
         message = f"{MAX_LOSSES} workers were lost while they built it: the last, "
@@ -254,21 +262,21 @@ class _ClusterRun:
 
     def _start_check(self, worker: _ClusterWorker) -> None:
         task = check_task(self.name, builder_versions())
-        self._submit(task, self.check, _SentItem(worker))
+        self._submit(task, self.pickled_check, _SentItem(worker))
 
     def _submit(self, function: Any, argument: bytes, sent_item: _SentItem) -> None:
         future = self.client.submit(
             function, argument, pure=False, workers=[sent_item.worker.address]
         )
-        self.sent[future] = sent_item
-        future.add_done_callback(self.finished.put)
+        self.sent_items[future] = sent_item
+        future.add_done_callback(self.finished_futures.put)
 
-    def _send(self) -> bool:
+    def _send_items(self) -> bool:
         """Send items to workers with free threads; return whether any items remain."""
         fit_workers = [worker for worker in self.workers.values() if worker.is_fit]
         total_running = sum(worker.running_count for worker in fit_workers)
         requested_count = self.work.requested_jobs
-        threads = sum(worker.threads for worker in fit_workers)
+        threads = sum(worker.thread_count for worker in fit_workers)
         # If every thread is busy, the next item is queued at the worker, so that its
         # transfer takes no time later.
         queue_next = self.work.queue_next and (
@@ -286,13 +294,13 @@ class _ClusterRun:
             item = resent_items.pop(0) if resent_items else next(self.work.items, None)
             if item is None:
                 return False
-            worker = min(idle_workers, key=lambda w: w.running_count / w.threads)
+            worker = min(idle_workers, key=lambda w: w.running_count / w.thread_count)
             worker.running_count += 1
             total_running += 1
-            self._submit(self.build, pickle.dumps(item), _SentItem(worker, item))
+            self._submit(self.build_item, pickle.dumps(item), _SentItem(worker, item))
         return True
 
-    def _refuse_unfit(self) -> None:
+    def _raise_if_all_excluded(self) -> None:
         """Raise an error if all workers were checked and none is fit."""
         workers = self.workers.values()
         if workers and all(worker.is_fit is False for worker in workers):
@@ -332,21 +340,21 @@ class _ClusterRun:
         if isinstance(value, tuple):
             worker.host, code, reason = value
             worker.is_fit = not code
-        elif worker.address not in self._addresses():
+        elif worker.address not in self._thread_counts():
             return
         else:
             worker.is_fit, code = False, INPUTS_CODE
             reason = f"it cannot be checked: {type(value).__name__}: {value}"
         if not worker.is_fit:
-            yield from self._exclude(worker, code, reason)
+            yield from self._exclude_worker(worker, code, reason)
 
-    def _exclude(
+    def _exclude_worker(
         self, worker: _ClusterWorker, code: str, reason: str
     ) -> Iterator[Fault]:
         """Stop sending items to a worker, and yield one warning about it."""
         worker.is_fit = False
         message = f"worker {worker} is excluded: {excerpt(reason, 400)[1:-1]}"
-        yield warning(code, message, _HINTS[code])
+        yield warning(code, message, EXCLUSION_HINTS[code])
 
     def _accept_outcome(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
@@ -355,14 +363,14 @@ class _ClusterRun:
 
         If the worker's inputs differ, another worker builds the item.
         """
-        other_inputs = self.delivery.differing_inputs(outcome)
+        other_inputs = self.delivery.inputs_that_differ(outcome)
         changed_inputs = self.delivery.locally_changed(other_inputs)
         if changed_inputs:
             yield ItemOutcome.failed(item, *changed_error(*changed_inputs).faults)
         elif other_inputs:
             reason = "it has different files with the same names: "
             reason += listed(other_inputs, 2)
-            yield from self._exclude(worker, INPUTS_CODE, reason)
+            yield from self._exclude_worker(worker, INPUTS_CODE, reason)
             self.items_to_resend.append(item)
         else:
             deadline = time.monotonic() + MAX_DELIVERY_SECONDS
@@ -384,7 +392,7 @@ class _ClusterRun:
                 if worker.is_fit:
                     folder = str(item.output.parent)
                     reason = f"its {folder!r} is not the folder of this machine"
-                    yield from self._exclude(worker, DISK_CODE, reason)
+                    yield from self._exclude_worker(worker, DISK_CODE, reason)
 
     def _accept_failure(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
@@ -401,10 +409,10 @@ class _ClusterRun:
         self.items_to_resend.append(item)
         if worker.is_fit:
             reason = f"it cannot read {listed(unreadable_inputs, 2)}"
-            yield from self._exclude(worker, INPUTS_CODE, reason)
+            yield from self._exclude_worker(worker, INPUTS_CODE, reason)
 
 
-_HINTS = {
+EXCLUSION_HINTS = {
     "BAT036": "install the same versions on every machine: results are then equal to "
     "the byte",
     INPUTS_CODE: "mount the input folders under the same paths on every machine",

@@ -41,13 +41,13 @@ def connect_client(address: str) -> Any:
     """Return a client of the scheduler at an address."""
     from distributed import Client
 
-    connections: SimpleQueue[Any] = SimpleQueue()
+    results: SimpleQueue[Any] = SimpleQueue()
 
     def connect() -> None:
         try:
-            connections.put(Client(address, timeout=TIMEOUT, set_as_default=False))
+            results.put(Client(address, timeout=TIMEOUT, set_as_default=False))
         except Exception as error:
-            connections.put(error)
+            results.put(error)
 
     # Its own timeout does not cover answers of a server that is not a scheduler.
     with warnings.catch_warnings():
@@ -55,7 +55,7 @@ def connect_client(address: str) -> Any:
         warnings.simplefilter("ignore")
         Thread(target=connect, daemon=True).start()
         try:
-            client = connections.get(timeout=TIMEOUT)
+            client = results.get(timeout=TIMEOUT)
         except Empty:
             client = TimeoutError(f"no answer within {TIMEOUT:g} s")
     if isinstance(client, Exception):
@@ -106,15 +106,15 @@ def disk_tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
 
     The context is their content, by path.
     """
-    texts: dict[str, str] = {}
+    token_texts: dict[str, str] = {}
     try:
         for folder in folders[:MAX_TOKENS]:
             path = new_temporary(folder.absolute() / "token")
             with suppress(OSError):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                texts[str(path)] = text = uuid4().hex
-                path.write_text(text, "utf-8")
-        yield texts
+                token_texts[str(path)] = token_text = uuid4().hex
+                path.write_text(token_text, "utf-8")
+        yield token_texts
     finally:
-        for name in texts:
+        for name in token_texts:
             Path(name).unlink(missing_ok=True)

@@ -85,7 +85,7 @@ def version_differences(
 
 
 def prepare_worker(
-    worker: Any, name: str, versions: Mapping[str, str], pickled: bytes
+    worker: Any, name: str, versions: Mapping[str, str], pickled_check: bytes
 ) -> tuple[str, str]:
     """Prepare a worker for a run; return a code and a reason if it is unfit.
 
@@ -93,12 +93,12 @@ def prepare_worker(
         worker: The worker, which keeps the prepared state in its ``plugins``.
         name: Name of the run.
         versions: Result of `builder_versions` on the machine of the run.
-        pickled: A `WorkerCheck`, read only if the versions are equal.
+        pickled_check: A `WorkerCheck`, read only if the versions are equal.
     """
     differences = version_differences(versions, builder_versions())
     if differences:
         return VERSIONS_CODE, f"it has {differences}"
-    check: WorkerCheck = pickle.loads(pickled)
+    check: WorkerCheck = pickle.loads(pickled_check)
     code, reason = next(_unfit_reasons(check), ("", ""))
     if not code:
         worker.plugins[name] = WorkerProcesses(check.task)
@@ -141,7 +141,7 @@ def _is_same(expected: InputCheck) -> bool:
         return False
 
 
-def build_on(worker: Any, name: str, item: Item) -> ItemOutcome | None:
+def build_on_worker(worker: Any, name: str, item: Item) -> ItemOutcome | None:
     """Build an item on a worker; return None if it is not prepared for the run."""
     processes: WorkerProcesses | None = worker.plugins.get(name)
     return None if processes is None else processes.build(item)
@@ -226,8 +226,8 @@ def build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
 
         from distributed import get_worker
 
-        from animtool.batch.cluster_worker import build_on
+        from animtool.batch.cluster_worker import build_on_worker
 
-        return build_on(get_worker(), name, pickle.loads(pickled))
+        return build_on_worker(get_worker(), name, pickle.loads(pickled))
 
     return build_item

@@ -184,7 +184,7 @@ class CutContext:
         return start + self.handles, faults
 
 
-def shot_of(
+def build_shot(
     name: str,
     span: Span,
     fps: Fraction,

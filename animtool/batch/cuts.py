@@ -13,10 +13,10 @@ from typing import Any
 from animtool.batch.cut_frames import (
     CutContext,
     CutOptions,
+    build_shot,
     cut_metadata,
     media_names,
     shot_notices,
-    shot_of,
 )
 from animtool.batch.edl import TimelineBuilder, read_edl
 from animtool.batch.spans import (
@@ -24,8 +24,8 @@ from animtool.batch.spans import (
     ShownClip,
     Span,
     UnsupportedTimeError,
-    span_of,
-    transition_sides,
+    shown_span,
+    transition_offsets,
 )
 from animtool.batch.timeline import (
     FRAME_TOLERANCE,
@@ -96,18 +96,20 @@ def read_cuts(
     Times are seconds of the media; a shot counts frames at the timeline's rate.
     """
     reader = _CutReader(path, media, options or CutOptions(), is_excluded)
-    return reader.cuts_of(reader.clips().clips)
+    return reader.build_cuts(reader.clips().clips)
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
     """Return the named shot, or the only one (else BAT048); see `read_cuts`."""
     reader = _CutReader(path, (), options)
-    walk = reader.clips()
-    return reader.cuts_of(_shot_clips(walk.clips, name, path, walk.skip_reasons))
+    visitor = reader.clips()
+    return reader.build_cuts(
+        _shot_clips(visitor.clips, name, path, visitor.skip_reasons)
+    )
 
 
 def _shot_clips(
-    entries: Sequence[ShownClip],
+    shown_clips: Sequence[ShownClip],
     name: str | None,
     path: Path,
     skip_reasons: Mapping[str, str],
@@ -116,7 +118,7 @@ def _shot_clips(
 
     ``skip_reasons`` say why clips are not shots, by their names.
     """
-    names = [entry.name for entry in entries]
+    names = [shown_clip.name for shown_clip in shown_clips]
     if name is not None and name not in names and name in skip_reasons:
         message = f"has no shot {excerpt(name)}: {skip_reasons[name]}"
         raise OptionError(Fault("BAT048", message, str(path)))
@@ -126,7 +128,7 @@ def _shot_clips(
     shots = f"the shots are {listed(names, MAX_NAMED)}"
     if name is None:
         if len(names) == 1:
-            return list(entries)
+            return list(shown_clips)
         message = f"has {counted(len(names), 'shot')}: name one with {argument('shot')}"
         raise OptionError(Fault("BAT048", message, str(path), (), shots))
     if name not in names:
@@ -134,7 +136,7 @@ def _shot_clips(
         hint = f"{suggestion} {shots}" if suggestion.startswith("did") else shots
         message = f"has no shot {excerpt(name)}"
         raise OptionError(Fault("BAT048", message, str(path), (), hint))
-    return [entry for entry in entries if entry.name == name]
+    return [shown_clip for shown_clip in shown_clips if shown_clip.name == name]
 
 
 class _CutReader:
@@ -162,20 +164,22 @@ class _CutReader:
 
     def clips(self) -> ClipVisitor:
         """Return the visible clips, each with the name of its shot."""
-        walk = ClipVisitor(self.path)
+        visitor = ClipVisitor(self.path)
         timeline = self.tree = self.timeline()
         if timeline is None:
-            return walk
+            return visitor
         try:
-            walk.visit_timeline(timeline.tracks)
+            visitor.visit_timeline(timeline.tracks)
         except (ValueError, import_otio().exceptions.OTIOError) as error:
             message = f"a range in it is invalid: {excerpt(str(error), 120)}"
             raise FormatError(Fault("BAT041", message, str(self.path))) from error
-        self.cuts.notices += walk.notices
-        if walk.gaps:
-            self.note("BAT043", f"skipped gaps: {walk.gaps}")
-        walk.clips[:] = [self.entry(shown_clip) for shown_clip in walk.clips]
-        return walk
+        self.cuts.notices += visitor.notices
+        if visitor.gap_count:
+            self.add_notice("BAT043", f"skipped gaps: {visitor.gap_count}")
+        visitor.clips[:] = [
+            self.with_shot_name(shown_clip) for shown_clip in visitor.clips
+        ]
+        return visitor
 
     def timeline(self) -> Any:
         """Read the timeline, its rate and its metadata; return None without events."""
@@ -198,20 +202,22 @@ class _CutReader:
         self.cuts.notices += notices
         return timeline
 
-    def cuts_of(self, entries: Sequence[ShownClip]) -> CutList:
+    def build_cuts(self, shown_clips: Sequence[ShownClip]) -> CutList:
         """Return the shots that clips show."""
-        for entry in entries:
-            self.clip(entry)
+        for shown_clip in shown_clips:
+            self.clip(shown_clip)
         if self.faults:
             raise FormatError(first_faults(self.faults, MAX_FAULTS, str(self.path)))
         return self.cuts
 
-    def note(self, code: str, message: str, severity: Severity = Severity.NOTE) -> None:
+    def add_notice(
+        self, code: str, message: str, severity: Severity = Severity.NOTE
+    ) -> None:
         """Record a notice on the timeline."""
         fault = Fault(code, message, str(self.path), severity=severity)
         self.cuts.notices.append(fault)
 
-    def fault(self, code: str, message: str, hint: str | None = None) -> None:
+    def add_fault(self, code: str, message: str, hint: str | None = None) -> None:
         """Record an error of the timeline."""
         self.faults.append(Fault(code, message, str(self.path), (), hint))
 
@@ -222,62 +228,62 @@ class _CutReader:
         owner = (schema.metadata, owner_text)
         options, faults = cut_metadata(*owner, allows_fps=allows_fps)
         for message, hint in faults:
-            self.fault("BAT047", message, hint)
+            self.add_fault("BAT047", message, hint)
         return options
 
-    def entry(self, shown_clip: ShownClip) -> ShownClip:
+    def with_shot_name(self, shown_clip: ShownClip) -> ShownClip:
         """Return a clip with the name of its shot."""
         path = self.referenced_path(shown_clip.clip)
         name = shown_clip.clip.name or ("" if path is None else source_stem(path))
         return replace(shown_clip, name=self.name(name, shown_clip.clip_text))
 
-    def clip(self, entry: ShownClip) -> None:
+    def clip(self, shown_clip: ShownClip) -> None:
         """Add the shot of a clip to the shots read so far."""
         # Imported here since it imports numpy, which planning a batch of files does not
         # need.
         from animtool.core.clock import MAX_FRAMES
 
-        clip, clip_text = entry.clip, entry.clip_text
+        clip, clip_text = shown_clip.clip, shown_clip.clip_text
         media_file = self.find_media_file(clip, clip_text)
         if media_file is None:
             return
         metadata = (self.metadata(clip, clip_text), self.timeline_metadata)
         context = CutContext(self.options, *metadata, find_config(self.path))
         for message in context.cut_in()[1]:
-            self.fault("BAT047", f"{clip_text}: {message}", "write one of them")
+            self.add_fault("BAT047", f"{clip_text}: {message}", "write one of them")
         media_range = clip.media_reference.available_range
         is_drop_frame = self.is_drop_frame
         try:
-            span = span_of(entry)
+            span = shown_span(shown_clip)
             media_start, media_fps = None, span.rate
             if media_range is not None:
                 media_start = seconds_of(media_range.start_time)
                 media_fps = exact_rate(media_range.start_time.rate)
             first = context.first_timecode(media_start, span.rate, drop=is_drop_frame)
-            transitions = self.overlaps(entry, span)
+            transitions = self.transition_frames(shown_clip, span)
         except UnsupportedTimeError as error:
             message = f"{clip_text}: {error}; it is skipped"
-            self.note("BAT044", message, Severity.WARNING)
+            self.add_notice("BAT044", message, Severity.WARNING)
             return
         except Exception as error:
             message = f"the range of {clip_text} is invalid: {excerpt(str(error), 120)}"
-            self.fault("BAT041", message)
+            self.add_fault("BAT041", message)
             return
         if span.seconds <= 0:
-            self.fault("BAT041", f"{clip_text} shows no frame of its media")
+            self.add_fault("BAT041", f"{clip_text} shows no frame of its media")
             return
         arguments = (span, self.fps, context, first, transitions)
-        shot = shot_of(entry.name, *arguments, drop=is_drop_frame)
+        shot = build_shot(shown_clip.name, *arguments, drop=is_drop_frame)
         if shot.end - shot.start >= MAX_FRAMES:
             message = f"{clip_text} has too many frames: {shot.end - shot.start + 1}"
-            self.fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
+            self.add_fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
             return
         for notice in shot_notices(shot, span, self.fps, clip_text):
-            self.note(*notice)
+            self.add_notice(*notice)
         names = {
             "shot": shot.name,
             "clip": clip.name or "",
-            "track": entry.track,
+            "track": shown_clip.track,
             **shot.names(),
             **media_names(shot, media_fps),
         }
@@ -292,7 +298,7 @@ class _CutReader:
         """Return the media of a clip; None if it has none or it is missing."""
         path = self.referenced_path(clip)
         if path is not None and self.is_excluded(path):
-            self.note("BAT043", f"{clip_text} is skipped, as requested: {path}")
+            self.add_notice("BAT043", f"{clip_text} is skipped, as requested: {path}")
             return None
         if path is not None and _is_file(path):
             return MatchedFile(path, path.parent)
@@ -309,42 +315,48 @@ class _CutReader:
             # URLs that are not of a file are printed as they are.
             is_remote = "://" in url.removeprefix("file:///")
             message = f"the media of {clip_text} is {problem}: "
-            self.fault("BAT042", f"{message}{url if is_remote else path}", hint)
+            self.add_fault("BAT042", f"{message}{url if is_remote else path}", hint)
         elif self.media:
-            self.fault("BAT042", f"no media matches the name of {clip_text}")
+            self.add_fault("BAT042", f"no media matches the name of {clip_text}")
         else:
             message = f"{clip_text} is skipped: it refers to no media"
-            self.note("BAT043", message, Severity.WARNING)
+            self.add_notice("BAT043", message, Severity.WARNING)
         return None
 
-    def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
+    def transition_frames(self, shown_clip: ShownClip, span: Span) -> tuple[int, int]:
         """Return the numbers of frames that transitions add before and after a cut."""
         transitions_and_ends = zip(
-            transition_sides(entry), (span.shows_begin, span.shows_end), strict=True
+            transition_offsets(shown_clip),
+            (span.shows_begin, span.shows_end),
+            strict=True,
         )
         frames_before, frames_after = (
-            ceil(seconds_of(transition) / entry.speed * self.fps - FRAME_TOLERANCE)
+            ceil(seconds_of(transition) / shown_clip.speed * self.fps - FRAME_TOLERANCE)
             if transition is not None and is_end_visible
             else 0
             for transition, is_end_visible in transitions_and_ends
         )
         if frames_before or frames_after:
-            message = f"{entry.clip_text} is in transitions: {frames_before} frames "
+            message = (
+                f"{shown_clip.clip_text} is in transitions: {frames_before} frames "
+            )
             message += f"before its cut and {frames_after} after it are included"
-            self.note("BAT043", message)
+            self.add_notice("BAT043", message)
         return frames_before, frames_after
 
-    def name(self, shot: str, clip_text: str) -> str:
+    def name(self, requested_name: str, clip_text: str) -> str:
         """Return a legal name that no earlier shot has."""
-        legal_name = _ILLEGAL.sub("_", shot).strip("_-")[:MAX_NAME_LENGTH] or "shot"
+        legal_name = (
+            _ILLEGAL.sub("_", requested_name).strip("_-")[:MAX_NAME_LENGTH] or "shot"
+        )
         name, number = legal_name, self.used_names.get(legal_name.casefold(), 1)
         while name.casefold() in self.used_names:
             number += 1
             name = f"{legal_name}_{number}"
         self.used_names[name.casefold()] = 1
         self.used_names[legal_name.casefold()] = number
-        if name != shot:
-            self.note("BAT046", f"{clip_text} is the shot {name}")
+        if name != requested_name:
+            self.add_notice("BAT046", f"{clip_text} is the shot {name}")
         return name
 
 

@@ -31,7 +31,7 @@ class Delivery:
     _states: dict[Path, FileState | None] = field(default_factory=dict)
     _digests: dict[Path, tuple[FileState, str]] = field(default_factory=dict)
 
-    def record_state(self, path: Path) -> FileState | None:
+    def first_state(self, path: Path) -> FileState | None:
         """Return the state of an input when it was first recorded."""
         absolute_path = path.absolute()
         if absolute_path not in self._states:
@@ -42,7 +42,7 @@ class Delivery:
         """Yield the inputs that a worker must see; every n-th one if there are many."""
         paths = list(dict.fromkeys(path.absolute() for path in inputs))
         for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
-            state = self.record_state(path)
+            state = self.first_state(path)
             if state is not None and path.is_file():
                 is_compared = (
                     state.size <= MAX_COMPARED_BYTES and len(paths) <= MAX_INPUTS
@@ -51,16 +51,18 @@ class Delivery:
                     digest = file_digest(path) if is_compared else ""
                     yield InputCheck(str(path), state.size, digest)
 
-    def differing_inputs(self, outcome: ItemOutcome) -> list[Path]:
+    def inputs_that_differ(self, outcome: ItemOutcome) -> list[Path]:
         """Return the inputs whose local content differs from what the item read."""
         paths = [
             (path_of_name(record.path, self.root), record) for record in outcome.inputs
         ]
-        return [path for path, record in paths if not self._is_same(path, record)]
+        return [
+            path for path, record in paths if not self._matches_record(path, record)
+        ]
 
     def locally_changed(self, paths: Iterable[Path]) -> list[Path]:
         """Return the inputs that changed locally since they were first recorded."""
-        return [path for path in paths if self.record_state(path) != FileState.of(path)]
+        return [path for path in paths if self.first_state(path) != FileState.of(path)]
 
     def with_local_outputs(self, outcome: ItemOutcome) -> ItemOutcome | None:
         """Return an outcome with the local output states; None until the files match.
@@ -77,7 +79,7 @@ class Delivery:
         for record in outcome.outputs:
             path = path_of_name(record.path, self.root)
             state = FileState.of(path)
-            if state is None or not self._is_same(path, record):
+            if state is None or not self._matches_record(path, record):
                 return None
             outputs.append(replace(record, state=state))
         written_at = max(
@@ -85,7 +87,7 @@ class Delivery:
         )
         return replace(outcome, outputs=tuple(outputs), written_at=written_at)
 
-    def _is_same(self, path: Path, record: FileRecord) -> bool:
+    def _matches_record(self, path: Path, record: FileRecord) -> bool:
         state = FileState.of(path)
         self._states.setdefault(path, state)
         if state is None or record.state is None:

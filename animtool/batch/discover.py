@@ -14,9 +14,9 @@ from animtool.batch.cuts import Cut
 from animtool.batch.inputs import (
     OverriddenVariables,
     cuts_of,
-    no_input_error,
+    missing_inputs_error,
     resolve_overrides,
-    with_timeline,
+    with_timeline_as_cuts,
 )
 from animtool.batch.item import (
     INPUT_NAMES,
@@ -24,14 +24,14 @@ from animtool.batch.item import (
     ItemTask,
     OutputPattern,
     UnsafeNameError,
-    file_pattern,
+    complete_pattern,
     input_names,
     output_root,
-    unknown_names,
+    pattern_problems,
 )
-from animtool.batch.locations import located_values, variable_fault
+from animtool.batch.locations import locate_value_faults, variable_fault
 from animtool.batch.spec import BatchSpec, Limits
-from animtool.batch.variants import file_name, name_problems, variant_pattern
+from animtool.batch.variants import file_name_part, name_problems, variant_pattern
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import is_inside
@@ -102,7 +102,7 @@ def check_effects(
             continue
         if spec.scene is None and not names:
             continue
-        with located_values(spec):
+        with locate_value_faults(spec):
             source = item_task.source(_first_item(spec, shot, overrides))
         scene = cast("Scene", source)
         if spec.scene is not None and not scene.effective_variables & item_names:
@@ -172,10 +172,10 @@ class Batch:
 
 def find_batch(spec: BatchSpec) -> Batch:
     """Return a batch with its items, sorted by name or in timeline order."""
-    spec = with_timeline(spec)
+    spec = with_timeline_as_cuts(spec)
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
-        pattern = file_pattern(spec.output, name + variant_pattern(spec.variants))
+        pattern = complete_pattern(spec.output, name + variant_pattern(spec.variants))
         spec = replace(spec, output=pattern)
         _check_pattern(spec, pattern)
     spec = _with_scene_input(spec)
@@ -183,15 +183,15 @@ def find_batch(spec: BatchSpec) -> Batch:
     cuts = cuts_of(spec)
     shots = cuts.shots
     if not shots:
-        raise no_input_error(spec)
+        raise missing_inputs_error(spec)
     files = [shot.media for shot in shots]
     item_task, overrides = _item_task(spec, files), resolve_overrides(spec, files)
     sample = None
     if spec.scene is not None:
-        with located_values(spec):
+        with locate_value_faults(spec):
             sample = item_task.source(_first_item(spec, shots[0], overrides))
         if spec.output is not None:
-            item_task.refuse_several(sample)
+            item_task.refuse_two_outputs(sample)
     _check_variables(spec, item_task, sample)
     check_effects(spec, item_task, shots, overrides)
     items = _ItemListBuilder(spec, item_task, shots, sample, overrides).build()
@@ -221,7 +221,7 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     """Return the variables of the first item of each scene of a batch, by path."""
     from animtool.documents.variables import SceneValues
 
-    spec = _with_scene_input(with_timeline(spec))
+    spec = _with_scene_input(with_timeline_as_cuts(spec))
     shots = cuts_of(spec).shots
     files = [shot.media for shot in shots]
     item_task, overrides = _item_task(spec, files), resolve_overrides(spec, files)
@@ -250,7 +250,7 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
         known_names |= dict.fromkeys(SHOT_NAMES, "")
     faults = [
         Fault("BAT004", message, spec.path_text, (), hint)
-        for message, hint in unknown_names(pattern, known_names)
+        for message, hint in pattern_problems(pattern, known_names)
     ]
     if faults:
         raise OptionError(faults)
@@ -332,7 +332,7 @@ class _ItemListBuilder:
         """Return the item of an input and a row of variants."""
         spec, file, row_values = self.spec, shot.media, {**shot.names, **row}
         variables = self.overrides.values.get(file.path, {})
-        file_name_parts = {name: file_name(value) for name, value in row.items()}
+        file_name_parts = {name: file_name_part(value) for name, value in row.items()}
         suffix = "".join(f"_{part}" for part in file_name_parts.values())
         output_path = file.path.with_name(f"{source_stem(file.path)}{suffix}.usdc")
         if spec.cuts is not None:

@@ -64,7 +64,7 @@ class Event:
     length: int  # length of a transition [frame]
     times: tuple[str, str, str, str]  # source in and out, record in and out
     speed: str | None = None  # of M2: source frames per second
-    freeze: bool = False
+    is_freeze_frame: bool = False
     comments: dict[str, str] = field(default_factory=dict)
 
 
@@ -114,12 +114,14 @@ def read_edl(path: Path) -> Edl:
                 message = f"{excerpt(line)} is not an EDL event"
                 faults.append(Fault("BAT041", message, str(path), (number,)))
             else:
-                edl.events.append(_event(match, number, drop=is_drop_frame))
+                edl.events.append(
+                    _parse_event(match, number, is_drop_frame=is_drop_frame)
+                )
         elif (stated_rate := _RATE.fullmatch(line)) is not None and edl.fps is None:
             with suppress(ValueError):
                 edl.fps = parse_rate(stated_rate["rate"])
         elif edl.events:
-            _comment(edl.events[-1], line)
+            _apply_comment(edl.events[-1], line)
     if not is_edl and not edl.events and not faults:
         faults.append(Fault("BAT041", "contains no EDL event", str(path), (1,)))
     if faults:
@@ -127,9 +129,9 @@ def read_edl(path: Path) -> Edl:
     return edl
 
 
-def _event(match: re.Match[str], line: int, *, drop: bool) -> Event:
+def _parse_event(match: re.Match[str], line: int, *, is_drop_frame: bool) -> Event:
     times = [re.sub("[,.]", ";", time) for time in match["times"].split()]
-    if drop:
+    if is_drop_frame:
         times = [re.sub(r":(\d+)$", r";\1", time) for time in times]
     source_in, source_out, record_in, record_out = (
         f"0{t}" if t[1:2] == ":" else t for t in times
@@ -145,12 +147,12 @@ def _event(match: re.Match[str], line: int, *, drop: bool) -> Event:
     )
 
 
-def _comment(event: Event, line: str) -> None:
+def _apply_comment(event: Event, line: str) -> None:
     """Apply a comment line to the event above it."""
     if (speed := _SPEED_LINE.fullmatch(line)) is not None:
         event.speed = speed["speed"]
     elif _FREEZE.match(line) is not None:
-        event.freeze = True
+        event.is_freeze_frame = True
     for name, pattern in _COMMENTS.items():
         if (match := pattern.fullmatch(line)) is not None:
             event.comments.setdefault(name, match["value"])
@@ -268,28 +270,37 @@ class TimelineBuilder:
         self, event: Event, times: _EventTimes, name: str
     ) -> tuple[Fraction, int]:
         """Return the speed of an event and its number of frames."""
-        source, record_frames = max(times.source_count, 0), max(times.record_count, 0)
-        if event.freeze:
-            return Fraction(0), record_frames or source
+        source_frames, record_frames = (
+            max(times.source_count, 0),
+            max(times.record_count, 0),
+        )
+        if event.is_freeze_frame:
+            return Fraction(0), record_frames or source_frames
         if event.speed is not None:
-            speed = _event_speed(event) / count_rate(self.rate)
-            if not record_frames or not source:
-                return speed, record_frames or source
+            playback_speed = _event_speed(event) / count_rate(self.rate)
+            if not record_frames or not source_frames:
+                return playback_speed, record_frames or source_frames
             # The printed speed has a tenth of a frame; source and record are exact.
-            exact_speed = Fraction(source, record_frames)
-            rounding_error = abs(exact_speed - abs(speed)) * count_rate(self.rate)
-            if speed and rounding_error <= Fraction(1, 10):
-                speed = exact_speed if speed > 0 else -exact_speed
-            return speed, record_frames
-        if record_frames and source and record_frames != source:
-            message = f"clip {excerpt(name)}: its source has {source} frames, its "
+            exact_speed = Fraction(source_frames, record_frames)
+            rounding_error = abs(exact_speed - abs(playback_speed)) * count_rate(
+                self.rate
+            )
+            if playback_speed and rounding_error <= Fraction(1, 10):
+                playback_speed = exact_speed if playback_speed > 0 else -exact_speed
+            return playback_speed, record_frames
+        if record_frames and source_frames and record_frames != source_frames:
+            message = (
+                f"clip {excerpt(name)}: its source has {source_frames} frames, its "
+            )
             message += f"record {record_frames}, and no speed (M2) is stated: the "
-            message += f"{source} frames of its source are used, at their own speed"
+            message += (
+                f"{source_frames} frames of its source are used, at their own speed"
+            )
             location = str(self.edl.path), (event.line,)
             self.notices.append(
                 Fault("BAT056", message, *location, severity=Severity.WARNING)
             )
-        return Fraction(1), source
+        return Fraction(1), source_frames
 
     def span(self, first: int, count: int) -> Any:
         """Return a time range from its first frame and its number of frames."""

@@ -58,7 +58,7 @@ class Work:
 
 # Yields the outcome of each item as it ends, and warnings about workers. Closing the
 # iterator ends the work.
-Run: TypeAlias = Callable[[Work], Iterator[ItemOutcome | Fault]]
+ExecutorFunction: TypeAlias = Callable[[Work], Iterator[ItemOutcome | Fault]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,9 @@ class Executor:
     run: str
     ready: str = ""
 
-    def load(self) -> Run:
+    def load(self) -> ExecutorFunction:
         """Return the function that builds items."""
-        return cast(Run, load_object(self.run))
+        return cast(ExecutorFunction, load_object(self.run))
 
     def prepare(self, item_task: ItemTask) -> None:
         """Start slow preparations before the first item."""
@@ -146,5 +146,5 @@ def listed_executors() -> list[ListedEntry]:
     """
     points = plugin_points(PLUGIN_GROUP)
     return listed_entries(
-        EXECUTORS, points, find_executor, lambda one: (True, one.about), False
+        EXECUTORS, points, find_executor, lambda entry: (True, entry.about), False
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.batch.cut_frames import SHOT_NAMES
-from animtool.batch.item import INPUT_NAMES, unknown_names
+from animtool.batch.item import INPUT_NAMES, pattern_problems
 from animtool.batch.schema import (
     BatchModel,
     OptionsModel,
@@ -20,12 +20,12 @@ from animtool.batch.variants import (
     MAX_VARIANTS,
     TOO_MANY_TEXT,
     Variants,
-    columns_variants,
     name_problems,
     range_values,
     read_variants,
     value_problem,
     values_of_text,
+    variants_of_columns,
 )
 from animtool.core.config import project_roots
 from animtool.core.errors import excerpt
@@ -107,34 +107,34 @@ class _VariantReader:
     def __init__(self, document: Document, reserved_names: Collection[str]) -> None:
         self.document, self.reserved_names = document, reserved_names
 
-    def columns(self, table: Mapping[str, Any]) -> dict[str, list[str]]:
+    def columns(self, columns: Mapping[str, Any]) -> dict[str, list[str]]:
         """Return the values of each column by its name."""
-        self._check_names(VARIANTS_LOCATION, list(table))
+        self._check_names(VARIANTS_LOCATION, list(columns))
         return {
             name: list(self._values((*VARIANTS_LOCATION, name), entry))
-            for name, entry in table.items()
+            for name, entry in columns.items()
         }
 
     def combine(self, columns: Mapping[str, list[str]]) -> Variants | None:
         """Return every combination of the values of columns."""
         try:
-            return columns_variants(columns)
+            return variants_of_columns(columns)
         except ValueError as error:
             self.document.add("BAT065", VARIANTS_LOCATION, str(error))
             return None
 
-    def rows(self, table: list[Mapping[str, Any]]) -> Variants | None:
+    def rows(self, entries: list[Mapping[str, Any]]) -> Variants | None:
         """Return the variants of a list that has one mapping per row."""
-        if len(table) > MAX_VARIANTS:
-            message = f"{len(table)} variants: {TOO_MANY_TEXT}"
+        if len(entries) > MAX_VARIANTS:
+            message = f"{len(entries)} variants: {TOO_MANY_TEXT}"
             self.document.add("BAT065", VARIANTS_LOCATION, message)
             return None
-        names = list(table[0])
+        names = list(entries[0])
         self._check_names((*VARIANTS_LOCATION, 0), names)
         if not names:
             self.document.add("BAT061", (*VARIANTS_LOCATION, 0), "a row has no values")
         rows = []
-        for i, entry in enumerate(table):
+        for i, entry in enumerate(entries):
             location = (*VARIANTS_LOCATION, i)
             if set(entry) != set(names):
                 message = "the columns differ from those of the first row: "
@@ -287,7 +287,7 @@ class _BatchReader:
         known_names = dict.fromkeys([*model.variables, *columns], "")
         if self.of_shots:
             known_names |= dict.fromkeys(SHOT_NAMES, "")
-        for message, hint in unknown_names(model.output or "", known_names):
+        for message, hint in pattern_problems(model.output or "", known_names):
             self.document.add("BAT004", ("output",), message, hint)
 
     def _options(self, model: OptionsModel) -> BakeOptions:

@@ -74,23 +74,24 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
 
     Raise CLI002 for options of timelines if the batch has no timeline.
     """
-    flags = []
+    refused_options = []
     if spec.cuts is None:
         if spec.cut_start is not None:
-            flags.append(f"cut_start ({argument('cut_start')})")
+            refused_options.append(f"cut_start ({argument('cut_start')})")
         if spec.first_timecode is not None:
-            flags.append("first_timecode")
+            refused_options.append("first_timecode")
         if spec.fps is not None and spec.scene is not None:
-            flags.append(f"{argument('fps')} together with a scene")
-    if flags:
-        message = f"{listed(flags)}: only for a timeline, and the inputs contain none"
+            refused_options.append(f"{argument('fps')} together with a scene")
+    if refused_options:
+        message = f"{listed(refused_options)}: only for a timeline, and the inputs "
+        message += "contain none"
         raise OptionError(Fault("CLI002", message))
     if spec.fps is None or spec.scene is not None:
         return spec
     return replace(spec, options=replace(spec.options, fps=spec.fps))
 
 
-def with_timeline(spec: BatchSpec) -> BatchSpec:
+def with_timeline_as_cuts(spec: BatchSpec) -> BatchSpec:
     """Return a batch whose cut list is the timeline among its inputs.
 
     The command line's frame rate applies to the cut list.
@@ -148,30 +149,30 @@ def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
     return _matched_inputs(spec)[2]
 
 
-def _is_missing(text: str, matched_files: Mapping[Path, MatchedFile]) -> bool:
+def _is_missing(pattern: str, matched_files: Mapping[Path, MatchedFile]) -> bool:
     """Return whether an entry names a single file that does not exist."""
     return (
-        "://" not in text
+        "://" not in pattern
         and len(matched_files) == 1
         and not exists(next(iter(matched_files)))
     )
 
 
 def _unmatched_fault(
-    spec: BatchSpec, key: str, i: int, suffixes: Sequence[str]
+    spec: BatchSpec, key: str, index: int, suffixes: Sequence[str]
 ) -> Fault:
-    text, path = getattr(spec, key)[i], spec.path_text
+    text, path = getattr(spec, key)[index], spec.path_text
     hint = nearest_file(Path(text), spec.folder)
     if hint is None and (spec.folder / text).is_dir():
         hint = f"folders are searched for {', '.join(suffixes)}"
-    where = None if path is None else f"{key}[{i}]"
+    where = None if path is None else f"{key}[{index}]"
     message = f"no file matches {text!r}"
     if not is_pattern(text) and not (spec.folder / text).is_dir():
         message = f"{text!r} does not exist"
     return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
 
 
-def no_input_error(spec: BatchSpec) -> NoMatchError:
+def missing_inputs_error(spec: BatchSpec) -> NoMatchError:
     """Return the error of a batch without items."""
     if spec.cuts is not None:
         message = "has no clip with media"
@@ -206,8 +207,10 @@ def input_suffixes(spec: BatchSpec) -> Sequence[str]:
     )
 
 
-def _match_files(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
-    return list(matching_files(os.fspath(folder / text), suffixes))
+def _match_files(
+    folder: Path, pattern: str, suffixes: Sequence[str]
+) -> list[MatchedFile]:
+    return list(matching_files(os.fspath(folder / pattern), suffixes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +230,7 @@ def resolve_overrides(
     suffixes = input_suffixes(spec)
     values: dict[Path, dict[str, str]] = {}
     notices = []
-    for i, override in enumerate(spec.overrides):
+    for index, override in enumerate(spec.overrides):
         matched_locations = {
             resolve(file.path)
             for text in override.inputs
@@ -239,7 +242,7 @@ def resolve_overrides(
         if not overridden_inputs:
             message = f"no input of the batch is {listed(override.inputs)}"
             hint = "inputs are files, folders and globs, relative to the batch file"
-            where, warning = f"overrides[{i}].inputs", Severity.WARNING
+            where, warning = f"overrides[{index}].inputs", Severity.WARNING
             notices.append(
                 Fault("BAT066", message, spec.path_text, (), hint, warning, where=where)
             )

@@ -71,21 +71,21 @@ def input_names(file: MatchedFile) -> dict[str, str]:
     }
 
 
-def file_pattern(pattern: str, name: str) -> str:
+def complete_pattern(pattern: str, name: str) -> str:
     """Return an output pattern, completed by ``name`` if it ends in a slash.
 
-    >>> file_pattern("out/", "{parent}/{stem}"), file_pattern("{stem}.usda", "{stem}")
-    ('out/{parent}/{stem}.usdc', '{stem}.usda')
+    >>> complete_pattern("out/", "{stem}"), complete_pattern("{stem}.usda", "{stem}")
+    ('out/{stem}.usdc', '{stem}.usda')
     """
     return f"{pattern}{name}.usdc" if pattern.endswith(("/", os.sep)) else pattern
 
 
-def unknown_names(
+def pattern_problems(
     pattern: str, variables: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
     """Yield a message and a hint for each fault of an output pattern.
 
-    >>> list(unknown_names("out/{stm}.usdc", {}))
+    >>> list(pattern_problems("out/{stm}.usdc", {}))
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
     """
     try:
@@ -123,21 +123,23 @@ class OutputPattern:
     def path(self, values: Mapping[str, str]) -> Path:
         """Return the output path for the values of the names in the pattern."""
         root, path = self.folder, self.folder
-        in_subfolder = False
+        is_below_root = False
         for component in PurePath(self.pattern).parts:
             names = [name for _, name, *_ in Formatter().parse(component) if name]
             component_text = component.format(**values)
             if set(names) - _INPUT_FOLDERS:
-                in_subfolder = True
+                is_below_root = True
                 self._check(component_text, names, values)
             path /= component_text
-            root = root if in_subfolder else path
-        if in_subfolder and not self._stays_inside(path.parent, root):
+            root = root if is_below_root else path
+        if is_below_root and not self._stays_inside(path.parent, root):
             message = f"a link in {str(root)!r} leads outside it: {str(path.parent)!r}"
             raise UnsafeNameError("", message)
         return path
 
-    def _check(self, text: str, names: list[str], values: Mapping[str, str]) -> None:
+    def _check(
+        self, component: str, names: list[str], values: Mapping[str, str]
+    ) -> None:
         """Raise an error for path parts that are not single legal names."""
         for name in names:
             value = values[name]
@@ -147,11 +149,11 @@ class OutputPattern:
             if bad_character is not None:
                 message = f"{{{name}}} is {excerpt(value)}, which has "
                 raise UnsafeNameError(name, f"{message}{bad_character[0]!r}")
-        for component in text.split("/"):
-            problem = None if component == "." else name_problem(component)
+        for part in component.split("/"):
+            problem = None if part == "." else name_problem(part)
             if problem is not None:
                 value = excerpt(values[names[-1]])
-                message = f"{{{names[-1]}}} is {value}: the name {excerpt(component)} "
+                message = f"{{{names[-1]}}} is {value}: the name {excerpt(part)} "
                 raise UnsafeNameError(names[-1], message + problem)
 
     def _stays_inside(self, folder: Path, root: Path) -> bool:
@@ -350,7 +352,7 @@ class ItemTask:
             files = self._outline(scene, None, item).files
         return replace(item, output=output or item.output, files=tuple(files))
 
-    def refuse_several(self, source: Source) -> None:
+    def refuse_two_outputs(self, source: Source) -> None:
         """Raise an error if both a scene and a pattern name outputs."""
         if self._names_outputs(source):
             message = "the scene names its outputs, but the batch names one too"
@@ -374,7 +376,7 @@ class ItemTask:
 
         if item.files:
             return bake_outputs(source, None, options)
-        self.refuse_several(source)
+        self.refuse_two_outputs(source)
         if item.shot is not None and isinstance(source, Path):
             options = replace(options, shot=item.shot, start=None)
         return bake_outputs(source, item.output, options)

@@ -61,13 +61,13 @@ class Failures:
 
 def read_failures(path: Path) -> Failures:
     """Return the failed items in a file; none if the file is missing."""
-    reader, messages = LineReader(path, FAILURES_HEADER), dict[str, str]()
+    reader, reasons_by_item = LineReader(path, FAILURES_HEADER), dict[str, str]()
     for line in reader.lines():
         try:
-            messages[text_in(line, "item")] = text_in(line, "why")
+            reasons_by_item[text_in(line, "item")] = text_in(line, "why")
         except RecordError as error:
-            reader.damaged[reader.number] = str(error)
-    return Failures(messages, reader.length, tuple(reader.notices()))
+            reader.damaged_lines[reader.number] = str(error)
+    return Failures(reasons_by_item, reader.length, tuple(reader.notices()))
 
 
 def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:

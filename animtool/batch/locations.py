@@ -23,45 +23,45 @@ def variable_fault(
     """
     is_variant = spec.variants is not None and name in spec.variants.names
     key = "variants" if is_variant else "variables"
-    table = None if spec.variants is None or not is_variant else spec.variants.path
-    if table is not None:
-        return Fault(code, message, str(table), (1,), hint, where=name)
+    table_path = None if spec.variants is None or not is_variant else spec.variants.path
+    if table_path is not None:
+        return Fault(code, message, str(table_path), (1,), hint, where=name)
     if spec.path is None:
         where = argument("vary" if is_variant else "variables")
         return Fault(code, f"{where}: {message}", hint=hint)
     document = read_document(spec.path)
-    entries = document.value.get(key)
-    has_rows = isinstance(entries, list)
-    if not has_rows and name not in (entries or {}):
+    values = document.value.get(key)
+    has_rows = isinstance(values, list)
+    if not has_rows and name not in (values or {}):
         # An override, or a value that the command line adds to those of the batch.
         return Fault(code, f"{name}: {message}", str(spec.path), hint=hint)
     return document.fault(code, (key, *([0] if has_rows else []), name), message, hint)
 
 
 @contextmanager
-def located_values(spec: BatchSpec) -> Iterator[None]:
+def locate_value_faults(spec: BatchSpec) -> Iterator[None]:
     """In a block, locate faults of values that the batch sets in the batch."""
     try:
         yield
     except FormatError as error:
-        raise FormatError(_located(spec, error.faults)) from error
+        raise FormatError(_locate_faults(spec, error.faults)) from error
 
 
-def _located(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
+def _locate_faults(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
     """Return the faults of a scene; those of values from the batch located there."""
     values = {**spec.variables, **spec.rows[0]}
     documents: dict[str, Document] = {}
-    located = []
+    located_faults = []
     for fault in faults:
         name = None
         if fault.path and fault.where and values:
             path = fault.path
             if path not in documents:
                 documents[path] = read_document(Path(path))
-            text = _text_at(documents[path].value, fault.where)
+            text = _value_at(documents[path].value, fault.where)
             name = next((n for n in values if text == f"${{{n}}}"), None)
         if name is None:
-            located.append(fault)
+            located_faults.append(fault)
             continue
         message = f"{fault.message}, for {fault.where} of {Path(str(fault.path)).name}"
         hint = fault.hint
@@ -69,11 +69,11 @@ def _located(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
         if suggested_range is not None:
             numbers = suggested_range.replace("..", " to ", 1)
             hint = f"for the numbers {numbers} write {suggested_range}"
-        located.append(variable_fault(spec, name, fault.code, message, hint))
-    return located
+        located_faults.append(variable_fault(spec, name, fault.code, message, hint))
+    return located_faults
 
 
-def _text_at(value: Any, where: str) -> Any:
+def _value_at(value: Any, where: str) -> Any:
     """Return the value at a location of a document; None if there is none."""
     for step in parse_location(where):
         try:

@@ -113,14 +113,14 @@ class ItemRecord:
             text_in(values, "how", MAX_DIGEST),
             # Few are distinct, and every item has one.
             sys.intern(text_in(values, "versions", MAX_DIGEST)),
-            tuple(_files_of(_nonempty_list(values, "inputs"), files)),
+            tuple(_referenced_files(_nonempty_list(values, "inputs"), files)),
             tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
             integer_in(values, "at", -MAX_CLOCK, MAX_CLOCK),
-            tuple(_pass_scores(object_of(entry)) for entry in scores),
+            tuple(_parse_pass_scores(object_of(entry)) for entry in scores),
         )
 
 
-def _files_of(
+def _referenced_files(
     numbers: Sequence[object], files: Mapping[int, FileRecord]
 ) -> Iterator[FileRecord]:
     """Yield the file records that numbers refer to."""
@@ -210,7 +210,7 @@ def read_manifest(path: Path) -> Manifest:
         try:
             _add_line(manifest, files, line)
         except RecordError as error:
-            reader.damaged[reader.number] = str(error)
+            reader.damaged_lines[reader.number] = str(error)
     manifest.length = reader.length
     manifest.damaged += reader.notices()
     return manifest
@@ -275,17 +275,19 @@ def rewrite_manifest(
             writer.add(record)
 
 
-def _pass_scores(record: Mapping[str, Any]) -> PassScores:
+def _parse_pass_scores(record: Mapping[str, Any]) -> PassScores:
     names = object_of(record.get("names"))
     return PassScores(
-        tuple(_score(object_of(entry)) for entry in _nonempty_list(record, "scores")),
+        tuple(
+            _parse_score(object_of(entry)) for entry in _nonempty_list(record, "scores")
+        ),
         {score_name: tuple(texts_in(names, score_name)) for score_name in names},
         text_in(record, "pass"),
         text_in(record, "where"),
     )
 
 
-def _score(record: Mapping[str, Any]) -> Score:
+def _parse_score(record: Mapping[str, Any]) -> Score:
     unit = text_in(record, "unit")
     if unit not in {*ScoreUnit}:
         raise RecordError(f"unknown unit of a score: {unit!r}")

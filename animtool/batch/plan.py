@@ -117,7 +117,7 @@ class Planner:
             return Decision(item, BuildReason.VERSION)
         inputs: list[FileRecord] = []
         outputs: list[FileRecord] = []
-        for reason, files, current_records in (
+        for reason, files, unchanged_records in (
             (BuildReason.INPUT, record.inputs, inputs),
             (BuildReason.OUTPUT, record.outputs, outputs),
         ):
@@ -129,12 +129,14 @@ class Planner:
                 current_record = self._unchanged_record(file, is_young=is_young)
                 if current_record is None:
                     return Decision(item, reason, file.path)
-                current_records.append(current_record)
-        new_record: ItemRecord | None = None
+                unchanged_records.append(current_record)
+        updated_record: ItemRecord | None = None
         if (tuple(inputs), tuple(outputs)) != (record.inputs, record.outputs):
-            new_record = replace(record, inputs=tuple(inputs), outputs=tuple(outputs))
-            new_record = replace(new_record, written_at=self._now)
-        return Decision(item, BuildReason.UP_TO_DATE, "", new_record, record.scores)
+            updated_record = replace(
+                record, inputs=tuple(inputs), outputs=tuple(outputs)
+            )
+            updated_record = replace(updated_record, written_at=self._now)
+        return Decision(item, BuildReason.UP_TO_DATE, "", updated_record, record.scores)
 
     def _unchanged_record(
         self, file: FileRecord, *, is_young: bool
@@ -175,9 +177,9 @@ def check_output_files(batch: Batch) -> None:
     inputs = {resolve(item.file.path) for item in batch.items}
     inputs |= {resolve(path) for path in batch.shared_inputs}
     faults = list(_output_clashes(batch, resolve, inputs))
-    _raise_faults(faults, OptionError)
+    _raise_if_any(faults, OptionError)
     folders = dict.fromkeys(folder for item in batch.items for folder in item.folders)
-    _raise_faults(list(_unwritable_folders(folders)), OutputError)
+    _raise_if_any(list(_unwritable_folders(folders)), OutputError)
 
 
 def _output_clashes(
@@ -186,20 +188,20 @@ def _output_clashes(
     """Yield a fault for each output that is an input or is written twice."""
     writers: dict[str, list[tuple[Item, Path]]] = {}
     for item in batch.items:
-        item_names: set[str] = set()
+        item_file_keys: set[str] = set()
         for path in batch.outputs(item):
             resolved = resolve(path)
             if resolved in inputs:
                 message = "is an input of this batch"
                 hint = f"choose another {argument('output')}"
                 yield Fault("OUT003", message, str(path), (), hint)
-            name = name_key(resolved)
-            if name in item_names:
+            file_key = name_key(resolved)
+            if file_key in item_file_keys:
                 message = f"would be written twice for {item.label}"
                 yield Fault("OUT007", message, str(path))
             else:
-                writers.setdefault(name, []).append((item, path))
-            item_names.add(name)
+                writers.setdefault(file_key, []).append((item, path))
+            item_file_keys.add(file_key)
     for (first_item, _), *other_writers in writers.values():
         if other_writers:
             second_item, path = other_writers[0]
@@ -264,11 +266,11 @@ def check_overwrites(
         for path in batch.outputs(item)
         if path.exists() and not is_known(path)
     ]
-    _raise_faults(faults, OptionError)
+    _raise_if_any(faults, OptionError)
 
 
-def _raise_faults(
-    faults: list[Fault], kind: type[OptionError] | type[OutputError]
+def _raise_if_any(
+    faults: list[Fault], error_type: type[OptionError] | type[OutputError]
 ) -> None:
     if faults:
-        raise kind(first_faults(faults, MAX_FAULTS))
+        raise error_type(first_faults(faults, MAX_FAULTS))

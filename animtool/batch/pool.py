@@ -22,14 +22,14 @@ from typing import Any, cast
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.spec import Limits, bytes_text
 from animtool.batch.work import (
-    READY,
+    READY_MESSAGE,
     RESUME,
     FileBeingRead,
     ItemBuilder,
     ItemOutcome,
     ItemStatus,
     memory_bytes,
-    needed_modules,
+    required_modules,
     serve,
 )
 from animtool.core.arguments import argument
@@ -57,15 +57,15 @@ WORKER_ENVIRONMENT = {
 }
 # Interval for checking the memory of limited processes [s].
 POLL_INTERVAL = 0.05
-MAX_WAIT = 86_400.0
+MAX_WAIT_SECONDS = 86_400.0
 # Imports take seconds, over a slow network minutes [s].
-MAX_START = 900.0
+MAX_START_SECONDS = 900.0
 # Number of consecutive processes that end before accepting an item, after which no more
 # are started.
 MAX_FAILED_STARTS = 3
 JOIN_TIMEOUT = 5.0
 # Hints by exit code of a process.
-_HINTS = {
+EXIT_HINTS = {
     -9: f"lower {argument('jobs')}, or allow more memory or time; {RESUME}",
     -6: f"the system may be out of memory: lower {argument('jobs')}; {RESUME}",
 }
@@ -167,8 +167,8 @@ class _Pool:
             yield from self._handle_message(worker)
         for worker in list(self.workers):
             elapsed = time.perf_counter() - worker.start_time
-            if not worker.is_ready and elapsed > MAX_START:
-                self._failed_to_start(worker)
+            if not worker.is_ready and elapsed > MAX_START_SECONDS:
+                self._remove_failed_worker(worker)
             fault = self._exceeded_limit(worker)
             if fault is not None:
                 yield self._fail_item(worker, fault)
@@ -176,14 +176,14 @@ class _Pool:
     def _handle_message(self, worker: _Worker) -> Iterator[ItemOutcome]:
         message = worker.receive()
         number = None if worker.item is None else worker.item.number
-        if message == READY:
+        if message == READY_MESSAGE:
             worker.is_ready, self.failed_starts = True, 0
         elif isinstance(message, FileBeingRead):
             pass
         elif isinstance(message, ItemOutcome) and message.number == number:
             yield from self._end_item(worker, message)
         elif not worker.is_ready:
-            self._failed_to_start(worker)
+            self._remove_failed_worker(worker)
         elif worker.item is None:
             self.workers.remove(worker)
             worker.end(kill=True)
@@ -195,12 +195,12 @@ class _Pool:
                 yield self._fail_item(worker, crash_fault(worker.path, -code))
                 return
             reason = f"the process that built it {_exit_text(worker.process)}"
-            hint = _HINTS.get(code)
+            hint = EXIT_HINTS.get(code)
             if self.limits.memory is not None:
                 hint = hint and f"raise {argument('memory_limit')}; {RESUME}"
             yield self._fail_item(worker, Fault("BAT020", reason, hint=hint))
 
-    def _failed_to_start(self, worker: _Worker) -> None:
+    def _remove_failed_worker(self, worker: _Worker) -> None:
         """Remove a worker that accepts no item; raise after too many failures."""
         self.workers.remove(worker)
         if worker.process.is_alive():
@@ -215,7 +215,7 @@ class _Pool:
         worker.item = None
         # A process that uses more than half of the limit likely leaks memory.
         limit = self.limits.memory
-        is_retired = outcome.retired or (
+        is_retired = outcome.is_retired or (
             limit is not None and _used_bytes(worker.process) > limit / 2
         )
         # The failure may be the last allowed one, which is known only after reporting
@@ -263,17 +263,21 @@ class _Pool:
 
     def _time_left(self) -> float | None:
         """Return the time until the next limit must be checked [s]."""
-        busy = [worker for worker in self.workers if worker.item is not None]
-        if busy and self.limits.memory is not None:
+        busy_workers = [worker for worker in self.workers if worker.item is not None]
+        if busy_workers and self.limits.memory is not None:
             return POLL_INTERVAL
-        deadlines = [w.start_time + MAX_START for w in self.workers if not w.is_ready]
+        deadlines = [
+            w.start_time + MAX_START_SECONDS for w in self.workers if not w.is_ready
+        ]
         if self.limits.seconds is not None:
-            deadlines += [worker.start_time + self.limits.seconds for worker in busy]
+            deadlines += [
+                worker.start_time + self.limits.seconds for worker in busy_workers
+            ]
         if not deadlines:
             return None
         # Systems limit a wait to a few weeks.
         remaining = max(0.0, min(deadlines) - time.perf_counter())
-        return min(remaining, MAX_WAIT) + POLL_INTERVAL
+        return min(remaining, MAX_WAIT_SECONDS) + POLL_INTERVAL
 
     def end(self, *, kill: bool) -> None:
         for worker in list(self.workers):
@@ -308,7 +312,7 @@ def run_processes(
     An item is taken only when a process can build it. Closing the iterator ends the
     processes.
     """
-    pool, succeeded = _Pool(builder, items, limits, queue_next), False
+    pool, all_items_built = _Pool(builder, items, limits, queue_next), False
     try:
         while True:
             while pool.has_more_items and len(pool.workers) < jobs:
@@ -319,9 +323,9 @@ def run_processes(
             if not pool.has_more_items and not is_building:
                 break
             yield from pool.outcomes()
-        succeeded = True
+        all_items_built = True
     finally:
-        pool.end(kill=not succeeded)
+        pool.end(kill=not all_items_built)
 
 
 def _start_context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
@@ -333,7 +337,7 @@ def _start_context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
     if sys.platform != "linux":
         return get_context("spawn")
     context = get_context("forkserver")
-    context.set_forkserver_preload(needed_modules(item_task))
+    context.set_forkserver_preload(required_modules(item_task))
     return context
 
 

@@ -22,7 +22,7 @@ from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input, read_input
 
 # Longer than the longest path on any system.
-MAX_TEXT = 40_000
+MAX_TEXT_LENGTH = 40_000
 # Limit of sizes, times and inodes.
 MAX_INTEGER = 2**64
 
@@ -78,12 +78,14 @@ def object_of(value: object) -> dict[str, Any]:
     return value
 
 
-def text_in(record: Mapping[str, Any], key: str, max_length: int = MAX_TEXT) -> str:
+def text_in(
+    record: Mapping[str, Any], key: str, max_length: int = MAX_TEXT_LENGTH
+) -> str:
     """Return the text value of a key."""
     return _checked_text(record.get(key), key, max_length)
 
 
-def _checked_text(value: object, key: str, max_length: int = MAX_TEXT) -> str:
+def _checked_text(value: object, key: str, max_length: int = MAX_TEXT_LENGTH) -> str:
     if not isinstance(value, str):
         raise RecordError(f"{key!r} is not text")
     if len(value) > max_length:
@@ -145,14 +147,14 @@ class LineReader:
     Attributes:
         length: Length of the complete lines read so far [bytes].
         number: Number of the last line read, from 1.
-        damaged: Unusable lines by number, with the reason.
+        damaged_lines: Unusable lines by number, with the reason.
     """
 
     def __init__(self, path: Path, header: JsonLine) -> None:
         """Prepare to read a file that may be missing."""
         self.path, self.header = path, header
         self.length = self.number = 0
-        self.damaged: dict[int, str] = {}
+        self.damaged_lines: dict[int, str] = {}
         self._has_checksums = False
 
     def lines(self) -> Iterator[dict[str, Any]]:
@@ -189,7 +191,7 @@ class LineReader:
             try:
                 record = self._parse_line(line, length)
             except RecordError as error:
-                self.damaged[self.number] = str(error)
+                self.damaged_lines[self.number] = str(error)
             else:
                 yield record
 
@@ -224,13 +226,13 @@ class LineReader:
 
     def notices(self) -> list[Fault]:
         """Return one warning about all damaged lines, or none."""
-        if not self.damaged:
+        if not self.damaged_lines:
             return []
-        number, reason = next(iter(self.damaged.items()))
-        count = counted(len(self.damaged), "line")
+        number, reason = next(iter(self.damaged_lines.items()))
+        count = counted(len(self.damaged_lines), "line")
         message = f"{count} of the record cannot be used: line {number} {reason}"
         hint = "the items in them are rebuilt"
-        location = str(self.path), tuple(self.damaged)[:100]
+        location = str(self.path), tuple(self.damaged_lines)[:100]
         return [Fault("BAT070", message, *location, hint, Severity.WARNING)]
 
     def _foreign_error(self, line: JsonLine) -> FormatError:

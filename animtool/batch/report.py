@@ -37,12 +37,13 @@ class ItemReport:
     measured: BakeMeasurements | None = None
     # Scores of its passes, also from an earlier run.
     scores: tuple[PassScores, ...] = ()
-    again: str = ""  # the command that repeats it, where it failed
+    repeat_command: str = ""  # the command that repeats it, where it failed
     json_keys: ClassVar[str] = (
         "item=item.number input=item.file.path values=item.values+ "
         "variables=item.variables+ output=item.output outputs=item.files+ status "
-        "reason shot=item.shot? detail+ seconds=spent?~ samples=measured.samples? "
-        "error=measured?{meters=error joint} scores+ faults+ notices+ again+"
+        "reason shot=item.shot? detail+ seconds=build_seconds?~ "
+        "samples=measured.samples? error=measured?{meters=error joint} scores+ faults+ "
+        "notices+ again=repeat_command+"
     )
 
     def worded(self, namer: ArgumentNamer) -> ItemReport:
@@ -62,13 +63,13 @@ class ItemReport:
         return self.status is ItemStatus.FAILED
 
     @property
-    def spent(self) -> float | None:
+    def build_seconds(self) -> float | None:
         """Wall time of the build [s]; None if it was not built."""
         was_built = self.status in {ItemStatus.DONE, ItemStatus.FAILED}
         return self.seconds if was_built else None
 
     @property
-    def why(self) -> str:
+    def failure_text(self) -> str:
         """Reason of the failure in one line."""
         if not self.faults:
             return ""
@@ -114,22 +115,24 @@ class BatchReport:
         return [report for report in self.items if report.failed]
 
     @property
-    def slowest(self) -> list[ItemReport]:
+    def slowest_items(self) -> list[ItemReport]:
         """Reports of the slowest items, slowest first."""
         built = [report for report in self.items if report.status is ItemStatus.DONE]
         return sorted(built, key=lambda report: -report.seconds)[:LISTED_ITEMS]
 
     @property
-    def worst(self) -> list[ItemReport]:
+    def largest_errors(self) -> list[ItemReport]:
         """Reports of the items with the largest errors, largest first."""
-        with_error = [report for report in self.items if _error(report) > 0]
-        return sorted(with_error, key=lambda report: -_error(report))[:LISTED_ITEMS]
+        reports = [report for report in self.items if _largest_error(report) > 0]
+        return sorted(reports, key=lambda report: -_largest_error(report))[
+            :LISTED_ITEMS
+        ]
 
     @property
-    def scored(self) -> list[ItemReport]:
+    def items_with_scores(self) -> list[ItemReport]:
         """Reports of the items whose passes have scores, worst first."""
-        with_scores = [report for report in self.items if report.scores]
-        return sorted(with_scores, key=_scores_key, reverse=True)
+        reports = [report for report in self.items if report.scores]
+        return sorted(reports, key=_scores_key, reverse=True)
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
         """Return each distinct notice with the items that have it."""
@@ -140,7 +143,7 @@ class BatchReport:
         return reports
 
     @property
-    def warned(self) -> list[ItemReport]:
+    def items_with_warnings(self) -> list[ItemReport]:
         """Reports of the items with warnings."""
         return [
             report
@@ -158,16 +161,16 @@ def _scores_key(report: ItemReport) -> list[float]:
     return sort_key_of_scores(report.scores)
 
 
-def _error(report: ItemReport) -> float:
+def _largest_error(report: ItemReport) -> float:
     return 0.0 if report.measured is None else report.measured.error
 
 
 def junit_report(reports: Sequence[ItemReport]) -> str:
     """Return a JUnit test suite with one test case per item."""
-    return junit_xml("animtool batch", map(_case, reports))
+    return junit_xml("animtool batch", map(_junit_case, reports))
 
 
-def _case(report: ItemReport) -> JunitCase:
+def _junit_case(report: ItemReport) -> JunitCase:
     name = str(report.item.output)
     warnings = (str(n) for n in report.notices if n.severity is not Severity.NOTE)
     output = "\n".join(warnings)

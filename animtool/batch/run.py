@@ -161,7 +161,7 @@ class _BatchRun:
         self.decisions: dict[int, Decision] = {}
         self.reports_by_number: dict[int, ItemReport] = {}
         self.started_numbers: set[int] = set()
-        self.failures = 0
+        self.failure_count = 0
         self.notices: list[Fault] = []  # warnings about workers
 
     def plan(self, items: Sequence[Item]) -> None:
@@ -243,7 +243,7 @@ class _BatchRun:
         """Yield items as they are started; stop after too many failures."""
         max_failures = self.options.max_failures
         for item in due_items:
-            if max_failures is not None and self.failures >= max_failures:
+            if max_failures is not None and self.failure_count >= max_failures:
                 return
             self.started_numbers.add(item.number)
             paths = self.batch.outputs(item)
@@ -289,8 +289,8 @@ class _BatchRun:
                 )
             )
         else:
-            self.failures += 1
-            self.ledger.failed(key, report.why)
+            self.failure_count += 1
+            self.ledger.failed(key, report.failure_text)
         self.reports_by_number[item.number] = report
         self.listener.on_end(report)
 

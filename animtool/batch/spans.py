@@ -67,7 +67,7 @@ class Span:
     shows_end: bool = True
 
 
-def span_of(shown_clip: ShownClip) -> Span:
+def shown_span(shown_clip: ShownClip) -> Span:
     """Return the media range that a clip shows.
 
     Backwards, a clip plays its range from the last frame to the first.
@@ -75,7 +75,10 @@ def span_of(shown_clip: ShownClip) -> Span:
     trimmed_range = shown_clip.clip.trimmed_range()
     start = seconds_of(trimmed_range.start_time)
     length = seconds_of(trimmed_range.duration)
-    rate, speed = exact_rate(trimmed_range.start_time.rate), speed_of(shown_clip.clip)
+    rate, speed = (
+        exact_rate(trimmed_range.start_time.rate),
+        playback_speed(shown_clip.clip),
+    )
     visible_begin, visible_end = shown_clip.visible_range or (Fraction(0), length)
     hidden_before = length - visible_end if speed < 0 else visible_begin
     return Span(
@@ -88,21 +91,21 @@ def span_of(shown_clip: ShownClip) -> Span:
     )
 
 
-def speed_of(item: Any) -> Fraction:
+def playback_speed(item: Any) -> Fraction:
     """Return the speed of an item relative to its content."""
     speed = Fraction(1)
     for effect in item.effects:
         if not getattr(effect, "enabled", True):
             continue
-        scalar = getattr(effect, "time_scalar", None)
-        if scalar is None:
+        time_scalar = getattr(effect, "time_scalar", None)
+        if time_scalar is None:
             if is_time_effect(effect):
                 raise UnsupportedTimeError(f"{_effect_name(effect)} has no speed")
             continue
-        if isfinite(scalar):
-            speed *= Fraction(float(scalar)).limit_denominator(MAX_DENOMINATOR)
-        if not isfinite(scalar) or abs(speed) > MAX_SPEED:
-            raise ValueError(f"it plays at {scalar:g} times its speed")
+        if isfinite(time_scalar):
+            speed *= Fraction(float(time_scalar)).limit_denominator(MAX_DENOMINATOR)
+        if not isfinite(time_scalar) or abs(speed) > MAX_SPEED:
+            raise ValueError(f"it plays at {time_scalar:g} times its speed")
     return speed
 
 
@@ -120,7 +123,7 @@ def _effect_name(effect: Any) -> str:
     return f"effect {excerpt(str(name))}"
 
 
-def transition_sides(shown_clip: ShownClip) -> tuple[Any, Any]:
+def transition_offsets(shown_clip: ShownClip) -> tuple[Any, Any]:
     """Return by how much transitions extend a clip at either end; None without any."""
     import opentimelineio as otio
 
@@ -141,7 +144,7 @@ class ClipVisitor:
 
     path: Path  # the timeline
     clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
-    gaps: int = 0
+    gap_count: int = 0
     # Why clips are not shots, by their names.
     skip_reasons: dict[str, str] = field(default_factory=dict)
     notices: list[Fault] = field(default_factory=list)
@@ -232,7 +235,7 @@ class ClipVisitor:
             if is_track and window is not None:
                 begin += duration_of(child)
             if isinstance(child, schema.Gap):
-                self.gaps += 1
+                self.gap_count += 1
             elif isinstance(child, schema.Clip):
                 child_text = f"clip {excerpt(child.name or '')} of {parent_text}"
                 if not self._is_disabled(child, child_text):
@@ -252,7 +255,7 @@ def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]
 
     visible_range: visible range since its begin; None for all.
     """
-    speed, source_range = speed_of(item), item.source_range
+    speed, source_range = playback_speed(item), item.source_range
     if speed <= 0:
         problem = "plays backwards" if speed else "holds a frame"
         raise UnsupportedTimeError(f"it {problem}, which only clips can")
@@ -261,8 +264,8 @@ def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]
     first_time, length = Fraction(0), duration_of(item)
     if source_range is not None:
         first_time = seconds_of(source_range.start_time)
-    part_begin, part_end = visible_range or (Fraction(0), length)
-    return (first_time + part_begin * speed, first_time + part_end * speed), speed
+    visible_begin, visible_end = visible_range or (Fraction(0), length)
+    return (first_time + visible_begin * speed, first_time + visible_end * speed), speed
 
 
 def duration_of(item: Any) -> Fraction:

@@ -23,7 +23,7 @@ _UNITS = {
     **{name: 1000**i for i, name in enumerate(("B", "KB", "MB", "GB", "TB"))},
     **{name: 1024**i for i, name in enumerate(("KiB", "MiB", "GiB", "TiB"), 1)},
 }
-_SIZE = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([KMGT]i?B|B)")
+_SIZE_PATTERN = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([KMGT]i?B|B)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ def parse_bytes(text: str) -> int:
     >>> parse_bytes("1.5GB"), parse_bytes("2 KiB")
     (1500000000, 2048)
     """
-    match = _SIZE.fullmatch(text.strip())
+    match = _SIZE_PATTERN.fullmatch(text.strip())
     size = float(match[1]) * _UNITS[match[2]] if match else 0.0
     if not 1 <= size <= MAX_BYTES:
         raise ValueError(f"{excerpt(text)} is not a size such as 2GB or 512MiB")
@@ -111,8 +111,8 @@ def path_of_name(name: str, root: Path) -> Path:
     return ancestor.joinpath(*path.parts[up_count:])
 
 
-PACKAGES = ("animtool", "numpy", "scipy", "usd-core")
-PLUGIN_GROUPS = ("animtool.passes", "animtool.readers")
+VERSIONED_PACKAGES = ("animtool", "numpy", "scipy", "usd-core")
+VERSIONED_PLUGIN_GROUPS = ("animtool.passes", "animtool.readers")
 
 
 @cache
@@ -129,12 +129,12 @@ def package_versions() -> dict[str, str]:
     from animtool.core.plugins import plugin_points
 
     versions = {}
-    for name in PACKAGES:
+    for name in VERSIONED_PACKAGES:
         try:
             versions[name] = version(name)
         except PackageNotFoundError:
             versions[name] = ""
-    for group in PLUGIN_GROUPS:
+    for group in VERSIONED_PLUGIN_GROUPS:
         for point in plugin_points(group).values():
             if point.dist is not None:
                 versions[point.dist.name] = point.dist.version
@@ -153,7 +153,7 @@ class Override:
     inputs: tuple[str, ...]
     variables: Mapping[str, str] = field(default_factory=dict)
 
-    def without(self, names: Collection[str]) -> Override:
+    def without_names(self, names: Collection[str]) -> Override:
         """Return a copy without the values of some names."""
         items = self.variables.items()
         return replace(self, variables={n: v for n, v in items if n not in names})

@@ -66,7 +66,7 @@ def _text_problem(path: Path) -> str | None:
                 return f"cannot be read: {excerpt(str(error), 200)}"
         if len(text) > MAX_BYTES:
             return f"is larger than {MAX_BYTES // 1_000_000} MB"
-    if nesting(text) > MAX_NESTING:
+    if nesting_depth(text) > MAX_NESTING:
         return f"is nested more than {MAX_NESTING} levels deep"
     if b"Inf" in text or b"-NaN" in text:
         text = _NON_FINITE_NUMBER.sub(
@@ -76,10 +76,10 @@ def _text_problem(path: Path) -> str | None:
     return None
 
 
-def nesting(text: bytes) -> int:
-    """Return the nesting depth of JSON text.
+def nesting_depth(text: bytes) -> int:
+    """Return the nesting_depth depth of JSON text.
 
-    >>> nesting(b'[{"a": "[[[", "b": [1]}, 2]')
+    >>> nesting_depth(b'[{"a": "[[[", "b": [1]}, 2]')
     3
     """
     brackets = _JSON_STRING.sub(b"", text).translate(None, _NO_BRACKETS)

@@ -31,9 +31,9 @@ def edl_rate(edl: Edl, requested_fps: Fraction | None) -> Fraction:
     path = str(edl.path)
     if edl.fps is not None:
         return _checked_rate(edl.fps, requested_fps, path)
-    configured = requested_fps or find_config(edl.path).timeline.fps
-    if configured is not None:
-        return configured
+    configured_fps = requested_fps or find_config(edl.path).timeline.fps
+    if configured_fps is not None:
+        return configured_fps
     message = "states no frame rate, which its time codes need"
     hint = COMMON_RATES_HINT
     if edl.has_drop_frame:
@@ -72,21 +72,21 @@ def timeline_rate(
             raise FormatError(Fault("BAT041", message, path_text)) from error
     if stated_rate is not None:
         return _checked_rate(stated_rate, requested_fps, path_text), []
-    configured = requested_fps or find_config(path).timeline.fps
-    if configured is not None:
-        return configured, []
-    rates = Counter(picture_rates(timeline.tracks))
-    total = sum(rates.values())
-    if not total:
+    configured_fps = requested_fps or find_config(path).timeline.fps
+    if configured_fps is not None:
+        return configured_fps, []
+    rates = Counter(video_rates(timeline.tracks))
+    clip_count = sum(rates.values())
+    if not clip_count:
         # No clip has a visible range; each clip is reported.
         return Fraction(1), []
-    common_rate, count = rates.most_common(1)[0]
+    common_rate, common_count = rates.most_common(1)[0]
     if len(rates) == 1:
         return common_rate, []
     counts = (f"{number} at {rate_label(rate)}" for rate, number in rates.most_common())
     rate_list = ", ".join(counts)
     message = f"states no rate, and its clips and gaps use several: {rate_list}"
-    if 2 * count <= total:
+    if 2 * common_count <= clip_count:
         raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
     message += f"; using {rate_label(common_rate)}"
     notice = ("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
@@ -105,7 +105,7 @@ def _checked_rate(
     return stated_rate
 
 
-def picture_rates(composition: Any) -> Iterator[Fraction]:
+def video_rates(composition: Any) -> Iterator[Fraction]:
     """Yield the rate of every clip and gap on video tracks.
 
     A clip without a source range counts at the rate of its media range.
@@ -113,7 +113,7 @@ def picture_rates(composition: Any) -> Iterator[Fraction]:
     for child in composition:
         if hasattr(child, "find_children"):
             if getattr(child, "kind", "Video") == "Video":
-                yield from picture_rates(child)
+                yield from video_rates(child)
             continue
         span = getattr(child, "source_range", None)
         if span is None:

@@ -57,10 +57,11 @@ class Variants:
         return tuple(self.rows[0])
 
 
-def columns_variants(columns: Mapping[str, Sequence[str]]) -> Variants:
+def variants_of_columns(columns: Mapping[str, Sequence[str]]) -> Variants:
     """Return all combinations of column values; the last column changes fastest.
 
-    >>> [row["k"] + row["s"] for row in columns_variants({"k": "12", "s": "ab"}).rows]
+    >>> variants = variants_of_columns({"k": "12", "s": "ab"})
+    >>> [row["k"] + row["s"] for row in variants.rows]
     ['1a', '1b', '2a', '2b']
     """
     count = math.prod(map(len, columns.values())) if columns else 0
@@ -83,23 +84,23 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     names = [text.partition("=")[0].strip() for text in texts]
     problems = dict(name_problems(names))
     for i, (name, text) in enumerate(zip(names, texts, strict=True)):
-        marker = argument("vary", text)
-        suggested_range = _translate_range(text.partition("=")[2])
+        option_text = argument("vary", text)
+        suggested_range = _translate_separated_range(text.partition("=")[2])
         hint = "write NAME=1,2,5 or NAME=1..20"
         hint = f"write {name}={suggested_range}" if suggested_range else hint
         if "=" not in text:
-            message = f"{marker}: the sign = is missing"
+            message = f"{option_text}: the sign = is missing"
             faults.append(Fault("BAT064", message, hint=_assignment_hint(text)))
         elif i in problems:
-            faults.append(Fault("BAT063", f"{marker}: {problems[i]}", hint=hint))
+            faults.append(Fault("BAT063", f"{option_text}: {problems[i]}", hint=hint))
         else:
             try:
                 columns[name] = values_of_text(text.partition("=")[2])
             except ValueError as error:
-                faults.append(Fault("BAT064", f"{marker}: {error}", hint=hint))
+                faults.append(Fault("BAT064", f"{option_text}: {error}", hint=hint))
     if not faults:
         try:
-            return columns_variants(columns)
+            return variants_of_columns(columns)
         except ValueError as error:
             faults.append(Fault("BAT065", f"{argument('vary')}: {error}"))
     raise OptionError(faults)
@@ -111,7 +112,7 @@ def _assignment_hint(text: str) -> str:
     >>> _assignment_hint("wind 1 2"), _assignment_hint("wind")
     ('write wind=1,2', 'write wind=1,2,5 or wind=1..20')
     """
-    if suggested_range := _translate_range(text.strip()):
+    if suggested_range := _translate_separated_range(text.strip()):
         return f"write NAME={suggested_range}"
     name, *values = re.split(r"[\s:,]+", text.strip())
     if not is_variable_name(name):
@@ -121,11 +122,11 @@ def _assignment_hint(text: str) -> str:
     return f"write {name}=1,2,5 or {name}=1..20"
 
 
-def _translate_range(text: str) -> str | None:
+def _translate_separated_range(text: str) -> str | None:
     """Convert a range with colons or dots to animtool's; None if it is not one.
 
     >>> texts = ("50:200:50", "50:50:200", "01:00:00")
-    >>> tuple(map(_translate_range, texts))
+    >>> tuple(map(_translate_separated_range, texts))
     ('50..200/50', '50..200/50', None)
     """
     match = _OTHER_RANGE.fullmatch(text)
@@ -145,7 +146,7 @@ def translate_range(text: str) -> str | None:
     """
     match = _HYPHEN_RANGE.fullmatch(text.strip())
     if match is None:
-        return _translate_range(text.strip())
+        return _translate_separated_range(text.strip())
     first, last = match.groups()
     return f"{first}..{last}" if int(first) < int(last) else None
 
@@ -157,15 +158,15 @@ def values_of_text(text: str) -> list[str]:
     (['1', '2', '3', '10'], ['0', '0.25', '0.5', '0.75', '1'])
     """
     values: list[str] = []
-    for item in (item.strip() for item in text.split(",")):
-        match = _RANGE.fullmatch(item)
+    for entry in (entry.strip() for entry in text.split(",")):
+        match = _RANGE.fullmatch(entry)
         if match is None:
-            problem = value_problem(item)
-            if problem is None and _translate_range(item) is not None:
-                problem = f"{excerpt(item)} is neither a value nor a range"
+            problem = value_problem(entry)
+            if problem is None and _translate_separated_range(entry) is not None:
+                problem = f"{excerpt(entry)} is neither a value nor a range"
             if problem is not None:
                 raise ValueError(problem)
-            values.append(item)
+            values.append(entry)
         else:
             values += range_values(match["first"], match["last"], match["step"] or "1")
         if len(values) > MAX_VARIANTS:
@@ -237,19 +238,21 @@ def name_problems(
             yield i, f"there are two columns {name!r}"
 
 
-def variant_pattern(table: Variants | None) -> str:
+def variant_pattern(variants: Variants | None) -> str:
     """Return the suffix of an output pattern that makes variants distinct.
 
     >>> variant_pattern(Variants(({"k": "1", "s": "2"},)))
     '_{k}_{s}'
     """
-    return "" if table is None else "".join(f"_{{{name}}}" for name in table.names)
+    return (
+        "" if variants is None else "".join(f"_{{{name}}}" for name in variants.names)
+    )
 
 
-def file_name(value: str) -> str:
+def file_name_part(value: str) -> str:
     """Return a value converted to a part of a file name.
 
-    >>> file_name("a/b c"), file_name("../x"), file_name("-0.5")
+    >>> file_name_part("a/b c"), file_name_part("../x"), file_name_part("-0.5")
     ('a_b_c', '_x', '-0.5')
     """
     return _UNSAFE_CHARACTERS.sub("_", value).lstrip(".") or "_"
@@ -337,8 +340,8 @@ def _parse_line(line: str, separator: str) -> list[str]:
 def _value_columns(line: str, separator: str) -> list[int]:
     """Return the 1-based columns where the values of a line begin."""
     columns, in_quotes = [1], False
-    for column, letter in enumerate(line, 2):
-        in_quotes ^= letter == '"'
-        if letter == separator and not in_quotes:
+    for column, character in enumerate(line, 2):
+        in_quotes ^= character == '"'
+        if character == separator and not in_quotes:
             columns.append(column)
     return columns

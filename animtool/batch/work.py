@@ -66,7 +66,7 @@ class ItemOutcome:
     inputs: tuple[FileRecord, ...] = ()  # accessed files
     outputs: tuple[FileRecord, ...] = ()  # written files
     written_at: int = 0  # time by the clock of the output's disk [ns]
-    retired: bool = False  # whether the process should build no more items
+    is_retired: bool = False  # whether the process should build no more items
 
     @classmethod
     def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> ItemOutcome:
@@ -97,8 +97,8 @@ class ItemBuilder:
             message = f"cannot be read or written: {error.strerror or error}"
             faults = (Fault("BAT023", message, error.filename or _item_path(item)),)
         except Exception as error:
-            kind, is_retired = type(error).__name__, True
-            message = f"internal error: {kind}: {excerpt(str(error), 200)}"
+            error_name, is_retired = type(error).__name__, True
+            message = f"internal error: {error_name}: {excerpt(str(error), 200)}"
             hint = f"please report it; {argument('executor', 'serial')} "
             hint += f"{argument('debug', True)} shows where"
             faults = (Fault("BAT023", message, _item_path(item), (), hint),)
@@ -106,7 +106,7 @@ class ItemBuilder:
             _forget_layers()
         seconds = time.perf_counter() - start_time
         return ItemOutcome(
-            item.number, ItemStatus.FAILED, seconds, faults, retired=is_retired
+            item.number, ItemStatus.FAILED, seconds, faults, is_retired=is_retired
         )
 
     def _build(self, item: Item, start_time: float) -> ItemOutcome:
@@ -191,8 +191,8 @@ def _forget_layers() -> None:
 
 
 # Module that is imported last and freezes the imported objects.
-PRELOAD = "animtool.batch.preload"
-ALWAYS_MODULES = (
+FREEZE_MODULE = "animtool.batch.preload"
+COMMON_MODULES = (
     "animtool.batch.work",
     "animtool.scene.bake.bake",
     "animtool.usd.takes.author",
@@ -221,19 +221,21 @@ SCENE_MODULES = (
 )
 
 
-def needed_modules(item_task: ItemTask) -> list[str]:
+def required_modules(item_task: ItemTask) -> list[str]:
     """Return the modules to import before the first item.
 
     >>> from pathlib import Path
-    >>> needed_modules(ItemTask(kinds=(Path("walk.bvh"),)))[-2:]
+    >>> required_modules(ItemTask(kinds=(Path("walk.bvh"),)))[-2:]
     ['animtool.formats.bvh.read', 'animtool.batch.preload']
     """
-    return [*dict.fromkeys([*ALWAYS_MODULES, *_modules_by_kind(item_task), PRELOAD])]
+    return [
+        *dict.fromkeys([*COMMON_MODULES, *_modules_by_kind(item_task), FREEZE_MODULE])
+    ]
 
 
 def _modules_by_kind(item_task: ItemTask) -> Iterator[str]:
-    scenes = any(has_kind_suffix(path, "scene") for path in item_task.kinds)
-    if item_task.scene is not None or scenes:
+    has_scenes = any(has_kind_suffix(path, "scene") for path in item_task.kinds)
+    if item_task.scene is not None or has_scenes:
         yield from SCENE_MODULES
     if item_task.options.rig_layer is not None:
         yield from LAYER_MODULES
@@ -243,7 +245,7 @@ def _modules_by_kind(item_task: ItemTask) -> Iterator[str]:
 
 
 # Message of a worker that is ready for items.
-READY = "ready"
+READY_MESSAGE = "ready"
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,32 +255,34 @@ class FileBeingRead:
     path: str
 
 
-def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> None:
+def serve(
+    connection: Connection, builder: ItemBuilder, memory_limit: int | None
+) -> None:
     """Receive items, build them and send their outcomes until None is received.
 
-    ``memory`` is the memory limit of this process [bytes]; None for no limit.
+    ``memory_limit`` is the memory limit of this process [bytes]; None for no limit.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     follow_parent()
     # Imports before the first item do not count as its time.
-    for name in needed_modules(builder.item_task):
+    for name in required_modules(builder.item_task):
         import_module(name)
     from animtool.usd.layers.sdf import limit_usd_threads
 
     limit_usd_threads()
-    if memory is not None:
-        _limit_memory(memory)
+    if memory_limit is not None:
+        _limit_memory(memory_limit)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        connection.send(READY)
+        connection.send(READY_MESSAGE)
         report_reading(lambda path: connection.send(FileBeingRead(path)))
         while (item := connection.recv()) is not None:
             outcome = builder.build(item)
             connection.send(outcome)
-            if outcome.retired:
+            if outcome.is_retired:
                 return
 
 
-def _limit_memory(memory: int) -> None:
+def _limit_memory(memory_limit: int) -> None:
     """Make memory allocations beyond a limit fail, if the system supports that.
 
     Mapped memory is partly counted twice, so the limit tends to be too large; the run
@@ -291,7 +295,7 @@ def _limit_memory(memory: int) -> None:
     if process_memory := memory_bytes():
         with contextlib.suppress(OSError, ValueError):
             hard_limit = resource.getrlimit(resource.RLIMIT_AS)[1]
-            limit = process_memory[0] + memory
+            limit = process_memory[0] + memory_limit
             if hard_limit != resource.RLIM_INFINITY:
                 limit = min(limit, hard_limit)
             resource.setrlimit(resource.RLIMIT_AS, (limit, hard_limit))

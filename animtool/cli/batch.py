@@ -355,7 +355,7 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
         },
     )
     names = dict(params["variables"])
-    overrides = tuple(override.without(names) for override in spec.overrides)
+    overrides = tuple(override.without_names(names) for override in spec.overrides)
     if params["strict"]:
         spec = replace(spec, options=replace(spec.options, strict=True))
     return replace(
@@ -376,7 +376,11 @@ class _RepeatCommand:
 
     def with_command(self, report: ItemReport) -> ItemReport:
         """Return the report of an item; if it failed, with the command to repeat it."""
-        return replace(report, again=self.command(report)) if report.failed else report
+        return (
+            replace(report, repeat_command=self.command(report))
+            if report.failed
+            else report
+        )
 
     def command(self, report: ItemReport) -> str:
         params, item = self._params, report.item

@@ -52,7 +52,7 @@ def finished_text(entry: ItemReport, number: int, total: int) -> str:
     """Return the line of a finished item."""
     prefix = f"[{number}/{total}] {entry.status} {_item_text(entry)}"
     if entry.failed:
-        return f"{prefix}: {entry.why}"
+        return f"{prefix}: {entry.failure_text}"
     return f"{prefix} ({entry.reason}) {entry.seconds:.2f} s"
 
 
@@ -82,7 +82,7 @@ def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
             output, count = report.item.output, f"{self.ended_count} of {self.total}"
             if report.failed:
                 self.failed += 1
-                reason = report.worded(namer).why
+                reason = report.worded(namer).failure_text
                 _write_openjd_line(
                     "fail", f"{self.failed} failed, the last is {output}: {reason}"
                 )
@@ -268,10 +268,10 @@ SUMMARY = Template(
     (
         "[{items:n item}|0 items]: [{self:counts}|nothing] in {seconds:.2f} s",
         "[  why: {reasons:common}]",
-        "[  warnings: from {warned:n item}]",
-        "[  slowest: {slowest:slow}]",
-        "[  largest errors: {worst:errors}]",
-        Each("scored:tables", ("{self}",)),
+        "[  warnings: from {items_with_warnings:n item}]",
+        "[  slowest: {slowest_items:slow}]",
+        "[  largest errors: {largest_errors:errors}]",
+        Each("items_with_scores:tables", ("{self}",)),
     ),
     {
         "counts": _count_text,

@@ -26,7 +26,8 @@ from animtool.report.text import Template
 BUNDLE_TEMPLATE = Template(
     "animtool.batch.bundle:WrittenBundle",
     (
-        "{folder}: {bundle.items} items, {bundle.chunk} a task, {bundle.tasks} tasks",
+        "{folder}: {bundle.item_count} items, {bundle.chunk_size} a task, "
+        "{bundle.task_count} tasks",
         "  here: {run:command}",
     ),
     {"command": shlex.join},

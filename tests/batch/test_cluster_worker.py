@@ -56,10 +56,10 @@ def test_an_input_that_is_another_here(
     outcome: tuple[Delivery, ItemOutcome], tmp_path: Path
 ) -> None:
     delivery, done = outcome
-    assert delivery.differing_inputs(done) == []
+    assert delivery.inputs_that_differ(done) == []
     inputs = tuple(replace(one, sha256="0" * 64) for one in done.inputs)
     path = (tmp_path / "takes/take000.bvh").absolute()
-    other = delivery.differing_inputs(replace(done, inputs=inputs))
+    other = delivery.inputs_that_differ(replace(done, inputs=inputs))
     assert path in [one.resolve() for one in other]
     assert delivery.locally_changed(other) == []
     path.write_text("HIERARCHY\n")

@@ -26,12 +26,12 @@ def test_an_input_that_another_machine_has_otherwise(tmp_path: Path) -> None:
     delivery = Delivery(tmp_path)
     absent = FileRecord(str(gone), None)
     same = ItemOutcome(1, ItemStatus.DONE, 0.0, inputs=(record(path), absent))
-    assert delivery.differing_inputs(same) == []
+    assert delivery.inputs_that_differ(same) == []
     stale = replace(record(path), sha256="0" * 64)
     built = ItemOutcome(
         1, ItemStatus.DONE, 0.0, inputs=(stale, replace(stale, path=str(gone)))
     )
-    assert delivery.differing_inputs(built) == [path, gone]
+    assert delivery.inputs_that_differ(built) == [path, gone]
     # It is the other machine's that differ: here, nothing changed.
     assert delivery.locally_changed([path, gone]) == []
 
@@ -40,10 +40,10 @@ def test_an_input_that_changes_here_meanwhile(tmp_path: Path) -> None:
     path = tmp_path / "a.bvh"
     path.write_text("before")
     delivery = Delivery(tmp_path)
-    delivery.record_state(path)
+    delivery.first_state(path)
     built = ItemOutcome(1, ItemStatus.DONE, 0.0, inputs=(record(path),))
     path.write_text("after, and longer")
-    other = delivery.differing_inputs(built)
+    other = delivery.inputs_that_differ(built)
     assert other == [path]
     assert delivery.locally_changed(other) == [path]
 

@@ -24,7 +24,7 @@ LINES = [{"n": i, "text": "ä\ud800\n" * i} for i in range(5)]
 def read(path: Path) -> tuple[list[dict[str, object]], int]:
     reader = LineReader(path, HEAD)
     found = list(reader.lines())
-    assert not reader.damaged
+    assert not reader.damaged_lines
     return found, reader.length
 
 
@@ -92,7 +92,7 @@ def test_a_damaged_line_is_left_out_and_told(tmp_path: Path, line: bytes) -> Non
     reader = LineReader(path, HEAD)
     assert list(reader.lines()) == [*LINES, {"n": 9}]
     number = len(LINES) + 2
-    assert list(reader.damaged) == [number]
+    assert list(reader.damaged_lines) == [number]
     (notice,) = reader.notices()
     assert (notice.code, notice.lines) == ("BAT070", (number,))
     # What is added comes behind all of it.
@@ -111,7 +111,7 @@ def test_a_byte_that_changed_is_found(data: st.DataObject) -> None:
         path.write_bytes(content)
         reader = LineReader(path, HEAD)
         found = list(reader.lines())
-        assert reader.damaged
+        assert reader.damaged_lines
         assert all(line in LINES for line in found)
 
 
@@ -126,7 +126,7 @@ def test_a_line_without_end_is_not_read_whole(
     reader = LineReader(path, HEAD)
     tracemalloc.start()
     assert list(reader.lines()) == [*LINES, {"n": 9}]
-    assert len(reader.damaged) == 1
+    assert len(reader.damaged_lines) == 1
     path.write_bytes(content + b"a" * 50_000_000)
     tracemalloc.reset_peak()
     assert read(path) == (LINES, len(content))

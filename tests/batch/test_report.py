@@ -40,10 +40,10 @@ def test_plain_values(report: BatchReport) -> None:
 
 
 def test_what_stands_out(report: BatchReport) -> None:
-    times = [entry.seconds for entry in report.slowest]
+    times = [entry.seconds for entry in report.slowest_items]
     assert len(times) == 2
     assert times == sorted(times, reverse=True)
-    errors = [entry.measured.error for entry in report.worst if entry.measured]
+    errors = [entry.measured.error for entry in report.largest_errors if entry.measured]
     assert errors == sorted(errors, reverse=True)
 
 

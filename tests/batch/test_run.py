@@ -43,7 +43,7 @@ def test_failures_cost_nothing_else(spec: BatchSpec) -> None:
     assert statuses(report) == ["done", "failed", "done", "failed", "done"]
     assert report.exit_code is ExitCode.FINDINGS
     assert [entry.item.number for entry in report.failed] == [2, 4]
-    assert report.failed[0].why.startswith("BVH")
+    assert report.failed[0].failure_text.startswith("BVH")
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,10 @@ from animtool.batch.plan import check_output_files
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.batch.variants import (
-    columns_variants,
-    file_name,
+    file_name_part,
     range_values,
     read_variants,
+    variants_of_columns,
     variants_of_texts,
 )
 from animtool.core.errors import AnimtoolError, FormatError, OptionError
@@ -138,7 +138,7 @@ def test_columns_of_tables_are_parted_by_tabs_in_tsv_files(tmp_path: Path) -> No
 
 def test_as_many_variants_as_are_allowed() -> None:
     hundred = [str(i) for i in range(100)]
-    assert len(columns_variants({"k": hundred, "s": hundred}).rows) == 10_000
+    assert len(variants_of_columns({"k": hundred, "s": hundred}).rows) == 10_000
     assert len(range_values("1", "10000")) == 10_000
 
 
@@ -146,7 +146,7 @@ def test_as_many_variants_as_are_allowed() -> None:
     ("value", "name"), [("v1.", "v1."), (".v1", "v1"), ("a+b/c", "a+b_c"), ("..", "_")]
 )
 def test_values_in_names_of_files(value: str, name: str) -> None:
-    assert file_name(value) == name
+    assert file_name_part(value) == name
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_what_nothing_was_prepared_for(
     monkeypatch.setattr(ItemTask, "bake", fail)
     (outcome,) = made(tmp_path)
     assert outcome.status is ItemStatus.FAILED
-    assert (outcome.faults[0].code, outcome.retired) == (code, retired)
+    assert (outcome.faults[0].code, outcome.is_retired) == (code, retired)
     assert outcome.faults[0].path
 
 

@@ -9,7 +9,7 @@ import sys
 from dataclasses import replace
 from multiprocessing.connection import Connection
 
-from animtool.batch.work import READY, ItemBuilder
+from animtool.batch.work import READY_MESSAGE, ItemBuilder
 
 
 def serve_nothing(
@@ -33,7 +33,7 @@ def serve_garbage(
 ) -> None:
     """Answer each item by what is no outcome of it."""
     del memory
-    connection.send(READY)
+    connection.send(READY_MESSAGE)
     item = connection.recv()
     outcome = builder.build(item)
     if item.number == 1:
