@@ -129,7 +129,7 @@ class CutContext:
     project: Config
 
     def _first_set(self, name: str) -> Any:
-        """Return the setting of options, clip or timeline, the first that sets it."""
+        """Return a setting of the options, else of the clip, else of the timeline."""
         values = (getattr(o, name) for o in (self.options, self.clip, self.timeline))
         return next((value for value in values if value is not None), None)
 

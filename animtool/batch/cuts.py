@@ -100,7 +100,7 @@ def read_cuts(
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
-    """Return the named shot, or the only one (else BAT048); see `read_cuts`."""
+    """Return a shot by its name, or the only one; raise BAT048 if there is none."""
     reader = _CutReader(path, (), options)
     visitor = reader.clips()
     return reader.build_cuts(

@@ -96,7 +96,7 @@ class Edl:
 
 
 def read_edl(path: Path) -> Edl:
-    """Read the events of an EDL (else BAT041); drop-frame codes have semicolons."""
+    """Read the events of an EDL; drop-frame time codes get semicolons."""
     check_text(path)
     text = read_input(path, MAX_BYTES).decode("utf-8-sig", "replace")
     edl, is_drop_frame, is_edl = Edl(path), False, not text.strip()

@@ -217,7 +217,9 @@ def _parse_rule(record: Mapping[str, Any]) -> PathRule:
 
 
 def map_path(text: str, rules: Sequence[PathRule]) -> str:
-    r"""Return the local path, by the rule of the innermost folder.
+    r"""Return the local path of a path of another machine.
+
+    Of several rules that match, that of the innermost folder applies.
 
     >>> rule = PathRule(PureWindowsPath("Z:/show"), "/mnt/show")
     >>> map_path("z:\\show\\a.bvh", [rule]), map_path("a.bvh", [rule])

@@ -89,7 +89,7 @@ class _Worker:
             self.connection.send(item)
 
     def receive(self) -> object:
-        """Return a message of the worker; None if the worker ended or it is invalid.
+        """Return the next message of the worker; None if it ended or sent nonsense.
 
         The file that it reads is stored: if the file crashes the worker, no other
         message arrives.

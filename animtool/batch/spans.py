@@ -124,7 +124,7 @@ def _effect_name(effect: Any) -> str:
 
 
 def transition_offsets(shown_clip: ShownClip) -> tuple[Any, Any]:
-    """Return by how much transitions extend a clip at either end; None without any."""
+    """Return how far transitions extend a clip before and after it; None for none."""
     import opentimelineio as otio
 
     kind = otio.schema.Transition

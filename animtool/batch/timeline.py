@@ -35,7 +35,7 @@ _NO_BRACKETS = bytes(set(range(256)) - set(_BRACKET_BYTES))
 
 
 def check_text(path: Path) -> None:
-    """Raise an error for a timeline that is too large or deeply nested, or no file."""
+    """Raise an error for a timeline that is too large, deeply nested or not a file."""
     try:
         problem = _text_problem(path)
     except FormatError as error:
@@ -77,7 +77,7 @@ def _text_problem(path: Path) -> str | None:
 
 
 def nesting_depth(text: bytes) -> int:
-    """Return the nesting_depth depth of JSON text.
+    """Return the nesting depth of JSON text.
 
     >>> nesting_depth(b'[{"a": "[[[", "b": [1]}, 2]')
     3

@@ -17,7 +17,7 @@ from animtool.scene.bake.outline import Outline, create_outline
 from animtool.scene.bake.plan import OutputPlan, plan_outputs
 from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
 from animtool.scene.bake.progress import Progress, part_progress
-from animtool.scene.bake.reading import Source
+from animtool.scene.bake.reading import Source, SourceSet
 
 if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport
@@ -55,13 +55,11 @@ def bake(
     outline = create_outline(source, output, options)
     if not any(entry.is_stage for entry in outline.outputs):
         entry = outline.outputs[0]
-        message = (
-            "the scene names no USD file" if entry.location else "is not a USD file"
-        )
         hint = "animtool.convert writes files of other formats"
-        fault = Fault("SCN044", message, hint=hint)
         if entry.location is not None:
-            raise OptionError(entry.location.locate(fault))
+            message = "the scene names no USD file"
+            raise OptionError(entry.location.fault("SCN044", message, hint))
+        message = "is not a USD file"
         raise OptionError(Fault("OUT004", message, str(entry.path), (), hint))
     reports = bake_outline(outline, progress=progress)
     return next(report for report in reports if isinstance(report, BakeReport))
@@ -108,16 +106,10 @@ def bake_take(
 ) -> OutputReport:
     """Write an open take to the single output of an outline.
 
-    Args:
-        stream: The take, which can be read once; its blocks may be computed while they
-            are read.
-        outline: The output, and the file that messages name as the source.
-        progress: Called with the fraction done, 0 to 1.
+    The take can be read once, and its blocks may be computed while they are read. The
+    outline also states the file that messages name as the source.
     """
-    first_file = outline.source_set.files[:1]
-    source_set = replace(
-        outline.source_set, files=first_file, takes=(stream,), scenes={}, names=()
-    )
+    source_set = SourceSet(outline.source_set.files[:1], {}, (stream,))
     outline = replace(outline, source_set=source_set)
     (report,) = bake_outline(outline, progress=progress)
     return report
@@ -137,7 +129,7 @@ def run_outputs(
                 if isinstance(plan, BakePlan):
                     reports.append(run_stage(plan, progress=output_progress))
                 else:
-                    reports.append(plan.run(output_progress))
+                    reports.append(plan.run())
             if output_progress is not None:
                 output_progress(1.0)
     return reports
@@ -146,26 +138,24 @@ def run_outputs(
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Run a planned bake to one USD file."""
     start_time = time.perf_counter()
-    draft = BakeState(
-        plan, progress, [BakedTake(take, plan.recorder) for take in plan.takes]
-    )
+    takes = [BakedTake(take, plan.recorder) for take in plan.takes]
+    state = BakeState(plan, progress, takes)
     for prims in plan.prims:
-        prims.author(draft)
-        assert draft.report is not None
-        refuse_warnings(draft.report.notices, strict=plan.options.strict)
-    assert draft.report is not None
-    read_end_time = time.perf_counter()
-    draft.write()
-    total_seconds = time.perf_counter() - start_time
-    read_seconds = sum(draft.read)
-    # Frames of an output with systems only are simulated while they are written.
-    author_seconds = (
-        read_end_time - start_time if plan.takes else total_seconds - read_seconds
-    )
-    draft.report.seconds |= {
-        "read": read_seconds,
-        "author": author_seconds,
-        "save": total_seconds - author_seconds if plan.takes else 0.0,
-        "total": total_seconds,
+        prims.author(state)
+        assert state.report is not None
+        refuse_warnings(state.report.notices, strict=plan.options.strict)
+    assert state.report is not None
+    author = time.perf_counter() - start_time
+    state.write()
+    total, read = time.perf_counter() - start_time, sum(state.read)
+    if not plan.takes:
+        # Frames of an output with systems only are simulated while they are written.
+        author = total - read
+    save = total - author if plan.takes else 0.0
+    state.report.seconds |= {
+        "read": read,
+        "author": author,
+        "save": save,
+        "total": total,
     }
-    return draft.report
+    return state.report

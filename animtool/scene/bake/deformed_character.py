@@ -63,9 +63,8 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
     The meshes and strands are from the take's rig if it has meshes, else from the rig
     layer, else from the USD file that the take was read from.
     """
-    stream, source, mapping = take.stream, take.source, take.mapping
-    options = take.options
-    rig = stream.rig
+    source, mapping, options = take.source, take.mapping, take.options
+    rig = take.stream.rig
     shapes = tuple(shape.name for shape in rig.shapes)
     if rig.meshes or (target is None and not is_usd(source)):
         surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
@@ -80,9 +79,8 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
             targets = read_target_meshes(target)
         else:
             source_label = str(source)
-            targets = read_source_meshes(
-                source, options.source.prim_path, options.placement
-            )
+            prim_path = options.source.prim_path
+            targets = read_source_meshes(source, prim_path, options.placement)
         take.notices.extend(targets.notices)
         surfaces = _rotate_surfaces(targets.surfaces, rig.up, targets.up)
         strands, bind = targets.strands, targets.bind
@@ -90,16 +88,13 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
     if not surfaces and not strands:
         message = "there is no mesh to deform"
-        hint = (
-            f"use a rig with meshes: in the clip, or with {argument('source.rig')} "
-            f"or {argument('rig_layer')}"
-        )
+        hint = f"use a rig with meshes: in the clip, or with {argument('source.rig')} "
+        hint += f"or {argument('rig_layer')}"
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
     meshes += character_strands(strands, rig.names, bind)
-    return DeformedCharacter(
-        rig, surfaces, strands, mapping, tuple(meshes), source_label
-    )
+    parts = (surfaces, strands, mapping, tuple(meshes))
+    return DeformedCharacter(rig, *parts, source_label)
 
 
 def _rotate_surfaces(

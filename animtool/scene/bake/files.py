@@ -24,12 +24,12 @@ from animtool.motion.driving import combine_missing_weights
 from animtool.motion.motion import Channel
 from animtool.motion.reorient import rotate_rig
 from animtool.motion.scores import PassScores
-from animtool.motion.take import Take, TakeStream
+from animtool.motion.take import Take
 from animtool.motion.take_files import TakeFiles, WriteOptions
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Pose, Rig
 from animtool.scene.bake.frames import TakePlan, in_frames
-from animtool.scene.bake.progress import OutputCost, Progress
+from animtool.scene.bake.progress import OutputCost
 from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 
 if TYPE_CHECKING:
@@ -105,19 +105,12 @@ class FilePlan:
         """Warnings collected before writing."""
         return self.take.notices
 
-    def run(self, progress: Progress = None) -> ConvertReport:
+    def run(self) -> ConvertReport:
         """Resample the take to the output's frames, write it and return the report."""
-        del progress  # the source's clock
-        plan = self.take
-        resampled_stream = in_frames(plan)
-        resampled_stream.notices = [*resampled_stream.notices, *plan.notices]
-        report = self._write_file(resampled_stream)
-        scores = list(plan.stream.scores)
-        return replace(report, shot=plan.options.shot, scores=scores)
-
-    def _write_file(self, stream: TakeStream) -> ConvertReport:
         path, plan = self.path, self.take
         options, base = plan.options, self.base
+        stream = in_frames(plan)
+        stream.notices = [*stream.notices, *plan.notices]
         take = stream.collect()
         base_take = None
         if base is not None:
@@ -137,9 +130,7 @@ class FilePlan:
         if "meshes" in writer.holds:
             take, mesh_notices = _with_meshes(take, plan)
         outputs = _take_files(writer, take, path, write)
-        notices = list(stream.notices)
-        for other_stream in other_streams:
-            notices += other_stream.notices
+        notices = [n for each in (stream, *other_streams) for n in each.notices]
         notices += [*take.notices, *mesh_notices, *outputs.notices]
         notices = without_accepted(list(dict.fromkeys(notices)))
         refuse_warnings(notices, strict=options.strict)
@@ -150,16 +141,23 @@ class FilePlan:
                 write_arrays(file, contents)
             else:
                 write_parts(file, contents)
-        count = take.clock.count
         return ConvertReport(
-            path, outputs.span, count, outputs.joints, notices, outputs.keyed, files
+            path,
+            outputs.span,
+            take.clock.count,
+            outputs.joints,
+            notices,
+            outputs.keyed,
+            files,
+            options.shot,
+            list(plan.stream.scores),
         )
 
 
 def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
-    """Return a take of a USD file with its meshes, if these were not read with it.
+    """Return a take with the meshes of its USD file, and notices about them.
 
-    Also return notices about the meshes and the bind pose.
+    Takes that have meshes, or are from other files, are returned unchanged.
     """
     if take.rig.meshes or not is_usd(plan.source):
         return take, []
@@ -174,11 +172,9 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
     rotation = up_from_up(take.rig.up, full_rig.up)
     if rotation is not None:
         full_rig = rotate_rig(full_rig, np.array(rotation), take.rig.up)
-    full_names = {shape.name for shape in full_rig.shapes}
-    unmeshed_shapes = [
-        shape for shape in take.rig.shapes if shape.name not in full_names
-    ]
-    shapes = (*full_rig.shapes, *unmeshed_shapes)
+    names = {shape.name for shape in full_rig.shapes}
+    shapes = full_rig.shapes
+    shapes += tuple(shape for shape in take.rig.shapes if shape.name not in names)
     rig = replace(
         take.rig,
         meters_per_unit=full_rig.meters_per_unit,
@@ -186,8 +182,7 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
         shapes=shapes,
         bind=_bind_poses(take.rig, full_rig),
     )
-    weights = _shape_weights(take, shapes)
-    motion = replace(take.motion, weights=weights)
+    motion = replace(take.motion, weights=_shape_weights(take, shapes))
     return replace(take, rig=rig, motion=motion), notices
 
 
@@ -236,8 +231,7 @@ def _take_files(
         start += (clock.start - 1) / clock.step
     # Most of these formats do not number frames; readers start with the first.
     span = Clock(clock.rate, start, Fraction(1), clock.count).span
-    joints = len(take.rig.joints)
-    return TakeFiles({path: text.parts}, span, joints, text.notices)
+    return TakeFiles({path: text.parts}, span, len(take.rig.joints), text.notices)
 
 
 def _base_take(take: Take, path: Path, options: SourceOptions | None) -> Take:

@@ -40,17 +40,15 @@ def frame_start(
     if start.denominator == 1 or fps == source_fps:
         return start
     first = start * fps / source_fps
-    nearest = Fraction(round(first))
-    return nearest if on_frame or abs(first - nearest) <= START_ROUNDING else first
+    frame = Fraction(round(first))
+    return frame if on_frame or abs(first - frame) <= START_ROUNDING else first
 
 
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
-    """Return the integer time codes that cover a take; None if none are needed.
+    """Return the integer time codes that cover a take, from its start [frame].
 
     The time codes of the first and the last sample are rounded up. Returns None if the
-    start is an integer or each frame has one sample.
-
-    fps: [frame/s]. start: Time code of the first sample [frame].
+    start is an integer or each frame has one sample. ``fps`` is [frame/s].
 
     >>> clock = Clock(Fraction(24), Fraction(24024, 25), Fraction(24, 25), 20)
     >>> integer_frames(clock, Fraction(24), clock.start)

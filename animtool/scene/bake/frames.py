@@ -15,7 +15,7 @@ from animtool.clip.keyed_curve import KeyedCurve
 from animtool.core.arguments import argument, clause
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock, frame_label, time_codes
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, Severity, warning
 from animtool.core.rates import rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot, frame_spans
@@ -50,7 +50,7 @@ TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and m
 class TakePlan:
     """One take of a bake."""
 
-    source: Path
+    source: Path  # file of the take
     name: str  # legal, unique name of a library's take; else empty
     stream: TakeStream  # opened, with the joints in the order written
     mapping: RigJointMap | None  # maps the take's joints to those of a rig layer
@@ -112,11 +112,8 @@ def _interpolation_notices(
     reported_codes = {notice.code for notice in plan.stream.notices}
     positions = FramePositions(times.frames, times.fractions)
     hint = f"{argument('keep_samples', True)} keeps the frames as is"
-    return [
-        notice.in_file(plan.source)
-        for notice in interpolation_notices(interpolation, positions, hint)
-        if notice.code not in reported_codes
-    ]
+    notices = interpolation_notices(interpolation, positions, hint)
+    return [n.in_file(plan.source) for n in notices if n.code not in reported_codes]
 
 
 def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
@@ -184,58 +181,49 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     """
     frame_range, source_path = plan.options.frame_range, str(plan.source)
     assert frame_range is not None
-    requested_frames = range(frame_range.first, frame_range.last + 1, frame_range.step)
+    requested = range(frame_range.first, frame_range.last + 1, frame_range.step)
     step = plan.fps / clock.rate
     last = plan.start + (clock.count - 1) * step
     # Played backwards, a frame lasts until the previous one.
     lead_in, lead_out = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
-    missing_frames = [
+    begin, end = plan.start - lead_in, last + lead_out
+    missing = [
         frame
-        for frame in requested_frames
-        if not (
-            plan.start - lead_in < frame < last + lead_out
-            or frame in {plan.start, last}
-        )
+        for frame in requested
+        if not begin < frame < end and frame not in {plan.start, last}
     ]
-    if not missing_frames:
+    if not missing:
         return []
     prefix = f"shot {shot.name}: " if shot.name else ""
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
-    if len(missing_frames) == len(requested_frames):
+    if len(missing) == len(requested):
         # After passes that retime the take, its times do not correspond to the media.
         nearest_end = last if shot.speed < 0 else plan.start
+        ends = requested[0], requested[-1]
         if shot.places_media and shot.frame_at(0) == nearest_end:
             length = clock.count / clock.rate * abs(shot.speed)
-            raise no_frames_error(
-                shot, requested_frames[0], requested_frames[-1], length, source_path
-            )
-        message = (
-            f"{prefix}the take has no frame from {requested_frames[0]} "
-            f"to {requested_frames[-1]}"
-        )
+            raise no_frames_error(shot, *ends, length, source_path)
+        message = f"{prefix}the take has no frame from {ends[0]} to {ends[1]}"
         cut_key = None if shot.places_media else "shot.cut"
         hint += "; change cut, or start, the number of the take's first frame"
         fault = Fault("SCN042", message, source_path, (), hint, where=cut_key)
         raise OptionError(with_position(fault))
-    cut = [frame for frame in missing_frames if shot.cut_in <= frame <= shot.cut_out]
-    handles = [frame for frame in missing_frames if frame not in cut]
+    cut = [frame for frame in missing if shot.cut_in <= frame <= shot.cut_out]
+    handles = [frame for frame in missing if frame not in cut]
     notices = []
     for code, description, key, frames in (
-        ("SCN074", "frames of the cut", "shot.cut", cut),
-        ("SCN106", "handle frames", "shot.handles", handles),
+        ("SCN074", "frames of the cut", "cut", cut),
+        ("SCN106", "handle frames", "handles", handles),
     ):
         if frames:
-            message = (
-                f"{prefix}the take does not have {description} "
-                f"{frame_spans(frames, frame_range.step)}; the nearest pose is held"
+            message = f"{prefix}the take does not have {description} "
+            message += frame_spans(frames, frame_range.step)
+            message += "; the nearest pose is held"
+            where = None if shot.places_media else f"shot.{key}"
+            fault = warning(
+                code, message, f"{hint}; change {key}, or export longer media", where
             )
-            warning = Severity.WARNING
-            cut_key = None if shot.places_media else key
-            remedy = f"{hint}; change {key.partition('.')[2]}, or export longer media"
-            fault = Fault(
-                code, message, source_path, (), remedy, warning, where=cut_key
-            )
-            notices.append(with_position(fault))
+            notices.append(with_position(fault.in_file(source_path)))
     return notices
 
 
@@ -247,7 +235,7 @@ def _sample_curve(
     clock = Clock(stream.fps, first, stream.step, stream.count)
     times = _sample_times(plan, clock)
     # Samples on the source's frames are exact; those before its first or after its last
-    # frame are off its grid. In a shot they hold the pose of its first or last frame.
+    # frame are off its grid. In a shot these hold the pose of its first or last frame.
     samples = times.frames + times.fractions
     if plan.options.shot is None:
         ratio = float(clock.rate / plan.fps)
@@ -286,11 +274,10 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     last = frame_range.last - (frame_range.last - frame_range.first) % frame_range.step
     if times.first == frame_range.first and times.last == last:
         return []
-    message = (
-        f"{argument('frame_range', f'{frame_range.first}-{frame_range.last}')} extends "
-        f"beyond the take; {float(times.first):g} to {float(times.last):g} are written"
-    )
-    return [Fault("SCN202", message, severity=Severity.WARNING)]
+    text = f"{frame_range.first}-{frame_range.last}"
+    message = f"{argument('frame_range', text)} extends beyond the take; "
+    message += f"{float(times.first):g} to {float(times.last):g} are written"
+    return [warning("SCN202", message)]
 
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
@@ -309,10 +296,8 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     if last_is_off_step or (plan.options.keep_samples and ends_lack_samples):
         text = f"{frame_range.first}-{frame_range.last}"
         text += f"x{frame_range.step}" if frame_range.step > 1 else ""
-        message = (
-            f"{argument('frame_range', text)} has no sample at its ends; "
-            f"{written_range} are written"
-        )
+        message = f"{argument('frame_range', text)} has no sample at its ends; "
+        message += f"{written_range} are written"
         notices.append(Fault("CLI105", message, severity=Severity.NOTE))
     return notices
 
@@ -327,15 +312,11 @@ def _with_rest(plan: TakePlan, interpolation: TakeSampler, frame: int) -> Rig:
         fault = missing_frames_fault(frames, plan.start, last, name="rest_frame")
         raise OptionError(replace(fault, path=str(plan.source))) from error
     ((_, pose),) = sample_blocks(interpolation, times)
-    translations, rotations, _ = pose.dense()
+    translations, rotations = (values[0].tolist() for values in pose.dense()[:2])
+    rest_joints = zip(take.rig.joints, translations, rotations, strict=True)
     joints = tuple(
         replace(joint, translation=tuple(translation), rotation=tuple(rotation))
-        for joint, translation, rotation in zip(
-            take.rig.joints,
-            translations[0].tolist(),
-            rotations[0].tolist(),
-            strict=True,
-        )
+        for joint, translation, rotation in rest_joints
     )
     return replace(take.rig, joints=joints)
 
@@ -355,9 +336,8 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
             channels.append((motion.scales, rest_scales))
         for channel, rest_value in channels:
             is_moving |= (channel.rest != rest_value).any(axis=-1)
-            is_moving[channel.animated] |= (
-                channel.values != rest_value[channel.animated]
-            ).any(axis=(0, 2))
+            differs = channel.values != rest_value[channel.animated]
+            is_moving[channel.animated] |= differs.any(axis=(0, 2))
     if plan.options.root_motion and rig.roots:
         # The SkelRoot carries it; with several roots the others are relative to it.
         is_moving[rig.roots[0]] = False
@@ -393,9 +373,8 @@ class BakedTake:
             from animtool.usd.props.writer import PropSamples
 
             self.props = PropSamples(stream.tracks)
-        self._sampled_take = replace(
-            sampled_take, blocks=self._record_blocks(sampled_take.blocks)
-        )
+        blocks = self._record_blocks(sampled_take.blocks)
+        self._sampled_take = replace(sampled_take, blocks=blocks)
         return self._sampled_take
 
     @property

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import warning
 from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Motion
@@ -33,30 +33,27 @@ if TYPE_CHECKING:
 class JointPrims:
     """SkelAnimation prims of takes and, without a rig layer, their Skeleton."""
 
-    def author(self, draft: BakeState) -> None:
+    def author(self, state: BakeState) -> None:
         """Author the layers of every take."""
-        plan = draft.plan
-        rest_rig = draft.runs[0].rig
+        plan = state.plan
+        rest_rig = state.runs[0].rig
         job = _job(plan, rest_rig)
-        takes = [_JointTake(run) for run in draft.runs]
+        takes = [_JointTake(run) for run in state.runs]
         with closing(_usd_takes(takes, job)) as usd_takes:
             authored, result = author(job, usd_takes)
         if plan.form is LayerForm.LIBRARY and plan.target is not None:
             from animtool.usd.takes.library import merge_take
 
-            authored.animation = merge_take(
-                plan.target.path, authored.animation, job.paths, plan.takes[0].name
-            )
+            added_take = (authored.animation, job.paths, plan.takes[0].name)
+            authored.animation = merge_take(plan.target.path, *added_take)
         notices = [notice for take in plan.takes for notice in take.stream.notices]
         notices += plan.notices + job.names.notices + result.notices
-        draft.layer = authored.animation
-        draft.files = JointFiles(job, authored, result)
-        draft.read += [take.seconds["read"] for take in takes]
-        draft.report = plan.report(
-            [
-                take.report(job, written_take)
-                for take, written_take in zip(takes, result.takes, strict=True)
-            ],
+        state.layer = authored.animation
+        state.files = JointFiles(job, authored, result)
+        state.read += [take.seconds["read"] for take in takes]
+        written_takes = zip(takes, result.takes, strict=True)
+        state.report = plan.report(
+            [take.report(job, written_take) for take, written_take in written_takes],
             result,
             notices,
             joints=len(plan.takes[0].stream.rig.joints),
@@ -108,24 +105,21 @@ def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
     if plan.target is not None:
         return plan.target.names, plan.target.skeleton.tokens
     names = joint_names(rig.joints, plan.options.strip_namespace)
-    source_path = str(plan.takes[0].source)
-    names = replace(
-        names, notices=[replace(fault, path=source_path) for fault in names.notices]
-    )
-    return names, rig.paths(names.names)
+    path = str(plan.takes[0].source)
+    notices = [replace(fault, path=path) for fault in names.notices]
+    return replace(names, notices=notices), rig.paths(names.names)
 
 
 def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
     """Yield takes for the writer; each is prepared on demand."""
     for take in takes:
         usd_take, blocks = take.prepare(job.rig)
-        root_motion = take.plan.options.root_motion
         joint_map = take.plan.mapping
         rounded_blocks = round_blocks(
             blocks,
             job.rig,
             job.meters_per_unit,
-            root_motion=root_motion,
+            root_motion=take.plan.options.root_motion,
             rig_scale=1.0 if joint_map is None else joint_map.world_scale,
         )
         prefetched_blocks = prefetch(timed(rounded_blocks, take.seconds, "read"))
@@ -141,7 +135,7 @@ class _JointTake:
     def __init__(self, run: BakedTake) -> None:
         self.plan, self._run = run.plan, run
         self.seconds = {"read": 0.0}  # time to compute blocks [s]
-        self._reduce_samples: ThinnedSamples | None = None
+        self._thinned_samples: ThinnedSamples | None = None
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
         """Return the writer's description of the take, and its frames.
@@ -153,11 +147,8 @@ class _JointTake:
         plan, options, joint_map = self.plan, self.plan.options, self.plan.mapping
         joint_mask = None
         if joint_map is not None:
-            rig_mapping = joint_map
-            blocks = (
-                (codes, rig_mapping.map_placed_motion(codes, motion))
-                for codes, motion in blocks
-            )
+            map_motion = joint_map.map_placed_motion
+            blocks = ((codes, map_motion(codes, motion)) for codes, motion in blocks)
             if (joint_map.source_joints < 0).any():
                 joint_mask = joint_map.source_joints >= 0
         if options.sparse:
@@ -170,7 +161,7 @@ class _JointTake:
                 joint_mask = is_written
         step = plan.stream.step * plan.fps / plan.stream.fps
         if options.reduce is not None:
-            blocks, self._reduce_samples, frames = _reduce_samples(
+            blocks, self._thinned_samples, frames = _reduce_samples(
                 plan, blocks, frames, rig, step
             )
         take = UsdTake(
@@ -185,7 +176,7 @@ class _JointTake:
             source_name=source_stem(plan.source),
             props=self._run.props,
             rig_from_take=None if joint_map is None else joint_map.rig_from_take,
-            is_reduced=self._reduce_samples is not None,
+            is_reduced=self._thinned_samples is not None,
             rest_record=build_rest_record(plan.stream.rig, rig)
             if joint_map is None
             else {},
@@ -194,10 +185,9 @@ class _JointTake:
 
     def report(self, job: UsdJob, written_take: WrittenTake) -> TakeReport:
         """Return the report of the take."""
-        thinned = self._reduce_samples
+        thinned = self._thinned_samples
         names, index = job.names.names, written_take.rounding.joint_index
-        joint = names[index] if names else ""
-        report = take_report(self._run, written_take, joint)
+        report = take_report(self._run, written_take, names[index] if names else "")
         report.thinned = thinned
         if thinned and job.rig.names:
             report.thinned_joint = job.rig.names[thinned.joint_index]
@@ -214,26 +204,21 @@ def _reduce_samples(
     """Return the samples to keep, their error, and the first and last frame."""
     from animtool.edit.thin import thin_samples
 
-    all_blocks = list(blocks)
-    codes = np.concatenate([codes for codes, _ in all_blocks])
-    motion = Motion.concatenate([motion for _, motion in all_blocks])
+    block_codes, motions = zip(*blocks, strict=True)
+    codes, motion = np.concatenate(block_codes), Motion.concatenate(list(motions))
     tolerance = plan.options.reduce
     assert tolerance is not None
     # Tolerances are converted to the rig's numbers, which its stage may scale.
-    size = 1.0 if plan.mapping is None else plan.mapping.world_scale
-    joint_tolerances = {
-        name: max_distance / size for name, max_distance in plan.options.reduce_at
-    }
+    scale = 1.0 if plan.mapping is None else plan.mapping.world_scale
+    tolerances = {name: distance / scale for name, distance in plan.options.reduce_at}
     thinned = thin_samples(
-        rig, codes, motion, tolerance / size, joint_tolerances=joint_tolerances
+        rig, codes, motion, tolerance / scale, joint_tolerances=tolerances
     )
-    thinned = replace(thinned, error=thinned.error * size)
+    thinned = replace(thinned, error=thinned.error * scale)
     if frames is None:
         frames = plan.start, plan.start + step * (len(codes) - 1)
-    kept_blocks = iter(
-        [(codes[thinned.kept_samples], motion.select(thinned.kept_samples))]
-    )
-    return kept_blocks, thinned, frames
+    kept = thinned.kept_samples
+    return iter([(codes[kept], motion.select(kept))]), thinned, frames
 
 
 def _shape_names(plan: TakePlan) -> tuple[str, ...]:
@@ -248,12 +233,10 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
     stream = plan.stream
     if not stream.control_curves:
         message = "there is no control whose curve could be kept"
-        hint = (
-            "only clips have such curves; a pass that changes a control drops its curve"
-        )
-        plan.notices.append(
-            Fault("SCN208", message, str(plan.source), (), hint, Severity.WARNING)
-        )
+        hint = "only clips have such curves; a pass that changes a control drops its "
+        hint += "curve"
+        notice = warning("SCN208", message, hint)
+        plan.notices.append(notice.in_file(plan.source))
     first_code = float(stream.first_frame)
     ratio = float(plan.fps / stream.fps)
     return {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -13,7 +13,6 @@ from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.quantities import length_text
 from animtool.core.rates import rate_label
 from animtool.maths import so3
-from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
@@ -35,14 +34,12 @@ def take_names(
     stems = list(stated_names) or [source_stem(path) for path in sources]
     names = distinct_names([path.name for path in sources], stems, stems)
     renamed_sources = [
-        path
+        str(path)
         for path, stem, name in zip(sources, stems, names.names, strict=True)
         if name != legal_name(stem)
     ]
-    notices += [
-        replace(notice, path=str(path))
-        for notice, path in zip(names.notices, renamed_sources, strict=True)
-    ]
+    for notice, path in zip(names.notices, renamed_sources, strict=True):
+        notices.append(replace(notice, path=path))
     return names.names
 
 
@@ -53,8 +50,9 @@ def rate_notice(
     rates = [stream.fps / stream.step for stream in streams]
     if len(set(rates)) < 2:
         return []
+    labels = map(rate_label, rates)
     rate_text = ", ".join(
-        f"{name} {rate_label(rate)}" for name, rate in zip(names, rates, strict=True)
+        f"{n} {label}" for n, label in zip(names, labels, strict=True)
     )
     message = f"the takes have different rates: {rate_text}"
     hint = f"all are written at {rate_label(fps)}"
@@ -68,9 +66,8 @@ def in_joint_order(
     notices: list[Fault],
 ) -> list[TakeStream]:
     """Return the takes with joints in the order of the first take's joints."""
-    first_joints, *other_joints = [
-        _parents_by_name(stream.rig, options) for stream in streams
-    ]
+    parents = [_parents_by_name(stream.rig, options) for stream in streams]
+    first_joints, *other_joints = parents
     faults = [
         Fault("USD030", difference, str(path), (), "a library has one skeleton")
         for path, joints in zip(sources[1:], other_joints, strict=True)
@@ -84,10 +81,9 @@ def in_joint_order(
         for stream, joints in zip(streams[1:], other_joints, strict=True)
     ]
     if options.rest_frame is None:
+        rig, source = streams[0].rig, str(sources[0])
         for path, stream in zip(sources[1:], reordered_streams[1:], strict=True):
-            notices += _rest_notice(
-                streams[0].rig, stream.rig, str(path), str(sources[0])
-            )
+            notices += _rest_notice(rig, stream.rig, str(path), source)
     return reordered_streams
 
 
@@ -112,11 +108,11 @@ def _joint_difference(
         if name not in other_parents:
             return f"there is no joint {name!r}, which {source} has"
         if other_parents[name] != parent:
-            parents = [
+            other_parent, first_parent = (
                 f"below {parent_name!r}" if parent_name else "a root"
                 for parent_name in (other_parents[name], parent)
-            ]
-            return f"joint {name!r} is {parents[0]}, but in {source} {parents[1]}"
+            )
+            return f"joint {name!r} is {other_parent}, but in {source} {first_parent}"
     for name in other_parents:
         if name not in first_parents:
             return f"joint {name!r} is not in {source}"
@@ -138,16 +134,10 @@ def _reorder_joints(
         for i, joint in zip(source_indices.tolist(), first_rig.joints, strict=True)
     )
     reordered_rig = replace(rig, joints=joints)
-    joint_map = RigJointMap(
-        reordered_rig, source_indices, np.ones((len(joints), 3)), []
-    )
-    curve, source_blocks = stream.curve, stream.blocks
-
-    def blocks() -> Iterator[Motion]:
-        for block in source_blocks:
-            yield joint_map.map_motion(block)
-
-    reordered_stream = replace(stream, rig=reordered_rig, blocks=blocks())
+    rest_scales = np.ones((len(joints), 3))
+    joint_map = RigJointMap(reordered_rig, source_indices, rest_scales, [])
+    curve, blocks = stream.curve, map(joint_map.map_motion, stream.blocks)
+    reordered_stream = replace(stream, rig=reordered_rig, blocks=blocks)
     if curve is not None:
         reordered_stream.curve = lambda times: joint_map.map_motion(curve(times))
     return reordered_stream

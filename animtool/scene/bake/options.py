@@ -364,7 +364,7 @@ class BakeOptions:
 
 
 def _range_option(frames: FrameRangeLike) -> FrameRange:
-    """Return the frame range of the option ``frame_range``."""
+    """Return the value of the option ``frame_range`` as a range."""
     try:
         if isinstance(frames, str):
             return parse_frame_range(frames)
@@ -374,7 +374,7 @@ def _range_option(frames: FrameRangeLike) -> FrameRange:
 
 
 def _frame_option(start: FractionLike) -> Fraction:
-    """Return the frame of the option ``start``."""
+    """Return the value of the option ``start`` as a frame."""
     try:
         return parse_frame(start)
     except ValueError as error:
@@ -383,10 +383,10 @@ def _frame_option(start: FractionLike) -> Fraction:
 
 def with_fallbacks(options: BakeOptions, fallback_options: BakeOptions) -> BakeOptions:
     """Return options in which default values are replaced by the fallback values."""
-    defaults = BakeOptions()
+    defaults, names = BakeOptions(), [entry.name for entry in fields(BakeOptions)]
     overrides = {
-        field.name: getattr(fallback_options, field.name)
-        for field in fields(BakeOptions)
-        if getattr(options, field.name) == getattr(defaults, field.name)
+        name: getattr(fallback_options, name)
+        for name in names
+        if getattr(options, name) == getattr(defaults, name)
     }
     return replace(options, **overrides)

@@ -40,10 +40,9 @@ class OutputEntry:
 
     path: Path  # the file to write, or `STDOUT`
     options: BakeOptions  # options of the bake, with those of the scene
-    # The scene that names it, with only the systems of this output; None without a
-    # scene.
+    # The scene, with only the systems of this output; None without a scene.
     scene: Scene | None = None
-    # Of the entry, where the scene names the file.
+    # Location of the output in the scene file, if the scene names it.
     location: EntryLocation | None = None
     # For a clip: the base take of an additive take, and the rig file.
     base: Path | None = None
@@ -144,11 +143,8 @@ def create_outline(
     path = STDOUT if output is None else Path(output)
     if not scenes and path != STDOUT and _holds_all_takes(path, options):
         sources_to_read = with_takes(sources_to_read, options)
-        if (
-            sources_to_read.names
-            and form_of(options) is LayerForm.LIBRARY
-            and not path.exists()
-        ):
+        is_library = form_of(options) is LayerForm.LIBRARY
+        if sources_to_read.names and is_library and not path.exists():
             # Several takes make a library by default.
             options = replace(options, form=None)
     if len(sources_to_read.files) != 1 or not scenes:
@@ -191,17 +187,15 @@ def check_outline(outline: Outline) -> None:
     error_types: list[type[AnimtoolError]] = []
     for entry in outline.outputs:
         if has_several and entry.path == STDOUT:
-            message = "an output has no file"
-            raise OptionError(entry.locate(Fault("DOC021", message)))
+            raise OptionError(entry.locate(Fault("DOC021", "an output has no file")))
         try:
             check_entry(entry, source_set.inputs, source_set.files[0])
         except AnimtoolError as error:
             faults += map(entry.locate, error.faults)
             error_types.append(type(error))
     try:
-        saved_states = [
-            path for scene in source_set.scenes.values() for path in scene.extra_outputs
-        ]
+        scenes = source_set.scenes.values()
+        saved_states = [path for scene in scenes for path in scene.extra_outputs]
         inputs = [*source_set.inputs, *outline.files]
         overwrite = outline.outputs[0].options.overwrite
         check_outputs(saved_states, inputs, overwrite=overwrite)
@@ -221,9 +215,8 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
         for path in entry.files if len(outline.outputs) > 1 else ():
             first_entry = owners.setdefault(name_key(output_target(path).final), entry)
             if first_entry is not entry and entry.location and first_entry.location:
-                message = (
-                    f"{str(path)!r} is also written by {first_entry.location.where}"
-                )
+                message = f"{str(path)!r} is also written by "
+                message += first_entry.location.where
                 faults.append(entry.location.fault("OUT007", message, "name another"))
                 break
     return faults
@@ -232,10 +225,7 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
 def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> None:
     """Raise the faults of one output before anything is read.
 
-    Args:
-        entry: The output.
-        inputs: Files that are read.
-        source: First of the inputs, for hints.
+    ``inputs`` are the files that are read; the first, ``source``, names a take.
     """
     check_settings(entry)
     path, options = entry.path, entry.options

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -12,11 +12,18 @@ from typing import TYPE_CHECKING, TypeAlias
 from animtool.clip.reduction.suspicions import tolerance_notices
 from animtool.core.arguments import argument
 from animtool.core.config import find_config
-from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    OptionError,
+    Severity,
+    listed,
+    warning,
+)
 from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import numbered_names
 from animtool.core.rates import rate_label
-from animtool.core.writers import Writer, take_writer
+from animtool.core.writers import take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
 from animtool.motion.reorient import placement_notice, remove_placement, reorient
@@ -62,8 +69,7 @@ def plan_stage(
     (plan,) = plan_outputs(outline)
     if isinstance(plan, BakePlan):
         return plan
-    message = "is not a USD file"
-    raise OptionError(Fault("OUT004", message, str(output)))
+    raise OptionError(Fault("OUT004", "is not a USD file", str(output)))
 
 
 def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputPlan]:
@@ -86,12 +92,12 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
     if len(entries) == 1:
         names = source_set.names
         return [_plan_output(source_set.files, streams, entries[0], notices, names)]
-    (stream,) = streams
+    shared_streams = zip(
+        entries, _shared_streams(streams[0], len(entries)), strict=True
+    )
     return [
-        _plan_output(source_set.files, [entry_stream], entry, list(notices))
-        for entry, entry_stream in zip(
-            entries, _shared_streams(stream, len(entries)), strict=True
-        )
+        _plan_output(source_set.files, [stream], entry, list(notices))
+        for entry, stream in shared_streams
     ]
 
 
@@ -142,24 +148,17 @@ def _plan_output(
     """Return the plan of one output from opened sources."""
     scene = entry.scene
     if not entry.is_stage:
-        writer = take_writer(entry.path)
-        file = _planned_file(sources[0], streams[0], entry, writer, notices)
+        file = _planned_file(sources[0], streams[0], entry, notices)
         if len(streams) == 1:
             return file
         return _with_other_takes(file, sources, streams, entry, notices, names)
-    with ExitStack() as location_context:
-        if scene is not None:
-            location_context.enter_context(scene.located_props())
+    with nullcontext() if scene is None else scene.located_props():
         plan = plan_takes(sources, streams, entry.path, entry.options, notices, names)
     return plan if scene is None else _with_systems(plan, scene)
 
 
 def _planned_file(
-    source: Path,
-    stream: TakeStream,
-    entry: OutputEntry,
-    writer: Writer,
-    notices: list[Fault],
+    source: Path, stream: TakeStream, entry: OutputEntry, notices: list[Fault]
 ) -> FilePlan:
     """Return the plan of one take in a format other than USD."""
     from animtool.scene.bake.files import FilePlan
@@ -168,13 +167,13 @@ def _planned_file(
     if options.reduce is not None:
         notices += tolerance_notices(options.reduce, stream.rig, str(source))
     if entry.scene is not None and entry.scene.systems:
-        names = listed([system.name for system in entry.scene.systems], MAX_NAMED)
-        omitted_items.append(f"simulated systems: {names}")
+        system_names = [system.name for system in entry.scene.systems]
+        omitted_items.append(f"simulated systems: {listed(system_names, MAX_NAMED)}")
     if stream.tracks:
         omitted_items.append(listed([track.path for track in stream.tracks], MAX_NAMED))
         stream = PassthroughTracks(stream).stream
     for text in omitted_items:
-        message = f"a {writer.name} file cannot hold {text}"
+        message = f"a {take_writer(entry.path).name} file cannot hold {text}"
         note = Fault("SCN112", message, severity=Severity.NOTE)
         notices.append(entry.locate(note))
     fps = options.fps or stream.fps
@@ -182,9 +181,9 @@ def _planned_file(
         options = replace(options, shot=replace(options.shot, fps=fps))
     start = start_of(options, None, stream, source)
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
-    stated_name = stream.details.get("take") or stream.details.get("name")
-    stated_names: tuple[str, ...] = (str(stated_name),) if stated_name else ()
-    return FilePlan(take, entry.path, entry.base, entry.rig_file, names=stated_names)
+    name = stream.details.get("take") or stream.details.get("name")
+    names: tuple[str, ...] = (str(name),) if name else ()
+    return FilePlan(take, entry.path, entry.base, entry.rig_file, names=names)
 
 
 def _with_other_takes(
@@ -205,19 +204,16 @@ def _with_other_takes(
         raise OptionError(Fault("OUT004", message, str(plan.path), (), hint))
     streams = in_joint_order(sources, streams, entry.options, notices)
     other_plans = [
-        _planned_file(source, stream, entry, writer, notices)
+        _planned_file(source, stream, entry, notices)
         for source, stream in zip(sources[1:], streams[1:], strict=True)
     ]
     default_names = [
         file_plan.names[0] if file_plan.names else source_stem(source)
         for source, file_plan in zip(sources, (plan, *other_plans), strict=True)
     ]
-    take_names = names or tuple(numbered_names(default_names))
-    return replace(
-        plan,
-        others=tuple(file_plan.take for file_plan in other_plans),
-        names=take_names,
-    )
+    names = names or tuple(numbered_names(default_names))
+    others = tuple(file_plan.take for file_plan in other_plans)
+    return replace(plan, others=others, names=names)
 
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
@@ -231,6 +227,7 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
         fault = Fault("OUT004", message, hint="write .usdc")
         raise OptionError(entry.locate(fault))
     systems = plan_systems(entry.scene, entry.options)
+    span = systems.job.metadata.span
     return BakePlan(
         (),
         entry.path,
@@ -238,8 +235,8 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
         LayerForm.STAGE,
         "it is simulated",
         None,
-        systems.job.metadata.span.fps,
-        systems.job.metadata.span.first,
+        span.fps,
+        span.first,
         list(notices),
         (systems,),
     )
@@ -299,26 +296,15 @@ def plan_takes(
         options = replace(options, shot=replace(options.shot, fps=fps))
     notices += _rate_warning(target, fps)
     notices += _unwritten_points_warning(streams, options)
-    rig = streams[0].rig
     if options.reduce is not None:
+        rig = streams[0].rig
         notices += tolerance_notices(options.reduce, rig, str(sources[0]))
     notices += _namespace_warning(streams, options)
     start = start_of(options, target, streams[0], sources[0])
-    takes = tuple(
-        TakePlan(
-            source,
-            name,
-            stream,
-            joint_map,
-            options if i == 0 else replace(options, rest_frame=None),
-            fps,
-            start,
-            notices,
-        )
-        for i, (source, name, stream, joint_map) in enumerate(
-            zip(sources, names, streams, mappings, strict=True)
-        )
-    )
+    # Only the first take of a library sets the rest pose.
+    take_options = [options] + [replace(options, rest_frame=None)] * (len(streams) - 1)
+    take_values = zip(sources, names, streams, mappings, take_options, strict=True)
+    takes = tuple(TakePlan(*values, fps, start, notices) for values in take_values)
     reason = f"{'no' if target is None else 'a'} rig layer was set"
     if options.form is not None:
         reason = "asked for"
@@ -399,11 +385,8 @@ def _map_to_rig_layer(
         )
         for stream in streams
     ]
-    mappings = [
-        _joint_map(rig_space_take, target, options, notices)
-        for rig_space_take in rig_space_takes
-    ]
-    return [rig_space_take.stream for rig_space_take in rig_space_takes], mappings
+    mappings = [_joint_map(take, target, options, notices) for take in rig_space_takes]
+    return [take.stream for take in rig_space_takes], mappings
 
 
 def _joint_map(
@@ -436,8 +419,7 @@ def _unwritten_points_warning(
     if not point_names or options.deform:
         return []
     message = f"points of {listed(point_names)} are simulated, but not written"
-    hint = "an output with deform: true includes them"
-    return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("SIM134", message, "an output with deform: true includes them")]
 
 
 def _namespace_warning(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
@@ -445,12 +427,10 @@ def _namespace_warning(streams: list[TakeStream], options: BakeOptions) -> list[
     names = [name for stream in streams for name in stream.rig.names]
     if not options.strip_namespace or not names or any(":" in name for name in names):
         return []
-    option_text = argument("strip_namespace", options.strip_namespace)
-    message = (
-        f"{option_text} drops nothing: no joint has a namespace, such as {names[0]!r}"
-    )
+    message = argument("strip_namespace", options.strip_namespace)
+    message += f" drops nothing: no joint has a namespace, such as {names[0]!r}"
     hint = "namespaces end in a colon, such as hero:Hips; remove the option"
-    return [Fault("USD125", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("USD125", message, hint)]
 
 
 def _rate_warning(target: RigTarget | None, fps: Fraction) -> list[Fault]:
@@ -460,7 +440,7 @@ def _rate_warning(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     rig_layer_rate = rate_label(target.fps)
     message = f"the output has {rate_label(fps)}, but the rig layer {rig_layer_rate}"
     hint = "USD scales time if a sublayer's rate differs from its stage's"
-    return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
+    return [warning("USD106", message, hint).in_file(target.path)]
 
 
 def start_of(

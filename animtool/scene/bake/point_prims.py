@@ -80,9 +80,8 @@ class PointStream:
             for i, mesh in enumerate(character.meshes):
                 frames = self._frames(mesh, codes, mesh.weights(weights), world)
                 if mesh.name in mapped_motion.points:
-                    frames = self._displaced_frames(
-                        i, frames, codes, mapped_motion.points[mesh.name]
-                    )
+                    points = mapped_motion.points[mesh.name]
+                    frames = self._displaced_frames(i, frames, codes, points)
                 yield from self._float32_blocks(i, codes, frames, written_frames)
 
     def _displaced_frames(
@@ -116,16 +115,13 @@ class PointStream:
             first = max(written_frames.start - frames_done, 0)
             last = max(written_frames.stop - frames_done, 0)
             written_block = deformed_block.select(slice(first, last))
-            block_codes = codes[
-                frames_done + first : frames_done + first + len(written_block.points)
-            ]
+            begin = frames_done + first
+            block_codes = codes[begin : begin + len(written_block.points)]
             frames_done += len(deformed_block.points)
             if not len(block_codes):
                 continue
-            space = self.spaces[mesh]
-            block = round_points(
-                mesh, block_codes, written_block, self.meters_per_unit, space
-            )
+            space = (self.meters_per_unit, self.spaces[mesh])
+            block = round_points(mesh, block_codes, written_block, *space)
             self.seconds[mesh] += time.perf_counter() - start_time
             yield block
             start_time = time.perf_counter()
@@ -138,19 +134,17 @@ class PointStream:
         weights: FloatArray | None,
         world: WorldTransforms,
     ) -> Iterator[DeformedFrames]:
-        record = mesh.mesh
+        """Yield blocks of the deformed frames of a mesh."""
+        record, times = mesh.mesh, codes / self.rate if self.velocities else None
         normals = record.normals is not None
-        if _is_static(mesh, weights, world):
-            # One frame represents all of them, at no further cost.
-            weights = None if weights is None else weights[:1]
-            first_world = WorldTransforms(world.positions[:1], world.linear[:1])
-            times = codes[:1] if self.velocities else None
-            one_frame = deform(
-                record, weights, first_world, normals=normals, times=times
-            )
-            return _repeat_first_frame(one_frame, len(codes))
-        times = codes / self.rate if self.velocities else None
-        return deform_blocks(record, weights, world, normals=normals, times=times)
+        if not _is_static(mesh, weights, world):
+            return deform_blocks(record, weights, world, normals=normals, times=times)
+        # One frame represents all of them, at no further cost.
+        weights = None if weights is None else weights[:1]
+        world = WorldTransforms(world.positions[:1], world.linear[:1])
+        times = None if times is None else times[:1]
+        first_frame = deform(record, weights, world, normals=normals, times=times)
+        return _repeat_first_frame(first_frame, len(codes))
 
 
 def _is_static(
@@ -168,22 +162,17 @@ def _is_static(
     )
 
 
-def _repeat_first_frame(
-    frame_block: DeformedFrames, frames: int
-) -> Iterator[DeformedFrames]:
-    size = block_frames(frame_block.points.shape[1])
+def _repeat_first_frame(frame: DeformedFrames, frames: int) -> Iterator[DeformedFrames]:
+    """Yield blocks of a number of frames that are all equal to one."""
+    size = block_frames(frame.points.shape[1])
 
     def repeat(values: FloatArray | None, count: int) -> Any:
         return None if values is None else np.repeat(values, count, axis=0)
 
     for begin in range(0, frames, size):
         count = min(size, frames - begin)
-        yield DeformedFrames(
-            repeat(frame_block.points, count),
-            repeat(frame_block.extents, count),
-            repeat(frame_block.normals, count),
-            repeat(frame_block.velocities, count),
-        )
+        names = ("points", "extents", "normals", "velocities")
+        yield DeformedFrames(*(repeat(getattr(frame, name), count) for name in names))
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,45 +181,37 @@ class PointPrims:
 
     character: DeformedCharacter
 
-    def author(self, draft: BakeState) -> None:
+    def author(self, state: BakeState) -> None:
         """Author the prims; if chunks are requested, also write the chunk files."""
-        plan, (run,) = draft.plan, draft.runs
+        plan, (run,) = state.plan, state.runs
         stream, sampled_take = run.plan.stream, run.open()
         job, character, spaces = _job(plan, self.character, sampled_take.frames)
-        point_stream = PointStream(
-            character,
-            job.meters_per_unit,
-            float(plan.fps),
-            spaces,
-            plan.options.velocities,
-        )
+        unit, velocities = job.meters_per_unit, plan.options.velocities
+        point_stream = PointStream(character, unit, float(plan.fps), spaces, velocities)
         with closing(prefetch(point_stream.blocks(sampled_take.blocks))) as blocks:
             if plan.options.chunk is None:
                 layer, meshes = author_cache(job, blocks)
                 result = _result(layer, meshes, run)
-                draft.layer, draft.files = layer, OneFile(layer, plan.output, result)
+                state.files = OneFile(layer, plan.output, result)
             else:
-                chunked_cache = write_chunks(job, blocks, plan.options.chunk)
-                layer, meshes = chunked_cache.layer, chunked_cache.reports
+                cache = write_chunks(job, blocks, plan.options.chunk)
+                layer, meshes = cache.layer, cache.reports
                 result = _result(layer, meshes, run)
-                draft.layer, draft.files = layer, ChunkFiles(chunked_cache, result)
+                state.files = ChunkFiles(cache, result)
+        state.layer = layer
         if run.props is not None:
-            result.takes[0].props = _author_props(
-                layer, plan, job, run, character.rig.up
-            )
-        draft.read += point_stream.seconds
+            up = character.rig.up
+            result.takes[0].props = _author_props(layer, plan, job, run, up)
+        state.read += point_stream.seconds
         surfaces = len(character.surfaces)
         kinds = ["mesh"] * surfaces + ["strands"] * (len(character.meshes) - surfaces)
         reports = [
-            MeshReport(
-                *(mesh.name, report, mesh_seconds, run.samples, kind),
-                of=character.origin,
-            )
-            for mesh, report, mesh_seconds, kind in zip(
+            MeshReport(mesh.name, prim, time, run.samples, kind, of=character.origin)
+            for mesh, prim, time, kind in zip(
                 character.meshes, meshes, point_stream.seconds, kinds, strict=True
             )
         ]
-        draft.report = plan.report(
+        state.report = plan.report(
             [take_report(run, result.takes[0], "", reports)],
             result,
             stream.notices + plan.notices,
@@ -301,6 +282,7 @@ def _job(
 def _layer_job(
     plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
+    """Return the same for a layer over a rig: only meshes that the rig has."""
     from animtool.usd.caches.target import open_cache_target
 
     assert plan.target is not None
@@ -315,14 +297,12 @@ def _layer_job(
     plan.notices.extend(target.notices)
     if not target.prims:
         message = "no mesh of the take is in the rig layer"
-        layer_path = str(plan.target.path)
-        raise FormatError(
-            Fault("USD040", message, layer_path, (), "nothing would deform")
-        )
+        location = (str(plan.target.path), ())
+        raise FormatError(Fault("USD040", message, *location, "nothing would deform"))
     job = CacheJob(
         plan.output,
         plan.target.paths,
-        tuple(mesh_prim.path for mesh_prim in target.prims),
+        tuple(prim.path for prim in target.prims),
         plan.fps,
         span,
         plan.meters_per_unit,
@@ -331,22 +311,19 @@ def _layer_job(
         target=target,
         shot=plan.options.shot,
     )
-    character = character.with_meshes(
-        [mesh.name for mesh in target.meshes],
-        [mesh_prim.name for mesh_prim in target.strands],
-    )
-    return job, character, [mesh_prim.space for mesh_prim in target.prims]
+    names = ([prim.name for prim in prims] for prims in (target.meshes, target.strands))
+    return job, character.with_meshes(*names), [prim.space for prim in target.prims]
 
 
 def _result(layer: Any, meshes: Sequence[CachedMesh], run: BakedTake) -> UsdResult:
+    """Return what a layer of point caches contains."""
     span = layer_span(layer)
     worst_mesh = max(meshes, key=lambda mesh: mesh.error)
-    sampled_names = [name for mesh in meshes for name in mesh.sampled]
     take = WrittenTake(
         "",
         span,
         samples=run.samples,
-        sampled=list(dict.fromkeys(sampled_names)),
+        sampled=list(dict.fromkeys(name for mesh in meshes for name in mesh.sampled)),
         rounding=Rounding(worst_mesh.error, worst_mesh.error_code),
     )
     return UsdResult(span, takes=[take])

@@ -35,15 +35,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:
-    """Result of one mesh, strand set or system."""
+    """Report of a written mesh, strand set or system."""
 
     name: str  # name in the rig
-    written: CachedMesh  # its prim
+    written: CachedMesh  # the written prim
     seconds: float  # time spent on deforming and rounding it [s]
     frames: int  # number of frames
     kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
     simulated: bool = False  # whether it is a system rather than a deformed mesh
-    of: str = ""  # owner: name of a character or a scene
+    of: str = ""  # origin of the character's meshes, or file name of the scene
     json_keys: ClassVar[str] = (
         "mesh=name kind prim=written.path of vertices=written.vertices "
         "characters=written.characters? samples=written.samples "
@@ -68,9 +68,9 @@ _ERROR = (
 
 @dataclass(slots=True)
 class TakeReport:
-    """Result of one source."""
+    """Report of one baked take."""
 
-    source: Path  # the file read
+    source: Path  # file of the take
     written: WrittenTake  # the take as written
     source_frames: int  # frames of the source
     source_fps: Fraction  # its frame rate
@@ -157,8 +157,8 @@ def take_report(
 class BakeReport:
     """Report of a bake."""
 
-    takes: list[TakeReport]  # result of each source, at least one
-    result: UsdResult  # what USD holds
+    takes: list[TakeReport]  # reports of the takes, at least one
+    result: UsdResult  # content of the written layers
     form: str  # form (stage, split or layer), and the reason
     joints: int  # joints of the first source
     meters_per_unit: float  # unit of the output [m]
@@ -200,7 +200,7 @@ class BakeReport:
 
     @property
     def props(self) -> list[str]:
-        """Paths of the props written with the characters."""
+        """Prim paths of the written props."""
         return [path for take in self.takes for path in take.written.props]
 
     @property
@@ -370,7 +370,7 @@ class Growth(Protocol):
     def save(self, layer: Any, path: Path) -> int:
         """Write a layer with its computed frames; return the number of bytes."""
 
-    def complete(self, draft: BakeState) -> None:
+    def complete(self, state: BakeState) -> None:
         """Add the computed frames to the report."""
 
 
@@ -401,5 +401,5 @@ class BakeState:
 class OutputPrims(Protocol):
     """Prims of one kind in a bake: joints, point caches or systems."""
 
-    def author(self, draft: BakeState) -> None:
+    def author(self, state: BakeState) -> None:
         """Author the prims into a bake; the first kind creates the layer."""

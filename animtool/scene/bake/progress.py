@@ -55,7 +55,7 @@ class _EndOfItems:
 
 
 def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
-    """Yield the items of an iterator, computing up to ``depth`` ahead in a thread.
+    """Yield the items of an iterator; a thread computes up to ``depth`` ahead.
 
     This helps if the iterator spends its time in kernels that release the GIL. An error
     is raised after the items before it. Closing the generator stops the thread.
@@ -133,12 +133,9 @@ class BlockProgress:
 
         def report_fraction(fraction: float) -> None:
             # A source that reports no progress is read as a whole.
-            read_fraction = self._read_fraction or 1.0
+            begin, end = self._finished_fraction, self._read_fraction or 1.0
             pass_fraction = (index + fraction) / self._passes
-            self._show_fraction(
-                self._finished_fraction
-                + (read_fraction - self._finished_fraction) * pass_fraction
-            )
+            self._show_fraction(begin + (end - begin) * pass_fraction)
 
         return report_fraction
 
@@ -187,19 +184,12 @@ class TimeProgress:
     """Progress of simulations that advance in time simultaneously."""
 
     def __init__(self, show: Callable[[float], None], last: float) -> None:
-        """Start at 0.
-
-        last: the latest time that will be simulated [s].
-        """
+        """Start at 0; ``last`` is the latest time that will be simulated [s]."""
         self._show, self._last = show, last
         self._fractions: list[float] = []
 
     def clock(self, begin: float) -> Callable[[float], None]:
-        """Return the callback by which a simulation reports its time.
-
-        Args:
-            begin: When it begins [s].
-        """
+        """Return the callback of a simulation's time; it starts at ``begin`` [s]."""
         index, duration = len(self._fractions), self._last - begin
         self._fractions.append(0.0)
 
@@ -325,7 +315,7 @@ class Meter:
         self._memory.begin()
 
     def stage(self, name: str, where: str) -> StageCost:
-        """Add and return a stage."""
+        """Add a stage, and return the record to which costs are charged."""
         self.stages.append(StageCost(name, where))
         return self.stages[-1]
 

@@ -13,7 +13,7 @@ from animtool.core.errors import (
     Fault,
     FormatError,
     OptionError,
-    Severity,
+    warning,
 )
 from animtool.core.names import has_kind_suffix
 from animtool.core.options import (
@@ -68,7 +68,13 @@ class SourceSet:
     @property
     def unused(self) -> list[Fault]:
         """Warnings about bake options of scenes that are ignored in a library."""
-        return [] if len(self.files) == 1 else _unused_options(self.scenes)
+        message = "the scene's fps, range and output are ignored here"
+        hint = "set them once for the whole library, on the command"
+        return [
+            warning("CLI103", message, hint).in_file(path)
+            for path, scene in self.scenes.items()
+            if len(self.files) > 1 and scene.bake != BakeOptions()
+        ]
 
     def open(self, options: BakeOptions, progress: Progress = None) -> list[TakeStream]:
         """Open every source, or raise the faults of all sources together."""
@@ -77,21 +83,16 @@ class SourceSet:
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
             try:
                 source_progress = part_progress(progress, i, len(self.files))
-                source_options = options
                 if self.names:
                     take_options = replace(options.source, take=self.names[i])
-                    source_options = replace(options, source=take_options)
-                streams.append(
-                    take or self._open_one(path, source_options, source_progress)
-                )
+                    options = replace(options, source=take_options)
+                streams.append(take or self._open_one(path, options, source_progress))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:
             raise errors[0]
         if errors:
-            raise type(errors[0])(
-                [fault for open_error in errors for fault in open_error.faults]
-            )
+            raise type(errors[0])([fault for error in errors for fault in error.faults])
         return streams
 
     def _open_one(
@@ -102,11 +103,8 @@ class SourceSet:
             return self._open_path(path, options, source_progress)
         except FormatError as error:
             is_uneven = any(fault.code == "USD035" for fault in error.faults)
-            if (
-                not is_uneven
-                or options.rig_layer is None
-                or options.placement is not None
-            ):
+            keeps_placement = options.rig_layer is None or options.placement is not None
+            if keeps_placement or not is_uneven:
                 raise
             # If the rig has the same transform, the layer loses nothing.
             without_placement = replace(options, placement="drop")
@@ -144,18 +142,14 @@ def with_takes(sources: SourceSet, options: BakeOptions) -> SourceSet:
     names = reader.take_names(path)
     if len(names) < 2:
         return sources
-    take_count = len(names)
-    return SourceSet([path] * take_count, {}, (None,) * take_count, tuple(names))
+    return SourceSet([path] * len(names), {}, (None,) * len(names), tuple(names))
 
 
 def source_set(sources: Sequence[Source]) -> SourceSet:
     """Return the sources and their files; scenes are loaded."""
     files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
-    takes = [
-        source_or_take.stream if isinstance(source_or_take, OpenTake) else None
-        for source_or_take in sources
-    ]
+    takes = [each.stream if isinstance(each, OpenTake) else None for each in sources]
     for path, source in zip(files, sources, strict=True):
         if not isinstance(source, Path | str | OpenTake):
             scenes[path] = source
@@ -166,26 +160,12 @@ def source_set(sources: Sequence[Source]) -> SourceSet:
     return SourceSet(files, scenes, tuple(takes))
 
 
-def _unused_options(scenes: dict[Path, Scene]) -> list[Fault]:
-    """Warn where a library take is a scene whose bake options are ignored."""
-    message = "the scene's fps, range and output are ignored here"
-    hint = "set them once for the whole library, on the command"
-    return [
-        Fault("CLI103", message, str(path), (), hint, Severity.WARNING)
-        for path, scene in scenes.items()
-        if scene.bake != BakeOptions()
-    ]
-
-
 def check_options(
     options: BakeOptions, *, to_stdout: bool, simulated: bool = False
 ) -> None:
     """Raise `OptionError` if options exclude each other.
 
-    Args:
-        options: Bake options.
-        to_stdout: Whether the output is stdout.
-        simulated: Whether systems are written.
+    This depends on whether the output is stdout, and whether systems are written.
     """
     form = options.form or ("layer" if options.rig_layer else "stage")
     clashes = [
@@ -229,15 +209,11 @@ def _shot_clashes(options: BakeOptions, form: str) -> Iterator[str]:
         return
     shot_name = f"shot {shot.name}" if shot.name else "the shot"
     if options.fps != shot.fps:
-        yield (
-            f"{argument('fps', options.fps)} differs from the rate of {shot_name}, "
-            f"{rate_label(shot.fps)}"
-        )
+        fps = argument("fps", options.fps)
+        yield f"{fps} differs from the rate of {shot_name}, {rate_label(shot.fps)}"
     if options.start is not None:
-        yield (
-            f"{argument('start')}: {shot_name} begins at {shot.start}, as its timeline "
-            "states"
-        )
+        start = argument("start")
+        yield f"{start}: {shot_name} begins at {shot.start}, as its timeline states"
     if form == "library":
         yield f"{shot_name} is not a take of a library"
 
@@ -310,18 +286,16 @@ def form_of(options: BakeOptions) -> LayerForm:
 def check_package(path: Path, options: BakeOptions) -> None:
     """Raise OUT004 for a package if the options write several files or add to one."""
     form = form_of(options)
-    refused_forms = {
+    refused_form = {
         LayerForm.SPLIT: argument("form", "split"),
         LayerForm.LIBRARY: argument("form", "library"),
     }.get(form)
     if options.chunk is not None:
-        refused_forms = argument("chunk")
-    if refused_forms is not None:
-        message = (
-            f"a package is one file, but {refused_forms} writes several or adds to one"
-        )
-        hint = "write .usdc"
-        raise OptionError(Fault("OUT004", message, str(path), (), hint))
+        refused_form = argument("chunk")
+    if refused_form is not None:
+        message = f"a package is one file, but {refused_form} writes several or adds "
+        message += "to one"
+        raise OptionError(Fault("OUT004", message, str(path), (), "write .usdc"))
 
 
 def output_files(
@@ -329,7 +303,7 @@ def output_files(
 ) -> list[Path]:
     """Return the files to write, including existing chunk files that may be replaced.
 
-    simulated: whether systems are written.
+    With ``simulated``, these include chunks of systems.
     """
     files = output_paths(path, form_of(options))
     if options.chunk is None:
@@ -338,9 +312,6 @@ def output_files(
 
     file_sets = [point_clip_files(path)] if options.deform else []
     file_sets += [system_clip_files(path)] if simulated else []
-    chunks = [
-        file
-        for file_set in file_sets
-        for file in (file_set.manifest, *file_set.existing_chunks())
-    ]
-    return [*files, *chunks]
+    for file_set in file_sets:
+        files += [file_set.manifest, *file_set.existing_chunks()]
+    return files

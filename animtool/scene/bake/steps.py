@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -66,13 +66,12 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
         return _simulated_steps(scene, outputs)
     steps: list[PlanStep] = []
     take_state: _TakeState | None = None
+    options = outputs[0].options.source
     for path in source_set.files:
         if path in source_set.scenes:
             take_state = _scene_steps(source_set.scenes[path], steps)
             continue
-        source_options = fitting_options(
-            outputs[0].options.source, path, source_set.files
-        )
+        source_options = fitting_options(options, path, source_set.files)
         take_state = _TakeState.of(open_source(path, source_options))
         steps.append(_source_step(path, "", take_state))
     assert take_state is not None
@@ -85,7 +84,7 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
 
 @dataclass(frozen=True, slots=True)
 class _TakeState:
-    """What is known about a take before or after a step."""
+    """State of a take before or after a step, as far as it is known."""
 
     rig: Rig  # joints, shapes and controls
     moving: frozenset[TakePart]  # parts with values
@@ -154,8 +153,7 @@ def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
     """Append the steps of a scene's sources and passes; return the resulting state."""
     if len(scene.sources) > 1:
         for source in scene.sources:
-            source_stream = open_source(source.path, source.options)
-            state = _TakeState.of(source_stream)
+            state = _TakeState.of(open_source(source.path, source.options))
             steps.append(_source_step(source.path, source.location.where, state))
     state = _TakeState.of(replace(scene, passes=()).open())
     if len(scene.sources) == 1:
@@ -182,15 +180,9 @@ def _system_names(entry: OutputEntry) -> list[str]:
 
 def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
     """Return the steps of an output's systems and of the systems they depend on."""
-    names = {
-        system.name
-        for entry in outputs
-        if entry.scene is not None
-        for system in entry.scene.systems
-    }
-    return [
-        _system_step(scene, system) for system in scene.systems if system.name in names
-    ]
+    scenes = (entry.scene for entry in outputs if entry.scene is not None)
+    names = {system.name for output_scene in scenes for system in output_scene.systems}
+    return [_system_step(scene, each) for each in scene.systems if each.name in names]
 
 
 def _system_step(scene: Scene, system: SceneSystem) -> PlanStep:
@@ -206,19 +198,22 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanS
     steps = _system_steps(scene, outputs)
     for entry in outputs:
         prims = listed(_system_names(entry))
-        lines = (f"{LayerForm.STAGE} with {prims}, their points and velocities",)
-        lines_out = (*lines, *_file_labels(entry.files))
-        steps.append(
-            PlanStep(
-                StepKind.OUTPUT, entry.name, _output_key(entry), ("systems",), lines_out
-            )
-        )
+        result = f"{LayerForm.STAGE} with {prims}, their points and velocities"
+        steps.append(_written_step(entry, ["systems"], result, []))
     return steps
 
 
-def _output_key(entry: OutputEntry) -> str:
-    """Return the key of an output in its scene file; "" without a scene."""
-    return "" if entry.scene is None else entry.scene.outputs[0].location.where
+def _written_step(
+    entry: OutputEntry, reads: list[str], result: str, left_out: Iterable[str]
+) -> PlanStep:
+    """Return the step of an output, with its files added to the result."""
+    key = "" if entry.scene is None else entry.scene.outputs[0].location.where
+    # Existing files are marked; without a file it is stdout.
+    files = [f"{file} (exists)" if file.exists() else str(file) for file in entry.files]
+    results = (result, *(files or ["stdout"]))
+    return PlanStep(
+        StepKind.OUTPUT, entry.name, key, tuple(reads), results, tuple(left_out)
+    )
 
 
 def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
@@ -273,18 +268,14 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
     omitted += [f"{take_part}: the take has none" for take_part in missing_parts]
     if state.curves and not state.dropped and _drops_curves(entry):
         omitted.append("curves of controls: invalid where it changes these")
+    read_parts = _part_names(entry.pass_.reads & available_parts)
+    changed_parts = (entry.pass_.changes & available_parts) | _added_parts(entry)
     return PlanStep(
         StepKind.PASS,
         entry.pass_.name,
         entry.location.where,
-        (
-            *files,
-            *map(str, entry.files),
-            *_part_names(entry.pass_.reads & available_parts),
-        ),
-        tuple(
-            _part_names((entry.pass_.changes & available_parts) | _added_parts(entry))
-        ),
+        (*files, *map(str, entry.files), *read_parts),
+        tuple(_part_names(changed_parts)),
         tuple(omitted),
     )
 
@@ -308,14 +299,8 @@ def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
         result += f" and {counted(len(state.tracks), 'prop')} with it"
     if state.systems:
         result += f" and {counted(state.systems, 'system')}"
-    return PlanStep(
-        StepKind.OUTPUT,
-        entry.name,
-        _output_key(entry),
-        tuple(reads),
-        (f"{form} with {result}", *_file_labels(entry.files)),
-        tuple(_omitted_parts(options, form, state)),
-    )
+    omitted = _omitted_parts(options, form, state)
+    return _written_step(entry, reads, f"{form} with {result}", omitted)
 
 
 def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
@@ -339,21 +324,7 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     ]
     if state.curves and writer is CLIP:
         omitted.append("curves of controls: keys are fitted to the samples again")
-    return PlanStep(
-        StepKind.OUTPUT,
-        entry.name,
-        _output_key(entry),
-        ("take",),
-        (writer.samples, *_file_labels(entry.files)),
-        tuple(omitted),
-    )
-
-
-def _file_labels(files: list[Path]) -> list[str]:
-    """Return file names, with existing files marked; ``stdout`` if there are none."""
-    return [f"{file} (exists)" if file.exists() else str(file) for file in files] or [
-        "stdout"
-    ]
+    return _written_step(entry, ["take"], writer.samples, omitted)
 
 
 def _omitted_parts(

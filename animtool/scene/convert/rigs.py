@@ -76,9 +76,8 @@ def convert_rig(
         strict: Treat warnings as errors.
     """
     job = RigJob(Path(source), Path(output), prim_path, physics, overwrite, strict)
-    write = rig_writer(job.output)
     with atomic_outputs():
-        report: RigReport = write(job)
+        report: RigReport = rig_writer(job.output)(job)
     return report
 
 
@@ -99,8 +98,8 @@ def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
 
     Arrays of a rig file are not included, since some rigs have none.
     """
-    physics_files = [output.with_name(f"{output.stem}.physics.usda")] if physics else []
-    return [output, *physics_files]
+    files = [output, output.with_name(f"{output.stem}.physics.usda")]
+    return files if physics else files[:1]
 
 
 def _report(
@@ -135,10 +134,9 @@ class RigFile:
 
     def write(self) -> None:
         """Write the rig and its arrays, each atomically."""
-        output = self.outputs[-1]
         if self.arrays:
             write_arrays(self.outputs[0], self.arrays)
-        write_parts(output, [rig_text(self.rig).encode()])
+        write_parts(self.outputs[-1], [rig_text(self.rig).encode()])
 
 
 def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
@@ -169,9 +167,8 @@ def _ignored_motion_notice(
     if frames < 2:
         return []
     message = f"only the rig is written, without its motion of {frames} frames"
-    hint = (
-        f"animtool bake {source.name} {flag('rig-layer', output.name)} -o MOTION.usda"
-    )
+    rig_layer = flag("rig-layer", output.name)
+    hint = f"animtool bake {source.name} {rig_layer} -o MOTION.usda"
     return [Fault("CLI104", message, str(source), (), hint, Severity.NOTE)]
 
 

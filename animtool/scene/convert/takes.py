@@ -12,7 +12,7 @@ from animtool.core.errors import OptionError
 from animtool.core.files.output import protect_inputs
 from animtool.core.writers import take_writer
 from animtool.motion.passes import Pass, PassContext, apply_pass
-from animtool.scene.bake.bake import OutputReport, bake_outputs, bake_take
+from animtool.scene.bake.bake import OutputReport, bake_outline, bake_take
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import check_outline, create_outline
@@ -75,14 +75,9 @@ def convert(
             raise OptionError(key_option_fault(argument(name), output))
     settings = _conversion_options(options, overwrite=overwrite, strict=strict)
     settings = replace(settings, reduce=reduce, reduce_at=reduce_at)
-    (report,) = bake_outputs(
-        source if isinstance(source, OpenTake) else Path(source),
-        output,
-        settings,
-        base=base,
-        rig_file=rig_file,
-        progress=progress,
-    )
+    source = source if isinstance(source, OpenTake) else Path(source)
+    outline = create_outline(source, output, settings, base=base, rig_file=rig_file)
+    (report,) = bake_outline(outline, progress=progress)
     return _conversion_report(report, output)
 
 
@@ -96,17 +91,7 @@ def convert_with_passes(
     strict: bool = False,
     progress: Progress = None,
 ) -> ConvertReport:
-    """Convert a take like `convert`, after passes.
-
-    Args:
-        source: BVH, USD or clip.
-        output: As `convert` takes it.
-        passes: Passes in order, each with its options.
-        source_options: Properties of the source.
-        overwrite: Replace outputs that exist.
-        strict: Treat warnings as errors.
-        progress: Called with the fraction done, 0 to 1.
-    """
+    """Apply passes to a take, each with its options, and convert it like `convert`."""
     for pass_, options in passes:
         for check in pass_.checks(options).values():
             check()

@@ -131,12 +131,7 @@ class FaceResult:
 
 
 def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
-    """Fit a face to its landmarks and write the take.
-
-    Args:
-        job: Arguments of the solve.
-        progress: Called with the fraction done, 0 to 1.
-    """
+    """Fit a face to its landmarks and write the take."""
     target = job.target
     target.check((job.capture, job.rig, job.landmarks, job.remap, job.camera))
     result = solve_face(job, progress=progress)
@@ -147,34 +142,26 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
 def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Return a face fitted to its landmarks, without writing it."""
     start_time = time.perf_counter()
-    capture = read_capture(
-        job.capture,
-        unit=job.source_options.unit,
-        up=job.source_options.up,
-        fps=job.source_options.fps,
-    )
+    source = job.source_options
+    capture = read_capture(job.capture, unit=source.unit, up=source.up, fps=source.fps)
     rig, notices = open_rig(job.rig)
     remap = None if job.remap is None else load_remap(job.remap)
     model = _load_model(job, capture, rig)
-    landmark_points, point_notices = order_landmarks(capture, model)
-    camera, landmark_points = _undistort(job, capture, landmark_points)
+    points, point_notices = order_landmarks(capture, model)
+    camera, points = _undistort(job, capture, points)
     read_end_time = time.perf_counter()
     with faults_in(job.capture):
         rig_face = model
-        model = _with_neutral_proportions(
-            job.options, model, landmark_points, camera is not None
-        )
+        model = _with_neutral_proportions(job.options, model, points, capture.pixels)
         fit = fit_face(
             model,
-            landmark_points,
+            points,
             float(capture.clock.rate),
             smooth=job.options.smooth,
             camera=camera,
             progress=progress,
         )
-        neutral_warnings = _neutral_warnings(
-            job.options, rig_face, fit, landmark_points
-        )
+        neutral_warnings = _neutral_warnings(job.options, rig_face, fit, points)
     if neutral_warnings:
         # Landmarks of a face with other proportions do not match it.
         kept = [notice for notice in fit.notices if notice.code != "FAC105"]
@@ -191,16 +178,12 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     capture_notices = [*capture.notices, *point_notices, *fit.notices, *head_notices]
     notices += [notice.in_file(job.capture) for notice in capture_notices]
     take = drive_take(Take(rig, capture.clock, motion, tuple(notices)))
-    seconds = {
-        "read": read_end_time - start_time,
-        "solve": time.perf_counter() - read_end_time,
-    }
-    pixels_per_meter = None
+    solve_seconds = time.perf_counter() - read_end_time
+    seconds = {"read": read_end_time - start_time, "solve": solve_seconds}
+    scale = None
     if camera is not None:
-        pixels_per_meter = float(camera[0] / np.median(fit.translations[:, 2]))
-    return FaceResult(
-        job, fit, links, take, camera is not None, notices, seconds, pixels_per_meter
-    )
+        scale = float(camera[0] / np.median(fit.translations[:, 2]))
+    return FaceResult(job, fit, links, take, capture.pixels, notices, seconds, scale)
 
 
 def _load_model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
@@ -219,10 +202,8 @@ def _undistort(
     """Return camera intrinsics (None for positions) and undistorted landmarks."""
     if not capture.pixels:
         if job.camera is not None:
-            message = "is for landmarks in pixels, but these are positions"
-            raise OptionError(
-                Fault("CLI004", f"{argument('camera')} {message}", str(job.capture))
-            )
+            message = f"{argument('camera')} is for landmarks in pixels, but these are "
+            raise OptionError(Fault("CLI004", f"{message}positions", str(job.capture)))
         return None, points
     if job.camera is None:
         message = "landmarks are in pixels, but there is no camera"
@@ -233,9 +214,8 @@ def _undistort(
 
     lens = _camera(job, load_cameras(job.camera).cameras)
     intrinsics = np.array([*lens.focal, *lens.centre])
-    return intrinsics, pixel_rays(lens, points)[..., :2] * intrinsics[:2] + intrinsics[
-        2:
-    ]
+    rays = pixel_rays(lens, points)[..., :2]
+    return intrinsics, rays * intrinsics[:2] + intrinsics[2:]
 
 
 def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
@@ -262,18 +242,14 @@ def _with_neutral_proportions(
     if pixels:
         message = f"{argument('neutral')} needs landmarks in three dimensions"
         raise OptionError(Fault("CLI004", message))
+    reason = ""
     if options.neutral >= len(points):
-        message = (
-            f"{argument('neutral', options.neutral)}: the capture has {len(points)} "
-            "frames"
-        )
-        raise OptionError(Fault("FAC011", message))
-    if np.isfinite(points[options.neutral]).all(axis=-1).sum() < 4:
-        message = (
-            f"{argument('neutral', options.neutral)}: fewer than 4 landmarks in "
-            "that frame"
-        )
-        raise OptionError(Fault("FAC011", message))
+        reason = f"the capture has {len(points)} frames"
+    elif np.isfinite(points[options.neutral]).all(axis=-1).sum() < 4:
+        reason = "fewer than 4 landmarks in that frame"
+    if reason:
+        frame = argument("neutral", options.neutral)
+        raise OptionError(Fault("FAC011", f"{frame}: {reason}"))
     return model.with_proportions(points[options.neutral])
 
 
@@ -282,11 +258,8 @@ def _neutral_warnings(
 ) -> list[Fault]:
     """Return a warning if landmarks fit much worse with a neutral frame (FAC111).
 
-    Args:
-        options: Options of the solve.
-        rig_face: The face of the rig, with its own proportions.
-        fit: The fit with the proportions of the neutral frame.
-        points: Landmarks ``(F, N, 3)`` [m].
+    ``rig_face`` has the rig's own proportions, ``fit`` used those of the neutral frame.
+    ``points`` are landmarks ``(F, N, 3)`` [m].
     """
     if options.neutral is None:
         return []
@@ -343,14 +316,11 @@ def face_motion(
         mean_rotation = np.abs(fit.rotations[:, 3]).mean()
         if 2 * np.arccos(min(float(mean_rotation), 1.0)) > MAX_MEAN_ROTATION:
             message = "the head faces far away from the rig's in most frames"
-            hint = (
-                f"set the up axis with {argument('source.up')}; "
-                f"{argument('head', 'none')} ignores head motion"
-            )
-            fault = Fault("FAC110", message, hint=hint, severity=Severity.WARNING)
-            notices.append(fault)
-        local_rotations_ = local_rotations(rig, joint, fit.rotations)
-        rotations = rotations.put(np.array([joint]), local_rotations_[:, None])
+            hint = f"set the up axis with {argument('source.up')}; "
+            hint += f"{argument('head', 'none')} ignores head motion"
+            notices.append(warning("FAC110", message, hint))
+        head_rotations = local_rotations(rig, joint, fit.rotations)
+        rotations = rotations.put(np.array([joint]), head_rotations[:, None])
         if head_mode == "pose":
             translations, translation_notices = _head_translations(
                 fit, rig, joint, translations
@@ -370,19 +340,16 @@ def _head_translations(
     """Return root translations that move the head to its fitted position."""
     root = rig.upwards(joint)[-1]
     if rig.joints[root].type is not JointType.FREE:
-        message = (
-            f"the root {rig.joints[root].name!r} is not a free joint: the head motion "
-            "is ignored"
-        )
+        message = f"the root {rig.joints[root].name!r} is not a free joint: the head "
+        message += "motion is ignored"
         return translations, [Fault("FAC109", message, severity=Severity.NOTE)]
     rest_pose = forward_kinematics(
         rig, rig.rest_translations[None], rig.rest_rotations[None]
     )
     joint_position = rest_pose.positions[0, joint]
     # The head rotates about its joint, so only the joint is moved.
-    head_offsets = rotate(
-        fit.rotations, np.broadcast_to(joint_position, fit.translations.shape)
-    )
+    joint_positions = np.broadcast_to(joint_position, fit.translations.shape)
+    head_offsets = rotate(fit.rotations, joint_positions)
     shift = head_offsets + fit.translations - joint_position
     root_translations = rig.rest_translations[root] + shift
     return translations.put(np.array([root]), root_translations[:, None]), []

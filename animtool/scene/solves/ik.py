@@ -19,11 +19,11 @@ from animtool.core.config import project_roots
 from animtool.core.errors import (
     Fault,
     OptionError,
-    Severity,
     ToleranceError,
     faults_in,
     listed,
     refuse_warnings,
+    warning,
 )
 from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import has_kind_suffix
@@ -170,7 +170,7 @@ class IkContext:
 
 
 def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
-    """Open the files of a job."""
+    """Open the rig, the targets and the start poses of a job."""
     rig, notices = open_rig(job.rig)
     tracks = load_targets(job.targets, rig)
     notices = [*notices, *tracks.notices]
@@ -210,20 +210,16 @@ def _outside_targets_warning(job: IkJob, tracks: TargetTracks) -> list[Fault]:
         return []
     message = (
         f"frame {float(job.frame):g} is outside the targets, which run from frame "
+    )
+    message += (
         f"{float(clock.start):g} to {float(last):g}; their nearest values are used"
     )
     hint = f"use a frame of the targets with {argument('command.pose')}, or add keys"
-    return [Fault("TGT107", message, str(job.targets), (), hint, Severity.WARNING)]
+    return [warning("TGT107", message, hint).in_file(job.targets)]
 
 
 def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
-    """Return the index of a take's frame; None is the first.
-
-    Args:
-        take: Take of a file.
-        frame: Its time code.
-        path: The file.
-    """
+    """Return the index of a time code in a take of a file; None is the first frame."""
     clock = take.clock
     if frame is None:
         return 0
@@ -241,10 +237,6 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
 
     Outputs are checked before the solve. With ``strict``, nothing is written if there
     are warnings.
-
-    Args:
-        job: Arguments of the solve.
-        progress: Called with the fraction done, 0 to 1.
     """
     target = job.target
     target.check((job.rig, job.targets, job.start, job.bake.rig_layer))
@@ -262,9 +254,8 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
     """Return the rig file if a clip at the output path can refer to it, else None."""
     if output in {None, STDOUT}:
         return None
-    is_in_project = any(
-        rig.resolve().is_relative_to(root) for root in project_roots(output)
-    )
+    roots = project_roots(output)
+    is_in_project = any(rig.resolve().is_relative_to(root) for root in roots)
     return rig if has_kind_suffix(rig, "rig") and is_in_project else None
 
 
@@ -282,10 +273,8 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
             only=context.only_index,
             progress=progress,
         )
-    seconds = {
-        "read": read_end_time - start_time,
-        "solve": time.perf_counter() - read_end_time,
-    }
+    solve_seconds = time.perf_counter() - read_end_time
+    seconds = {"read": read_end_time - start_time, "solve": solve_seconds}
     goals = goal_reports(solution, *_goal_tolerances(job))
     missed_goals = missed_notices(solution, goals)
     notices = [
@@ -307,12 +296,11 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
 
 
 def _with_goal_tolerances(job: IkJob) -> TakeOptions:
-    """Return options whose tolerances are at least as strict as those of goals."""
-    position_tolerance, angle_tolerance = _goal_tolerances(job)
-    options = job.options
+    """Return options whose tolerances are at least as strict as those of the goals."""
+    options, (tolerance, angle_tolerance) = job.options, _goal_tolerances(job)
     return replace(
         options,
-        tolerance=min(options.tolerance, position_tolerance or math.inf),
+        tolerance=min(options.tolerance, tolerance or math.inf),
         angle_tolerance=min(options.angle_tolerance, angle_tolerance or math.inf),
     )
 
@@ -355,7 +343,7 @@ def open_start(
     stream = open_source(path, options, progress=progress)
     if stream.rig.up is not rig.up:
         stream = reorient(stream, rig.up)
-    # What its blocks notice is known when all are read.
+    # Some notices appear only while blocks are read.
     take = _crop_to_shot(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
         return drive_take(replace(take, rig=rig))
@@ -387,27 +375,24 @@ def _map_motion(
 ) -> tuple[Motion, list[Fault]]:
     """Return the motion of the joints common to both rigs, and notices of the rest."""
     names = map_names(rig, take.rig)
-    transfer_hint = (
-        f"first move it to this rig: animtool retarget {path} {flag('to')} {rig_path}"
-    )
+    transfer_hint = f"first move it to this rig: animtool retarget {path} "
+    transfer_hint += f"{flag('to')} {rig_path}"
     if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"
         hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}; {transfer_hint}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
-    missing_joints = [
-        rig.names[index] for index in np.flatnonzero(names.joints < 0).tolist()
-    ]
+    missing_joints = [rig.names[i] for i in np.flatnonzero(names.joints < 0).tolist()]
     unmatched_joints = [take.rig.names[index] for index in names.unmatched_joints]
     common = len(rig.names) - len(missing_joints)
     if common < MIN_COMMON * min(len(rig.names), len(take.rig.names)):
-        shared = [name for name in rig.names if name not in missing_joints]
-        message = (
-            f"is a take of another skeleton: it has {common} of the {len(rig.names)} "
-            f"joints of {rig.name!r} ({listed(shared, 3)}); the others stay at rest"
+        common_names = [name for name in rig.names if name not in missing_joints]
+        message = f"is a take of another skeleton: it has {common} of the "
+        message += (
+            f"{len(rig.names)} joints of {rig.name!r} ({listed(common_names, 3)})"
         )
-        severity = Severity.WARNING
-        notices.append(Fault("TGT102", message, str(path), (), transfer_hint, severity))
+        message += "; the others stay at rest"
+        notices.append(warning("TGT102", message, transfer_hint))
         missing_joints = unmatched_joints = []
     for joint_names, template in (
         (missing_joints, "does not have {}: they stay at rest"),
@@ -415,7 +400,7 @@ def _map_motion(
     ):
         if joint_names:
             message = template.format(listed(joint_names, MAX_NAMED))
-            fault = Fault("TGT102", message, str(path), severity=Severity.WARNING)
-            notices.append(fault)
+            notices.append(warning("TGT102", message))
+    notices = [notice.in_file(path) for notice in notices]
     motion = replace(names.apply(take.motion), weights=None, controls=None)
     return motion.map(Channel.compact), notices

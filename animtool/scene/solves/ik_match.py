@@ -68,16 +68,9 @@ class MatchReport:
 
 
 def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
-    """Write targets that reproduce the limbs of a take.
-
-    Args:
-        job: Arguments of the matching.
-        progress: Called with the fraction done, 0 to 1.
-    """
-    if (
-        not has_kind_suffix(job.output, "targets")
-        or job.output.suffix.lower() == ".json"
-    ):
+    """Write targets that reproduce the limbs of a take."""
+    is_json = job.output.suffix.lower() == ".json"
+    if is_json or not has_kind_suffix(job.output, "targets"):
         message = "is not the name of a targets file"
         hint = "allowed: .targets.yaml, .targets.yml"
         raise OptionError(Fault("OUT004", message, str(job.output), (), hint))
@@ -97,11 +90,9 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     if job.pose:
         take = _select_frame(take, frame_index(take, job.frame, job.take))
     read_end_time = time.perf_counter()
-    skipped_notices = [
-        replace(fault, path=str(job.take))
-        for fault in untracked_motion_notices(take, chains)
-    ]
-    notices = [*notices, *take.notices, *skipped_notices]
+    notices = [*notices, *take.notices]
+    for fault in untracked_motion_notices(take, chains):
+        notices.append(replace(fault, path=str(job.take)))
     refuse_warnings(notices, strict=job.write_options.strict)
     tracks = match_take(take, chains, job.output, reduce=job.write_options.reduce)
     text = targets_text(tracks, ClipUnits.of_rig(rig))
@@ -123,8 +114,8 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
 
 def _select_frame(take: Take, frame: int) -> Take:
     """Return one frame of a take."""
-    clock = take.clock
-    one_frame_clock = replace(clock, start=clock.start + frame * clock.step, count=1)
+    start = take.clock.start + frame * take.clock.step
+    clock = replace(take.clock, start=start, count=1)
     return replace(
-        take, clock=one_frame_clock, motion=take.motion.select(slice(frame, frame + 1))
+        take, clock=clock, motion=take.motion.select(slice(frame, frame + 1))
     )

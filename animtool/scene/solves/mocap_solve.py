@@ -94,12 +94,7 @@ class MocapSolveResult:
 
 
 def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveResult:
-    """Solve a capture on a rig and write the motion.
-
-    Args:
-        job: Arguments of the solve.
-        progress: Called with the fraction done, 0 to 1.
-    """
+    """Solve a capture on a rig and write the motion."""
     _check(job)
     target = job.target
     template = load_template(job.template)
@@ -115,6 +110,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
 
 
 def _check(job: MocapSolveJob) -> None:
+    """Raise an error for a subject's file with a wrong suffix, or no calibration."""
     for path, kind in ((job.write_rig, "rig"), (job.write_template, "markers")):
         if path is None:
             continue
@@ -124,9 +120,8 @@ def _check(job: MocapSolveJob) -> None:
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
         if not job.calibrate:
             message = "without a calibration there is nothing new to write"
-            hint = (
-                f"{argument('calibrate', True)} fits bones and offsets to the subject"
-            )
+            hint = argument("calibrate", True)
+            hint += " fits bones and offsets to the subject"
             raise OptionError(Fault("SOL009", message, str(path), (), hint))
 
 
@@ -160,9 +155,8 @@ def _solve(
 ) -> tuple[TakeStream, MocapSolveResult]:
     seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
     start_time = time.perf_counter()
-    reader_options = {
-        name: getattr(job.source_options, name) for name in ("unit", "up", "fps")
-    }
+    names = ("unit", "up", "fps")
+    reader_options = {name: getattr(job.source_options, name) for name in names}
     calibration: Calibration | None = None
     with protect_inputs(outputs):
         rig, notices = open_rig(rig_path)

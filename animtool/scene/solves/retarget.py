@@ -54,10 +54,8 @@ class RetargetJob:
     @property
     def target(self) -> SolvedOutput:
         """The outputs, including the map file."""
-        extra_files = (self.write_map,)
-        return SolvedOutput.of(
-            self.output, self.source, self.bake, self.rig, extra_files
-        )
+        files = (self.write_map,)
+        return SolvedOutput.of(self.output, self.source, self.bake, self.rig, files)
 
 
 @dataclass(slots=True)
@@ -112,20 +110,13 @@ class RetargetResult:
 
 
 def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResult:
-    """Retarget a take to another rig and write it.
-
-    Args:
-        job: Arguments of retargeting.
-        progress: Called with the fraction done, 0 to 1.
-    """
+    """Retarget a take to another rig and write it."""
     if job.write_map is not None and not has_kind_suffix(job.write_map, "map"):
         message, hint = "is not the name of a map file", "allowed: .map.yaml, .map.yml"
         raise OptionError(Fault("OUT004", message, str(job.write_map), (), hint))
     if job.source.is_dir():
-        hint = (
-            "to retarget folders, run a batch of a scene with the pass retarget: "
-            "animtool batch"
-        )
+        hint = "to retarget folders, run a batch of a scene with the pass retarget: "
+        hint += "animtool batch"
         raise OptionError(Fault("IO001", "is a folder", str(job.source), (), hint))
     target = job.target
     target.check((job.source, job.rig, job.options.map, job.bake.rig_layer))
@@ -166,12 +157,8 @@ def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     moving prim.
     """
     rig, layer = stream.rig, job.bake.rig_layer
-    if (
-        rig.placement is None
-        or rig.has_animated_parents
-        or layer is None
-        or job.bake.placement
-    ):
+    is_placed = rig.placement is not None and not rig.has_animated_parents
+    if not is_placed or layer is None or job.bake.placement:
         return stream
     from animtool.usd.rigs.target import open_target
 
@@ -207,9 +194,8 @@ def _retarget(
     target_notices = joint_map.target.notices
     notices = [*notices, *stream.notices]
     for notice in map_notices:
-        notices.append(
-            notice.in_file(job.rig if notice in target_notices else job.source)
-        )
+        path = job.rig if notice in target_notices else job.source
+        notices.append(notice.in_file(path))
     blocks = checked_blocks(retargeting, job.options, notices, job.source)
     solved_stream = replace(
         stream,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class SolveReport(Protocol):
-    """Base of solve reports; the written output is added to it."""
+    """A report of a solve, to which the report of the written output is added."""
 
     notices: list[Fault]
     written: OutputReport | None
@@ -32,8 +32,8 @@ class SolveReport(Protocol):
 class SolvedOutput:
     """The output of a solve."""
 
-    outline: Outline | None  # outline of the take; None if it is not written
-    bake: BakeOptions  # bake options
+    outline: Outline | None  # the take as output; None if it is not written
+    bake: BakeOptions
     extra_files: tuple[Path, ...] = ()  # further files to write
 
     @staticmethod
@@ -74,7 +74,7 @@ class SolvedOutput:
     ) -> None:
         """Write a take and complete the report; without an output, solve only.
 
-        source_kind: Kind of the source for the report; None keeps the take's details.
+        ``source_kind`` replaces the take's details in the report; None keeps them.
 
         Raises:
             OutputError: A file cannot be written.
@@ -92,8 +92,6 @@ class SolvedOutput:
             report.written = bake_take(stream, self.outline, progress=progress)
             stream_notices = report.written.notices
         reported = set(report.notices)
-        report.notices += [
-            notice for notice in stream_notices if notice not in reported
-        ]
+        report.notices += [each for each in stream_notices if each not in reported]
         if self.outline is None:
             refuse_warnings(report.notices, strict=self.bake.strict)

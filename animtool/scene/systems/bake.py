@@ -67,9 +67,9 @@ class SystemPrims:
         """Return the simulation time of a time code [s]."""
         return float((code - self.start) / self.job.metadata.span.fps)
 
-    def author(self, draft: BakeState) -> None:
+    def author(self, state: BakeState) -> None:
         """Set up the simulation; without chunks it runs when the layer is saved."""
-        plan = draft.plan
+        plan = state.plan
         prims = self if self.recorder is None else self._with_take_codes(self.recorder)
         codes, job = prims.codes, prims.job
         character = (
@@ -81,17 +81,17 @@ class SystemPrims:
         systems = self.scene.systems
         main_rig = None if self.recorder is None else plan.takes[0].stream.rig
         last_seconds = prims.seconds(codes[-1])
-        run = SystemRun(systems, last_seconds, character, draft.progress, main_rig)
+        run = SystemRun(systems, last_seconds, character, state.progress, main_rig)
         keeps_stopped = plan.options.keep_stopped
         frame_rows = run.rows(
             codes, prims.start, job.metadata.span.fps, keep_stopped=keeps_stopped
         )
-        if draft.report is None:
-            self._begin(draft)
+        if state.report is None:
+            self._begin(state)
         frames = SystemFrames(self, job, run, frame_rows, plan.options.strict)
         if plan.options.chunk is not None:
-            frames.chunk(draft.layer, plan.output, plan.options.chunk)
-        draft.growth = frames
+            frames.chunk(state.layer, plan.output, plan.options.chunk)
+        state.growth = frames
 
     def _with_take_codes(self, recorder: CharacterRecorder) -> SystemPrims:
         """Return a copy with the time codes and placement of the recorded take."""
@@ -112,18 +112,18 @@ class SystemPrims:
         )
         return replace(self, job=job, start=start, codes=tuple(codes))
 
-    def _begin(self, draft: BakeState) -> None:
+    def _begin(self, state: BakeState) -> None:
         """Create a layer that contains only systems, and its report."""
-        plan, metadata = draft.plan, self.job.metadata
+        plan, metadata = state.plan, self.job.metadata
         layer = new_simulated_layer(self.job, plan.output)
         take = WrittenTake("", metadata.span, samples=len(self.codes))
         result = UsdResult(layer_span(layer), takes=[take])
 
-        draft.layer, draft.files = layer, OneFile(layer, plan.output, result)
+        state.layer, state.files = layer, OneFile(layer, plan.output, result)
         report = TakeReport(
             self.scene.path, take, len(self.codes), metadata.span.fps, ""
         )
-        draft.report = plan.report(
+        state.report = plan.report(
             [report],
             result,
             list(plan.notices),
@@ -178,9 +178,9 @@ class SystemFrames:
         refuse_warnings(self.notices, strict=self.strict)
         run.save_states(prims.scene.path.resolve().parent)
 
-    def complete(self, draft: BakeState) -> None:
+    def complete(self, state: BakeState) -> None:
         """Add the simulated frames to the report."""
-        report, run, written_meshes = draft.report, self.run, self.written
+        report, run, written_meshes = state.report, self.run, self.written
         assert report is not None
         report.notices += self.notices
         report.stopped = run.stopped
@@ -202,7 +202,7 @@ class SystemFrames:
         take.written.rounding = Rounding(worst_mesh.error, worst_mesh.error_code)
         worst_index = run.written[written_meshes.index(worst_mesh)]
         take.error_joint = self.prims.scene.systems[worst_index].name
-        draft.read += run.seconds
+        state.read += run.seconds
 
 
 def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:

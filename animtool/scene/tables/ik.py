@@ -83,7 +83,7 @@ def solve_trial(
     frames = len(chosen_result.statuses)
     clock = chosen_result.take.clock
 
-    def setting_of(method: IkMethod, tolerance: float, angle: float) -> Setting:
+    def new_setting(method: IkMethod, tolerance: float, angle: float) -> Setting:
         return Setting.of(method, tolerance=tolerance, angle_tolerance=angle)
 
     def options_for(setting: Setting) -> TakeOptions:
@@ -97,32 +97,30 @@ def solve_trial(
     def run(setting: Setting) -> TrialOutcome:
         return _outcome(solve(options_for(setting)))
 
-    current_tolerances = (options.tolerance, options.angle_tolerance)
-    current_setting = setting_of(options.method, *current_tolerances)
-    settings = [setting_of(options.method, t * length, t) for t in TOLERANCES]
-    settings += [setting_of(method, *current_tolerances) for method in IkMethod]
-    reference_settings = [
-        setting_of(options.method, t * length, t) for t in REFERENCE_TOLERANCES
-    ]
+    method, tolerances = options.method, (options.tolerance, options.angle_tolerance)
+    settings = [new_setting(method, t * length, t) for t in TOLERANCES]
+    settings += [new_setting(other_method, *tolerances) for other_method in IkMethod]
+    references = [new_setting(method, t * length, t) for t in REFERENCE_TOLERANCES]
     return Trial(
         name,
         f"ik, {chosen_result.problem.degrees} degrees of freedom, {frames} frames",
         float(clock.duration),
-        current_setting,
+        new_setting(method, *tolerances),
         lambda: settings,
-        lambda: [reference_settings],
+        lambda: [references],
         run,
         ErrorMeasure.LARGEST,
         unit="iterations",
-        where=lambda shot, point: _point_label(chosen_result, shot, point),
+        where=lambda snapshot, point: _point_label(chosen_result, snapshot, point),
         lines=lambda setting: scene_text(options_for(setting)),
     )
 
 
-def _point_label(solution: TakeIk, shot: int, point: int) -> str:
-    goals = [goal for goal, _, _ in _compared_points(solution)]
-    frame = float(solution.take.clock.times[shot])
-    return f"{solution.tracks.goals[goals[point]].name} at frame {frame:g}"
+def _point_label(solution: TakeIk, snapshot: int, point: int) -> str:
+    """Return the goal of a compared point and the frame of a snapshot, as text."""
+    goal, _, _ = _compared_points(solution)[point]
+    frame = float(solution.take.clock.times[snapshot])
+    return f"{solution.tracks.goals[goal].name} at frame {frame:g}"
 
 
 def _compared_points(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
@@ -131,10 +129,8 @@ def _compared_points(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
     for i, track in enumerate(solution.tracks.goals):
         goal, joint = track.goal, solution.take.rig.index(track.goal.joint)
         offset = np.asarray(goal.offset, np.float64)
-        arm_offsets = (
-            ORIENTATION_ARM * np.eye(3)[:2] if goal.orientation else np.zeros((0, 3))
-        )
-        points += [(i, joint, offset + arm) for arm in (np.zeros(3), *arm_offsets)]
+        arms = ORIENTATION_ARM * np.eye(3)[: 2 if goal.orientation else 0]
+        points += [(i, joint, offset + arm) for arm in (np.zeros(3), *arms)]
     return points
 
 
@@ -145,9 +141,8 @@ def _outcome(solution: TakeIk) -> TrialOutcome:
     offsets = np.array([offset for _, _, offset in compared_points])
     world = take.world()
     rotated_offsets = np.einsum("fpab,pb->fpa", world.linear[:, joints], offsets)
-    shots = [
-        Snapshot(points) for points in world.positions[:, joints] + rotated_offsets
-    ]
+    points = world.positions[:, joints] + rotated_offsets
+    snapshots = list(map(Snapshot, points))
     goal_errors = np.where(solution.active, solution.misses, 0.0)
     has_converged = [status is IkStatus.CONVERGED for status in solution.statuses]
     figures = {
@@ -156,4 +151,4 @@ def _outcome(solution: TakeIk) -> TrialOutcome:
         Figure.REACHED: float(np.mean(has_converged)),
     }
     steps = int(solution.iterations.sum())
-    return TrialOutcome(solution.seconds, steps, shots, figures=figures)
+    return TrialOutcome(solution.seconds, steps, snapshots, figures=figures)

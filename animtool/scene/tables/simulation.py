@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.files.output import STDOUT
 from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, solve_options
 from animtool.motion.motion import Motion
@@ -75,17 +75,20 @@ def simulation_trials(
     """
     trials: list[tuple[EntryLocation, Trial]] = []
     if scene.sources:
-        trials += _pass_trials(scene, MAX_COMPARED_FRAMES)
+        trials += _pass_trials(scene)
     if scene.systems:
         times, character = _compared_times(scene, options or BakeOptions())
-        frame_numbers = np.linspace(
-            0, len(times) - 1, min(len(times), MAX_COMPARED_FRAMES)
-        )
-        compared_times = times[frame_numbers.astype(np.int64)]
+        compared_times = times[_compared_frames(len(times))]
         for members, trial in system_trials(scene.systems, compared_times, character):
             write = partial(_write_systems, scene, members, trial)
             trials.append((members[0].location, replace(trial, write=write)))
     return trials
+
+
+def _compared_frames(count: int) -> IntArray:
+    """Return indices of up to `MAX_COMPARED_FRAMES` frames, evenly over all frames."""
+    indices = np.linspace(0, count - 1, min(count, MAX_COMPARED_FRAMES))
+    return indices.astype(np.int64)
 
 
 def _write_systems(
@@ -95,7 +98,7 @@ def _write_systems(
     setting: Setting,
     output: Path,
 ) -> None:
-    """Write a scene in which the given systems use another setting."""
+    """Write a scene in which some of its systems use another setting."""
     assert trial.changes is not None
     changes = dict(trial.changes(setting))
     systems = list(scene.systems)
@@ -150,9 +153,9 @@ def _times_in_range(times: FloatArray, plan: BakePlan) -> FloatArray:
     return times[is_inside] if is_inside.any() else times
 
 
-def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial]]:
+def _pass_trials(scene: Scene) -> list[tuple[EntryLocation, Trial]]:
     """Return the trials of the spring and IK passes of a scene, with their entries."""
-    full_scene = scene
+    full_scene, folder = scene, scene.path.resolve().parent
     measured_passes = [
         i
         for i, entry in enumerate(scene.passes)
@@ -164,20 +167,16 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
     for pass_index, (entry, (take, _)) in enumerate(steps):
         if _is_ik_pass(entry):
             with entry.location.located():
-                tracks = rig_and_tracks(
-                    take, entry.options, scene.path.resolve().parent
-                )
-                trials.append(
-                    (entry.location, pass_trial(*tracks, solve_options(entry.options)))
-                )
+                tracks = rig_and_tracks(take, entry.options, folder)
+                trial = pass_trial(*tracks, solve_options(entry.options))
+                trials.append((entry.location, trial))
         if not _is_spring_pass(entry):
             continue
         with entry.location.located():
             bodies = build_bodies(take.rig, entry.options.what)
         for body in bodies:
             options = replace(entry.options, what=(body.name,))
-            pass_entry = replace(entry, options=options)
-            trial = _attach_trial(scene, pass_entry, take, body, instants)
+            trial = _attach_trial(scene, replace(entry, options=options), take, body)
             write = partial(_write_pass, full_scene, pass_index, name="rate")
             trials.append((entry.location, replace(trial, write=write)))
     return trials
@@ -192,20 +191,17 @@ def _is_spring_pass(entry: ScenePass) -> bool:
 
 
 def _attach_trial(
-    scene: Scene, entry: ScenePass, take: Take, body: AttachedBody, instants: int
+    scene: Scene, entry: ScenePass, take: Take, body: AttachedBody
 ) -> Trial:
     """Return the trial of a spring attachment with larger and smaller steps."""
     clock = take.clock
-    frame_positions = np.linspace(0, clock.count - 1, min(clock.count, instants))
-    frames = np.unique(frame_positions.astype(np.int64))
+    frames = np.unique(_compared_frames(clock.count))
 
     def run_pass(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
         """Apply the pass to a motion; return the resulting motion and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
-        changed_options = replace(entry.options, **options)
-        passed_stream = scene.apply_entry(
-            stream, replace(entry, options=changed_options)
-        )
+        changed_entry = replace(entry, options=replace(entry.options, **options))
+        passed_stream = scene.apply_entry(stream, changed_entry)
         result = Motion.concatenate(list(passed_stream.blocks))
         (report,) = passed_stream.simulated
         return result, report
@@ -216,23 +212,21 @@ def _attach_trial(
 
     def settings(step_ratios: Sequence[float]) -> list[Setting]:
         # A frame has a whole number of steps.
-        steps = [
-            math.ceil(rate / fraction / frame_rate - 1e-9) for fraction in step_ratios
-        ]
-        counts = dict.fromkeys(steps)
-        return [Setting.of(ATTACH_METHOD, rate=count * frame_rate) for count in counts]
+        counts = [math.ceil(rate / ratio / frame_rate - 1e-9) for ratio in step_ratios]
+        rates = (count * frame_rate for count in dict.fromkeys(counts))
+        return [Setting.of(ATTACH_METHOD, rate=step_rate) for step_rate in rates]
 
     def run(setting: Setting) -> TrialOutcome:
         start_time = time.perf_counter()
         motion, report = run_pass(take.motion, rate=setting["rate"])
         seconds = time.perf_counter() - start_time
         points = _attachment_points(take.rig, body, motion.select(frames))
-        shots = [Snapshot(shot_points) for shot_points in points]
+        snapshots = list(map(Snapshot, points))
         is_valid = bool(np.isfinite(points).all())
         return TrialOutcome(
             seconds,
             report["steps"] * motion.frames,
-            shots,
+            snapshots,
             Status.OK if is_valid else Status.UNSTABLE,
             "" if is_valid else "its state is not finite",
             figures=_error_figures(report),

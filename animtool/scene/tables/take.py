@@ -44,6 +44,7 @@ from animtool.sim.trials.trial import (
     TrialOutcome,
     points_extent,
 )
+from animtool.usd.layers.jobs import UsdResult
 from animtool.usd.rigs.skinned import usdskel_world
 
 # Sample rates relative to the source's. A sampled source is exact at its own rate.
@@ -58,7 +59,7 @@ CURVE_INSTANTS = 8
 MAX_INSTANTS, MAX_COMPARED = 4000, 2_000_000
 
 RATE, SAMPLES, KEYS = "rate", "samples", "keys"
-SOURCE = Setting("source", ())  # the source in float64
+SOURCE = Setting("source", ())  # the take itself in float64
 
 
 def take_trials(source: Source, options: BakeOptions | None = None) -> list[Trial]:
@@ -68,16 +69,15 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     rounding and interpolation. A clip is also compared between frames, with its curves;
     a sampled source is compared at its samples.
     """
-    options = options or BakeOptions()
+    options, path = options or BakeOptions(), source_file(source)
     plan = plan_stage(source, STDOUT, options)
     if plan.options.deform:
-        message = (
-            f"{argument('table')} measures joints, but the scene writes deformed points"
-        )
-        raise OptionError(Fault("CLI002", message, str(source_file(source))))
+        message = argument("table")
+        message += " measures joints, but the scene writes deformed points"
+        raise OptionError(Fault("CLI002", message, str(path)))
     if not plan.takes:
         message = f"is simulated, but {argument('table')} measures joints"
-        raise OptionError(Fault("SCN062", message, str(source_file(source))))
+        raise OptionError(Fault("SCN062", message, str(path)))
     stream = plan.takes[0].stream
     is_curved = stream.curve is not None and not stream.is_altered
     full_take = stream.collect()
@@ -87,12 +87,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     frames = plan.options.frame_range
     step = 1 if frames is None else frames.step
     rate /= step  # every second frame of the output is half its rate
-    path = source_file(source)
-    outside_notices = tuple(
-        notice.in_file(path)
-        for notice in take.notices
-        if notice not in full_take.notices
-    )
+    new_notices = [each for each in take.notices if each not in full_take.notices]
 
     def reopen_source() -> Source:
         # Results of passes are computed once.
@@ -101,17 +96,13 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
             stream = replace(stream, is_altered=False, count=take.clock.count)
         return OpenTake(path, stream)
 
-    return [
-        replace(
-            _sample_trial(
-                path, reopen_source, plan, take, reference, rate, is_curved=is_curved
-            ),
-            notices=outside_notices,
-        ),
-        _key_trial(
-            path, take if step == 1 else resampled(take, rate), dict(options.reduce_at)
-        ),
-    ]
+    sample_trial = _sample_trial(
+        path, reopen_source, plan, take, reference, rate, is_curved=is_curved
+    )
+    notices = tuple(notice.in_file(path) for notice in new_notices)
+    output_take = take if step == 1 else resampled(take, rate)
+    key_trial = _key_trial(path, output_take, dict(options.reduce_at))
+    return [replace(sample_trial, notices=notices), key_trial]
 
 
 def _in_range(take: Take, plan: BakePlan) -> Take:
@@ -127,16 +118,11 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
     )
     start, end = (clock.start + index * clock.step for index in (0, clock.count - 1))
     if first > end or last < start:
-        take_range = (
-            plan.start + (frame - clock.start) / codes_per_frame
-            for frame in (start, end)
+        fault = missing_frames_fault(
+            frames,
+            *(plan.start + (t - clock.start) / codes_per_frame for t in (start, end)),
         )
-        raise OptionError(
-            replace(
-                missing_frames_fault(frames, *take_range),
-                path=str(plan.takes[0].source),
-            )
-        )
+        raise OptionError(fault.in_file(plan.takes[0].source))
     return trim(take, max(first, float(clock.start)), last)
 
 
@@ -171,24 +157,20 @@ class _ReferencePoints:
 
     def where(self, snapshot: int, point: int) -> str:
         """Return the joint of a point and the time of a snapshot, as text."""
-        points_per_joint = len(self.snapshots[snapshot].points) // max(
-            1, len(self.rig.joints)
-        )
+        joint_count = max(1, len(self.rig.joints))
+        points_per_joint = len(self.snapshots[snapshot].points) // joint_count
         joint_name = self.rig.names[point // points_per_joint]
         return f"{joint_name} at {self.seconds[snapshot]:.2f} s"
 
 
 def _attached_snapshots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
     """Return, for each time, the points rigidly attached to the joints."""
-    attached_offsets = attached_points(rig, SHELL_DISTANCE)
-    return [
-        Snapshot(
-            (
-                position[:, None] + np.einsum("jab,jpb->jpa", linear, attached_offsets)
-            ).reshape(-1, 3)
-        )
-        for position, linear in zip(world.positions, world.linear, strict=True)
-    ]
+    offsets = attached_points(rig, SHELL_DISTANCE)
+    snapshots = []
+    for positions, linear in zip(world.positions, world.linear, strict=True):
+        points = positions[:, None] + np.einsum("jab,jpb->jpa", linear, offsets)
+        snapshots.append(Snapshot(points.reshape(-1, 3)))
+    return snapshots
 
 
 def _tolerances(rig: Rig) -> list[float]:
@@ -212,16 +194,13 @@ def _sample_trial(
     bake_options = plan.options
     trial_options = BakeOptions(source=bake_options.source, to_up=bake_options.to_up)
     fps = bake_options.fps if rate in {bake_options.fps, take.clock.rate} else rate
-    rates = [
-        rate * fraction for fraction in (CURVE_RATES if is_curved else SAMPLE_RATES)
-    ]
-    rate_by_value = {float(sample_rate): sample_rate for sample_rate in rates}
+    fractions = CURVE_RATES if is_curved else SAMPLE_RATES
+    rate_by_value = {float(rate * fraction): rate * fraction for fraction in fractions}
 
     def options_for(setting: Setting) -> BakeOptions:
-        setting_options = dict(setting.options)
         if setting.method == RATE:
-            return replace(trial_options, fps=rate_by_value[setting_options["fps"]])
-        return replace(trial_options, fps=fps, reduce=setting_options["reduce"])
+            return replace(trial_options, fps=rate_by_value[setting["fps"]])
+        return replace(trial_options, fps=fps, reduce=setting["reduce"])
 
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
@@ -229,12 +208,12 @@ def _sample_trial(
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "take.usdc"
             start_time = time.perf_counter()
-            report = _write_stage(reopen_source(), output, options_for(setting))
+            plan, result = _write_stage(reopen_source(), output, options_for(setting))
             seconds = time.perf_counter() - start_time
-            codes = float(report.start) + reference.seconds * float(report.fps)
+            codes = float(plan.start) + reference.seconds * float(plan.fps)
             world = usdskel_world(output, codes)
         snapshots = _attached_snapshots(reference.rig, world)
-        return TrialOutcome(seconds, report.samples, snapshots, bytes=report.bytes)
+        return TrialOutcome(seconds, result.samples, snapshots, bytes=result.bytes)
 
     def write(setting: Setting, output: Path) -> None:
         _write_stage(reopen_source(), output, options_for(setting))
@@ -244,7 +223,7 @@ def _sample_trial(
         if bake_options.reduce is None
         else Setting.of(SAMPLES, reduce=bake_options.reduce)
     )
-    settings = [Setting.of(RATE, fps=float(sample_rate)) for sample_rate in rates]
+    settings = [Setting.of(RATE, fps=value) for value in rate_by_value]
     tolerances = {*_tolerances(take.rig), *filter(None, [bake_options.reduce])}
     settings += [Setting.of(SAMPLES, reduce=t) for t in sorted(tolerances)[::-1]]
     return Trial(
@@ -280,21 +259,14 @@ def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -
     return f"animtool {command} {argument(key)} {value}"
 
 
-@dataclass(frozen=True, slots=True)
-class _BakedFile:
-    """A written stage."""
-
-    samples: int
-    bytes: int
-    start: Fraction
-    fps: Fraction
-
-
-def _write_stage(source: Source, output: Path, options: BakeOptions) -> _BakedFile:
+def _write_stage(
+    source: Source, output: Path, options: BakeOptions
+) -> tuple[BakePlan, UsdResult]:
+    """Write the take of a source to a stage; return the plan and what was written."""
     plan = plan_stage(source, output, replace(options, overwrite=True))
     # Systems next to the take have no joints to measure.
-    result = run_stage(replace(plan, prims=plan.prims[:1], recorder=None)).result
-    return _BakedFile(result.samples, result.bytes, plan.start, plan.fps)
+    plan = replace(plan, prims=plan.prims[:1], recorder=None)
+    return plan, run_stage(plan).result
 
 
 def _key_trial(path: Path, take: Take, joint_tolerances: dict[str, float]) -> Trial:
@@ -304,13 +276,12 @@ def _key_trial(path: Path, take: Take, joint_tolerances: dict[str, float]) -> Tr
         if setting == SOURCE:
             return TrialOutcome(0.0, take.clock.count, [Snapshot(np.zeros((0, 3)))])
         start_time = time.perf_counter()
-        reduction = reduce_motion(
-            take, setting["reduce"], joint_tolerances=joint_tolerances
-        )
+        tolerance = setting["reduce"]
+        reduction = reduce_motion(take, tolerance, joint_tolerances=joint_tolerances)
         seconds = time.perf_counter() - start_time
-        seconds_at = reduction.frame / float(take.clock.rate)
+        t = reduction.frame / float(take.clock.rate)
         error = PointDistances(reduction.error, reduction.error, reduction.error)
-        location = f"{reduction.joint} at {seconds_at:.2f} s"
+        location = f"{reduction.joint} at {t:.2f} s"
         return TrialOutcome(seconds, reduction.keys, [], error=error, worst=location)
 
     default = parse_length(KEY_TOLERANCE)
@@ -320,9 +291,7 @@ def _key_trial(path: Path, take: Take, joint_tolerances: dict[str, float]) -> Tr
         "keys of a clip",
         float(take.clock.duration),
         Setting.of(KEYS, reduce=default),
-        lambda: [
-            Setting.of(KEYS, reduce=tolerance_value) for tolerance_value in tolerances
-        ],
+        lambda: [Setting.of(KEYS, reduce=tolerance) for tolerance in tolerances],
         lambda: [[SOURCE]],
         run,
         ErrorMeasure.LARGEST,

@@ -7,7 +7,7 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import ClassVar
 
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.names import has_kind_suffix
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -31,19 +31,12 @@ SUITE = ("orbits.scene.yaml", "rope.scene.yaml", "reach.scene.yaml", "arm.clip.y
 
 @dataclass(frozen=True, slots=True)
 class Tradeoffs:
-    """Tables of an input, one for each result.
+    """Tables of time against error for an input, one for each result."""
 
-    Attributes:
-        source: Input file.
-        tables: Tables in the order in which a bake produces the results.
-        notices: Warnings about the tables.
-        budget: Largest acceptable error [m]; None if unspecified.
-    """
-
-    source: Path
-    tables: list[TrialTable]
-    notices: list[Fault] = field(default_factory=list)
-    budget: float | None = None
+    source: Path  # input file
+    tables: list[TrialTable]  # in the order in which a bake produces the results
+    notices: list[Fault] = field(default_factory=list)  # warnings about the tables
+    budget: float | None = None  # largest acceptable error [m]; None if unspecified
     pairs: list[Pair] = field(default_factory=list)
     json_keys: ClassVar[str] = "'report' source budget tables notices"
 
@@ -184,8 +177,8 @@ def _write_pairs(
         if trial.write is None or other_row is None:
             continue
         settings = (table.chosen.setting, other_row.setting)
-        names = (f"table{i + 1}_present.usdc", f"table{i + 1}_other.usdc")
-        files = (folder / names[0], folder / names[1])
+        present, other = f"table{i + 1}_present.usdc", f"table{i + 1}_other.usdc"
+        files = (folder / present, folder / other)
         for setting, file in zip(settings, files, strict=True):
             trial.write(setting, file)
         stage_pairs.append(Pair(i, settings, files, trial.size))
@@ -194,13 +187,10 @@ def _write_pairs(
 
 def _row_to_compare(table: TrialTable) -> TrialRow | None:
     """Return the setting to compare with the chosen one; None if there is none."""
-    recommended_row = table.recommended
-    if recommended_row is not None and not recommended_row.chosen:
-        return recommended_row
-    usable_rows = [
-        row for row in table.rows if row.error is not None and not row.chosen
-    ]
-    return next(iter([row for row in usable_rows if row.best] or usable_rows), None)
+    if table.recommended is not None and not table.recommended.chosen:
+        return table.recommended
+    rows = [row for row in table.rows if row.error is not None and not row.chosen]
+    return next(iter([row for row in rows if row.best] or rows), None)
 
 
 def _over_budget(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
@@ -211,15 +201,11 @@ def _over_budget(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
             continue
         if table.reference is None or table.reference.sensitive:
             continue
-        errors = [
-            error for row in table.rows if (error := table.error_of(row)) is not None
-        ]
+        errors = [e for row in table.rows if (e := table.error_of(row)) is not None]
         smallest_error = length_text(min(errors, default=float("inf")))
-        message = (
-            f"{table.name}, {table.kind}: no setting is within "
-            f"{length_text(table.budget)}: the smallest {table.error} error is "
-            f"{smallest_error}"
-        )
+        message = f"{table.name}, {table.kind}: no setting is within "
+        message += f"{length_text(table.budget)}: the smallest {table.error} error is "
         hint = "raise the budget, or try finer settings than the file's"
-        faults.append(Fault("SIM176", message, str(path), (), hint, Severity.WARNING))
+        notice = warning("SIM176", message + smallest_error, hint)
+        faults.append(notice.in_file(path))
     return faults
