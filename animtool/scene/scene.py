@@ -49,10 +49,10 @@ class Scene:
     path: Path
     # Sources, at least one; the first has the rig and the frames.
     sources: tuple[SceneSource, ...]
-    passes: tuple[ScenePass, ...]  # passes in order
-    outputs: tuple[SceneOutput, ...]  # outputs, at least one
+    passes: tuple[ScenePass, ...]  # in order
+    outputs: tuple[SceneOutput, ...]  # at least one
     rig: Path | None = None  # rig of all sources; None uses the first source's rig
-    props: tuple[SceneProp, ...] = ()  # props
+    props: tuple[SceneProp, ...] = ()
     # Frame of the shot at the first frame of the sources; None is as they state.
     first: Fraction | None = None
     # Number of frames before the take at which passes with a state begin; None is none.
@@ -89,10 +89,7 @@ class Scene:
         for system in self.systems:
             paths += system.setup.files
         for entry in self.passes:
-            values = [
-                getattr(entry.options, option_field.name)
-                for option_field in fields(entry.options)
-            ]
+            values = (getattr(entry.options, f.name) for f in fields(entry.options))
             paths += [folder / path for path in values if isinstance(path, Path)]
             paths += entry.files
         return paths
@@ -101,11 +98,12 @@ class Scene:
     def extra_outputs(self) -> list[Path]:
         """Files that passes and systems write in addition to the outputs."""
         folder = self.path.resolve().parent
-        written_names = [getattr(entry.options, "writes", ()) for entry in self.passes]
-        written_names += [
-            getattr(system.setup, "writes", ()) for system in self.systems
-        ]
-        return [folder / name for names in written_names for name in names]
+        names: list[str] = []
+        for entry in self.passes:
+            names += getattr(entry.options, "writes", ())
+        for system in self.systems:
+            names += system.setup.writes
+        return [folder / name for name in names]
 
     def for_output(self, output: SceneOutput) -> Scene:
         """Return the scene with one output, and the systems that this output needs."""
@@ -125,25 +123,18 @@ class Scene:
     def with_source_options(
         self, *, force_fit: bool, placement: str | None = None
     ) -> Scene:
-        """Return the scene with options set on all its sources.
+        """Return the scene with options set on all its sources, as in `SourceOptions`.
 
-        force_fit: Whether motion is read even if it does not fit the rig. placement: as
-        in `SourceOptions`; None keeps that of the sources.
+        False and None keep those of the sources.
         """
         if not force_fit and placement is None:
             return self
-        sources = tuple(
-            replace(
-                source,
-                options=replace(
-                    source.options,
-                    force_fit=force_fit or source.options.force_fit,
-                    placement=placement,
-                ),
-            )
-            for source in self.sources
-        )
-        return replace(self, sources=sources)
+        sources = []
+        for source in self.sources:
+            forced = force_fit or source.options.force_fit
+            options = replace(source.options, force_fit=forced, placement=placement)
+            sources.append(replace(source, options=options))
+        return replace(self, sources=tuple(sources))
 
     def of_shot(self, shot: Shot) -> Scene:
         """Return the scene with its take placed in time by a timeline's shot.
@@ -163,19 +154,14 @@ class Scene:
             if bake.fps not in {None, shot.fps}:
                 message = f"fps is {bake.fps}, but the shot has {shot.fps}"
                 faults.append(output.location.fault("SCN073", message, "write ${fps}"))
-            if bake.shot is not None:
-                shot_cut = bake.shot
-                with_cut = shot.recut(
-                    shot_cut.cut_in, shot_cut.cut_out, shot_cut.head, shot_cut.tail
-                )
+            if (cut := bake.shot) is not None:
+                with_cut = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
             bake = replace(bake, shot=with_cut, fps=shot.fps)
             outputs.append(replace(output, bake=bake))
         if faults:
             raise OptionError(list(dict.fromkeys(faults)))
-        shot_preroll = self.preroll
-        if shot_preroll is not None:
-            shot_preroll = replace(shot_preroll, start=None, fps=shot.fps)
-        return replace(self, outputs=tuple(outputs), preroll=shot_preroll)
+        preroll = self.preroll and replace(self.preroll, start=None, fps=shot.fps)
+        return replace(self, outputs=tuple(outputs), preroll=preroll)
 
     def open(
         self, *, writes_files: bool = True, progress: Progress = None
@@ -187,9 +173,7 @@ class Scene:
             progress: Called with the fraction done, 0 to 1, until the blocks are read.
         """
         slow_passes = sum(entry.pass_.reports_progress for entry in self.passes)
-        block_progress = (
-            None if progress is None else BlockProgress(progress, slow_passes)
-        )
+        block_progress = progress and BlockProgress(progress, slow_passes)
         stream = self._source(None if block_progress is None else block_progress.read)
         context = self._context(writes_files=writes_files)
         props = self._open_props(stream)
@@ -199,9 +183,8 @@ class Scene:
         for entry in self.passes:
             pass_context = context
             if block_progress is not None and entry.pass_.reports_progress:
-                pass_context = replace(
-                    context, progress=block_progress.of_pass(pass_index)
-                )
+                pass_progress = block_progress.of_pass(pass_index)
+                pass_context = replace(context, progress=pass_progress)
                 pass_index += 1
             stream = self._apply_pass(stream, entry, pass_context)
         stream = self._with_props(stream, props, dropped, retimed=False)
@@ -225,10 +208,7 @@ class Scene:
             yield take, stream
 
     def apply_entry(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
-        """Return the result of a pass on a take, with its preroll.
-
-        The pass writes no files.
-        """
+        """Return the result of a pass on a take; the pass writes no files."""
         return self._apply_pass(stream, entry, self._context(writes_files=False))
 
     def _context(self, *, writes_files: bool) -> PassContext:
@@ -295,7 +275,7 @@ class Scene:
         *,
         retimed: bool,
     ) -> TakeStream:
-        """Return a take with the props whose ``retimed`` has a value."""
+        """Return a take with those props that passes retime, or with the others."""
         matching_props = [prop for prop in props if prop.entry.retimed is retimed]
         if not matching_props:
             return stream
@@ -312,9 +292,7 @@ class Scene:
         except OptionError as error:
             if not all(fault.where in locations for fault in error.faults):
                 raise
-            faults = [
-                locations[str(fault.where)].locate(fault) for fault in error.faults
-            ]
+            faults = [locations[str(each.where)].locate(each) for each in error.faults]
             raise FormatError(faults) from error
 
     def _apply_pass(
@@ -330,38 +308,33 @@ class Scene:
         context = replace(context, scores=[])
         stage = self.meter.stage(entry.pass_.name, entry.location.where)
         context.errors.clear()
-        folder = context.folder
         with (
             self.meter.running(stage),
-            with_order_hints(self.passes, entry, folder),
+            with_order_hints(self.passes, entry, context.folder),
             entry.location.located(),
         ):
             stream = self._apply(entry, replace(stream, notices=pass_notices), context)
         pass_notices += context.notices
         context.notices.clear()
 
-        def collect_scores() -> None:
-            notices.extend(
-                map(entry.location.locate, drop_repeated_notices(pass_notices, notices))
-            )
+        def collect_results() -> None:
+            new_notices = drop_repeated_notices(pass_notices, notices)
+            notices.extend(map(entry.location.locate, new_notices))
             pass_notices.clear()
             name, key = entry.pass_.name, entry.location.where
             scores.extend(score.with_pass(name, key) for score in context.scores)
             context.scores.clear()
 
-        collect_scores()
+        collect_results()
         stage.error = max(context.errors, default=None)
-        blocks = self.meter.blocks(
-            stage, _located_blocks(entry.location, stream.blocks, collect_scores)
-        )
-        stream = replace(stream, notices=notices, details=details, scores=scores)
-        return replace(stream, blocks=blocks)
+        blocks = _located_blocks(entry.location, stream.blocks, collect_results)
+        stream = replace(stream, blocks=self.meter.blocks(stage, blocks))
+        return replace(stream, notices=notices, details=details, scores=scores)
 
     def until(self, last_pass: str) -> Scene:
-        """Return the scene without the passes after the last one to run.
+        """Return the scene with its passes up to ``last_pass``.
 
-        Args:
-            last_pass: Last pass to run, by name or number from 1; 0 runs none.
+        This is the last pass to run, by name or number from 1; 0 runs none.
         """
         names = [entry.pass_.name for entry in self.passes]
         matching_numbers = [i for i, name in enumerate(names, 1) if name == last_pass]
@@ -369,18 +342,13 @@ class Scene:
             matching_numbers = [int(last_pass)]
         if len(matching_numbers) == 1:
             return replace(self, passes=self.passes[: matching_numbers[0]])
-        pass_list = (
-            ", ".join(f"{i} {name}" for i, name in enumerate(names, 1)) or "none"
-        )
         message = f"unknown pass of the scene {last_pass!r}"
         if matching_numbers:
-            message = (
-                f"several passes of the scene are called {last_pass!r}: use its number"
-            )
-        path = str(self.path)
-        raise OptionError(
-            Fault("SCN043", message, path, (), f"the passes: {pass_list}")
-        )
+            message = f"several passes of the scene are called {last_pass!r}: use its "
+            message += "number"
+        numbered_names = ", ".join(f"{i} {name}" for i, name in enumerate(names, 1))
+        hint = f"the passes: {numbered_names or 'none'}"
+        raise OptionError(Fault("SCN043", message, str(self.path), (), hint))
 
     def _apply(
         self, entry: ScenePass, stream: TakeStream, context: PassContext
@@ -392,8 +360,8 @@ class Scene:
         if not lead_frames:
             return apply_pass(stream, entry.pass_, entry.options, context)
         with_lead = with_preroll(stream, lead_frames)
-        pass_context = replace(context, prepended_frames=lead_frames)
-        passed_stream = apply_pass(with_lead, entry.pass_, entry.options, pass_context)
+        context = replace(context, prepended_frames=lead_frames)
+        passed_stream = apply_pass(with_lead, entry.pass_, entry.options, context)
         return drop_first(passed_stream, lead_frames, stream.start)
 
     def _sources(self, progress: Progress) -> TakeStream:
@@ -406,7 +374,7 @@ class Scene:
             return stream
         from animtool.scene.sources.joining import JoinedSource, join_sources
 
-        source_parts: list[JoinedSource] = []
+        joined_sources: list[JoinedSource] = []
         faults: list[Fault] = []
         for source in self.sources:
             try:
@@ -414,23 +382,16 @@ class Scene:
             except AnimtoolError as error:
                 faults += map(source.location.locate, error.faults)
                 continue
-            source_parts.append(
-                JoinedSource(
-                    stream,
-                    source.tracks,
-                    source.timecode,
-                    source.timecode_fps,
-                    source.location.fault,
-                )
-            )
+            timecode = (source.timecode, source.timecode_fps)
+            note = source.location.fault
+            joined_sources.append(JoinedSource(stream, source.tracks, *timecode, note))
         if faults:
             raise FormatError(faults)
-        first = self.sources[0]
-        with first.location.located():
-            stream = drive_stream(
-                join_sources(source_parts[0], source_parts[1:]), report_replaced=True
-            )
-        return replace(stream, blocks=_located_blocks(first.location, stream.blocks))
+        location = self.sources[0].location
+        with location.located():
+            stream = join_sources(joined_sources[0], joined_sources[1:])
+            stream = drive_stream(stream, report_replaced=True)
+        return replace(stream, blocks=_located_blocks(location, stream.blocks))
 
     def _open_source(
         self, source: SceneSource, progress: Progress = None
@@ -453,6 +414,7 @@ def _located_blocks(
     blocks: Iterator[Motion],
     on_end: Callable[[], None] | None = None,
 ) -> Iterator[Motion]:
+    """Yield blocks with their faults located at an entry; then call ``on_end``."""
     with location.located():
         yield from blocks
     if on_end is not None:

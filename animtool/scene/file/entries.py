@@ -89,11 +89,9 @@ class EntryLocation:
         try:
             yield
         except ToleranceError as error:
-            raise ToleranceError(
-                [self.locate(fault) for fault in error.faults]
-            ) from error
+            raise ToleranceError(list(map(self.locate, error.faults))) from error
         except (OptionError, FormatError) as error:
-            raise FormatError([self.locate(fault) for fault in error.faults]) from error
+            raise FormatError(list(map(self.locate, error.faults))) from error
 
 
 def entry_location(
@@ -107,9 +105,8 @@ def entry_location(
         for i in range(len(value)) if isinstance(value, list) else ():
             if isinstance(value[i], FileModel):
                 keys[f"{name}[{i}]"] = document.position((*location, name, i))
-    return EntryLocation(
-        document.path, *document.position(location), location_text(location), keys
-    )
+    line, column = document.position(location)
+    return EntryLocation(document.path, line, column, location_text(location), keys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +140,9 @@ class SceneProp(PropRequest):
 class ScenePass:
     """One pass of a scene."""
 
-    pass_: Pass  # the pass
+    pass_: Pass
     options: Any  # its options record
-    location: EntryLocation  # of the entry
+    location: EntryLocation
     files: tuple[Path, ...] = ()  # files that its colliders follow
 
 
@@ -184,10 +181,8 @@ class SystemSetup:
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
         """Names of the systems joined to it, and the location of each name."""
-        names = () if self.record is None else self.record.joined_systems
-        return tuple(
-            (name, (*self.location, *parse_location(key))) for name, key in names
-        )
+        joined = () if self.record is None else self.record.joined_systems
+        return tuple((n, (*self.location, *parse_location(key))) for n, key in joined)
 
     @property
     def writes(self) -> tuple[str, ...]:
@@ -231,8 +226,8 @@ class SceneSystem:
 
     name: str  # name of its prim
     kind: str  # key of `SYSTEM_KINDS`
-    setup: SystemSetup  # its setup
-    location: EntryLocation  # of the entry
+    setup: SystemSetup
+    location: EntryLocation
     written: bool = True  # whether it is written; otherwise another system needs it
     # Unit of lengths that the scene states for its entry; None if not stated.
     unit: LengthUnit | None = None

@@ -123,7 +123,7 @@ def parse_rest(text: str) -> int | None:
 
 
 def parse_source_rest(text: str) -> int | str | None:
-    """Return ``rig`` unchanged, else the result of `parse_rest`.
+    """Return ``rig`` unchanged; parse any other text by `parse_rest`.
 
     >>> parse_source_rest("rig")
     'rig'

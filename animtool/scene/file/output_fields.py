@@ -47,9 +47,8 @@ class KeyReader:
             return None
 
     def read_file(self, location: Location, name: str) -> Path:
-        """Return an existing file to read."""
-        path = resolve_input(self.document, location, name, self.roots)
-        return Path(name) if path is None else path
+        """Return an existing file to read; record a fault if it is missing."""
+        return resolve_input(self.document, location, name, self.roots) or Path(name)
 
 
 def option_keys(
@@ -61,21 +60,16 @@ def option_keys(
 ) -> dict[str, Any]:
     """Return the arguments of an options record that a model's keys set.
 
-    Args:
-        record: Class of the options.
-        model: Model of `with_fields` for this location.
-        file_kind: Kind of file.
-        location: Location of the model in its file.
-        reader: Reads values and records faults.
+    ``model`` has the fields of the record by `with_fields`, at a location in its file.
     """
     values, options = {}, options_of(record)
     for name, key in keys_of(record, file_kind).items():
-        value_in_file = getattr(model, key.alias or name)
-        if value_in_file is not None:
-            kind = options[name].kind
-            value = _value(kind, value_in_file, (*location, key.alias or name), reader)
-            if value is not None:
-                values[name] = value
+        alias = key.alias or name
+        value = getattr(model, alias)
+        if value is not None:
+            value = _value(options[name].kind, value, (*location, alias), reader)
+        if value is not None:
+            values[name] = value
     return values
 
 
@@ -124,9 +118,8 @@ class OutputReader:
         self, keys: KeyReader, model: SceneModel, output_roots: Sequence[Path]
     ) -> None:
         self._keys, self._model, self._roots = keys, model, output_roots
-        shot = model.shot
-        shot_start = None if shot is None else shot.start
-        self.start = None if shot_start is None else Fraction(shot_start)
+        start = None if model.shot is None else model.shot.start
+        self.start = None if start is None else Fraction(start)
 
     @property
     def _document(self) -> Document:
@@ -150,14 +143,14 @@ class OutputReader:
         return Shot(shot.cut[0], shot.cut[1], shot.handles, shot.handles)
 
     def outputs(self) -> tuple[SceneOutput, ...]:
-        """Return the outputs."""
+        """Return the outputs of the scene, at least one."""
         entries, fps, frames = self._model.output, self._fps(), self._frames()
         if isinstance(entries, OutputModel):
             return (self._output(("output",), entries, fps, frames),)
         for i, entry in enumerate(entries):
             if entry.file is None:
-                hint = "each of several outputs needs a file"
                 message = "key 'file' is missing"
+                hint = "each of several outputs needs a file"
                 self._document.add("DOC021", ("output", i), message, hint)
         outputs = tuple(
             self._output(("output", i), entry, fps, frames)
@@ -184,30 +177,25 @@ class OutputReader:
             self._check_keys(entry_path, model, writer)
         keys = option_keys(BakeOptions, model, "scene", entry_path, self._keys)
         if "take" in keys and keys.get("form") != "library":
-            message = "take applies to a take of a library"
-            self._document.add(
-                "SCN039", (*entry_path, "take"), message, "write as: library"
-            )
+            message, hint = "take applies to a take of a library", "write as: library"
+            self._document.add("SCN039", (*entry_path, "take"), message, hint)
         if "start" not in keys and self.start is not None:
             keys["start"] = self.start
         bake = BakeOptions(fps=fps, frame_range=frames, shot=self._shot(), **keys)
         systems = None if model.systems is None else tuple(model.systems)
+        key = (*entry_path, "systems")
         if systems is not None:
-            names = self._model.system_names
-            check_names(self._document, (*entry_path, "systems"), systems, names)
-        if not systems and systems is not None and self._model.source is None:
+            check_names(self._document, key, systems, self._model.system_names)
+        if systems == () and self._model.source is None:
             message = "nothing would be written: it includes no system"
-            hint = "remove systems to write all"
-            self._document.add("SCN081", (*entry_path, "systems"), message, hint)
-        entry_location_ = entry_location(self._document, entry_path, model)
-        return SceneOutput(path, bake, entry_location_, systems)
+            self._document.add("SCN081", key, message, "remove systems to write all")
+        location = entry_location(self._document, entry_path, model)
+        return SceneOutput(path, bake, location, systems)
 
     def _file(self, location: Location, name: str) -> Path:
         """Return the path of a file to write."""
-        path = resolve_reference(
-            self._document, location, name, self._roots, is_output=True
-        )
-        return Path(name) if path is None else path
+        place = (self._document, location, name, self._roots)
+        return resolve_reference(*place, is_output=True) or Path(name)
 
     def _check_keys(
         self, location: Location, model: OutputModel, writer: Writer

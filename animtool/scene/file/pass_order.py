@@ -22,10 +22,7 @@ def with_order_hints(
 ) -> Iterator[None]:
     """In a block, add a hint to faults about names that only a later pass provides.
 
-    Args:
-        passes: All passes of the scene.
-        entry: The pass that the block applies.
-        folder: Folder of relative paths.
+    The block applies the pass ``entry``. Paths are relative to ``folder``.
     """
     try:
         yield
@@ -48,14 +45,11 @@ def _later_rigs(
 
 
 def _with_move_hint(fault: Fault, entry: ScenePass, rigs: Sequence[Rig]) -> Fault:
-    """Return a fault with a hint at the rig that has the unknown name, if any."""
+    """Return a fault with a hint at the first rig that has the unknown name."""
     name = _FIRST_NAME.search(fault.message)
-    for rig in rigs if name else ():
-        element_groups = (rig.chains, rig.shapes, rig.controls, rig.attach)
-        names = {
-            *rig.names,
-            *(element.name for group in element_groups for element in group),
-        }
+    for rig in rigs:
+        groups = (rig.chains, rig.shapes, rig.controls, rig.attach)
+        names = {*rig.names, *(element.name for group in groups for element in group)}
         if name and name[1] in names:
             hint = f"{rig.name!r} has it: move {entry.pass_.name} below retarget"
             return replace(fault, hint=hint)

@@ -91,15 +91,9 @@ def scene_of_document(
     keys = model_for(document.value)
     resolved = resolve_variables(document, keys, values, parts)
     model = validate_document(document, keys)
-    variable_folders = {
-        name: Path(text) for name, text in values.items() if Path(text).is_absolute()
-    }
-    output_folders = [
-        path for name, path in variable_folders.items() if name not in parts
-    ]
-    reader = _SceneReader(
-        document, model, list(variable_folders.values()), output_folders
-    )
+    folders = {n: Path(text) for n, text in values.items() if Path(text).is_absolute()}
+    output_folders = [path for name, path in folders.items() if name not in parts]
+    reader = _SceneReader(document, model, list(folders.values()), output_folders)
     scene = replace(
         reader.scene(),
         variables=resolved.names,
@@ -109,10 +103,9 @@ def scene_of_document(
     )
     if document.faults and scene.systems:
         # Loaded by name, since systems open scenes themselves.
-        check_systems: Any = load_object(
-            "animtool.scene.systems.simulation:build_faults"
-        )
-        document.faults += check_systems(document, scene.systems)
+        name = "animtool.scene.systems.simulation:build_faults"
+        build_faults: Any = load_object(name)
+        document.faults += build_faults(document, scene.systems)
     document.check()
     return scene
 
@@ -149,12 +142,13 @@ _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 def _overlap(path: str, other_path: str) -> bool:
     """Return whether two paths are equal or one is an ancestor of the other."""
-    return f"{path}/".startswith(f"{other_path}/") or f"{other_path}/".startswith(
-        f"{path}/"
-    )
+    path, other_path = f"{path}/", f"{other_path}/"
+    return path.startswith(other_path) or other_path.startswith(path)
 
 
 class _SceneReader:
+    """Reads the scene of a validated scene file; records faults of its values."""
+
     def __init__(
         self,
         document: Document,
@@ -182,7 +176,7 @@ class _SceneReader:
             passes,
             outputs.outputs(),
             rig,
-            self._renamed_props(),
+            self._props(),
             outputs.start,
             outputs.preroll(),
             systems=systems,
@@ -193,9 +187,8 @@ class _SceneReader:
         model = self.model
         is_empty = model.source is None and not model.systems
         if is_empty and not self.document.is_placeholder(("systems",)):
-            hint = (
-                "it names the clip, BVH or USD file; a simulation has systems instead"
-            )
+            hint = "it names the clip, BVH or USD file; a simulation has systems "
+            hint += "instead"
             self.document.add("DOC021", (), "key 'source' is missing", hint)
         if not model.systems:
             return ()
@@ -205,10 +198,9 @@ class _SceneReader:
         systems = tuple(system for system in read_systems if system is not None)
         check_links(self.document, systems, model.system_names)
         # Loaded by name, since systems open scenes themselves.
-        warn: Any = load_object(
-            "animtool.scene.systems.suspicious_layout:warn_of_layout"
-        )
-        warn(self.document, systems, self._times().length)
+        name = "animtool.scene.systems.suspicious_layout:warn_of_layout"
+        warn_of_layout: Any = load_object(name)
+        warn_of_layout(self.document, systems, self._times().length)
         return systems
 
     def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:
@@ -224,10 +216,8 @@ class _SceneReader:
             return None
         stated_values = spec.model_dump(exclude_unset=True, by_alias=True)
         warn_of_times(self.document, entry_path, stated_values, self._times())
-        location = entry_location(self.document, entry_path, spec)
-        return SceneSystem(
-            spec.name, kind, setup, location, unit=self.units.scene_length
-        )
+        location, unit = entry_location(self.document, entry_path, spec), self.units
+        return SceneSystem(spec.name, kind, setup, location, unit=unit.scene_length)
 
     def _times(self) -> SceneTimes:
         """Return the frame rate of the scene and the frames of its range."""
@@ -241,7 +231,6 @@ class _SceneReader:
     def _kind(self, location: Location, entry: SystemModel) -> str | None:
         """Return the system kind that an entry names."""
         kinds = sorted(entry.model_fields_set)
-        kind_names = ", ".join(SYSTEM_KINDS)
         if len(kinds) == 1:
             return kinds[0]
         if kinds:
@@ -252,9 +241,8 @@ class _SceneReader:
         # The unparsed entries, which may have an old key.
         old_key = self.document.old_keys.get(("systems",), "systems")
         if not self.document.value[old_key][location[1]]:
-            self.document.add(
-                "SCN065", location, "its kind is missing", f"the kinds are {kind_names}"
-            )
+            hint = f"the kinds are {', '.join(SYSTEM_KINDS)}"
+            self.document.add("SCN065", location, "its kind is missing", hint)
         return None
 
     def _check_simulated(self) -> None:
@@ -270,17 +258,15 @@ class _SceneReader:
         output = model.output
         entries = output if isinstance(output, list) else [output]
         for i, entry in enumerate(entries):
-            location: Location = (
-                ("output", i) if isinstance(output, list) else ("output",)
-            )
             if entry.file and not writes_stage(Path(entry.file)):
+                index = (i,) if isinstance(output, list) else ()
                 message = f"{entry.file!r} is not a USD file, which simulations need"
-                self.document.add("SCN060", (*location, "file"), message)
+                self.document.add("SCN060", ("output", *index, "file"), message)
 
-    def _renamed_props(self) -> tuple[SceneProp, ...]:
-        props = [
-            self._prop(("props", i), entry) for i, entry in enumerate(self.model.props)
-        ]
+    def _props(self) -> tuple[SceneProp, ...]:
+        """Return the props of the scene; record props whose paths overlap."""
+        entries = enumerate(self.model.props)
+        props = [self._prop(("props", i), entry) for i, entry in entries]
         for i, prop in enumerate(props):
             for other_prop in props[:i]:
                 if _overlap(prop.path, other_prop.path):
@@ -348,18 +334,16 @@ class _SceneReader:
         self._warn_of_rate(location, keys.get("fps"))
         tracks = None
         if model.tracks is not None:
-            tracks = TrackNames(
-                **{name: tuple(patterns) for name, patterns in model.tracks}
-            )
+            patterns = {name: tuple(texts) for name, texts in model.tracks}
+            tracks = TrackNames(**patterns)
+        rate_key, rate = (*location, "timecode_fps"), model.timecode_fps
         return SceneSource(
             path,
             SourceOptions(rig=rig, **keys),
             entry_location(self.document, location),
             tracks,
             model.timecode,
-            self.keys.parse_value(
-                (*location, "timecode_fps"), model.timecode_fps, parse_rate
-            ),
+            self.keys.parse_value(rate_key, rate, parse_rate),
         )
 
     def _warn_of_rate(self, location: Location, fps: FractionLike | None) -> None:
@@ -368,10 +352,9 @@ class _SceneReader:
             warnings = [] if fps is None else rate_warning(parse_rate(fps), None)
         except RateError:
             return
+        key = (*location, "fps")
         for fault in warnings:
-            self.document.warn(
-                fault.code, (*location, "fps"), fault.message, fault.hint
-            )
+            self.document.warn(fault.code, key, fault.message, fault.hint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,18 +387,15 @@ class _PassReader:
         converted_values = self.units.convert_pass_options(name, values)
         options, faults = record_of_options(pass_.options, converted_values, name)
         for key, fault in faults:
-            at_key = fault.code == "SCN001"
-            document.add(
-                fault.code, (*location, *key), fault.message, fault.hint, at_key=at_key
-            )
+            place, at_key = (*location, *key), fault.code == "SCN001"
+            document.add(fault.code, place, fault.message, fault.hint, at_key=at_key)
         if options is None:
             return None
         options, files = self._with_colliders(location, options)
         _check_pass(self.keys, location, pass_, options)
-        for output_name in getattr(options, "writes", ()):
-            resolve_reference(
-                document, location, str(output_name), self.output_roots, is_output=True
-            )
+        for output in map(str, getattr(options, "writes", ())):
+            roots = self.output_roots
+            resolve_reference(document, location, output, roots, is_output=True)
         if faults:
             return None
         if name in {"simulate", "ragdoll"}:
@@ -438,15 +418,13 @@ class _PassReader:
             return options, ()
         reader_class: Any = load_object(COLLIDER_READER_NAME)
         reader = reader_class(self.keys.document, self.keys.roots, self.units)
-        read_entries = {
+        colliders = {
             name: reader.around(location, name, models)
             for name, models in entries.items()
         }
-        files = [
-            *reader.files,
-            *(Path(character.file) for character in read_entries.get("characters", ())),
-        ]
-        return replace(options, **read_entries), tuple(files)
+        characters = colliders.get("characters", ())
+        files = (*reader.files, *(Path(character.file) for character in characters))
+        return replace(options, **colliders), files
 
 
 def _check_pass(keys: KeyReader, location: Location, pass_: Pass, options: Any) -> None:
@@ -455,10 +433,9 @@ def _check_pass(keys: KeyReader, location: Location, pass_: Pass, options: Any) 
         try:
             check()
         except OptionError as error:
+            place = (*location, option)
             for fault in error.faults:
-                keys.document.add(
-                    fault.code, (*location, option), fault.message, fault.hint
-                )
+                keys.document.add(fault.code, place, fault.message, fault.hint)
     for field in fields(pass_.options):
         value = getattr(options, field.name)
         if isinstance(value, Path):

@@ -52,58 +52,39 @@ class Tracks:
 
     def intersection(self, other_tracks: Tracks) -> Tracks:
         """Return the tracks that another selection contains too."""
-        return Tracks(
-            *(
-                np.intersect1d(self.indices(k), other_tracks.indices(k))
-                for k in TRACK_KINDS
-            )
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class UnknownTrack:
-    """A pattern that matches no track."""
-
-    kind: str  # ``joints``, ``shapes`` or ``controls``
-    pattern: str
-    valid_names: list[str]  # valid names, for hints
+        pairs = ((self.indices(k), other_tracks.indices(k)) for k in TRACK_KINDS)
+        return Tracks(*(np.intersect1d(*pair) for pair in pairs))
 
 
 def select_tracks(
     requested: TrackNames, names: NameMap
-) -> tuple[Tracks, list[UnknownTrack]]:
+) -> tuple[Tracks, list[tuple[str, str, list[str]]]]:
     """Return the tracks of two rigs that match patterns, and the unmatched patterns.
 
-    Tracks driven by a selected control are selected too, since a motion stores their
-    values.
+    Each of these has its kind of track before it, and the valid names after it. Tracks
+    driven by a selected control are selected too, since a motion stores their values.
     """
-    rig, unknown = names.rig, []
+    rig, unmatched = names.rig, []
     selected: dict[str, set[int]] = {kind: set() for kind in TRACK_KINDS}
     for kind in TRACK_KINDS:
         mapped_indices = np.flatnonzero(getattr(names, kind) >= 0).tolist()
         index_by_name = {getattr(rig, kind)[i].name: i for i in mapped_indices}
         for pattern in getattr(requested, kind):
-            matching_names = {
-                i for name, i in index_by_name.items() if fnmatchcase(name, pattern)
-            }
-            if not matching_names:
-                unknown.append(UnknownTrack(kind, pattern, list(index_by_name)))
-            selected[kind] |= matching_names
+            indices = {i for n, i in index_by_name.items() if fnmatchcase(n, pattern)}
+            if not indices:
+                unmatched.append((kind, pattern, list(index_by_name)))
+            selected[kind] |= indices
     _add_driven(rig, selected)
-    tracks = Tracks(
-        *(np.array(sorted(selected[kind]), np.int64) for kind in TRACK_KINDS)
-    )
-    return _common_tracks(tracks, names), unknown
+    tracks = (np.array(sorted(selected[kind]), np.int64) for kind in TRACK_KINDS)
+    return _common_tracks(Tracks(*tracks), names), unmatched
 
 
 def _add_driven(rig: Rig, selected: dict[str, set[int]]) -> None:
     """Add the tracks that selected controls drive, recursively."""
-    indices = {
-        kind.removesuffix("s"): {
-            element.name: i for i, element in enumerate(getattr(rig, kind))
-        }
-        for kind in TRACK_KINDS
-    }
+    indices: dict[str, dict[str, int]] = {}
+    for kind in TRACK_KINDS:
+        elements = enumerate(getattr(rig, kind))
+        indices[kind.removesuffix("s")] = {element.name: i for i, element in elements}
     pending_controls = sorted(selected["controls"])
     while pending_controls:
         for drive in rig.controls[pending_controls.pop()].drives:
@@ -125,18 +106,15 @@ def moving_tracks(motion: Motion, names: NameMap, motion_rig: Rig) -> Tracks:
         if channel is None:
             return np.zeros(0, np.int64)
         rest_channel: Channel | None = getattr(rest_on_rig, kind)
-        is_moving = (
-            channel.rest != (1.0 if rest_channel is None else rest_channel.rest)
-        ).any(axis=1)
+        rest_values = 1.0 if rest_channel is None else rest_channel.rest
+        is_moving = (channel.rest != rest_values).any(axis=1)
         is_moving[channel.animated] = True
         return np.flatnonzero(is_moving)
 
     joints = [moving_indices(kind) for kind in ("translations", "rotations", "scales")]
-    joint_indices = np.unique(np.concatenate(joints))
-    return _common_tracks(
-        Tracks(joint_indices, moving_indices("weights"), moving_indices("controls")),
-        names,
-    )
+    shapes, controls = moving_indices("weights"), moving_indices("controls")
+    tracks = Tracks(np.unique(np.concatenate(joints)), shapes, controls)
+    return _common_tracks(tracks, names)
 
 
 def rest_motion(rig: Rig) -> Motion:
@@ -156,16 +134,12 @@ def _defaults(rig: Rig) -> FloatArray:
 
 def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
     """Return the selected tracks that exist in both rigs of a name map."""
-    return Tracks(
-        *(
-            tracks.indices(k)[getattr(names, k)[tracks.indices(k)] >= 0]
-            for k in TRACK_KINDS
-        )
-    )
+    pairs = ((tracks.indices(kind), getattr(names, kind)) for kind in TRACK_KINDS)
+    return Tracks(*(indices[mapped[indices] >= 0] for indices, mapped in pairs))
 
 
 def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> Motion:
-    """Return a motion in which the given tracks are replaced by another motion's."""
+    """Return a motion in which some tracks are replaced by those of another motion."""
 
     def optional(
         name: str, indices: IntArray, neutral: float | FloatArray
@@ -175,11 +149,8 @@ def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> 
         if not len(indices) or (base_channel is None and other_channel is None):
             return base_channel
         base_channel = base_channel or _constant_channel(other_channel, neutral)
-        return _replace_entries(
-            base_channel,
-            other_channel or _constant_channel(base_channel, neutral),
-            indices,
-        )
+        other_channel = other_channel or _constant_channel(base_channel, neutral)
+        return _replace_entries(base_channel, other_channel, indices)
 
     return Motion(
         _replace_entries(base.translations, replacement.translations, tracks.joints),
@@ -205,12 +176,8 @@ def _replace_entries(
     rest_values[indices] = replacement.rest[indices]
     kept_columns = ~np.isin(channel.animated, indices)
     replaced_columns = np.isin(replacement.animated, indices)
-    animated_entries = np.concatenate(
-        [channel.animated[kept_columns], replacement.animated[replaced_columns]]
-    )
-    values = np.concatenate(
-        [channel.values[:, kept_columns], replacement.values[:, replaced_columns]],
-        axis=1,
-    )
+    columns = ((channel, kept_columns), (replacement, replaced_columns))
+    animated_entries = np.concatenate([c.animated[mask] for c, mask in columns])
+    values = np.concatenate([c.values[:, mask] for c, mask in columns], axis=1)
     order = np.argsort(animated_entries, kind="stable")
     return Channel(rest_values, animated_entries[order], values[:, order])

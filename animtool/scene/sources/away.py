@@ -17,14 +17,9 @@ HOUR_TOLERANCE = 600
 def no_frames_error(
     shot: Shot, first: int, last: int, length: Fraction, path: str | None = None
 ) -> OptionError:
-    """Return the error of a shot outside the frames of its take (SCN042).
+    """Return the error of a shot whose frames are all outside its take (SCN042).
 
-    Args:
-        shot: Shot that places its media.
-        first: First frame.
-        last: Last frame.
-        length: Duration of the take [s].
-        path: File of the take.
+    The shot places its media. ``length`` is the duration of the take [s].
     """
     prefix = f"shot {shot.name}: " if shot.name else ""
     message, hint = f"{prefix}the take has no frame from {first} to {last}", None
@@ -37,13 +32,9 @@ def no_frames_error(
 def range_distance(
     shot: Shot, first: int, last: int, length: Fraction
 ) -> tuple[str, str]:
-    """Return a text with the distance of a shot from its take, and a hint.
+    """Return the distance of a shot's frames from its take as text, and a hint.
 
-    Args:
-        shot: Shot that places its media.
-        first: First frame.
-        last: Last frame.
-        length: Duration of the take [s].
+    ``length`` is the duration of the take [s].
     """
     clock = shot.timecode
     assert clock is not None
@@ -52,17 +43,15 @@ def range_distance(
     shot_range = f"{clock.label(shot_seconds[0])} to {clock.label(shot_seconds[1])}"
     take_seconds = Fraction(0), max(Fraction(0), length - frame)
     take_range = f"{clock.label(take_seconds[0])} to {clock.label(take_seconds[1])}"
+    side = "after" if shot_seconds[0] > 0 else "before"
     message = (
         f"the range shows {shot_range}, but the take is {take_range}: the range is "
-        f"{_distance(shot_seconds[0])} {'after' if shot_seconds[0] > 0 else 'before'} "
-        "it"
     )
+    message += f"{_distance(shot_seconds[0])} {side} it"
     code = _first_label(shot, shot_seconds[0], length)
-    hint = (
-        "if the first timecode of the take is different, set it: "
-        f"{argument('first_timecode', code)}"
-        ", or `first_timecode` under [timeline] in animtool.toml or in "
-    )
+    hint = "if the first timecode of the take is different, set it: "
+    hint += argument("first_timecode", code)
+    hint += ", or `first_timecode` under [timeline] in animtool.toml or in "
     hint += "metadata.animtool of the clip"
     return message, hint
 

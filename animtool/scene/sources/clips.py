@@ -86,10 +86,9 @@ def clip_stream(
 
     frame_codes = float(clip.first) + np.arange(count, dtype=np.float64)
     stream.blocks, stream.count = blocks(frame_codes), count
-    keyed_curve = KeyedCurve(
+    stream.curve = KeyedCurve(
         curve, lambda: None if clamp else clip, sample_blocks=blocks
     )
-    stream.curve = keyed_curve
     return stream
 
 
@@ -105,25 +104,22 @@ def _fault_of(path: Path, file: ClipFile | None, rig: Rig, notice: ClipNotice) -
     """Return the fault of a notice, located at the key or channel that causes it."""
     if file is None:
         return replace(notice.fault, path=str(path))
-    document = file.document
     for i, channel in _causing_channels(file, rig, notice.target):
         key_path: Location = ("channels", i)
         if notice.frame is not None:
             (earlier_keys,) = np.nonzero(key_times(channel) <= notice.frame)
-            key_path = (
-                *key_path,
-                "keys",
-                int(earlier_keys[-1]) if len(earlier_keys) else 0,
-            )
-        line, column = document.position(key_path)
-        return replace(
-            notice.fault,
-            path=str(document.path),
-            lines=(line,),
-            column=column,
-            where=location_text(key_path),
-        )
-    return replace(notice.fault, path=str(document.path))
+            key_index = int(earlier_keys[-1]) if len(earlier_keys) else 0
+            key_path = (*key_path, "keys", key_index)
+        return _locate(notice.fault, file, key_path)
+    return replace(notice.fault, path=str(path))
+
+
+def _locate(fault: Fault, file: ClipFile, key_path: Location) -> Fault:
+    """Return a fault located at a key of a clip file."""
+    line, column = file.document.position(key_path)
+    where = location_text(key_path)
+    fault = replace(fault, lines=(line,), column=column, where=where)
+    return replace(fault, path=str(file.document.path))
 
 
 def _causing_channels(
@@ -131,20 +127,16 @@ def _causing_channels(
 ) -> Iterator[tuple[int, ChannelModel]]:
     """Yield the channels of a target, then the channels of controls that drive it."""
     targets = [target]
-    for drive_target in targets:
+    for driven_target in targets:
+        prefix = f"{driven_target}."
         for i, channel in enumerate(file.model.channels):
-            if channel.target == drive_target or channel.target.startswith(
-                f"{drive_target}."
-            ):
+            if f"{channel.target}.".startswith(prefix):
                 yield i, channel
         for control in rig.controls:
-            control_target = f"control/{control.name}"
-            if control_target not in targets and any(
-                drive.target == drive_target
-                or drive.target.startswith(f"{drive_target}.")
-                for drive in control.drives
-            ):
-                targets.append(control_target)
+            name, driven = f"control/{control.name}", (d.target for d in control.drives)
+            is_driver = any(f"{each}.".startswith(prefix) for each in driven)
+            if is_driver and name not in targets:
+                targets.append(name)
 
 
 def _frame_count(file: ClipFile, clip: Clip) -> int:
@@ -152,11 +144,6 @@ def _frame_count(file: ClipFile, clip: Clip) -> int:
     try:
         return clip.frame_count()
     except FormatError as error:
-        range_path = ("channels",) if file.model.range is None else ("range",)
-        line, column = file.document.position(range_path)
-        path = str(file.document.path)
-        faults = [
-            replace(fault, path=path, lines=(line,), column=column, where=range_path[0])
-            for fault in error.faults
-        ]
+        key = ("channels" if file.model.range is None else "range",)
+        faults = [_locate(fault, file, key) for fault in error.faults]
         raise FormatError(faults) from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -77,9 +78,9 @@ def join_sources(
 class _Layer:
     """A source mapped to the rig of the first source."""
 
-    source: JoinedSource  # its source
+    source: JoinedSource
     take: Take  # its frames
-    tracks: Tracks  # its tracks
+    tracks: Tracks  # the tracks that it sets
     # Time from the first frame of the first source to its own [s].
     delay: Fraction
     notices: list[Fault]  # notices of its file
@@ -96,9 +97,8 @@ class _Layer:
         """Return the motion at times after the first frame of the first source [s]."""
         clock, layer_seconds = self.take.clock, seconds - float(self.delay)
         if self.source.stream.curve is not None:
-            return self._sample_curve(
-                float(clock.start) + layer_seconds * float(clock.fps)
-            )
+            codes = float(clock.start) + layer_seconds * float(clock.fps)
+            return self._sample_curve(codes)
         samples = nearby_positions(layer_seconds * float(clock.rate), clock.count)
         return self.take.motion.map(samples.interpolate)
 
@@ -106,35 +106,22 @@ class _Layer:
         curve, clock = self.source.stream.curve, self.take.clock
         assert curve is not None
         last_code = clock.start + clock.step * (clock.count - 1)
-        return _with_animated_entries_of(
-            curve(np.clip(codes, float(clock.start), float(last_code))),
-            self.take.motion,
-        )
+        codes = np.clip(codes, float(clock.start), float(last_code))
+        return _with_animated_entries_of(curve(codes), self.take.motion)
 
 
 def _with_animated_entries_of(motion: Motion, template: Motion) -> Motion:
     """Return a motion whose channels animate the same entries as another motion's."""
 
-    def convert(channel: Channel, other_channel: Channel) -> Channel:
-        return Channel(
-            other_channel.rest,
-            other_channel.animated,
-            channel.gather(other_channel.animated),
-        )
-
-    def optional(name: str) -> Channel | None:
-        channel, like_channel = getattr(motion, name), getattr(template, name)
-        if channel is None or like_channel is None:
+    def convert(name: str) -> Any:
+        channel: Channel | None = getattr(motion, name)
+        like: Channel | None = getattr(template, name)
+        if channel is None or like is None:
             return None
-        return convert(channel, like_channel)
+        return Channel(like.rest, like.animated, channel.gather(like.animated))
 
-    return Motion(
-        convert(motion.translations, template.translations),
-        convert(motion.rotations, template.rotations),
-        optional("scales"),
-        optional("weights"),
-        optional("controls"),
-    )
+    names = ("translations", "rotations", "scales", "weights", "controls")
+    return Motion(*map(convert, names))
 
 
 def _layer(first: JoinedSource, source: JoinedSource) -> _Layer:
@@ -152,50 +139,42 @@ def _layer(first: JoinedSource, source: JoinedSource) -> _Layer:
         source_rig = reorient(replace(source.stream, blocks=iter(())), rig.up).rig
         tracks = moving_tracks(take.motion, names, source_rig)
     else:
-        tracks, unmatched_names = select_tracks(source.tracks, names)
-        faults = [
-            source.note(
-                "SCN037",
-                f"tracks.{unknown_track.kind}: nothing in it and {rig.name!r} matches "
-                f"{excerpt(unknown_track.pattern)}",
-                nearest(unknown_track.pattern, unknown_track.valid_names),
-            )
-            for unknown_track in unmatched_names
-        ]
+        tracks, unmatched = select_tracks(source.tracks, names)
+        faults = []
+        for kind, pattern, valid_names in unmatched:
+            message = f"tracks.{kind}: nothing in it and {rig.name!r} matches "
+            message += excerpt(pattern)
+            faults.append(source.note("SCN037", message, nearest(pattern, valid_names)))
         if faults:
             raise OptionError(faults)
     if not tracks:
-        message = f"has no tracks of {rig.name!r}"
-        raise OptionError(
-            source.note("SCN036", message, "list its tracks under tracks:")
+        message, hint = (
+            f"has no tracks of {rig.name!r}",
+            "list its tracks under tracks:",
         )
+        raise OptionError(source.note("SCN036", message, hint))
     return _Layer(placed_source, take, tracks, _delay(first, source), notices)
 
 
-def _delay(first: JoinedSource, other_part: JoinedSource) -> Fraction:
+def _delay(first: JoinedSource, other_source: JoinedSource) -> Fraction:
     """Return the delay of a source after the first [s]."""
-    both_sources = (first, other_part)
-    if first.timecode is None and other_part.timecode is None:
+    if first.timecode is None and other_source.timecode is None:
         return Fraction(0)
-    for source in both_sources:
+    for source in (first, other_source):
         if source.timecode is None:
             message = "it has no time code, but another source has one"
             hint = "write the timecode of its first frame for all sources or for none"
             raise OptionError(source.note("SCN034", message, hint))
-    start_seconds = [
-        (
-            str(source.timecode),
-            source.timecode_fps or source.stream.fps / source.stream.step,
-        )
-        for source in both_sources
-    ]
-    for source, (label, rate) in zip(both_sources, start_seconds, strict=True):
+    starts: list[tuple[str, Fraction]] = []
+    for source in (first, other_source):
+        rate = source.timecode_fps or source.stream.fps / source.stream.step
+        starts.append((str(source.timecode), rate))
         try:
-            seconds_between(label, rate, label, rate)
+            seconds_between(*starts[-1], *starts[-1])
         except ValueError as error:
             hint = f"it counts {rate_label(rate)}; set another rate with timecode_fps"
             raise OptionError(source.note("SCN033", str(error), hint)) from error
-    return seconds_between(*start_seconds[0], *start_seconds[1])
+    return seconds_between(*starts[0], *starts[1])
 
 
 def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fault]:
@@ -203,16 +182,14 @@ def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fau
     if layer.source.tracks is not None:
         return []
     rig = layer.take.rig
-    shared_tracks = [
-        layer.tracks.intersection(other_layer.tracks) for other_layer in lower_layers
-    ]
-    shared_names = dict.fromkeys(
-        name for tracks in shared_tracks for name in tracks.names(rig)
-    )
-    if not shared_names:
+    common_names: dict[str, None] = {}
+    for lower_layer in lower_layers:
+        common_tracks = layer.tracks.intersection(lower_layer.tracks)
+        common_names |= dict.fromkeys(common_tracks.names(rig))
+    if not common_names:
         return []
     message = (
-        f"moves {listed(list(shared_names), MAX_NAMED)}, as a source above it does"
+        f"moves {listed(list(common_names), MAX_NAMED)}, as a source above it does"
     )
     hint = "its own are used; list the tracks of each under tracks:"
     return [layer.source.note("SCN105", message, hint, Severity.WARNING)]
@@ -247,10 +224,9 @@ class _JoinedTake:
         for block in self.base.blocks:
             joined_block = block
             for layer in self.layers:
-                layer_motion = layer.frames(self._rate, frames_read, block.frames)
-                joined_block = with_tracks(
-                    self.base.rig, joined_block, layer_motion, layer.tracks
-                )
+                replacement = layer.frames(self._rate, frames_read, block.frames)
+                motions = joined_block, replacement
+                joined_block = with_tracks(self.base.rig, *motions, layer.tracks)
             yield joined_block
             frames_read += block.frames
         if self.base.curve is None:
@@ -260,9 +236,8 @@ class _JoinedTake:
         motion = self._base_at(times)
         seconds = (times - float(self.base.first_frame)) / float(self.base.fps)
         for layer in self.layers:
-            motion = with_tracks(
-                self.base.rig, motion, layer.sample(seconds), layer.tracks
-            )
+            motions = motion, layer.sample(seconds)
+            motion = with_tracks(self.base.rig, *motions, layer.tracks)
         return motion
 
     def _base_at(self, times: FloatArray) -> Motion:
@@ -300,14 +275,11 @@ class _JoinedTake:
         layer_step = self._rate / clock.rate
         end = begin + (clock.count - 1) * layer_step
         if end < 0 or begin > last:
-            frames, first_span = self._span(begin, end), self._span(Fraction(0), last)
-            message = (
-                f"overlaps no frame of the first source: {frames} is not in "
-                f"{first_span}"
-            )
-            raise OptionError(
-                note("SCN035", message, "compare their time codes and timecode_fps")
-            )
+            message = "overlaps no frame of the first source: "
+            message += f"{self._span(begin, end)} is not in "
+            message += self._span(Fraction(0), last)
+            hint = "compare their time codes and timecode_fps"
+            raise OptionError(note("SCN035", message, hint))
         frames_missing = []
         if begin > 0:
             frames_missing.append(self._span(Fraction(0), Fraction(-(-begin // 1) - 1)))
@@ -316,17 +288,15 @@ class _JoinedTake:
             frames_missing.append(self._span(Fraction(end // 1 + 1), last))
         if frames_missing:
             message = (
-                f"does not have frame {' and '.join(frames_missing)}: its nearest is "
-                "held there"
+                f"does not have frame {' and '.join(frames_missing)}: its nearest "
             )
+            message += "is held there"
             yield note("SCN103", message, None, Severity.WARNING)
-        seconds_outside = (
-            max(-begin, Fraction(0)) + max(end - last, Fraction(0))
-        ) / self._rate
-        if seconds_outside:
-            gap_text = plain_number(float(seconds_outside))
-            message = f"{gap_text} s before and after the first source"
-            yield note("SCN104", f"{message} are ignored", None, Severity.NOTE)
+        frames_outside = max(-begin, Fraction(0)) + max(end - last, Fraction(0))
+        if frames_outside:
+            message = plain_number(float(frames_outside / self._rate))
+            message += " s before and after the first source are ignored"
+            yield note("SCN104", message, None, Severity.NOTE)
 
     def _span(self, first: Fraction, last: Fraction) -> str:
         labels = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -18,7 +18,9 @@ from animtool.motion.driving import combine_missing_weights
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import TakeStream
+from animtool.rig.controls import Control
 from animtool.rig.fit import check_fit
+from animtool.rig.parts import Shape
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
@@ -35,10 +37,9 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
         opener: Callable[..., Rig] = find_reader(path).rig_opener(path)
         rig = opener(path, prim_path)
     else:
-        message = (
-            f"{argument('source.prim_path')} is for USD, glTF and FBX files, but this "
-        )
-        raise OptionError(Fault("CLI004", f"{message}is none", str(path)))
+        message = argument("source.prim_path")
+        message += " is for USD, glTF and FBX files, but this is none"
+        raise OptionError(Fault("CLI004", message, str(path)))
     return rig, list(rig.notices)
 
 
@@ -118,14 +119,8 @@ def map_names(rig: Rig, other_rig: Rig) -> NameMap:
     return NameMap(
         rig,
         np.array(joints, np.int64),
-        _indices(
-            [shape.name for shape in rig.shapes],
-            [shape.name for shape in other_rig.shapes],
-        ),
-        _indices(
-            [control.name for control in rig.controls],
-            [control.name for control in other_rig.controls],
-        ),
+        _indices(rig.shapes, other_rig.shapes),
+        _indices(rig.controls, other_rig.controls),
         tuple(sorted(set(range(len(other_rig.joints))) - set(joints))),
     )
 
@@ -137,15 +132,13 @@ def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, Name
     """
     stream = reorient(stream, rig.up)
     names = map_names(rig, stream.rig)
-    if all(
-        (control_names < 0).all()
-        for control_names in (names.joints, names.shapes, names.controls)
-    ):
+    indices = np.concatenate([names.joints, names.shapes, names.controls])
+    if (indices < 0).all():
         message = f"has no joint, shape or control of {rig.name!r}"
         hint = (
             f"its joints are {listed(stream.rig.names, MAX_NAMED)}; animtool retarget "
-            "moves a take to another rig"
         )
+        hint += "moves a take to another rig"
         raise OptionError(note("SCN036", message, hint))
     source_blocks, curve = stream.blocks, stream.curve
     control_names = {control.name for control in rig.controls}
@@ -168,16 +161,14 @@ def unmapped_notices(names: NameMap, other_rig: Rig, path: str) -> list[Fault]:
     """Return notices of tracks that only one of two rigs has."""
     shapes = set(names.shapes.tolist())
     joints = [other_rig.names[index] for index in names.unmatched_joints]
-    spare_names = [
-        shape.name for i, shape in enumerate(other_rig.shapes) if i not in shapes
-    ]
-    missing_joints = [
-        names.rig.names[index] for index in np.flatnonzero(names.joints < 0).tolist()
-    ]
+    other_shapes = enumerate(other_rig.shapes)
+    spare_shapes = [shape.name for i, shape in other_shapes if i not in shapes]
+    missing_indices = np.flatnonzero(names.joints < 0).tolist()
+    missing_joints = [names.rig.names[index] for index in missing_indices]
     warning, note = Severity.WARNING, Severity.NOTE
     groups = (
         ("RIG042", joints, "joints are not in the rig", MOTION_IGNORED, warning),
-        ("RIG042", spare_names, "shapes are not in the rig", MOTION_IGNORED, warning),
+        ("RIG042", spare_shapes, "shapes are not in the rig", MOTION_IGNORED, warning),
         ("RIG043", missing_joints, "joints only the rig has", STAY_AT_REST, note),
     )
     return [
@@ -221,9 +212,12 @@ def on_rig_file(
     return mapped_stream
 
 
-def _indices(names: list[str], other_names: list[str]) -> IntArray:
-    index_by_name = {name: i for i, name in enumerate(other_names)}
-    return np.array([index_by_name.get(name, -1) for name in names], np.int64)
+def _indices(
+    elements: Sequence[Shape | Control], other_elements: Sequence[Shape | Control]
+) -> IntArray:
+    """Return the index of each element among others by its name; -1 if it is absent."""
+    index_by_name = {element.name: i for i, element in enumerate(other_elements)}
+    return np.array([index_by_name.get(each.name, -1) for each in elements], np.int64)
 
 
 def _gather_or_rest(

@@ -317,19 +317,16 @@ def open_source(
         from animtool.scene.sources.retime import in_shot
 
         inner_options = replace(options, shot=None)
-        return in_shot(
-            open_source(path, inner_options, progress=progress), options.shot
-        )
+        stream = open_source(path, inner_options, progress=progress)
+        return in_shot(stream, options.shot)
     reader = find_reader(path)
     if options.rig is not None and "rig" not in reader.options:
         inner_options = replace(options, rig=None, force_fit=False)
         stream = open_source(path, inner_options, progress=progress)
         from animtool.scene.sources.onto_rig import on_rig_file
 
-        mapped_stream = on_rig_file(
-            path, stream, options.rig, force_fit=options.force_fit
-        )
-        return _drive_tracks(mapped_stream)
+        stream = on_rig_file(path, stream, options.rig, force_fit=options.force_fit)
+        return _drive_tracks(stream)
     note_input(path)
     defaults = SourceOptions()
     arguments = {
@@ -341,11 +338,10 @@ def open_source(
     if "placement" not in reader.options:
         # Only stages place a character.
         arguments.pop("placement", None)
-    unsupported_options = [name for name in arguments if name not in reader.options]
-    if unsupported_options:
-        raise OptionError(
-            [_unsupported_option_fault(name, path) for name in unsupported_options]
-        )
+    unsupported_names = [name for name in arguments if name not in reader.options]
+    if unsupported_names:
+        faults = [_unsupported_option_fault(name, path) for name in unsupported_names]
+        raise OptionError(faults)
     if "progress" in reader.options:
         arguments["progress"] = progress
     stream = cast("TakeStream", reader.source_opener(path)(path, **arguments))
@@ -366,8 +362,8 @@ def open_checked(
 ) -> TakeStream:
     """Open a source like `open_source`, with warnings about its rate, size and up axis.
 
-    They are added to its notices, some of them when its first block is read. With a
-    ``namer``, its notices name arguments by it. Warnings about the rate are left out if
+    These are added to its notices, some of them when its first block is read. The
+    notices name arguments by ``namer``. Warnings about the rate are left out if
     ``reported_codes`` contain one.
     """
     from animtool.retarget.standing import with_source_warnings
@@ -409,13 +405,7 @@ def _unsupported_option_fault(name: str, path: Path) -> Fault:
     declaration = options_of(SourceOptions)[name]
     hint = None
     if name in {"unit", "up", "fps"}:
-        hint = (
-            f"{argument('to_units')}, {argument('to_up')} and {argument('fps')} convert"
-        )
-    return Fault(
-        "CLI004",
-        f"{option_marker(f'source.{name}', declaration)} {declaration.reason}",
-        str(path),
-        (),
-        hint,
-    )
+        hint = f"{argument('to_units')}, {argument('to_up')} and {argument('fps')} "
+        hint += "convert"
+    message = f"{option_marker(f'source.{name}', declaration)} {declaration.reason}"
+    return Fault("CLI004", message, str(path), (), hint)

@@ -32,9 +32,9 @@ VISIBLE_SHEAR = 1e-9
 class OpenProp:
     """An open prop of a scene."""
 
-    entry: SceneProp  # its entry in the scene
+    entry: SceneProp
     source: PropSource
-    track: Track  # the track, charged to the scene's meter
+    track: Track  # its reads are charged to the scene's meter
 
 
 def open_props(
@@ -59,12 +59,10 @@ def open_props(
             faults += map(entry.location.locate, error.faults)
             continue
         track = _metered_track(entry, prop, stage, meter, notices)
-        same_source = same_file(
-            entry.file.resolve(), source
-        ) or not entry.path.startswith("/")
-        opened_props.append(
-            OpenProp(entry, prop, replace(track, follows_placement=same_source))
-        )
+        follows = same_file(entry.file.resolve(), source)
+        follows = follows or not entry.path.startswith("/")
+        track = replace(track, follows_placement=follows)
+        opened_props.append(OpenProp(entry, prop, track))
     if faults:
         raise FormatError(faults)
     return opened_props
@@ -83,19 +81,15 @@ def with_props(
     the output's rate; None is the take's. ``dropped`` is as in `TakeStream`.
     """
     start = stream.first_frame
-    props = [
-        _TimedProp(
-            prop,
-            prop.entry.frame if prop.entry.frame is not None else first or start,
-            prop.source.fps * stream.step / stream.fps,
-        )
-        for prop in added_props
-    ]
+    props = []
+    for prop in added_props:
+        begin = first or start if prop.entry.frame is None else prop.entry.frame
+        step = prop.source.fps * stream.step / stream.fps
+        props.append(_TimedProp(prop, begin, step))
     props_stream = _PropStream(stream, props)
-    for prop in props:
-        stream.notices += prop.notes(fps or stream.fps)
-    prop_tracks = (prop.track(stream, dropped) for prop in props)
-    tracks = (*stream.tracks, *prop_tracks)
+    for timed_prop in props:
+        stream.notices += timed_prop.notes(fps or stream.fps)
+    tracks = (*stream.tracks, *(prop.track(stream, dropped) for prop in props))
     stream_with_props = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
@@ -162,10 +156,8 @@ class _TimedProp:
         """Yield notices of the prop that do not depend on frames."""
         source, entry = self.open_prop.source, self.open_prop.entry
         note = entry.location.fault
-        if source.fallback_attributes:
-            message = (
-                f"{entry.prim} does not state {listed(source.fallback_attributes)}"
-            )
+        if names := source.fallback_attributes:
+            message = f"{entry.prim} does not state {listed(names)}"
             hint = "the default of USD is written"
             yield note("SCN108", message, hint, Severity.WARNING)
         if source.span is None:

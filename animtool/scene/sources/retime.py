@@ -41,8 +41,7 @@ def with_preroll(stream: TakeStream, count: int) -> TakeStream:
 
     The take's own frames keep their time codes.
     """
-    source_blocks, curve = stream.blocks, stream.curve
-    start = stream.first_frame
+    source_blocks, curve, start = stream.blocks, stream.curve, stream.first_frame
     first = float(start)
 
     def first_pose(times: FloatArray) -> Motion:
@@ -134,9 +133,8 @@ def _reverse(stream: TakeStream, shot: Shot) -> TakeStream:
     start = shot.frame_at((motion.frames - 1) * sample_seconds)
     reversed_motion = motion.select(np.arange(motion.frames)[::-1])
     step = sample_seconds * shot.fps / -shot.speed
-    return _retime_stream(
-        replace(stream, blocks=iter([reversed_motion])), shot, start, step
-    )
+    stream = replace(stream, blocks=iter([reversed_motion]))
+    return _retime_stream(stream, shot, start, step)
 
 
 def _hold_pose(stream: TakeStream, shot: Shot) -> TakeStream:
@@ -146,19 +144,16 @@ def _hold_pose(stream: TakeStream, shot: Shot) -> TakeStream:
     take, count = stream.collect(), shot.end - shot.start + 1
     sample = shot.media_in * stream.fps / stream.step
     if not 0 <= sample < take.clock.count:
-        raise no_frames_error(
-            shot, shot.start, shot.end, take.clock.count / take.clock.rate
-        )
-    pose = TakeSampler.from_take(take).sample(
-        nearby_positions([float(sample)], take.clock.count)
-    )
-    constant = pose.select(np.zeros(count, np.int64))
+        length = take.clock.count / take.clock.rate
+        raise no_frames_error(shot, shot.start, shot.end, length)
+    position = nearby_positions([float(sample)], take.clock.count)
+    pose = TakeSampler.from_take(take).sample(position)
     return replace(
         stream,
         fps=shot.fps,
         start=Fraction(shot.start),
         step=Fraction(1),
-        blocks=iter([constant]),
+        blocks=iter([pose.select(np.zeros(count, np.int64))]),
         curve=None,
         count=0,
         control_curves={},

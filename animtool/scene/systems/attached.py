@@ -31,16 +31,11 @@ def with_colliders(
 ) -> tuple[TakeStream, Colliders]:
     """Return a take and the colliders that the options of a pass name.
 
-    The named systems and their dependencies are simulated over the frames of the take.
-    If they need the scene's own character, all frames of the take are read at once.
-
-    Args:
-        systems: Systems of the scene.
-        path: File of the scene.
-        stream: The take.
-        options: With ``colliders`` in the axes of the rig, and ``characters``,
-            ``systems`` and ``meshes``.
-        lead: Time for which the first frame is held before the take continues [s].
+    The named systems of the scene, whose file is ``path``, and their dependencies are
+    simulated over the frames of the take. If they need the scene's own character, all
+    frames of the take are read at once. The options have ``colliders`` in the axes of
+    the rig, ``characters``, ``systems`` and ``meshes``. The first frame is held for
+    ``lead`` before the take continues [s].
     """
     surroundings = Surroundings((), options.characters, options.systems, options.meshes)
     names = {entry.system for entry in options.systems}
@@ -52,46 +47,33 @@ def with_colliders(
         stream = replace(stream, blocks=iter([take.motion]))
         character = motion_of(path, take)
         character = replace(character, times=character.times + lead)
+        last = float(character.times[-1])
         simulated_systems = [systems[i] for i in system_indices]
-        running_systems = open_systems(
-            simulated_systems, float(character.times[-1]), character
-        )
-    run_by_name = {
-        systems[i].name: run
-        for i, run in zip(system_indices, running_systems, strict=True)
-    }
+        running_systems = open_systems(simulated_systems, last, character)
+    system_runs = zip(system_indices, running_systems, strict=True)
+    run_by_name = {systems[i].name: run for i, run in system_runs}
     colliders = surroundings.build(characters_with(character), run_by_name)
     rotation = up_from_up(stream.rig.up, UpAxis.Y)
     if rotation is not None:
         colliders = _rotate_colliders(colliders, np.array(rotation))
-    return stream, Colliders(
-        [*options.colliders, *colliders], colliders.sheets, colliders.bodies
-    )
+    shapes = [*options.colliders, *colliders]
+    return stream, Colliders(shapes, colliders.sheets, colliders.bodies)
 
 
 def _rotate_colliders(colliders: Colliders, rotation: FloatArray) -> Colliders:
     """Return colliders rotated about the origin by a quaternion ``(4,)``."""
-    return Colliders(
-        [
-            replace(collider, poses=_rotate_poses(collider.poses, rotation))
-            for collider in colliders
-        ],
-        [
-            replace(collider, motion=_RotatedSheetMotion(collider.motion, rotation))
-            for collider in colliders.sheets
-        ],
-        # No forces act on them, so only their motion is rotated.
-        [
-            cast("MovingBodies", _RotatedBodies(collider, rotation))
-            for collider in colliders.bodies
-        ],
-    )
-
-
-def _rotate_poses(poses: Poses, rotation: FloatArray) -> Poses:
-    """Return poses rotated about the origin by a quaternion ``(4,)``."""
-    rows = _rotate_pose_rows(poses.rows, rotation)
-    return Poses(poses.sample_times, rows[:, :3], rows[:, 3:])
+    shapes = []
+    for collider in colliders:
+        rows = _rotate_pose_rows(collider.poses.rows, rotation)
+        poses = Poses(collider.poses.sample_times, rows[:, :3], rows[:, 3:])
+        shapes.append(replace(collider, poses=poses))
+    sheets = [
+        replace(sheet, motion=_RotatedSheetMotion(sheet.motion, rotation))
+        for sheet in colliders.sheets
+    ]
+    # No forces act on bodies, so only their motion is rotated.
+    bodies = [_RotatedBodies(body, rotation) for body in colliders.bodies]
+    return Colliders(shapes, sheets, cast("list[MovingBodies]", bodies))
 
 
 def _rotate_pose_rows(rows: FloatArray, rotation: FloatArray) -> FloatArray:

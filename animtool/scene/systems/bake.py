@@ -72,20 +72,17 @@ class SystemPrims:
         plan = state.plan
         prims = self if self.recorder is None else self._with_take_codes(self.recorder)
         codes, job = prims.codes, prims.job
-        character = (
-            None if self.recorder is None else self.recorder.motion(self.scene.path)
-        )
+        recorder = self.recorder
+        character = None if recorder is None else recorder.motion(self.scene.path)
         if character is not None and prims.start < self.start:
             delay = float((self.start - prims.start) / job.metadata.span.fps)
             character = replace(character, times=character.times + delay)
         systems = self.scene.systems
-        main_rig = None if self.recorder is None else plan.takes[0].stream.rig
+        main_rig = None if recorder is None else plan.takes[0].stream.rig
         last_seconds = prims.seconds(codes[-1])
         run = SystemRun(systems, last_seconds, character, state.progress, main_rig)
-        keeps_stopped = plan.options.keep_stopped
-        frame_rows = run.rows(
-            codes, prims.start, job.metadata.span.fps, keep_stopped=keeps_stopped
-        )
+        clock = (codes, prims.start, job.metadata.span.fps)
+        frame_rows = run.rows(*clock, keep_stopped=plan.options.keep_stopped)
         if state.report is None:
             self._begin(state)
         frames = SystemFrames(self, job, run, frame_rows, plan.options.strict)
@@ -96,33 +93,24 @@ class SystemPrims:
     def _with_take_codes(self, recorder: CharacterRecorder) -> SystemPrims:
         """Return a copy with the time codes and placement of the recorded take."""
         codes = [Fraction(code) for code in recorder.codes.tolist()]
-        old_metadata = self.job.metadata
-        span = FrameSpan(codes[0], codes[-1], old_metadata.span.fps)
-        metadata = replace(old_metadata, span=span)
+        span = FrameSpan(codes[0], codes[-1], self.job.metadata.span.fps)
+        metadata = replace(self.job.metadata, span=span)
+        job = replace(self.job, metadata=metadata, codes=recorder.codes)
+        if self.displacement is not None:
+            job = replace(job, placement_matrices=self.displacement(recorder.codes))
         # If a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
-        displacement = (
-            None if self.displacement is None else self.displacement(recorder.codes)
-        )
-        job = replace(
-            self.job,
-            metadata=metadata,
-            placement_matrices=displacement,
-            codes=recorder.codes,
-        )
         return replace(self, job=job, start=start, codes=tuple(codes))
 
     def _begin(self, state: BakeState) -> None:
         """Create a layer that contains only systems, and its report."""
         plan, metadata = state.plan, self.job.metadata
         layer = new_simulated_layer(self.job, plan.output)
-        take = WrittenTake("", metadata.span, samples=len(self.codes))
+        count = len(self.codes)
+        take = WrittenTake("", metadata.span, samples=count)
         result = UsdResult(layer_span(layer), takes=[take])
-
         state.layer, state.files = layer, OneFile(layer, plan.output, result)
-        report = TakeReport(
-            self.scene.path, take, len(self.codes), metadata.span.fps, ""
-        )
+        report = TakeReport(self.scene.path, take, count, metadata.span.fps, "")
         state.report = plan.report(
             [report],
             result,
@@ -215,11 +203,9 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
         hint = "set the frames to write: range: [1, 120]"
         raise OptionError(Fault("SCN061", message, str(scene.path), (), hint))
     # The simulation starts at the beginning even if only a part is requested.
-    first = (
-        Fraction((scene_frames or frames).first)
-        if options.start is None
-        else options.start
-    )
+    start = options.start
+    if start is None:
+        start = Fraction((scene_frames or frames).first)
     codes = _codes(frames, options.samples)
     model = model_path(options.prim_path, source_stem(scene.path))
     unit = 1.0 if options.to_units is None else options.to_units.meters
@@ -227,7 +213,7 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     span = FrameSpan(Fraction(frames.first), Fraction(frames.last), fps)
     metadata = StageMetadata(model.split("/")[1], span, unit, up_axis, options.shot)
     job = system_job(scene.systems, model, metadata, unit, up_axis)
-    return SystemPrims(scene, job, first, codes)
+    return SystemPrims(scene, job, start, codes)
 
 
 def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
@@ -243,9 +229,8 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
 
 def _refuse_character_options(scene: Scene, options: BakeOptions) -> None:
     """Refuse options that need a character."""
-    option_names = [
-        option.label for option in refused_options(options, "systems").values()
-    ]
+    refused = refused_options(options, "systems")
+    option_names = [option.label for option in refused.values()]
     if options.form in {LayerForm.SPLIT, LayerForm.LAYER, LayerForm.LIBRARY}:
         option_names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
@@ -263,10 +248,8 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     The prims of the systems are below the character's model, so they share its
     placement, unit and up axis.
     """
-    unit, up = plan.meters_per_unit, plan.rig.up
-    unit_and_up = (
-        (unit, up) if plan.target is None else (plan.target.unit, plan.target.up)
-    )
+    unit, up, target = plan.meters_per_unit, plan.rig.up, plan.target
+    unit_and_up = (unit, up) if target is None else (target.unit, target.up)
     model = plan.paths.model
     placeholder_span = FrameSpan(Fraction(0), Fraction(0), plan.fps)
     metadata = StageMetadata(model.split("/")[1], placeholder_span, *unit_and_up)
@@ -276,12 +259,12 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
         records_motion=any(scene.path in system.setup.files for system in scene.systems)
     )
     displacement: Displacement | None = None
-    if plan.target is not None:
+    if target is not None:
         from animtool.usd.props.placement import parent_from_take
 
         joint_map, path = plan.takes[0].mapping, f"{model}/system"
         rig_from_take = None if joint_map is None else joint_map.rig_from_take
-        displacement = partial(parent_from_take, plan.target, rig_from_take, path)
+        displacement = partial(parent_from_take, target, rig_from_take, path)
     return SystemPrims(
         scene, job, plan.start, recorder=recorder, displacement=displacement
     )
@@ -296,16 +279,13 @@ def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     faults = []
     written_systems = [system for system in scene.systems if system.written]
     for system, path in zip(written_systems, job.paths, strict=True):
-        owners = [
-            owner for prim, owner in owner_by_path.items() if paths_overlap(path, prim)
-        ]
+        paths_in_use = owner_by_path.items()
+        owners = [owner for prim, owner in paths_in_use if paths_overlap(path, prim)]
         if not owners and target is not None and _is_foreign_prim(target, path):
             owners = ["the rig layer"]
         if owners:
-            message = f"{path} belongs to {owners[0]}"
-            faults.append(
-                system.location.fault("SCN068", message, "give it another name")
-            )
+            message, hint = f"{path} belongs to {owners[0]}", "give it another name"
+            faults.append(system.location.fault("SCN068", message, hint))
     if faults:
         raise FormatError(faults)
 

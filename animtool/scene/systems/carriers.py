@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
@@ -34,8 +35,8 @@ MAX_TIMES = 100_000
 class OnJoint:
     """A joint of a character."""
 
-    file: Path  # A clip or a scene
-    joint: str  # its name
+    file: Path  # a clip or a scene
+    joint: str
     # Location of the entry that names it.
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
@@ -60,9 +61,9 @@ class OnJoint:
 class OnVertex:
     """A vertex of a character's mesh."""
 
-    file: Path  # A clip or a scene
-    mesh: str  # name of the mesh
-    vertex: int  # its number
+    file: Path  # a clip or a scene
+    mesh: str
+    vertex: int  # index of the vertex
     # Location of the entry that names it.
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
@@ -88,12 +89,16 @@ class OnVertex:
             for block in CharacterSkin(character, self.mesh).blocks()
         ]
         positions = np.concatenate(position_blocks)
-        return Poses(
-            character.times, positions, np.tile(so3.IDENTITY, (len(positions), 1))
-        )
+        return _translated_poses(character.times, positions)
+
+
+def _translated_poses(times: FloatArray, positions: FloatArray) -> Poses:
+    """Return unrotated poses at positions ``(N, 3)`` and times ``(N,)`` [s]."""
+    return Poses(times, positions, np.tile(so3.IDENTITY, (len(positions), 1)))
 
 
 def _raise_fault(fault: Fault | None, location: EntryLocation | None) -> None:
+    """Raise a fault, located at an entry; do nothing for None."""
     if fault is not None:
         raise OptionError(fault if location is None else location.locate(fault))
 
@@ -102,7 +107,7 @@ def _raise_fault(fault: Fault | None, location: EntryLocation | None) -> None:
 class OnPrim:
     """A prim of a USD file."""
 
-    file: Path  # the file
+    file: Path
     prim: str  # path of the prim
     frame: float | None = None  # time code at 0 s; None is the first
 
@@ -134,10 +139,8 @@ def keyed_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
     translation_keys = np.array(model.moves or [[0.0] * 4])
     rotation_keys = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
     origins = np.zeros((len(rotation_keys), 3))
-    translated_poses = Poses(
-        translation_keys[:, 0],
-        translation_keys[:, 1:],
-        np.tile(so3.IDENTITY, (len(translation_keys), 1)),
+    translated_poses = _translated_poses(
+        translation_keys[:, 0], translation_keys[:, 1:]
     )
     rotated_poses = Poses(rotation_keys[:, 0], origins, rotation_keys[:, [2, 3, 4, 1]])
     # Each is linear between its own keys, so both are linear between the union of them.

@@ -35,7 +35,7 @@ class CharacterMotion:
     """A Y-up character over F frames; held at its first and last pose outside them."""
 
     path: Path  # its file
-    rig: Rig  # its rig
+    rig: Rig
     motion: Motion  # poses and shape weights
     world: WorldTransforms  # of its joints
     times: FloatArray  # times of the frames, the first at 0 s ``(F,)`` [s]
@@ -66,10 +66,9 @@ def motion_of(path: Path, take: Take) -> CharacterMotion:
     """Return a take as character motion, the first frame at 0 s."""
     if take.rig.up is not UpAxis.Y:
         take = reorient(TakeStream.of(take), UpAxis.Y).collect()
-    world = take.world()
     clock = take.clock
     times = np.arange(clock.count, dtype=np.float64) * float(clock.step / clock.fps)
-    return CharacterMotion(path, take.rig, take.motion, world, times)
+    return CharacterMotion(path, take.rig, take.motion, take.world(), times)
 
 
 def open_take(path: Path) -> TakeStream:
@@ -95,14 +94,10 @@ def missing_mesh_fault(rig: Rig, name: str) -> Fault | None:
 
 
 class CharacterSkin:
-    """A mesh of a character over its F frames.
+    """A mesh of a character over its F frames, found by name.
 
     Attributes:
         surface: The mesh at rest.
-
-    Args:
-        character: Character in motion.
-        name: Name of the mesh.
 
     Raises:
         OptionError: It has no such mesh (SIM053).
@@ -113,19 +108,15 @@ class CharacterSkin:
         fault = missing_mesh_fault(rig, name)
         if fault is not None:
             raise OptionError(fault)
-        (self.surface,) = [
-            surface for surface in surfaces_of(rig) if surface.name == name
-        ]
+        (self.surface,) = [each for each in surfaces_of(rig) if each.name == name]
         shapes = [shape.name for shape in rig.shapes]
-        (mesh,) = character_meshes(
-            [self.surface], rig.names, bind_matrices(rig), shapes
-        )
-        weights = character.motion.weights
+        matrices, surfaces = bind_matrices(rig), [self.surface]
+        (mesh,) = character_meshes(surfaces, rig.names, matrices, shapes)
         self._mesh: DeformedMesh = mesh.mesh
         self._world = character.world
-        self._weights = (
-            None if weights is None else mesh.weights(weights.dense()[..., 0])
-        )
+        self._weights: FloatArray | None = None
+        if (weights := character.motion.weights) is not None:
+            self._weights = mesh.weights(weights.dense()[..., 0])
 
     def blocks(self) -> Iterator[DeformedFrames]:
         """Yield all frames in blocks that reuse one buffer."""
@@ -133,10 +124,9 @@ class CharacterSkin:
 
     def frame(self, i: int) -> FloatArray:
         """Return its points at a frame ``(V, 3)`` [m]."""
-        world = WorldTransforms(
-            self._world.positions[i : i + 1], self._world.linear[i : i + 1]
-        )
-        weights = None if self._weights is None else self._weights[i : i + 1]
+        frame = slice(i, i + 1)
+        world = WorldTransforms(self._world.positions[frame], self._world.linear[frame])
+        weights = None if self._weights is None else self._weights[frame]
         (deformed_mesh,) = deform_blocks(self._mesh, weights, world, normals=False)
         return np.array(deformed_mesh.points[0], np.float64)
 
@@ -144,12 +134,8 @@ class CharacterSkin:
 class SkinMotion:
     """A character's mesh over time, linear between frames and clamped outside.
 
-    Args:
-        character: Character in motion.
-        name: Name of the mesh.
-
     Raises:
-        OptionError: It has no such mesh (SIM053).
+        OptionError: The character has no mesh of that name (SIM053).
     """
 
     def __init__(self, character: CharacterMotion, name: str) -> None:
@@ -198,9 +184,8 @@ def character_colliders(
             template = record_of(Collider, model, shape=Sphere(1.0))
             colliders += character.colliders(template)
         else:
-            sheet_options = {"radius": model.margin, "name": mesh}
-            motion = SkinMotion(character, mesh)
-            sheets.append(record_of(Sheet, model, motion=motion, **sheet_options))
+            values = {"motion": SkinMotion(character, mesh), "name": mesh}
+            sheets.append(record_of(Sheet, model, radius=model.margin, **values))
     return colliders, sheets
 
 
