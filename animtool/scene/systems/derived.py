@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args, get_origin
 
@@ -70,15 +71,12 @@ class Prototype:
 
     def __call__(self) -> tuple[MeshFrame, ...]:
         """Return the mesh at each phase of the cycle; a single mesh if it is static."""
-        sample_frame, span = (
-            self._rig_sampler() if self.prim is None else self._stage_sampler()
-        )
+        sampler = self._rig_sampler() if self.prim is None else self._stage_sampler()
+        sample_frame, span = sampler
         fractions = [0.0] if span is None else np.arange(self.samples) / self.samples
         begin, end = span or (0.0, 0.0)
-        return tuple(
-            sample_frame(begin + (end - begin) * float(fraction))
-            for fraction in fractions
-        )
+        times = (begin + (end - begin) * float(fraction) for fraction in fractions)
+        return tuple(map(sample_frame, times))
 
     def _stage_sampler(self) -> _FrameSampler:
         """Return a function from time code to mesh, of a prim, and its span."""
@@ -151,12 +149,11 @@ class SpecPartReader(EntryReader):
                 continue
             value = getattr(model, key)
             is_placed = isinstance(model, PlacedModel) and key in POSE_KEYS
-            part_reader = self._reader(
-                field_info.annotation, field_info.metadata, check=check
-            )
+            field_type = (field_info.annotation, field_info.metadata)
+            part_reader = self._reader(*field_type, check=check)
             if is_placed or part_reader is None or value is None:
                 continue
-            if FieldKind.ARRAY in _marks(field_info.annotation, field_info.metadata):
+            if FieldKind.ARRAY in _marks(*field_type):
                 values = part_reader((*location, key), value)
                 factor = self.units.array_factor(field_info.description)
                 parts[key] = values
@@ -243,9 +240,8 @@ class SpecPartReader(EntryReader):
             for fault in error.faults:
                 prim_name = path.name, fault.where or model.prim
                 message = ": ".join([*prim_name, fault.message])
-                self.note(
-                    (*location, "prim"), replace(fault, code="SIM051", message=message)
-                )
+                prim_fault = replace(fault, code="SIM051", message=message)
+                self.note((*location, "prim"), prim_fault)
             return None
 
     def names(self, location: Location, entry: str | int) -> list[str | int]:
@@ -263,11 +259,8 @@ class SpecPartReader(EntryReader):
         path = self.input((*location, "file"), model.file)
         if path is None:
             return None
-        return self.try_read(
-            (*location, "prim"),
-            lambda: read_static_mesh(path, model.prim, UpAxis.Y),
-            kind=OptionError,
-        )
+        read = partial(read_static_mesh, path, model.prim, UpAxis.Y)
+        return self.try_read((*location, "prim"), read, kind=OptionError)
 
     def carrying_character(
         self, entry_path: Location, model: CarryingJointModel | CarryingVertexModel
@@ -311,9 +304,8 @@ class SpecPartReader(EntryReader):
             return None
         self.carriers.append(path)
         request = PropRequest(path, model.prim, model.prim)
-        self.try_read(
-            (*location, "prim"), lambda: open_prop(request, UpAxis.Y), "SIM053"
-        )
+        read = partial(open_prop, request, UpAxis.Y)
+        self.try_read((*location, "prim"), read, "SIM053")
         return OnPrim(path, model.prim, model.frame)
 
     def carrying_body(
@@ -356,13 +348,10 @@ READERS: Mapping[Any, str] = {
 
 def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
     """Return the markers of a type or of its alternatives."""
-    inner_marks = [_marks(argument, ()) for argument in get_args(annotation)]
-    metadata = getattr(annotation, "__metadata__", ())
-    return [
-        *marks,
-        *metadata,
-        *(mark for alternative in inner_marks for mark in alternative),
-    ]
+    all_marks = [*marks, *getattr(annotation, "__metadata__", ())]
+    for alternative in get_args(annotation):
+        all_marks += _marks(alternative, ())
+    return all_marks
 
 
 # Keys whose values are compared with sizes, and keys of the sizes.
@@ -421,13 +410,10 @@ def read_spec(
         record_reader.output((*location, "save"), spec.save)
     if record is None and (faults or not (is_valid and record_reader.sound)):
         return None
-    followed_files = (*collider_reader.files, *record_reader.files)
-    collider_arguments = {key: tuple(parts) for key, parts in collider_parts.items()}
-    tied_bodies = tuple(getattr(record, "tied_bodies", ()))
     surroundings = Surroundings(
-        **collider_arguments,
-        tied=tied_bodies,
-        followed=followed_files,
+        **{key: tuple(parts) for key, parts in collider_parts.items()},
+        tied=tuple(getattr(record, "tied_bodies", ())),
+        followed=(*collider_reader.files, *record_reader.files),
         location=location,
     )
     carriers = tuple(record_reader.carriers)

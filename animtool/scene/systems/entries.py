@@ -70,11 +70,9 @@ class EntryReader:
 
     def note(self, location: Location, fault: Fault) -> None:
         """Record a fault at a location."""
-        self.sound = False
-        at_key = fault.code == "SCN001"
-        self.document.add(
-            fault.code, location, fault.message, fault.hint, at_key=at_key
-        )
+        self.sound, at_key = False, fault.code == "SCN001"
+        text = (fault.message, fault.hint)
+        self.document.add(fault.code, location, *text, at_key=at_key)
 
     def note_all(self, location: Location, faults: LocatedFaults) -> None:
         """Record faults, each at a key below a location."""
@@ -100,10 +98,11 @@ class EntryReader:
         try:
             return read()
         except kind as error:
-            for fault in error.faults[: None if code is None else 1]:
-                self.note(
-                    location, fault if code is None else replace(fault, code=code)
-                )
+            faults: Sequence[Fault] = error.faults
+            if code is not None:
+                faults = [replace(faults[0], code=code)]
+            for fault in faults:
+                self.note(location, fault)
             return None
 
     def checked(
@@ -113,12 +112,9 @@ class EntryReader:
         if record is None:
             self.sound = False
             return None
-        problems = record.problems()
-        self.note_entry(
-            location,
-            model,
-            [Fault(record.code, reason, where=key) for key, reason in problems],
-        )
+        problems, code = record.problems(), record.code
+        faults = [Fault(code, reason, where=key) for key, reason in problems]
+        self.note_entry(location, model, faults)
         return record
 
     def note_entry(
@@ -126,10 +122,8 @@ class EntryReader:
     ) -> None:
         """Record faults of an entry, each at its key if that is present."""
         for fault in faults:
-            key = fault.where
-            self.note(
-                (*location, key) if key in model.model_fields_set else location, fault
-            )
+            key = (fault.where,) if fault.where in model.model_fields_set else ()
+            self.note((*location, *key), fault)
 
     def read_each(
         self,
@@ -180,9 +174,8 @@ class EntryReader:
         force = self.record((*location, name), kind, options or {}, name)
         for option, reason in [] if force is None else force.faults():
             key = [option] if option in (options or {}) else []
-            self.note(
-                (*location, name, *key), Fault("SIM022", f"its {option} {reason}")
-            )
+            fault = Fault("SIM022", f"its {option} {reason}")
+            self.note((*location, name, *key), fault)
         return force
 
     def emitter_shape(self, location: Location, entry: NamedOptions) -> Any:
@@ -208,13 +201,7 @@ class EntryReader:
         return mesh
 
     def poses(self, location: Location, model: PlacedModel, code: str) -> Poses | None:
-        """Return the poses of an entry over time; None with faults.
-
-        Args:
-            location: Location of the entry.
-            model: Model of the entry.
-            code: Code for invalid poses.
-        """
+        """Return the poses of an entry over time; None with faults of a code."""
         w, x, y, z = model.rotate
         entry_poses = Poses.fixed(model.at, (x, y, z, w))
         has_keys = model.moves or model.turns or model.prim is not None
@@ -222,20 +209,16 @@ class EntryReader:
             return entry_poses
         if model.prim is not None:
             return self._prim_poses(location, model, entry_poses, code)
-        is_valid = True
-        for pose_key in ("moves", "turns"):
-            rows = np.array(getattr(model, pose_key)).reshape(
-                -1, 5 if pose_key == "turns" else 4
-            )
-            message = ""
+        messages: dict[str, str] = {}
+        for pose_key, width in (("moves", 4), ("turns", 5)):
+            rows = np.array(getattr(model, pose_key)).reshape(-1, width)
             if (np.diff(rows[:, 0]) <= 0).any():
-                message = "its times must ascend"
+                messages[pose_key] = "its times must ascend"
             elif pose_key == "turns" and not rows[:, 1:].any(axis=1).all():
-                message = "a quaternion must not be all 0"
-            if message:
-                is_valid = False
-                self.note((*location, pose_key), Fault(code, message))
-        return keyed_poses(model, entry_poses) if is_valid else None
+                messages[pose_key] = "a quaternion must not be all 0"
+        for pose_key, message in messages.items():
+            self.note((*location, pose_key), Fault(code, message))
+        return None if messages else keyed_poses(model, entry_poses)
 
     def _prim_poses(
         self, location: Location, model: PlacedModel, entry_poses: Poses, code: str
@@ -250,9 +233,8 @@ class EntryReader:
         if path is None:
             return None
         prim = OnPrim(path, model.prim.prim, model.prim.frame)
-        carrier = self.try_read(
-            (*location, "prim", "prim"), prim.sample_poses, "SIM053"
-        )
+        place = (*location, "prim", "prim")
+        carrier = self.try_read(place, prim.sample_poses, "SIM053")
         if carrier is None:
             return None
         offset = entry_poses.rows[0]
@@ -315,15 +297,15 @@ class EntryReader:
         ((name, values),) = entry.items()
         if name not in table:
             hint = nearest(_OTHER_SHAPES.get(name, name), list(table))
-            self.note(
-                (*location, name), Fault(code, f"unknown {noun} {name!r}", hint=hint)
-            )
+            fault = Fault(code, f"unknown {noun} {name!r}", hint=hint)
+            self.note((*location, name), fault)
             return None
-        if table[name] is Mesh:
-            return self._mesh((*location, name), values or {})
-        if table[name] is HeightField:
-            return self._height_field((*location, name), values or {})
-        return self.record((*location, name), table[name], values or {}, name)
+        location, kind, values = (*location, name), table[name], values or {}
+        if kind is Mesh:
+            return self._mesh(location, values)
+        if kind is HeightField:
+            return self._height_field(location, values)
+        return self.record(location, kind, values, name)
 
     def record(
         self, location: Location, kind: type[Kind], values: dict[str, Any], name: str
@@ -335,38 +317,33 @@ class EntryReader:
 
     def _mesh(self, location: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh made from arrays of a file; None with faults."""
-        unknown_keys = unknown_options(
-            values, ["points", "triangles", "closed"], "mesh"
-        )
+        keys = ["points", "triangles", "closed"]
+        unknown_keys = unknown_options(values, keys, "mesh")
         self.note_all(location, unknown_keys)
         is_closed = values.get("closed", False)
         if not isinstance(is_closed, bool):
-            fault = Fault(
-                "SCN002", f"must be true or false, not {excerpt(repr(is_closed))}"
-            )
-            self.note((*location, "closed"), fault)
+            message = f"must be true or false, not {excerpt(repr(is_closed))}"
+            self.note((*location, "closed"), Fault("SCN002", message))
             return None
         points, triangles = (
             self._named_array(
-                location, values, key, f"a mesh needs {key}, such as stairs.npz"
+                location, values, key, f"a mesh needs {key}, such as stairs"
             )
             for key in ("points", "triangles")
         )
         if unknown_keys or points is None or triangles is None:
             return None
-        points = points * self.units.length
-        return Mesh(points, np.asarray(triangles, np.int64), is_closed)
+        indices = np.asarray(triangles, np.int64)
+        return Mesh(points * self.units.length, indices, is_closed)
 
     def _height_field(self, location: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh of a height field from a file; None with faults."""
-        message = "a height field needs heights, such as hill.npz"
+        message = "a height field needs heights, such as hill"
         heights = self._named_array(location, values, "heights", message)
         if heights is not None:
             heights = heights * self.units.length
-        other_options = {
-            key: value for key, value in values.items() if key != "heights"
-        }
-        field = self.record(location, HeightField, other_options, "height_field")
+        options = {key: value for key, value in values.items() if key != "heights"}
+        field = self.record(location, HeightField, options, "height_field")
         if heights is None or field is None:
             return None
         faults = [("size", reason) for reason in field.faults()]
@@ -378,12 +355,15 @@ class EntryReader:
     def _named_array(
         self, location: Location, values: dict[str, Any], key: str, missing_message: str
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that a required option names; None with a fault."""
+        """Return the array that a required option names; None with a fault.
+
+        ``missing_message`` ends in the stem of an example file.
+        """
         text = values.get(key)
         if isinstance(text, str):
             return self.array((*location, key), text, key)
         key_location = (*location, key) if key in values else location
-        self.note(key_location, Fault("SCN002", f"{missing_message}#{key}"))
+        self.note(key_location, Fault("SCN002", f"{missing_message}.npz#{key}"))
         return None
 
     def array(
@@ -393,9 +373,8 @@ class EntryReader:
 
         ``default`` is the array's name if the text has none; None uses the key.
         """
-        name, key = split_reference(
-            text, str(location[-1]) if default is None else default
-        )
+        default = str(location[-1]) if default is None else default
+        name, key = split_reference(text, default)
         path = self.input(location, name)
         if path is None:
             return None
@@ -423,10 +402,8 @@ class EntryReader:
 
     def output(self, location: Location, name: str) -> None:
         """Record a fault if a file cannot be written."""
-        path = resolve_reference(
-            self.document, location, name, self.roots, is_output=True
-        )
-        self.sound &= path is not None
+        reference = (self.document, location, name, self.roots)
+        self.sound &= resolve_reference(*reference, is_output=True) is not None
 
 
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:

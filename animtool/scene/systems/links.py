@@ -47,9 +47,8 @@ def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[i
     for earlier_group in reversed(groups[: groups.index(list(group))]):
         if any(systems[i].name in needed_names for i in earlier_group):
             system_indices += earlier_group
-            needed_names |= {
-                name for i in earlier_group for name, _ in systems[i].setup.around.needs
-            }
+            for i in earlier_group:
+                needed_names |= {name for name, _ in systems[i].setup.around.needs}
     return sorted(system_indices)
 
 
@@ -59,12 +58,10 @@ def with_dependencies(
     """Return the requested systems with all systems that they are joined to or need."""
     ordered_groups, included_indices = simulation_order(systems), {*requested}
     while True:
-        groups = [
-            group for group in ordered_groups if not included_indices.isdisjoint(group)
-        ]
-        needed_indices = {
-            i for group in groups for i in (*group, *dependencies(systems, group))
-        }
+        needed_indices: set[int] = set()
+        for group in ordered_groups:
+            if not included_indices.isdisjoint(group):
+                needed_indices |= {*group, *dependencies(systems, group)}
         names = {systems[i].name for i in needed_indices}
         # A system that pushes another one moves it.
         needed_indices |= {
@@ -87,22 +84,16 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
     for i, system in enumerate(systems):
         joined_names = {name for name, _ in system.setup.joined}
         joined_indices = [
-            other_index
-            for other_index, other_system in enumerate(systems)
-            if other_system.name in joined_names
+            k for k, other in enumerate(systems) if other.name in joined_names
         ]
-        joined_indices += [
-            tied_first.setdefault(name, i) for name in system.setup.around.carriers
-        ]
-        for other_index in joined_indices:
-            old_group = max(group_of[i], group_of[other_index])
-            new_group = min(group_of[i], group_of[other_index])
-            group_of = [
-                new_group if member == old_group else member for member in group_of
-            ]
+        carriers = system.setup.around.carriers
+        joined_indices += [tied_first.setdefault(name, i) for name in carriers]
+        for k in joined_indices:
+            new_group, old_group = sorted((group_of[i], group_of[k]))
+            group_of = [new_group if g == old_group else g for g in group_of]
     return [
-        [i for i, member in enumerate(group_of) if member == smallest_member]
-        for smallest_member in sorted(set(group_of))
+        [i for i, group in enumerate(group_of) if group == number]
+        for number in sorted(set(group_of))
     ]
 
 
@@ -110,25 +101,19 @@ def check_links(
     document: Document, systems: Sequence[SceneSystem], names: Sequence[str]
 ) -> None:
     """Record unknown system names and invalid joins."""
-    valid_systems = len(systems) == len(names)
+    valid = len(systems) == len(names)
     for system in systems:
-        setup = system.setup
+        setup, scene = system.setup, (document, system, systems, names)
         for name, location in setup.joined:
-            valid_systems &= _check_name(
-                document, system, systems, names, name, location, "weldable"
-            )
+            valid &= _check_name(*scene, name, location, "weldable")
         for name, location in setup.around.needs:
-            valid_systems &= _check_name(
-                document, system, systems, names, name, location, "surface"
-            )
-        for name, location in setup.around.pushes if valid_systems else ():
-            valid_systems &= _check_name(
-                document, system, systems, names, name, location, "rigid"
-            )
-        for tie in setup.around.tied if valid_systems else ():
-            valid_systems &= _check_body(document, system, systems, *tie)
-    valid_systems = valid_systems and _check_cycles(document, systems)
-    for group in simulation_order(systems) if valid_systems else ():
+            valid &= _check_name(*scene, name, location, "surface")
+        for name, location in setup.around.pushes if valid else ():
+            valid &= _check_name(*scene, name, location, "rigid")
+        for tie in setup.around.tied if valid else ():
+            valid &= _check_body(document, system, systems, *tie)
+    valid = valid and _check_cycles(document, systems)
+    for group in simulation_order(systems) if valid else ():
         if len(group) > 1:
             _check_joined(document, [systems[i] for i in group])
 
@@ -144,21 +129,18 @@ def check_colliders(
         location = parse_location(entry.location.where)
         for i, character in enumerate(getattr(entry.options, "characters", ())):
             if character.source:
-                message = (
-                    "what is attached to the character of this scene always collides "
-                    "with it"
-                )
+                key = (*location, "characters", i, "source")
+                message = "what is attached to the character of this scene always "
+                message += "collides with it"
                 hint = "set how with `capsules` and `skin`, and remove the entry"
-                document.add(
-                    "SIM183", (*location, "characters", i, "source"), message, hint
-                )
-        for i, character in enumerate(getattr(entry.options, "systems", ())):
-            if not isinstance(character, SystemSurfaceModel):
+                document.add("SIM183", key, message, hint)
+        for i, surface in enumerate(getattr(entry.options, "systems", ())):
+            if not isinstance(surface, SystemSurfaceModel):
                 continue
             key_location = (*location, "systems", i)
-            name, name_location = character.system, (*key_location, "system")
-            _check_name(document, None, systems, names, name, name_location, "surface")
-            if character.two_way:
+            link = (surface.system, (*key_location, "system"), "surface")
+            _check_name(document, None, systems, names, *link)
+            if surface.two_way:
                 message = "what a pass simulates does not push bodies of systems"
                 hint = "remove two_way, or simulate it as a system"
                 document.add("SIM184", (*key_location, "two_way"), message, hint)
@@ -173,19 +155,16 @@ def _check_body(
     key_text: str,
 ) -> bool:
     """Record a fault if a rigid system lacks a body (SIM162)."""
-    specs: list[Any] = [
-        candidate.setup.spec for candidate in systems if candidate.name == name
-    ]
+    specs: list[Any] = [each.setup.spec for each in systems if each.name == name]
     if not specs or specs[0].stages:
         return True
     body_names = [model.name for model in specs[0].bodies]
     if body in body_names or body.rpartition("[")[0] in body_names:
         return True
+    location = (*system.setup.location, *parse_location(key_text))
     message = f"unknown body {body!r} of {name!r}"
     hint = nearest(body, body_names) or f"it has {listed(body_names, 12)}"
-    document.add(
-        "SIM162", (*system.setup.location, *parse_location(key_text)), message, hint
-    )
+    document.add("SIM162", location, message, hint)
     return False
 
 
@@ -222,16 +201,13 @@ def _check_cycles(document: Document, systems: Sequence[SceneSystem]) -> bool:
     except CycleError as error:
         groups = joined_groups(systems)
         members = {systems[i].name for k in error.args[1] for i in groups[k]}
-        for system in systems:
-            for name, location in (
-                system.setup.around.needs if system.name in members else ()
-            ):
-                if name in members:
-                    message = f"{listed(sorted(members))} collide with each other in a "
-                    message += "circle"
-                    hint = "remove the collision that matters less"
-                    document.add("SCN063", location, message, hint)
-                    return False
+        needs = [s.setup.around.needs for s in systems if s.name in members]
+        locations = (loc for links in needs for name, loc in links if name in members)
+        message = f"{listed(sorted(members))} collide with each other in a circle"
+        hint = "remove the collision that matters less"
+        for location in locations:
+            document.add("SCN063", location, message, hint)
+            return False
     return True
 
 
@@ -245,10 +221,11 @@ def check_names(
     known_names = sorted({*names})
     for i, name in enumerate(requested_names):
         if name not in names:
-            hint = nearest(name, known_names) or f"the scene has {listed(known_names)}"
-            hint = hint if known_names else "the scene has no systems"
-            message = f"unknown system {name!r}"
-            document.add("SCN063", (*location, i), message, hint)
+            hint = "the scene has no systems"
+            if known_names:
+                hint = nearest(name, known_names)
+                hint = hint or f"the scene has {listed(known_names)}"
+            document.add("SCN063", (*location, i), f"unknown system {name!r}", hint)
 
 
 def _check_name(
@@ -261,39 +238,25 @@ def _check_name(
     capability: str,
 ) -> bool:
     """Record a fault unless a name is that of a suitable other system."""
-    self_name = None if system is None else system.name
-    matching_systems = [
-        other_system for other_system in systems if other_system.name == name
+    own_name = None if system is None else system.name
+    kind = next((other.kind for other in systems if other.name == name), None)
+    suitable_kinds = [
+        k for k, entry in SYSTEM_KINDS.items() if getattr(entry, capability)
     ]
     message, hint = "", None
     if name not in names:
-        selectable_names = sorted({*names} - {self_name})
+        other_names = sorted({*names} - {own_name})
         message = f"unknown system {name!r}"
-        hint = (
-            nearest(name, selectable_names)
-            or f"the scene has {listed(selectable_names)}"
-        )
-        no_system_hint = (
-            "there is no other" if self_name else "the scene has no systems"
-        )
-        hint = hint if selectable_names else no_system_hint
-    elif list(names).count(name) > 1:
-        message = f"{list(names).count(name)} systems are named {name!r}"
+        hint = "there is no other" if own_name else "the scene has no systems"
+        if other_names:
+            hint = nearest(name, other_names) or f"the scene has {listed(other_names)}"
+    elif (count := list(names).count(name)) > 1:
+        message = f"{count} systems are named {name!r}"
         hint = "give each a unique name"
-    elif name == self_name:
+    elif name == own_name:
         message = f"{name!r} is the system itself"
-    elif matching_systems and not getattr(
-        SYSTEM_KINDS[matching_systems[0].kind], capability
-    ):
-        suitable_kinds = [
-            kind
-            for kind, system_kind in SYSTEM_KINDS.items()
-            if getattr(system_kind, capability)
-        ]
-        message = (
-            f"{name!r} is of kind {matching_systems[0].kind}, "
-            f"not {' or '.join(suitable_kinds)}"
-        )
+    elif kind is not None and kind not in suitable_kinds:
+        message = f"{name!r} is of kind {kind}, not {' or '.join(suitable_kinds)}"
     if message:
         document.add("SCN063", location, message, hint)
     return not message

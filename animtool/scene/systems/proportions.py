@@ -47,18 +47,16 @@ def placement_warnings(
     rig (SIM169). ``main_rig`` is the rig of the scene's own character; every system is
     compared with it.
     """
-    character_motions = CharacterMotions()
+    first_frames = CharacterMotions()
     faults = []
     for system in systems:
         length_unit = system.unit or LengthUnit.M
         warnings: list[Fault] = []
-        for pinned_points in getattr(system.setup.record, "pinned_points", ()):
-            if not isinstance(pinned_points.carrier, OnJoint | OnVertex):
-                continue
-            path = pinned_points.carrier.file
-            if path not in character_motions.by_path:
-                character_motions.by_path[path] = _first_frame(characters.of(path))
-            warnings += _pin_warnings(pinned_points, character_motions, length_unit)
+        for pin in _character_pins(system):
+            path = pin.carrier.file
+            if path not in first_frames.by_path:
+                first_frames.by_path[path] = _first_frame(characters.of(path))
+            warnings += _pin_warnings(pin, first_frames, length_unit)
         rigs = [characters.of(path).rig for path in _characters(system)]
         rigs = [main_rig, *rigs] if main_rig is not None else rigs
         scale_warnings = (_out_of_scale(system, rig, length_unit) for rig in rigs)
@@ -71,14 +69,14 @@ def placement_warnings(
 def _characters(system: SceneSystem) -> list[Path]:
     """Return the files of the characters that a system depends on."""
     files = [Path(str(character.file)) for character in system.setup.around.characters]
-    pinned = getattr(system.setup.record, "pinned_points", ())
-    carriers = [pinned_entries.carrier for pinned_entries in pinned]
-    files += [
-        character.file
-        for character in carriers
-        if isinstance(character, OnJoint | OnVertex)
-    ]
+    files += [pin.carrier.file for pin in _character_pins(system)]
     return list(dict.fromkeys(files))
+
+
+def _character_pins(system: SceneSystem) -> list[PinnedPoints]:
+    """Return the pinned points of a system that a character carries."""
+    pins = getattr(system.setup.record, "pinned_points", ())
+    return [pin for pin in pins if isinstance(pin.carrier, OnJoint | OnVertex)]
 
 
 def _out_of_scale(
@@ -96,10 +94,9 @@ def _out_of_scale(
         joint_positions = so3.rotate(rotation, joint_positions)
     distance = _bounds_distance(points, joint_positions)
     extent = float(np.ptp(points, axis=0).max())
-    fits_in_rig_unit = (
-        _bounds_distance(points * scale, joint_positions) <= NEAR_RATIO * bounds_size
-    )
-    if not fits_in_rig_unit or extent * scale > FITTING_RATIO * bounds_size:
+    scaled_distance = _bounds_distance(points * scale, joint_positions)
+    is_near = scaled_distance <= NEAR_RATIO * bounds_size
+    if not is_near or extent * scale > FITTING_RATIO * bounds_size:
         return
     if distance > FAR_RATIO * bounds_size:
         description = f"starts {plain_number(distance, 4)} m from the character"
@@ -107,14 +104,11 @@ def _out_of_scale(
         description = f"is {plain_number(extent, 4)} m large"
     else:
         return
-    unit = unit_name(rig.meters_per_unit)
-    counted_name = _UNIT_NAMES[length_unit]
-    message = (
-        f"{system.name} {description}, but the joints of {rig.name!r} span "
-        f"{plain_number(joint_size)} m; systems use {counted_name}, "
-        f"this rig is in {unit}"
-    )
-    hint = _unit_hint(unit) or f"write its lengths in {counted_name}"
+    unit, system_unit = unit_name(rig.meters_per_unit), _UNIT_NAMES[length_unit]
+    message = f"{system.name} {description}, but the joints of {rig.name!r} span "
+    message += f"{plain_number(joint_size)} m; systems use {system_unit}, this rig is "
+    message += f"in {unit}"
+    hint = _unit_hint(unit) or f"write its lengths in {system_unit}"
     yield warning("SIM169", message, hint)
 
 
@@ -144,21 +138,22 @@ def _bounds_distance(points: FloatArray, other_points: FloatArray) -> float:
 
 
 def _first_frame(character: CharacterMotion) -> CharacterMotion:
-    world, first_frame = character.world, slice(0, 1)
+    """Return the first frame of a character in motion."""
+    world = character.world
     return replace(
         character,
-        motion=character.motion.select(first_frame),
-        world=WorldTransforms(world.positions[first_frame], world.linear[first_frame]),
-        times=character.times[first_frame],
+        motion=character.motion.select(slice(0, 1)),
+        world=WorldTransforms(world.positions[:1], world.linear[:1]),
+        times=character.times[:1],
     )
 
 
 def _pin_warnings(
     pinned: PinnedPoints, characters: CharacterMotions, length_unit: LengthUnit
 ) -> Iterator[Fault]:
-    """Yield the warning of a pin that is far from its carrier.
+    """Yield a warning if a pin is far from its carrier.
 
-    length_unit: unit of the system's lengths.
+    ``length_unit`` is that of the system's lengths.
     """
     carrier: OnJoint | OnVertex = pinned.carrier
     rig = characters.of(carrier.file).rig
@@ -173,13 +168,12 @@ def _pin_warnings(
         description = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
     unit = unit_name(rig.meters_per_unit)
     message = (
-        f"the pinned end is {plain_number(distance, 4)} m from {description}, but the "
-        f"joints of {rig.name!r} span {plain_number(joint_size)} m"
+        f"the pinned end is {plain_number(distance, 4)} m from {description}, but "
     )
+    message += f"the joints of {rig.name!r} span {plain_number(joint_size)} m"
     hint = "place it near its pin, or give the pin an offset"
     if unit != length_unit:
-        counted_name = _UNIT_NAMES[length_unit]
-        message += f"; systems use {counted_name}, this rig is in {unit}"
+        message += f"; systems use {_UNIT_NAMES[length_unit]}, this rig is in {unit}"
         hint = "; or ".join(filter(None, [_unit_hint(unit), "place it near its pin"]))
     yield warning("SIM168", message, hint, pinned.where)
 
@@ -193,11 +187,7 @@ def _unit_hint(unit: str) -> str:
 
 def _sizes(rig: Rig) -> tuple[float, float]:
     """Return the longest extent of the resting joints, without and with meshes [m]."""
-    points = rest_world(rig).positions[0]
-    spans = [float(np.ptp(points, axis=0).max())]
-    spans += [
-        float(np.ptp(mesh.points, axis=0).max())
-        for mesh in surfaces_of(rig)
-        if len(mesh.points)
-    ]
-    return spans[0], max(spans)
+    point_sets = [rest_world(rig).positions[0]]
+    point_sets += [mesh.points for mesh in surfaces_of(rig) if len(mesh.points)]
+    extents = [float(np.ptp(points, axis=0).max()) for points in point_sets]
+    return extents[0], max(extents)

@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, FormatError, Severity, ToleranceError, excerpt
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    Severity,
+    ToleranceError,
+    excerpt,
+    warning,
+)
 from animtool.core.quantities import plain_number
 from animtool.core.units import UpAxis, up_from_up
 from animtool.rig.skeleton import Rig
@@ -44,30 +51,24 @@ def last_states(
     character: CharacterMotion | None = None,
     progress: Progress = None,
 ) -> Mapping[int, Any]:
-    """Return the final states of the requested systems, by index.
+    """Return the states of requested systems at the last of ``times`` [s], by index.
 
     The topology of a tearing mesh is constant: it has all its points from the first
     frame on. Therefore the final tears must be known before anything is written. Only
     the requested systems and their dependencies are simulated.
-
-    ``times`` [s].
     """
     system_indices = with_dependencies(systems, requested)
-    running_systems = open_systems(
-        [systems[i] for i in system_indices], times[-1], character
-    )
-    final_runs = {
-        i: system_run
-        for i, system_run in zip(system_indices, running_systems, strict=True)
-        if i in requested
-    }
+    simulated_systems = [systems[i] for i in system_indices]
+    running_systems = open_systems(simulated_systems, times[-1], character)
+    entry_runs = zip(system_indices, running_systems, strict=True)
+    runs = {i: entry_run.run for i, entry_run in entry_runs if i in requested}
     for k, t in enumerate(times):
-        for i, system_run in final_runs.items():
+        for i, run in runs.items():
             with located_systems([systems[i]]):
-                system_run.run.sample(t)
+                run.sample(t)
         if progress is not None:
             progress((k + 1) / len(times))
-    return {i: system_run.run.state.state for i, system_run in final_runs.items()}
+    return {i: run.state.state for i, run in runs.items()}
 
 
 # Maximum number of steps of a system, from its pre-roll to the last frame; more would
@@ -99,7 +100,10 @@ class SystemRun:
         progress: Progress = None,
         main_rig: Rig | None = None,
     ) -> None:
-        """Build the systems: ``last`` [s]; ``main_rig`` is the scene's rig."""
+        """Build the systems, whose last frame is at ``last`` [s].
+
+        ``main_rig`` is the rig of the scene's own character.
+        """
         _check_steps(systems, last)
         self.systems = systems
         self.seconds = [0.0] * len(systems)
@@ -141,28 +145,24 @@ class SystemRun:
 
         return SystemProgress(self._phases, TimeProgress(report_preroll, last))
 
+    def _begin_phase(self, *, is_last: bool = False) -> Progress:
+        """Begin a phase of the progress; return its callback, None if not shown."""
+        phases = self._phases
+        return None if phases is None else phases.phase(is_last=is_last)
+
     @property
     def notices(self) -> list[Fault]:
         """Warnings collected so far, each located at its system."""
-        duplicates = duplicate_prims([self.systems[i] for i in self.written])
-        return (
-            duplicates
-            + self._warnings
-            + [
-                system.location.locate(notice)
-                for system, entry_run in zip(
-                    self.systems, self._entry_runs, strict=True
-                )
-                for notice in entry_run.notices
-            ]
-        )
+        notices = duplicate_prims([self.systems[i] for i in self.written])
+        notices += self._warnings
+        for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
+            notices += map(system.location.locate, entry_run.notices)
+        return notices
 
     @property
     def simulated(self) -> list[dict[str, object]]:
         """Reports of the systems as plain values."""
-        return [
-            report for entry_run in self._entry_runs if (report := entry_run.report())
-        ]
+        return list(filter(None, (entry.report() for entry in self._entry_runs)))
 
     def rows(
         self,
@@ -180,25 +180,18 @@ class SystemRun:
         times = [float((code - first) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
         self._run_tear_pre_pass(times)
-        show_progress = (
-            None if self._phases is None else self._phases.phase(is_last=True)
-        )
+        show_progress = self._begin_phase(is_last=True)
         self._frames = show_progress
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
             try:
                 row = [self._row(i, t) for i in self.written]
             except ToleranceError as error:
+                faults = self._faults_with_frame(code, error)
                 if not (k and keep_stopped):
-                    raise ToleranceError(
-                        self._faults_with_frame(code, error)
-                    ) from error
-                kept_frames = (
-                    f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
-                )
-                kept_note = Fault("SIM193", kept_frames, severity=Severity.NOTE)
-                self.stopped = ToleranceError(
-                    [*self._faults_with_frame(code, error), kept_note]
-                )
+                    raise ToleranceError(faults) from error
+                kept = f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
+                note = Fault("SIM193", kept, severity=Severity.NOTE)
+                self.stopped = ToleranceError([*faults, note])
                 break
             yield float(code), row
             self.done = k + 1
@@ -215,10 +208,8 @@ class SystemRun:
         for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
             run = entry_run.run
             resume_time = run.step_time(run.state.steps)
-            if (
-                run.state.steps
-                and times[0] < resume_time - STEP_TOLERANCE * run.step_length
-            ):
+            tolerance = STEP_TOLERANCE * run.step_length
+            if run.state.steps and times[0] < resume_time - tolerance:
                 frame = float(codes[0]) + (resume_time - times[0]) * float(fps)
                 reason = _between_frames_text(frame, run.step_length, fps)
                 message = f"its state is from frame {frame:g}, but {reason}and frame "
@@ -234,52 +225,42 @@ class SystemRun:
         for i, save_code in self._save_codes.items():
             code = self._saved_states[i][0] if i in self._saved_states else None
             if save_code is not None and code != save_code:
-                saved_text = (
-                    "nothing" if code is None else f"the state of frame {code:g}"
-                )
-                message = (
-                    f"save_at is {save_code:g}, which is not a frame: "
-                    f"{saved_text} is saved"
-                )
-                location = self.systems[i].location
+                saved = "nothing" if code is None else f"the state of frame {code:g}"
+                message = f"save_at is {save_code:g}, which is not a frame: {saved} is "
+                message += "saved"
                 hint = "use one of the frames that are written"
-                fault = location.fault("SIM185", message, hint, Severity.WARNING)
-                self._warnings.append(fault)
+                notice = warning("SIM185", message, hint)
+                self._warnings.append(self.systems[i].location.locate(notice))
 
     def _run_tear_pre_pass(self, times: Sequence[float]) -> None:
         """Simulate tearing systems once and give them their final states."""
         runs = {i: self._entry_runs[i].run for i in self.written}
-        tearing_systems = {
-            i: run
+        tearing = {
+            i: simulation
             for i, run in runs.items()
-            if isinstance(run.simulation, NeedsFinalState)
-            and run.simulation.needs_final_state
+            if isinstance(simulation := run.simulation, NeedsFinalState)
+            and simulation.needs_final_state
         }
-        if not tearing_systems:
+        if not tearing:
             return
         start_time = time.perf_counter()
-        phase_progress = None if self._phases is None else self._phases.phase()
-        final_states = last_states(
-            self.systems, list(tearing_systems), times, self._character, phase_progress
-        )
-        for i, run in tearing_systems.items():
-            run.simulation.set_final_state(final_states[i])
-        self.seconds[min(tearing_systems)] += time.perf_counter() - start_time
+        settings = (times, self._character, self._begin_phase())
+        states = last_states(self.systems, list(tearing), *settings)
+        for i, simulation in tearing.items():
+            simulation.set_final_state(states[i])
+        self.seconds[min(tearing)] += time.perf_counter() - start_time
 
     def _faults_with_frame(self, code: Fraction, error: ToleranceError) -> list[Fault]:
         """Return the faults of a stopped system; the last names the frame."""
         *other_faults, last_fault = error.faults
         message = last_fault.message + f", before frame {float(code):g}"
         hints = [last_fault.hint] if last_fault.hint else []
+        key = last_fault.where
         for system in self.systems if last_fault.code == "SIM102" else ():
-            if last_fault.where is not None and last_fault.where.startswith(
-                system.location.where
-            ):
+            if key is not None and key.startswith(system.location.where):
                 hints += _unusual_number_hint(system)
-        return [
-            *other_faults,
-            replace(last_fault, message=message, hint=", ".join(hints) or None),
-        ]
+        hint = ", ".join(hints) or None
+        return [*other_faults, replace(last_fault, message=message, hint=hint)]
 
     def _record_states(self, code: Fraction) -> None:
         """Record the states to save at a time code."""
@@ -288,10 +269,8 @@ class SystemRun:
             self._entry_runs[i].run.apply_pushes()
         for i, save_code in self._save_codes.items():
             if save_code is None or code <= save_code:
-                self._saved_states[i] = (
-                    float(code),
-                    self._entry_runs[i].run.apply_pushes(),
-                )
+                state = self._entry_runs[i].run.apply_pushes()
+                self._saved_states[i] = float(code), state
 
     def save_states(self, folder: Path) -> None:
         """Write the states to save into the scene's folder."""
@@ -301,6 +280,7 @@ class SystemRun:
                 write_states(folder / name, {"": (state_clock(system, run), state)})
 
     def _row(self, i: int, t: float) -> Any:
+        """Return the frame of a system at a time [s]."""
         start_time = time.perf_counter()
         with located_systems([self.systems[i]]):
             frame = self._entry_runs[i].at(t)
@@ -317,18 +297,13 @@ class SystemRun:
 
     def reports(self, meshes: Sequence[CachedMesh], scene: str) -> list[MeshReport]:
         """Return the report of each written system."""
-        return [
-            MeshReport(
-                self.systems[i].name,
-                prim,
-                self.seconds[i],
-                prim.samples,
-                self.systems[i].kind,
-                True,
-                scene,
+        reports = []
+        for i, prim in zip(self.written, meshes, strict=True):
+            system, size = self.systems[i], (self.seconds[i], prim.samples)
+            reports.append(
+                MeshReport(system.name, prim, *size, system.kind, True, scene)
             )
-            for i, prim in zip(self.written, meshes, strict=True)
-        ]
+        return reports
 
 
 def _unusual_number_hint(system: SceneSystem) -> list[str]:
@@ -338,19 +313,16 @@ def _unusual_number_hint(system: SceneSystem) -> list[str]:
     exponents = [
         (abs(math.log10(size)), name, size) for name, size in sizes if size > 0
     ]
-    most_unusual, name, size = max(exponents, default=(0.0, "", 0.0))
-    return (
-        [f"check the unit of {name}: {size:g}"] if most_unusual > MAX_EXPONENT else []
-    )
+    exponent, name, size = max(exponents, default=(0.0, "", 0.0))
+    return [f"check the unit of {name}: {size:g}"] if exponent > MAX_EXPONENT else []
 
 
 def _number_sizes(node: Any, key_path: str) -> Iterator[tuple[str, float]]:
     """Yield the magnitude of each number, vector and array extent, with its key."""
     if isinstance(node, Mapping):
         for key, value in node.items():
-            yield from _number_sizes(
-                value, f"{key_path}.{key}" if key_path else str(key)
-            )
+            inner_path = f"{key_path}.{key}" if key_path else str(key)
+            yield from _number_sizes(value, inner_path)
     elif isinstance(node, float):
         yield key_path, abs(node)
     elif isinstance(node, np.ndarray) and node.size and node.dtype.kind == "f":
@@ -369,10 +341,8 @@ def _between_frames_text(frame: float, step_length: float, fps: Fraction) -> str
     """Return the reason why a state is between frames; empty if it is on a frame."""
     if abs(frame - round(frame)) < 1e-6 or step_length * float(fps) > 1:
         return ""
-    return (
-        f"the end of its last step before frame {math.ceil(frame)} (of "
-        f"{step_length:.4g} s, which does not divide a frame), "
-    )
+    step = f"{step_length:.4g} s, which does not divide a frame"
+    return f"the end of its last step before frame {math.ceil(frame)} (of {step}), "
 
 
 def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
@@ -384,8 +354,8 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
         if seconds / step > MAX_STEPS:
             message = (
                 f"{plain_number(seconds)} s in steps of {plain_number(step)} s are "
-                f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             )
+            message += f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             hint = "use longer steps, a shorter pre-roll or fewer frames"
             faults.append(system.location.fault("SCN091", message, hint))
     if faults:
@@ -418,10 +388,8 @@ def duplicate_prims(systems: Sequence[SceneSystem]) -> list[Fault]:
         if prim != legal_name(system.name):
             message = f"another system is already named {excerpt(system.name)}: its "
             message += f"prim is {excerpt(prim)}"
-            hint = "give each a unique name"
-            faults.append(
-                system.location.fault("SCN090", message, hint, Severity.WARNING)
-            )
+            notice = warning("SCN090", message, "give each a unique name")
+            faults.append(system.location.locate(notice))
     return faults
 
 

@@ -39,19 +39,15 @@ def segments_of(
 
     The predecessor is first: ``(F, 2, 3)`` [m]. The system and its dependencies are
     simulated over the frames of the take, which is the scene's own character. The first
-    frame is held for ``lead``.
-
-    ``lead`` [s].
+    frame is held for ``lead`` [s].
     """
     index = _index(systems, name)
     system_indices = with_dependencies(systems, [index])
     character = motion_of(path, take)
     times = character.times + lead
-    running_systems = open_systems(
-        [systems[i] for i in system_indices],
-        float(times[-1]),
-        replace(character, times=times),
-    )
+    character = replace(character, times=times)
+    simulated_systems = [systems[i] for i in system_indices]
+    running_systems = open_systems(simulated_systems, float(times[-1]), character)
     system_run = running_systems[system_indices.index(index)]
     particles = _particles(_view(system_run, name), name, particle)
     segment_rows = []
@@ -93,9 +89,8 @@ def _particles(view: SpringView, name: str, particle: str) -> IntArray:
     """Return the indices of a particle's predecessor and of the particle ``(2,)``."""
     body = view.body
     is_number = particle.strip().removeprefix("-").isdecimal()
-    particles, faults = particle_indices(
-        [int(particle) if is_number else particle], body
-    )
+    names = [int(particle) if is_number else particle]
+    particles, faults = particle_indices(names, body)
     if faults or len(particles) != 1:
         message = f"{name!r} has {len(particles)} particles {particle!r}, not one"
         if faults:

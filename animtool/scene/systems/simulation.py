@@ -77,10 +77,9 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
     """
 
     def attach_location(fault: Fault) -> Fault:
-        candidates = (
-            member for member in members if member.location.nearest_key(fault)
-        )
-        return next(candidates, members[0]).location.locate(fault)
+        locations = [member.location for member in members]
+        with_key = (location for location in locations if location.nearest_key(fault))
+        return next(with_key, locations[0]).locate(fault)
 
     try:
         yield
@@ -118,9 +117,8 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
         t = run.step_time(run.state.steps)
         reason = run.simulation.incompatibility(run.state.state, t)
         if reason:
-            raise OptionError(
-                Fault("SIM035", f"its state does not match: {reason}", str(path))
-            )
+            message = f"its state does not match: {reason}"
+            raise OptionError(Fault("SIM035", message, str(path)))
 
 
 def state_clock(member: SceneSystem, run: SimulationRun) -> StateClock:
@@ -146,9 +144,8 @@ def run_entries(
     start_time = -spec.preroll
     surroundings = Surroundings.of([setup.around for setup in setups])
     colliders = surroundings.build(context.characters, context.built)
-    carriers = {
-        name: context.built[name].body_carriers() for name in surroundings.carriers
-    }
+    names = surroundings.carriers
+    carriers = {name: context.built[name].body_carriers() for name in names}
 
     def poses(carrier: Any) -> Poses:
         if isinstance(carrier, BodyCarrier):
@@ -209,12 +206,8 @@ def build_systems(
     faults: list[Fault] = []
     for group in simulation_order(systems):
         members = [systems[i] for i in group]
-        needed_names = {
-            name
-            for group_member in members
-            for name, _ in group_member.setup.around.needs
-        }
-        if not needed_names <= context.built.keys():
+        needs = [need for member in members for need in member.setup.around.needs]
+        if any(name not in context.built for name, _ in needs):
             continue
         try:
             with located_systems(members):
@@ -223,13 +216,11 @@ def build_systems(
             faults += error.faults
             continue
         runs_by_index |= dict(zip(group, runs, strict=True))
-        member_runs = zip(members, runs, strict=True)
-        context.built |= {
-            member.name: group_member for member, group_member in member_runs
-        }
+        names = [member.name for member in members]
+        context.built |= dict(zip(names, runs, strict=True))
     if faults:
         raise FormatError(list(dict.fromkeys(faults)))
-    return [group_member for _, group_member in sorted(runs_by_index.items())]
+    return [runs_by_index[i] for i in sorted(runs_by_index)]
 
 
 def build_faults(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
@@ -247,14 +238,11 @@ def build_faults(document: Document, systems: Sequence[SceneSystem]) -> list[Fau
         for system in systems
     ]
     # Systems that are simulated together are left out together.
-    groups = [
-        group
-        for group in joined_groups(systems)
-        if all(valid_systems[i] for i in group)
-    ]
-    buildable_systems = [systems[i] for i in sorted(chain.from_iterable(groups))]
+    groups = joined_groups(systems)
+    valid_groups = [group for group in groups if all(valid_systems[i] for i in group)]
+    indices = sorted(chain.from_iterable(valid_groups))
     try:
-        build_systems(buildable_systems, BuildContext(0.0))
+        build_systems([systems[i] for i in indices], BuildContext(0.0))
     except FormatError as error:
         return [fault for fault in error.faults if fault.path == str(document.path)]
     except AnimtoolError:

@@ -49,9 +49,7 @@ def moving_sheet(mesh: MovingMeshModel) -> Sheet:
 class _MeshMotion:
     """Points of a mesh over time, clamped to its first and last sample.
 
-    Args:
-        source: The mesh.
-        frame: Time code at 0 s.
+    ``frame`` is the time code at 0 s; None is that of the first sample.
 
     Raises:
         OptionError: The mesh is invalid at its first frame (SIM051).
@@ -116,24 +114,15 @@ class Surroundings:
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
         """Systems that this one collides with or that carry it, and their locations."""
-        return (
-            *(
-                (surface.system, location)
-                for surface, location in self._collided_systems("system")
-            ),
-            *self._ties,
-        )
+        surfaces = self._collided_systems("system")
+        return (*((surface.system, key) for surface, key in surfaces), *self._ties)
 
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
         """Systems whose bodies this system pushes or pulls, and their locations."""
-        named_surfaces = self._collided_systems("two_way")
-        pushed_names = (
-            (surface.system, location)
-            for surface, location in named_surfaces
-            if surface.two_way
-        )
-        return (*pushed_names, *self._ties)
+        surfaces = self._collided_systems("two_way")
+        pushed = ((surface.system, key) for surface, key in surfaces if surface.two_way)
+        return (*pushed, *self._ties)
 
     @property
     def _ties(self) -> tuple[tuple[str, Location], ...]:
@@ -192,9 +181,7 @@ class Surroundings:
     ) -> Colliders:
         """Read the characters and return all colliders.
 
-        Args:
-            characters: Characters in motion.
-            run_by_name: Runs of the scene's systems, including those it depends on.
+        ``run_by_name`` are the runs of the systems that this one depends on.
         """
         capsules: list[Collider] = []
         skins: list[Sheet] = []
@@ -206,15 +193,13 @@ class Surroundings:
             system_run = run_by_name[surface_entry.system]
             if system_run.is_rigid:
                 material = record_of(Material, surface_entry)
-                coefficients = material.restitution, material.friction
-                is_coupled = surface_entry.two_way
-                bodies.append(
-                    system_run.body_colliders(*coefficients, two_way=is_coupled)
-                )
+                values = (material.restitution, material.friction)
+                two_way = surface_entry.two_way
+                bodies.append(system_run.body_colliders(*values, two_way=two_way))
                 continue
             surface = system_run.surface()
-            values: dict[str, Any] = {"motion": surface, "name": surface_entry.system}
-            values |= {"radius": surface.radius, "closed": surface.closed}
-            sheets.append(record_of(Sheet, surface_entry, **values))
+            sheet: dict[str, Any] = {"motion": surface, "name": surface_entry.system}
+            sheet |= {"radius": surface.radius, "closed": surface.closed}
+            sheets.append(record_of(Sheet, surface_entry, **sheet))
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

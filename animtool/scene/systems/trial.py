@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from animtool.core.errors import Fault, OptionError, ToleranceError
 from animtool.core.plugins import load_object
 from animtool.motion.frames import Frame, PointsFrame, TransformsFrame
 from animtool.scene.file.entries import SceneSystem
-from animtool.scene.systems.character_motion import CharacterMotion
+from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import dependencies, simulation_order
 from animtool.scene.systems.simulation import (
     BuildContext,
@@ -58,26 +59,26 @@ def system_trials(
     times: FloatArray,
     character: CharacterMotion | None = None,
 ) -> list[tuple[list[SceneSystem], Trial]]:
-    """Return the trials of systems, with the systems of each.
-
-    ``times`` ``(F,)`` [s].
-    """
+    """Return the trials of systems at times ``(F,)`` [s], with the systems of each."""
     end_time, characters = float(times[-1]), characters_with(character)
     trials = []
     for group in simulation_order(systems):
         members = [systems[i] for i in group]
         needed_systems = [systems[i] for i in dependencies(systems, group)]
 
-        def rebuild(
-            needed_systems: Sequence[SceneSystem] = needed_systems,
-        ) -> BuildContext:
-            context = BuildContext(end_time, characters)
-            build_systems(needed_systems, context)
-            return context
-
         with located_systems(members):
+            rebuild = partial(_rebuild, needed_systems, end_time, characters)
             trials.append((members, _trial(members, rebuild, times)))
     return trials
+
+
+def _rebuild(
+    systems: Sequence[SceneSystem], last: float, characters: CharacterMotions
+) -> BuildContext:
+    """Return a new context with systems that are built for times up to ``last`` [s]."""
+    context = BuildContext(last, characters)
+    build_systems(systems, context)
+    return context
 
 
 def _trial(
@@ -85,47 +86,42 @@ def _trial(
     rebuild: Callable[[], BuildContext],
     times: FloatArray,
 ) -> Trial:
-    """Return the trial of jointly simulated systems.
+    """Return the trial of jointly simulated systems at times ``(F,)`` [s].
 
-    ``rebuild`` rebuilds their dependencies for each run; ``times`` ``(F,)`` [s].
+    ``rebuild`` rebuilds their dependencies for each run.
     """
     max_points = 0  # maximum number of points in any run so far
     spec = members[0].setup.spec
     if spec.tried:
-        trial_runs = run_entries(members, rebuild())
-        assert isinstance(trial_runs.simulation, Tried)
-        settings_to_try = trial_runs.simulation.trial_settings()
+        simulation = run_entries(members, rebuild()).simulation
+        assert isinstance(simulation, Tried)
+        trial_settings = simulation.trial_settings()
     else:
-        settings_to_try = _trial_settings(spec, members[0].setup.method)
+        trial_settings = _trial_settings(spec, members[0].setup.method)
 
     def run(setting: Setting) -> TrialOutcome:
         nonlocal max_points
-        is_other_method = setting.method != settings_to_try.chosen.method
-        budget = None
+        method, budget = setting.method, None
         if not spec.tried:
-            budget = _evaluation_limit(
-                setting.method, max_points, is_other_method=is_other_method
-            )
-        entry_runs = run_entries(
-            members, rebuild(), settings_to_try.changes(setting), budget
-        )
-        outcome = _outcome(entry_runs, times)
-        max_points = max(
-            [max_points, *(len(shot.points) for shot in outcome.snapshots)]
-        )
+            is_other = method != trial_settings.chosen.method
+            budget = _evaluation_limit(method, max_points, is_other_method=is_other)
+        changes = trial_settings.changes(setting)
+        outcome = _outcome(run_entries(members, rebuild(), changes, budget), times)
+        point_counts = [len(snapshot.points) for snapshot in outcome.snapshots]
+        max_points = max([max_points, *point_counts])
         return outcome
 
     return Trial(
         " + ".join(member.name for member in members),
         " + ".join(dict.fromkeys(member.kind for member in members)),
         float(times[-1]) + max(member.setup.spec.preroll for member in members),
-        settings_to_try.chosen,
-        settings_to_try.settings,
-        settings_to_try.references,
+        trial_settings.chosen,
+        trial_settings.settings,
+        trial_settings.references,
         run,
-        changes=settings_to_try.changes,
+        changes=trial_settings.changes,
         lines=lambda setting: [
-            _scene_text(members[0], settings_to_try.changes(setting))
+            _scene_text(members[0], trial_settings.changes(setting))
         ],
     )
 
@@ -148,23 +144,18 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
 
     def settings() -> list[Setting]:
         """Return the settings to try: each method with several steps or tolerances."""
-        known_settings: list[Setting] = []
-        for method in (
-            INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
-        ):
+        methods = INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
+        result: list[Setting] = []
+        for method in methods:
             if _is_fixed(method):
-                known_settings += step_settings(method, spec.step)
+                result += step_settings(method, spec.step)
                 continue
-            max_steps = (
-                spec.step if method == spec_method else LONG_STEP_RATIO * spec.step
-            )
-            values = rounded_multiples(
-                default if method == spec_method else TOLERANCE, TOLERANCES
-            )
-            known_settings += [
-                Setting.of(method, step=max_steps, tolerance=value) for value in values
-            ]
-        return known_settings
+            max_step, centre = LONG_STEP_RATIO * spec.step, TOLERANCE
+            if method == spec_method:
+                max_step, centre = spec.step, default
+            for value in rounded_multiples(centre, TOLERANCES):
+                result.append(Setting.of(method, step=max_step, tolerance=value))
+        return result
 
     def references() -> list[list[Setting]]:
         """Return reference settings with decreasing steps of the exact method.
@@ -173,13 +164,13 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
         """
         exact_method = spec.exact or spec_method
         step_ratios = [(exact_method, 1.0)]
-        if spec_method != exact_method:
-            step_ratios += [(spec_method, 1.0)] if _is_fixed(spec_method) else []
+        if spec_method != exact_method and _is_fixed(spec_method):
+            step_ratios.append((spec_method, 1.0))
         if spec.exact:
             step_ratios.append((exact_method, FINE_STEP_RATIO))
         return [
-            step_settings(method, fraction * spec.step, REFERENCE_FACTORS)
-            for method, fraction in step_ratios
+            step_settings(method, ratio * spec.step, REFERENCE_FACTORS)
+            for method, ratio in step_ratios
         ]
 
     def changes(setting: Setting) -> dict[str, Any]:
@@ -236,6 +227,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     )
     known_energies = [energy for energy in energies if energy is not None]
     complete = len(known_energies) == len(snapshots) and _has_constant_count(snapshots)
+    stretch = last_diagnostics.stretch
     return TrialOutcome(
         seconds,
         run.steps_taken if last_diagnostics.steps is None else last_diagnostics.steps,
@@ -244,9 +236,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         reason,
         last_diagnostics.stable_step() if stable is None else stable,
         known_energies if complete else None,
-        figures={}
-        if last_diagnostics.stretch is None
-        else {Figure.STRETCH: last_diagnostics.stretch},
+        figures={} if stretch is None else {Figure.STRETCH: stretch},
     )
 
 
@@ -257,8 +247,8 @@ def _is_fixed(method: str) -> bool:
 
 
 def _has_constant_count(snapshots: Sequence[Snapshot]) -> bool:
-    """Return whether all snapshots have the same number of points."""
-    ids = [shot.ids for shot in snapshots if shot.ids is not None]
+    """Return whether all snapshots have the same points, by their ids."""
+    ids = [snapshot.ids for snapshot in snapshots if snapshot.ids is not None]
     return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)
 
 
