@@ -54,17 +54,14 @@ def warn_of_suspect_units(
 ) -> None:
     """Warn of lengths, masses, densities and accelerations in other units (SIM200).
 
-    Args:
-        document: The scene.
-        location: Location of the system or pass.
-        values: Its keys, in metres.
-        unit: Metres in a length of 1 of the scene [m].
+    ``values`` are the keys of a system or pass, in metres; ``unit`` is the length unit
+    of the scene [m].
     """
     if unit < 1 and _warn_of_metres(document, location, values):
         return  # all its lengths are in another unit
     _warn_of_density_and_viscosity(document, location, values)
     _warn_of_ratio(document, location, values)
-    _warn_of_forces(document, location, values)
+    _warn_of_gravity(document, location, values)
     for i, body in enumerate(values.get("bodies") or ()):
         _warn_of_body(document, (*location, "bodies", i), body)
     is_rope = values.get("start") and values.get("end")
@@ -146,22 +143,17 @@ def _warn_of_ratio(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
     """Warn of a damping ratio that seems to be in percent (SIM200)."""
-    families = {
-        name: family_values
-        for name, family_values in (values.get("springs") or {}).items()
-        if family_values
-    }
-    for key, family in {"": values, **families}.items():
-        ratio = family.get("ratio")
+    families = {"": values, **(values.get("springs") or {})}
+    for key, family in families.items():
+        ratio = (family or {}).get("ratio")
         if isinstance(ratio, int | float) and ratio > MAX_DAMPING_RATIO:
             message = f"ratio {ratio:g} is {ratio:g} times critical damping"
-            hint = percent_hint(ratio)
-            inner = ("springs", key) if key else ()
-            document.warn("SIM200", (*location, *inner, "ratio"), message, hint)
+            inner = ("springs", key, "ratio") if key else ("ratio",)
+            document.warn("SIM200", (*location, *inner), message, percent_hint(ratio))
             return
 
 
-def _warn_of_forces(
+def _warn_of_gravity(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
     """Warn if the gravity of a pass points up or is in cm/s² (SIM200)."""
@@ -182,9 +174,8 @@ def _warn_of_rope(
     length, mass = math.dist(values["start"], values["end"]), values.get("mass") or 0.0
     if not length > 0:
         return False
-    if length > MAX_ROPE_LENGTH or (
-        length > MAX_CORD_LENGTH and mass < MIN_CABLE_LINE_MASS * length
-    ):
+    is_light = mass < MIN_CABLE_LINE_MASS * length
+    if length > MAX_ROPE_LENGTH or (length > MAX_CORD_LENGTH and is_light):
         message = f"the rope is {length_text(length)} long"
         message += f" and weighs {mass:g} kg" if length <= MAX_ROPE_LENGTH else ""
         hint = "lengths are in metres; for centimetres write "
@@ -192,9 +183,8 @@ def _warn_of_rope(
         document.warn("SIM200", (*location, "to"), message, hint)
         return True
     if mass > MAX_LINE_MASS * length:
-        _warn_of_grams(
-            document, location, mass, f"the rope is {length_text(length)} long"
-        )
+        size = f"the rope is {length_text(length)} long"
+        _warn_of_grams(document, location, mass, size)
     return False
 
 
@@ -256,10 +246,7 @@ def warn_of_radians(
 ) -> None:
     """Warn of limits, cones and fields of view that seem to be in radians (SIM200).
 
-    Args:
-        document: The scene.
-        at: Location of the system.
-        values: Its stated keys, in degrees.
+    ``values`` are the stated keys of the system at a location, in degrees.
     """
     for location, key, angle in _cones(at, values):
         message = f"{key} {angle:g} is a cone of {angle:g}°"
@@ -318,14 +305,11 @@ def _cones(
 
 def _look_like_radians(angles: Sequence[float]) -> bool:
     """Return whether angles [deg] look like radians: simple fractions of pi."""
-    largest = max(map(abs, angles))
-    quarter = math.pi / 2
-    quarters = [round(angle / quarter) * quarter for angle in angles]
-    is_multiple = are_multiples(angles).any() or any(
-        multiple and abs(angle - multiple) < QUARTER_ROUNDING
-        for angle, multiple in zip(angles, quarters, strict=True)
-    )
-    return TIGHT_LIMIT <= largest <= FULL_REVOLUTION and bool(is_multiple)
+    largest, is_multiple = max(map(abs, angles)), bool(are_multiples(angles).any())
+    for angle in angles:
+        multiple = round(angle / (math.pi / 2)) * (math.pi / 2)
+        is_multiple |= multiple != 0 and abs(angle - multiple) < QUARTER_ROUNDING
+    return TIGHT_LIMIT <= largest <= FULL_REVOLUTION and is_multiple
 
 
 def _text(numbers: float | Sequence[float], factor: float) -> str:

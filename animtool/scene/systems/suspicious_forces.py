@@ -44,12 +44,8 @@ def warn_of_forces(
 ) -> None:
     """Warn about gravity, wind and speeds in another unit or axis (SIM200).
 
-    Args:
-        document: The scene.
-        entry_path: Location of the system or pass.
-        values: Its stated keys, in metres.
-        unit: Metres in a length of 1 of the scene [m].
-        volume: Function that returns the volume of a shape [m³].
+    ``values`` are the stated keys of a system or pass, in metres; ``unit`` is the
+    length unit of the scene [m]; ``volume`` returns the volume of a shape [m³].
     """
     for location, gravity in _gravities(entry_path, values):
         problem = _gravity_problem(gravity, unit)
@@ -85,19 +81,16 @@ def _warn_of_cruise(
             message += f"members see {length_text(radius)}, {radius / cruise:.2g} s"
             hint = f"for {cruise:g} km/h write {cruise / KMH:.3g}, or a larger "
             hint += "vision.radius"
-            document.warn(
-                "SIM200", (*entry_path, "species", i, "speed", "cruise"), message, hint
-            )
+            location = (*entry_path, "species", i, "speed", "cruise")
+            document.warn("SIM200", location, message, hint)
             return
 
 
 def _unit_hint(speed: float, unit: float) -> str:
     if unit != 1.0:
         return f"write {speed / unit / 100:g} if it is 100 times too fast"
-    return (
-        f"for {speed:g} cm/s write {speed / 100:g}, or declare 'units: {{length: cm}}' "
-        "in the scene"
-    )
+    hint = f"for {speed:g} cm/s write {speed / 100:g}, or declare "
+    return f"{hint}'units: {{length: cm}}' in the scene"
 
 
 def _gravity_problem(gravity: Sequence[float], unit: float) -> tuple[str, str] | None:
@@ -121,10 +114,8 @@ def _gravity_problem(gravity: Sequence[float], unit: float) -> tuple[str, str] |
         return f"gravity [{gravity_text}] pulls up", f"write {down}"
     if unit < 1 and abs(size / unit / EARTH_GRAVITY - 1) <= EARTH_TOLERANCE:
         message = f"gravity [{gravity_text}] is {size:g} m/s² in the unit of the scene"
-        return (
-            message,
-            f"for Earth's write {EARTH_GRAVITY / unit:g}, or leave the key out",
-        )
+        hint = f"for Earth's write {EARTH_GRAVITY / unit:g}, or leave the key out"
+        return message, hint
     return None
 
 
@@ -139,6 +130,7 @@ def _vector(value: object) -> list[float] | None:
 def _forces(
     location: Location, values: _EntryValues
 ) -> Iterator[tuple[Location, str, _EntryValues]]:
+    """Yield the location, name and options of each force."""
     for i, force in enumerate(values.get("forces") or ()):
         for name, options in force.items():
             yield (*location, "forces", i, name), name, options or {}
@@ -147,6 +139,7 @@ def _forces(
 def _gravities(
     entry_path: Location, values: _EntryValues
 ) -> Iterator[tuple[Location, Sequence[float]]]:
+    """Yield the vector of each gravity, with its location."""
     gravity = _vector(values.get("gravity"))
     if gravity is not None:
         yield (*entry_path, "gravity"), gravity
@@ -159,13 +152,12 @@ def _gravities(
 def _winds(
     entry_path: Location, values: _EntryValues
 ) -> Iterator[tuple[Location, Sequence[float]]]:
+    """Yield the vector of each wind, with its location."""
     wind = values.get("wind")
-    velocity = _vector(wind)
-    if velocity is not None:
+    if (velocity := _vector(wind)) is not None:
         yield (*entry_path, "wind"), velocity
     if isinstance(wind, Mapping):
-        velocity = _vector(wind.get("velocity"))
-        if velocity is not None:
+        if (velocity := _vector(wind.get("velocity"))) is not None:
             yield (*entry_path, "wind", "velocity"), velocity
         for i, row in enumerate(wind.get("gusts") or ()):
             yield (*entry_path, "wind", "gusts", i), row[1:]
@@ -216,12 +208,10 @@ def _warn_of_large_forces(
     for location, name, options in _forces(entry_path, values):
         push, strength = _vector(options.get("push")), options.get("strength")
         if name == "uniform" and push is not None and masses:
-            acceleration = math.hypot(*push) / max(masses)
-            if acceleration > MAX_ACCELERATION:
-                message = (
-                    f"a push of {math.hypot(*push):g} N accelerates particles of "
-                    f"{max(masses):g} kg by {acceleration:g} m/s²"
-                )
+            size, mass = math.hypot(*push), max(masses)
+            if size / mass > MAX_ACCELERATION:
+                message = f"a push of {size:g} N accelerates particles of {mass:g} kg "
+                message += f"by {size / mass:g} m/s²"
                 hint = "use `gravity` for an acceleration, or set the particles' mass"
                 document.warn("SIM200", (*location, "push"), message, hint)
                 return

@@ -30,12 +30,8 @@ def warn_of_weak_gravity(
 ) -> None:
     """Warn of an N-body system whose mutual gravity has no visible effect (SIM200).
 
-    Args:
-        document: The scene.
-        location: Location of the system.
-        spec: Its keys, in metres.
-        parts: Its parsed entries, by key.
-        seconds: Time from the first to the last frame [s].
+    The lengths of its spec are in metres; ``parts`` are its parsed entries, by key, and
+    ``seconds`` is the time from the first to the last frame [s].
     """
     constant = float(spec.gravity_constant)
     mass, distance, acceleration = _strongest_pull(spec, parts)
@@ -46,10 +42,8 @@ def warn_of_weak_gravity(
     if move >= MIN_MOVE * distance:
         return
     message = f"with a constant of {constant:.3g}, masses of {plain_number(mass)} kg "
-    message += (
-        f"in all and distances of {length_text(distance)}, gravity moves bodies by "
-    )
-    message += f"at most {length_text(move)} in {seconds:.3g} s"
+    message += f"in all and distances of {length_text(distance)}, gravity moves bodies "
+    message += f"by at most {length_text(move)} in {seconds:.3g} s"
     # Bodies then move by their distance in about a second.
     fitting = float(f"{2 * distance / acceleration:.0e}")
     hint = f"raise it, such as to gravity_constant: {fitting:g}"

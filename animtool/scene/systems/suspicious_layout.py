@@ -50,16 +50,13 @@ def warn_of_layout(
 ) -> None:
     """Warn of systems in free fall, and of entries that start inside planes.
 
-    Args:
-        document: The scene (SIM200, SIM201, SIM202).
-        systems: Its systems, with lengths in metres.
-        seconds: Time from its first to its last frame; 0 if unknown [s].
+    Lengths of the systems are in metres. ``seconds`` is the time from the first to the
+    last frame; 0 if unknown [s]. The warnings are SIM200, SIM201 and SIM202.
     """
-    used_names = {
-        name
-        for system in systems
-        for name, _ in (*system.setup.around.needs, *system.setup.joined)
-    }
+    used_names: set[str] = set()
+    for system in systems:
+        links = (*system.setup.around.needs, *system.setup.joined)
+        used_names |= {name for name, _ in links}
     for system in systems:
         at = system.setup.location
         spec, around = system.setup.spec, system.setup.around
@@ -119,6 +116,7 @@ def _gravity(forces: Sequence[Mapping[str, Any]]) -> float:
 def _warn_of_fall(
     document: Document, at: Location, system: SceneSystem, fall: float
 ) -> None:
+    """Warn of a system that nothing holds or stops (SIM201); ``fall`` is [m]."""
     pins = hasattr(system.setup.spec, "pins")
     held = "has no pins and nothing to collide with" if pins else "touches nothing"
     message = f"{system.name} {held}: it falls freely, by {length_text(fall)} in the "
@@ -147,11 +145,11 @@ def _warn_of_upright(
     is_slab = size[1] <= SLAB * min(size[0], size[2])
     if not is_slab or abs(thin[1]) > UPRIGHT or len(collider.poses.rows) > 1:
         return
-    offsets = [start.points - pose[:3] for start in starts]
-    if not offsets or any(
-        (np.abs(offset[:, [0, 2]]) > size[[0, 2]] / 2).any() or (offset[:, 1] < 0).any()
-        for offset in offsets
-    ):
+    if not starts:
+        return
+    offsets = np.concatenate([start.points - pose[:3] for start in starts])
+    is_beside = (np.abs(offsets[:, [0, 2]]) > size[[0, 2]] / 2).any()
+    if is_beside or (offsets[:, 1] < 0).any():
         return
     axis = "XYZ"[int(np.argmax(np.abs(thin)))]
     message = "colliders[0] is a slab that stands upright: its rotate turns its thin "
@@ -173,21 +171,16 @@ def _warn_of_planes(
         if not isinstance(collider.shape, Plane):
             continue
         name = repr(collider.name) if collider.name else f"{key}[{c}]"
-        plane = Colliders([collider])
-        depths = [
-            -float(plane.sample(start.points, 0.0).distances.max()) for start in starts
-        ]
-        deep = [
-            (depth, start)
-            for depth, start in zip(depths, starts, strict=True)
-            if depth > start.reach + MIN_DEPTH
-        ]
+        plane, deep = Colliders([collider]), []
+        for start in starts:
+            depth = -float(plane.sample(start.points, 0.0).distances.max())
+            if depth > start.reach + MIN_DEPTH:
+                deep.append((depth, start))
         if not deep:
             continue
         depth, start = max(deep, key=lambda entry: entry[0])
-        normal = so3.rotate(
-            collider.poses.rows[0, 3:], np.asarray(collider.shape.normal, np.float64)
-        )
+        normal = np.asarray(collider.shape.normal, np.float64)
+        normal = so3.rotate(collider.poses.rows[0, 3:], normal)
         is_down = normal[1] < -0.9 * np.linalg.norm(normal) and not collider.container
         if is_down and len(deep) == len(starts):
             message = f"the normal of {name} points down: everything above the plane "
@@ -283,8 +276,8 @@ def _starts(kind: str, at: Location, spec: Any) -> Iterator[_Start]:
                 if entry.prim or getattr(entry, "points", None):
                     continue
                 if kind == "fluid" and key == "emitters":
-                    shape = {"disc": {"radius": max([entry.radius or 0.0, *(
-                        entry.size or ())])}}  # fmt: skip
+                    radius = max([entry.radius or 0.0, *(entry.size or ())])
+                    shape = {"disc": {"radius": radius}}
                 label = repr(entry.name) if entry.name else f"{name} {i}"
                 reach, where = _reach(shape or {}), (*at, key, i, "at")
                 points = np.zeros((1, 3))

@@ -53,11 +53,7 @@ def warn_of_times(
 ) -> None:
     """Warn of durations and times that seem to be in frames (SIM200).
 
-    Args:
-        document: The scene.
-        at: Location of the system.
-        values: Its stated keys.
-        times: Frames of the scene.
+    ``values`` are the stated keys of the system at a location.
     """
     _warn_of_durations(document, at, values, times)
     if times.frames is None:
