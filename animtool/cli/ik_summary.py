@@ -54,8 +54,9 @@ SOLVE_TEMPLATE = Template(
         "[  at their limits: {solved.limit_counts:limits | list 8}]",
         "[  written: {outputs:join}]",
         Each("channels:channels", ("    {self}",)),
-        "[{?moved}  goals and joints have solved frames {solved.take.clock.span}; "
-        "frame {solved.take.clock.start:frame} is written as {span.first:frame}]",
+        "[{?is_renumbered}  goals and joints have solved frames "
+        "{solved.take.clock.span}; frame {solved.take.clock.start:frame} is written as "
+        "{span.first:frame}]",
     ),
     {
         "size": _miss_text,

@@ -127,8 +127,8 @@ _TEMPLATE = Template(
     "animtool.scene.solves.face:FaceResult",
     (
         "{job.capture} onto {take.rig.name}: [{fit.weights:n frame}|0 frames], "
-        "{fit.model.names:n landmark}, {moved} of [{fit.model.shapes:n shape}|0 "
-        "shapes] move, {rate:.0f} frames per second",
+        "{fit.model.names:n landmark}, {moving_shape_count} of "
+        "[{fit.model.shapes:n shape}|0 shapes] move, {rate:.0f} frames per second",
         "  landmarks within {fit.rms:residual} RMS; noise {fit.noise:residual} per "
         "axis",
         "[  frames: {fit.status:ends | list}]",

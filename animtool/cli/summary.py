@@ -316,7 +316,7 @@ STATS = Template(
     "animtool.scene.bake.progress:BakeStats",
     (
         Table(
-            "stats",
+            "costs",
             {
                 "stage": "{name}[ ({where})]",
                 "seconds": "{seconds:.3f}",

@@ -20,7 +20,7 @@ from animtool.preview.open_file import OpenFile, TakeToShow
 from animtool.preview.options import PreviewOptions
 from animtool.preview.takes import BufferedMotion
 from animtool.scene.bake.first_frame import frame_start
-from animtool.scene.bake.frames import TakePlan, in_frames
+from animtool.scene.bake.frames import TakePlan, resample_for_output
 from animtool.scene.bake.options import BakeOptions
 
 # Frames of a page.
@@ -70,7 +70,7 @@ def fit_to_page(
     stream = take.stream
     start = Fraction(1)
     if stream.start is not None:
-        start = frame_start(stream.start, stream.fps, fps, on_frame=True)
+        start = frame_start(stream.start, stream.fps, fps, rounds_to_frame=True)
     clip_origin = start
     # A rig at rest fits any frame range and rate.
     is_rig = has_kind_suffix(file.path, "rig")
@@ -91,7 +91,7 @@ def fit_to_page(
         bake = BakeOptions(fps=resampled_rate, frame_range=frame_range)
         faults: list[Fault] = []
         rate = resampled_rate or stream.fps
-        stream = in_frames(
+        stream = resample_for_output(
             TakePlan(file.path, "", stream, None, bake, rate, start, faults)
         )
         # The duration of the take need not be a whole number of frames.

@@ -145,7 +145,7 @@ class Scene:
         faults: list[Fault] = []
         outputs: list[SceneOutput] = []
         for output in self.outputs:
-            bake, with_cut = output.bake, shot
+            bake, placed_shot = output.bake, shot
             if bake.start is not None:
                 message = "the timeline already places the start of the take"
                 hint = "remove start; start_frame in metadata.animtool of the clip "
@@ -155,8 +155,8 @@ class Scene:
                 message = f"fps is {bake.fps}, but the shot has {shot.fps}"
                 faults.append(output.location.fault("SCN073", message, "write ${fps}"))
             if (cut := bake.shot) is not None:
-                with_cut = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
-            bake = replace(bake, shot=with_cut, fps=shot.fps)
+                placed_shot = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
+            bake = replace(bake, shot=placed_shot, fps=shot.fps)
             outputs.append(replace(output, bake=bake))
         if faults:
             raise OptionError(list(dict.fromkeys(faults)))
@@ -200,11 +200,11 @@ class Scene:
         source = self._source()
         props = self._open_props(source)
         with_props = self._with_props(source, props, source.dropped, retimed=True)
-        take, stream = _collect(with_props)
+        take, stream = _collect_stream(with_props)
         yield take, stream
         context = self._context(writes_files=False)
         for entry in self.passes:
-            take, stream = _collect(self._apply_pass(stream, entry, context))
+            take, stream = _collect_stream(self._apply_pass(stream, entry, context))
             yield take, stream
 
     def apply_entry(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
@@ -214,11 +214,11 @@ class Scene:
     def _context(self, *, writes_files: bool) -> PassContext:
         shot = self.bake.shot
         return PassContext(
-            self._take,
+            self._read_take,
             self.path.resolve().parent,
             writes_files=writes_files,
             in_shot=shot is not None and shot.places_media,
-            simulate_segments=self._segments,
+            simulate_segments=self._simulate_segments,
             build_colliders=self._add_colliders,
         )
 
@@ -230,18 +230,20 @@ class Scene:
         add_colliders = cast("Callable[..., tuple[TakeStream, object]]", with_colliders)
         return add_colliders(self.systems, self.path, stream, options, lead)
 
-    def _segments(
+    def _simulate_segments(
         self, take: Take, system: str, particle: str, progress: Progress
     ) -> FloatArray:
         # Loaded by name, since systems open scenes themselves.
         segments = load_object("animtool.scene.systems.segments:segments_of")
-        array = cast("Callable[..., FloatArray]", segments)
+        segments_of = cast("Callable[..., FloatArray]", segments)
         shot, lead = self.bake.shot, 0.0
         if shot is not None and shot.places_media:
             # If a shot begins before its take, the take's first pose is held.
             lead_time = take.clock.start - shot.start
             lead = max(0.0, float(lead_time / take.clock.fps))
-        return array(self.systems, self.path, take, system, particle, progress, lead)
+        return segments_of(
+            self.systems, self.path, take, system, particle, progress, lead
+        )
 
     def _source(self, progress: Progress = None) -> TakeStream:
         """Return the source; the time to read it is charged to the meter."""
@@ -313,7 +315,9 @@ class Scene:
             with_order_hints(self.passes, entry, context.folder),
             entry.location.located(),
         ):
-            stream = self._apply(entry, replace(stream, notices=pass_notices), context)
+            stream = self._apply_with_preroll(
+                entry, replace(stream, notices=pass_notices), context
+            )
         pass_notices += context.notices
         context.notices.clear()
 
@@ -350,7 +354,7 @@ class Scene:
         hint = f"the passes: {numbered_names or 'none'}"
         raise OptionError(Fault("SCN043", message, str(self.path), (), hint))
 
-    def _apply(
+    def _apply_with_preroll(
         self, entry: ScenePass, stream: TakeStream, context: PassContext
     ) -> TakeStream:
         """Return a take with a pass applied, including the preroll the pass needs."""
@@ -405,7 +409,7 @@ class Scene:
             progress=progress,
         )
 
-    def _take(self, path: Path) -> Take:
+    def _read_take(self, path: Path) -> Take:
         return open_source(path, SourceOptions(rig=self.rig)).collect()
 
 
@@ -421,7 +425,7 @@ def _located_blocks(
         on_end()
 
 
-def _collect(stream: TakeStream) -> tuple[Take, TakeStream]:
+def _collect_stream(stream: TakeStream) -> tuple[Take, TakeStream]:
     """Read a stream; return its take, and a stream of that take in one block."""
     take = stream.collect()
     return take, replace(stream, blocks=iter([take.motion]))

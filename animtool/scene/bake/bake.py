@@ -145,17 +145,17 @@ def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
         assert state.report is not None
         refuse_warnings(state.report.notices, strict=plan.options.strict)
     assert state.report is not None
-    author = time.perf_counter() - start_time
+    author_seconds = time.perf_counter() - start_time
     state.write()
-    total, read = time.perf_counter() - start_time, sum(state.read)
+    total_seconds, read_seconds = time.perf_counter() - start_time, sum(state.read)
     if not plan.takes:
         # Frames of an output with systems only are simulated while they are written.
-        author = total - read
-    save = total - author if plan.takes else 0.0
+        author_seconds = total_seconds - read_seconds
+    save_seconds = total_seconds - author_seconds if plan.takes else 0.0
     state.report.seconds |= {
-        "read": read,
-        "author": author,
-        "save": save,
-        "total": total,
+        "read": read_seconds,
+        "author": author_seconds,
+        "save": save_seconds,
+        "total": total_seconds,
     }
     return state.report

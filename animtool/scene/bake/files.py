@@ -28,7 +28,7 @@ from animtool.motion.take import Take
 from animtool.motion.take_files import TakeFiles, WriteOptions
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Pose, Rig
-from animtool.scene.bake.frames import TakePlan, in_frames
+from animtool.scene.bake.frames import TakePlan, resample_for_output
 from animtool.scene.bake.progress import OutputCost
 from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 
@@ -109,14 +109,14 @@ class FilePlan:
         """Resample the take to the output's frames, write it and return the report."""
         path, plan = self.path, self.take
         options, base = plan.options, self.base
-        stream = in_frames(plan)
+        stream = resample_for_output(plan)
         stream.notices = [*stream.notices, *plan.notices]
         take = stream.collect()
         base_take = None
         if base is not None:
             same_suffix = base.suffix.lower() == plan.source.suffix.lower()
             base_take = _base_take(take, base, options.source if same_suffix else None)
-        other_streams = list(map(in_frames, self.others))
+        other_streams = list(map(resample_for_output, self.others))
         write = WriteOptions(
             options.reduce,
             dict(options.reduce_at),

@@ -20,7 +20,11 @@ START_ROUNDING = Fraction(1, 100)
 
 
 def frame_start(
-    start: Fraction, source_fps: Fraction, fps: Fraction, *, on_frame: bool = True
+    start: Fraction,
+    source_fps: Fraction,
+    fps: Fraction,
+    *,
+    rounds_to_frame: bool = True,
 ) -> Fraction:
     """Return the first frame, at another rate, of a take that starts between frames.
 
@@ -30,7 +34,7 @@ def frame_start(
         start: Time code of the first frame.
         source_fps: Time codes a second that it counts.
         fps: Frames a second of the output.
-        on_frame: Whether to round to the nearest integer frame.
+        rounds_to_frame: Whether to round to the nearest integer frame.
 
     >>> frame_start(Fraction(24024, 25), Fraction(24), Fraction(25))
     Fraction(1001, 1)
@@ -41,7 +45,7 @@ def frame_start(
         return start
     first = start * fps / source_fps
     frame = Fraction(round(first))
-    return frame if on_frame or abs(first - frame) <= START_ROUNDING else first
+    return frame if rounds_to_frame or abs(first - frame) <= START_ROUNDING else first
 
 
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:

@@ -36,7 +36,7 @@ from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.first_frame import integer_frames, start_notice
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.sources.away import no_frames_error
+from animtool.scene.sources.shot_errors import no_frames_error
 
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterRecorder
@@ -98,21 +98,21 @@ def sample_take(plan: TakePlan, stream: TakeStream) -> SampledTake:
         return _sample_curve(plan, stream, curve)
     take = stream.collect()
     times = _sample_times(plan, take.clock)
-    rig, interpolation = take.rig, TakeSampler.from_take(take)
+    rig, sampler = take.rig, TakeSampler.from_take(take)
     if options.rest_frame is not None:
-        rig = _with_rest(plan, interpolation, options.rest_frame)
-    plan.notices.extend(_interpolation_notices(plan, interpolation, times))
-    return SampledTake(sample_blocks(interpolation, times), rig, times)
+        rig = _with_rest(plan, sampler, options.rest_frame)
+    plan.notices.extend(_interpolation_notices(plan, sampler, times))
+    return SampledTake(sample_blocks(sampler, times), rig, times)
 
 
 def _interpolation_notices(
-    plan: TakePlan, interpolation: TakeSampler, times: SampleTimes
+    plan: TakePlan, sampler: TakeSampler, times: SampleTimes
 ) -> list[Fault]:
     """Return notices of interpolation errors that no pass has reported before."""
     reported_codes = {notice.code for notice in plan.stream.notices}
     positions = FramePositions(times.frames, times.fractions)
     hint = f"{argument('keep_samples', True)} keeps the frames as is"
-    notices = interpolation_notices(interpolation, positions, hint)
+    notices = interpolation_notices(sampler, positions, hint)
     return [n.in_file(plan.source) for n in notices if n.code not in reported_codes]
 
 
@@ -181,25 +181,25 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     """
     frame_range, source_path = plan.options.frame_range, str(plan.source)
     assert frame_range is not None
-    requested = range(frame_range.first, frame_range.last + 1, frame_range.step)
+    requested_frames = range(frame_range.first, frame_range.last + 1, frame_range.step)
     step = plan.fps / clock.rate
     last = plan.start + (clock.count - 1) * step
     # Played backwards, a frame lasts until the previous one.
     lead_in, lead_out = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
     begin, end = plan.start - lead_in, last + lead_out
-    missing = [
+    missing_frames = [
         frame
-        for frame in requested
+        for frame in requested_frames
         if not begin < frame < end and frame not in {plan.start, last}
     ]
-    if not missing:
+    if not missing_frames:
         return []
     prefix = f"shot {shot.name}: " if shot.name else ""
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
-    if len(missing) == len(requested):
+    if len(missing_frames) == len(requested_frames):
         # After passes that retime the take, its times do not correspond to the media.
         nearest_end = last if shot.speed < 0 else plan.start
-        ends = requested[0], requested[-1]
+        ends = requested_frames[0], requested_frames[-1]
         if shot.places_media and shot.frame_at(0) == nearest_end:
             length = clock.count / clock.rate * abs(shot.speed)
             raise no_frames_error(shot, *ends, length, source_path)
@@ -208,12 +208,14 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
         hint += "; change cut, or start, the number of the take's first frame"
         fault = Fault("SCN042", message, source_path, (), hint, where=cut_key)
         raise OptionError(with_position(fault))
-    cut = [frame for frame in missing if shot.cut_in <= frame <= shot.cut_out]
-    handles = [frame for frame in missing if frame not in cut]
+    cut_frames = [
+        frame for frame in missing_frames if shot.cut_in <= frame <= shot.cut_out
+    ]
+    handle_frames = [frame for frame in missing_frames if frame not in cut_frames]
     notices = []
     for code, description, key, frames in (
-        ("SCN074", "frames of the cut", "cut", cut),
-        ("SCN106", "handle frames", "handles", handles),
+        ("SCN074", "frames of the cut", "cut", cut_frames),
+        ("SCN106", "handle frames", "handles", handle_frames),
     ):
         if frames:
             message = f"{prefix}the take does not have {description} "
@@ -302,16 +304,16 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     return notices
 
 
-def _with_rest(plan: TakePlan, interpolation: TakeSampler, frame: int) -> Rig:
+def _with_rest(plan: TakePlan, sampler: TakeSampler, frame: int) -> Rig:
     """Return the rig with its rest pose replaced by the pose of a frame of the take."""
-    frames, take = FrameRange(frame, frame), interpolation.take
+    frames, take = FrameRange(frame, frame), sampler.take
     try:
         times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
     except OptionError as error:
         last = plan.start + Fraction(take.clock.count - 1) * plan.fps / take.clock.rate
         fault = missing_frames_fault(frames, plan.start, last, name="rest_frame")
         raise OptionError(replace(fault, path=str(plan.source))) from error
-    ((_, pose),) = sample_blocks(interpolation, times)
+    ((_, pose),) = sample_blocks(sampler, times)
     translations, rotations = (values[0].tolist() for values in pose.dense()[:2])
     rest_joints = zip(take.rig.joints, translations, rotations, strict=True)
     joints = tuple(
@@ -336,8 +338,8 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
             channels.append((motion.scales, rest_scales))
         for channel, rest_value in channels:
             is_moving |= (channel.rest != rest_value).any(axis=-1)
-            differs = channel.values != rest_value[channel.animated]
-            is_moving[channel.animated] |= differs.any(axis=(0, 2))
+            differs_from_rest = channel.values != rest_value[channel.animated]
+            is_moving[channel.animated] |= differs_from_rest.any(axis=(0, 2))
     if plan.options.root_motion and rig.roots:
         # The SkelRoot carries it; with several roots the others are relative to it.
         is_moving[rig.roots[0]] = False
@@ -398,7 +400,7 @@ class BakedTake:
             yield codes, motion
 
 
-def in_frames(plan: TakePlan) -> TakeStream:
+def resample_for_output(plan: TakePlan) -> TakeStream:
     """Return a take resampled to the rate, frames and time codes of an output.
 
     Only the options ``fps``, ``frame_range`` and ``shot`` are used. New notices are

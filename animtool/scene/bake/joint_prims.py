@@ -40,16 +40,16 @@ class JointPrims:
         job = _job(plan, rest_rig)
         takes = [_JointTake(run) for run in state.runs]
         with closing(_usd_takes(takes, job)) as usd_takes:
-            authored, result = author(job, usd_takes)
+            authored_layers, result = author(job, usd_takes)
         if plan.form is LayerForm.LIBRARY and plan.target is not None:
             from animtool.usd.takes.library import merge_take
 
-            added_take = (authored.animation, job.paths, plan.takes[0].name)
-            authored.animation = merge_take(plan.target.path, *added_take)
+            added_take = (authored_layers.animation, job.paths, plan.takes[0].name)
+            authored_layers.animation = merge_take(plan.target.path, *added_take)
         notices = [notice for take in plan.takes for notice in take.stream.notices]
         notices += plan.notices + job.names.notices + result.notices
-        state.layer = authored.animation
-        state.files = JointFiles(job, authored, result)
+        state.layer = authored_layers.animation
+        state.files = JointFiles(job, authored_layers, result)
         state.read += [take.seconds["read"] for take in takes]
         written_takes = zip(takes, result.takes, strict=True)
         state.report = plan.report(
@@ -68,12 +68,12 @@ class JointFiles:
     """The authored layers of takes that are written as joints."""
 
     job: UsdJob
-    authored: AuthoredLayers
+    authored_layers: AuthoredLayers
     result: UsdResult
 
     def write(self, save: Save) -> None:
         """Write all layers; the layer that refers to the other layers is last."""
-        write_usd(self.job, self.authored, self.result, save)
+        write_usd(self.job, self.authored_layers, self.result, save)
 
 
 def _job(plan: BakePlan, rest_rig: Rig) -> UsdJob:
@@ -217,8 +217,8 @@ def _reduce_samples(
     thinned = replace(thinned, error=thinned.error * scale)
     if frames is None:
         frames = plan.start, plan.start + step * (len(codes) - 1)
-    kept = thinned.kept_samples
-    return iter([(codes[kept], motion.select(kept))]), thinned, frames
+    kept_samples = thinned.kept_samples
+    return iter([(codes[kept_samples], motion.select(kept_samples))]), thinned, frames
 
 
 def _shape_names(plan: TakePlan) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from animtool.scene.bake.reading import (
     form_of,
     output_files,
     source_set,
-    with_takes,
+    split_takes,
 )
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm, check_path
@@ -103,7 +103,7 @@ class Outline:
         return scenes.get(files[0]) if len(files) == 1 else None
 
     @property
-    def overwriting(self) -> Outline:
+    def with_overwrite(self) -> Outline:
         """A copy that overwrites existing files."""
         outputs = (
             replace(entry, options=replace(entry.options, overwrite=True))
@@ -142,7 +142,7 @@ def create_outline(
     notices = [notice for scene in scenes for notice in scene.notices]
     path = STDOUT if output is None else Path(output)
     if not scenes and path != STDOUT and _holds_all_takes(path, options):
-        sources_to_read = with_takes(sources_to_read, options)
+        sources_to_read = split_takes(sources_to_read, options)
         is_library = form_of(options) is LayerForm.LIBRARY
         if sources_to_read.names and is_library and not path.exists():
             # Several takes make a library by default.
@@ -209,11 +209,13 @@ def check_outline(outline: Outline) -> None:
 
 def duplicate_outputs(outline: Outline) -> list[Fault]:
     """Return faults of scene outputs that are the same file (OUT007)."""
-    owners: dict[str, OutputEntry] = {}
+    entry_by_file: dict[str, OutputEntry] = {}
     faults = []
     for entry in outline.outputs:
         for path in entry.files if len(outline.outputs) > 1 else ():
-            first_entry = owners.setdefault(name_key(output_target(path).final), entry)
+            first_entry = entry_by_file.setdefault(
+                name_key(output_target(path).final), entry
+            )
             if first_entry is not entry and entry.location and first_entry.location:
                 message = f"{str(path)!r} is also written by "
                 message += first_entry.location.where
@@ -237,11 +239,11 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
         check_outputs(entry.files, inputs, overwrite=options.overwrite)
         return
     layer = [options.rig_layer] if options.rig_layer else []
-    library = form_of(options) is LayerForm.LIBRARY
+    is_library = form_of(options) is LayerForm.LIBRARY
     # Baking extends an existing library, or replaces one of its takes.
-    overwrite = options.overwrite or (library and path.exists())
+    overwrite = options.overwrite or (is_library and path.exists())
     check_outputs(entry.files, [*inputs, *layer], overwrite=overwrite)
-    if library and path.exists():
+    if is_library and path.exists():
         from animtool.usd.takes.library import check_can_add_take
 
         name = take_name(options, source)

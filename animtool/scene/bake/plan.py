@@ -88,7 +88,7 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
     source_progress = part_progress(progress, 0, 2) if work_follows else progress
     with protect_inputs(outline.files):
         streams = source_set.open(options, source_progress)
-    notices = [*outline.notices, *source_set.unused]
+    notices = [*outline.notices, *source_set.unused_option_warnings]
     if len(entries) == 1:
         names = source_set.names
         return [_plan_output(source_set.files, streams, entries[0], notices, names)]
@@ -269,9 +269,11 @@ def plan_takes(
     stated_names: names of the takes; empty uses the file names.
     """
     form = form_of(options)
-    library = form is LayerForm.LIBRARY
-    is_added = library and path != STDOUT and path.exists()
-    target = _target(path if is_added else options.rig_layer, options.prim_path)
+    is_library = form is LayerForm.LIBRARY
+    extends_library = is_library and path != STDOUT and path.exists()
+    target = _open_rig_layer(
+        path if extends_library else options.rig_layer, options.prim_path
+    )
     mappings: Sequence[RigJointMap | None]
     if target is None:
         streams = _reorient_to_stage(sources, streams, options, notices)
@@ -282,7 +284,7 @@ def plan_takes(
         message = f"{argument('root_motion', True)} carries the motion of a joint, but "
         message += "there is none"
         raise OptionError(Fault("CLI002", message, str(sources[0])))
-    names = [take_name(options, sources[0]) if library else ""]
+    names = [take_name(options, sources[0]) if is_library else ""]
     if len(sources) > 1:
         from animtool.scene.bake.library import in_joint_order, rate_notice, take_names
 
@@ -313,7 +315,7 @@ def plan_takes(
     return replace(plan, prims=(_take_prims(takes[0], target),))
 
 
-def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
+def _open_rig_layer(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
     """Return the rig of an opened rig layer; None if there is no rig layer."""
     if rig_layer is not None:
         from animtool.usd.rigs.target import open_target
@@ -461,7 +463,9 @@ def start_of(
         if stream.start.denominator == 1:
             return stream.start
         fps = options.fps or (target.fps if target else stream.fps)
-        on_frame = not options.keep_samples
-        return frame_start(stream.start, stream.fps, fps, on_frame=on_frame)
+        rounds_to_frame = not options.keep_samples
+        return frame_start(
+            stream.start, stream.fps, fps, rounds_to_frame=rounds_to_frame
+        )
     configured_start = find_config(source).start
     return Fraction(1) if configured_start is None else configured_start

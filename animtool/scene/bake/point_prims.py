@@ -78,7 +78,7 @@ class PointStream:
             world = mapped_motion.world(character.rig)
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
-                frames = self._frames(mesh, codes, mesh.weights(weights), world)
+                frames = self._deform_frames(mesh, codes, mesh.weights(weights), world)
                 if mesh.name in mapped_motion.points:
                     points = mapped_motion.points[mesh.name]
                     frames = self._displaced_frames(i, frames, codes, points)
@@ -127,7 +127,7 @@ class PointStream:
             start_time = time.perf_counter()
         self.seconds[mesh] += time.perf_counter() - start_time
 
-    def _frames(
+    def _deform_frames(
         self,
         mesh: CharacterMesh,
         codes: FloatArray,
@@ -191,12 +191,12 @@ class PointPrims:
         with closing(prefetch(point_stream.blocks(sampled_take.blocks))) as blocks:
             if plan.options.chunk is None:
                 layer, meshes = author_cache(job, blocks)
-                result = _result(layer, meshes, run)
+                result = _usd_result(layer, meshes, run)
                 state.files = OneFile(layer, plan.output, result)
             else:
                 cache = write_chunks(job, blocks, plan.options.chunk)
                 layer, meshes = cache.layer, cache.reports
-                result = _result(layer, meshes, run)
+                result = _usd_result(layer, meshes, run)
                 state.files = ChunkFiles(cache, result)
         state.layer = layer
         if run.props is not None:
@@ -315,7 +315,7 @@ def _layer_job(
     return job, character.with_meshes(*names), [prim.space for prim in target.prims]
 
 
-def _result(layer: Any, meshes: Sequence[CachedMesh], run: BakedTake) -> UsdResult:
+def _usd_result(layer: Any, meshes: Sequence[CachedMesh], run: BakedTake) -> UsdResult:
     """Return what a layer of point caches contains."""
     span = layer_span(layer)
     worst_mesh = max(meshes, key=lambda mesh: mesh.error)

@@ -118,9 +118,9 @@ class BlockProgress:
     finished block up to the fraction that the source has read.
     """
 
-    def __init__(self, show: Callable[[float], None], passes: int) -> None:
+    def __init__(self, show: Callable[[float], None], pass_count: int) -> None:
         """Start at 0."""
-        self._show, self._passes = show, max(passes, 1)
+        self._show, self._pass_count = show, max(pass_count, 1)
         self._finished_fraction, self._shown, self._read_fraction = 0.0, 0.0, 0.0
         show(0.0)
 
@@ -134,7 +134,7 @@ class BlockProgress:
         def report_fraction(fraction: float) -> None:
             # A source that reports no progress is read as a whole.
             begin, end = self._finished_fraction, self._read_fraction or 1.0
-            pass_fraction = (index + fraction) / self._passes
+            pass_fraction = (index + fraction) / self._pass_count
             self._show_fraction(begin + (end - begin) * pass_fraction)
 
         return report_fraction
@@ -294,7 +294,7 @@ class OutputCost:
 class BakeStats:
     """Costs of all stages and outputs of a bake."""
 
-    stats: list[StageCost | OutputCost]
+    costs: list[StageCost | OutputCost]
 
 
 @dataclass(slots=True)

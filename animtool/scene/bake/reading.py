@@ -66,7 +66,7 @@ class SourceSet:
         return [*self.files, *paths]
 
     @property
-    def unused(self) -> list[Fault]:
+    def unused_option_warnings(self) -> list[Fault]:
         """Warnings about bake options of scenes that are ignored in a library."""
         message = "the scene's fps, range and output are ignored here"
         hint = "set them once for the whole library, on the command"
@@ -128,7 +128,7 @@ class SourceSet:
         return open_checked(path, source_options, progress=source_progress)
 
 
-def with_takes(sources: SourceSet, options: BakeOptions) -> SourceSet:
+def split_takes(sources: SourceSet, options: BakeOptions) -> SourceSet:
     """Return one source per take of a file, if it is the only file and has several.
 
     Otherwise, or if the options choose a take, the sources are unchanged.

@@ -60,7 +60,7 @@ class PlanSteps:
 
 def bake_steps(outline: Outline) -> list[PlanStep]:
     """Return the steps of a bake in order; sources are read, passes do not run."""
-    check_outline(outline.overwriting)
+    check_outline(outline.with_overwrite)
     source_set, scene, outputs = outline.source_set, outline.scene, outline.outputs
     if scene is not None and not scene.sources:
         return _simulated_steps(scene, outputs)
@@ -87,11 +87,11 @@ class _TakeState:
     """State of a take before or after a step, as far as it is known."""
 
     rig: Rig  # joints, shapes and controls
-    moving: frozenset[TakePart]  # parts with values
+    valued_parts: frozenset[TakePart]  # parts with values
     curves: tuple[str, ...]  # controls with a curve
-    dropped: str  # pass that removed the curves; empty if none did
-    facts: tuple[str, ...]  # number of frames and tracks
-    static: tuple[str, ...]  # static tracks
+    curve_dropping_pass: str  # pass that removed the curves; empty if none did
+    summary: tuple[str, ...]  # number of frames and tracks
+    static_texts: tuple[str, ...]  # static tracks
     tracks: tuple[Track, ...] = ()  # props and other tracks
     systems: int = 0  # number of systems simulated with it
 
@@ -139,13 +139,13 @@ def _static_tracks(motion: Motion) -> Iterator[str]:
             continue
         static = len(channel.rest) - len(channel.animated)
         if static:
-            word = "never moves: it is" if static == 1 else "never move: they are"
-            yield f"samples of {counted(static, noun)} that {word} stored once"
+            phrase = "never moves: it is" if static == 1 else "never move: they are"
+            yield f"samples of {counted(static, noun)} that {phrase} stored once"
 
 
 def _source_step(path: Path, key: str, state: _TakeState) -> PlanStep:
     return PlanStep(
-        StepKind.SOURCE, str(path), key, (str(path),), state.facts, state.static
+        StepKind.SOURCE, str(path), key, (str(path),), state.summary, state.static_texts
     )
 
 
@@ -164,11 +164,11 @@ def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
         steps.append(_prop_step(prop, tracks[prop.path]))
     for entry in scene.passes:
         steps.append(_pass_step(scene, entry, state))
-        if state.curves and not state.dropped and _drops_curves(entry):
-            state = replace(state, dropped=entry.pass_.name)
+        if state.curves and not state.curve_dropping_pass and _drops_curves(entry):
+            state = replace(state, curve_dropping_pass=entry.pass_.name)
         if TakePart.CLOCK in entry.pass_.changes:
-            state = replace(state, facts=())
-        state = replace(state, moving=state.moving | _added_parts(entry))
+            state = replace(state, summary=())
+        state = replace(state, valued_parts=state.valued_parts | _added_parts(entry))
     return state
 
 
@@ -240,8 +240,8 @@ def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
 def _drops_curves(entry: ScenePass) -> bool:
     """Return whether a pass may remove the curves of controls."""
     # Whether its time steps are even does not depend on the frames.
-    any_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
-    if entry.pass_.linear_time(entry.options, any_clock) is not None:
+    example_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
+    if entry.pass_.linear_time(entry.options, example_clock) is not None:
         return False
     return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
 
@@ -258,7 +258,7 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
         for field in fields(options)
         if isinstance(value := getattr(options, field.name), Path)
     ]
-    available_parts = state.moving | {TakePart.RIG, TakePart.CLOCK}
+    available_parts = state.valued_parts | {TakePart.RIG, TakePart.CLOCK}
     if not handles_tracks(entry.pass_):
         available_parts -= {TakePart.TRACKS}
     omitted = []
@@ -266,7 +266,7 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
         omitted.append("pre-roll: it has no state that would settle")
     missing_parts = sorted((entry.pass_.reads & entry.pass_.changes) - available_parts)
     omitted += [f"{take_part}: the take has none" for take_part in missing_parts]
-    if state.curves and not state.dropped and _drops_curves(entry):
+    if state.curves and not state.curve_dropping_pass and _drops_curves(entry):
         omitted.append("curves of controls: invalid where it changes these")
     read_parts = _part_names(entry.pass_.reads & available_parts)
     changed_parts = (entry.pass_.changes & available_parts) | _added_parts(entry)
@@ -314,7 +314,7 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     if state.systems:
         omitted.append(f"{counted(state.systems, 'system')}: they are points")
     contents = {
-        "shapes": TakePart.SHAPES in state.moving,
+        "shapes": TakePart.SHAPES in state.valued_parts,
         "meshes": bool(state.rig.meshes),
     }
     omitted += [
@@ -335,11 +335,11 @@ def _omitted_parts(
     if state.curves and not options.deform:
         if not options.keep_curves:
             yield "curves of controls: not requested (keep_curves)"
-        elif state.dropped:
-            yield f"curves of controls: the pass {state.dropped} may change these"
-    if TakePart.SHAPES not in state.moving and state.rig.shapes:
+        elif name := state.curve_dropping_pass:
+            yield f"curves of controls: the pass {name} may change these"
+    if TakePart.SHAPES not in state.valued_parts and state.rig.shapes:
         yield "shape weights: the take has none"
-    if TakePart.POINTS in state.moving and not options.deform:
+    if TakePart.POINTS in state.valued_parts and not options.deform:
         yield "simulated points: not requested (deform)"
     frame_range = options.frame_range
     if frame_range is not None:

@@ -102,7 +102,7 @@ def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
     return files if physics else files[:1]
 
 
-def _report(
+def _rig_report(
     rig: Rig, outputs: list[Path], notices: list[Fault], physics: int | None = None
 ) -> RigReport:
     counts = len(rig.joints), len(rig.meshes), len(rig.shapes), len(rig.controls)
@@ -121,7 +121,7 @@ def rig_to_file(job: RigJob) -> RigReport:
     check_outputs(file.outputs, read_files, overwrite=job.overwrite)
     refuse_warnings(notices, strict=job.strict)
     file.write()
-    return _report(file.rig, file.outputs, notices)
+    return _rig_report(file.rig, file.outputs, notices)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,4 +186,4 @@ def rig_to_usd(job: RigJob) -> RigReport:
     joint_prim_count = None
     if job.physics:
         _, joint_prim_count = write_physics_layer(rig, outputs[1], output)
-    return _report(rig, outputs, notices + layer_notices, joint_prim_count)
+    return _rig_report(rig, outputs, notices + layer_notices, joint_prim_count)

@@ -165,7 +165,7 @@ class SystemSetup:
     """A system as described in its file."""
 
     spec: SystemSpec
-    around: Any  # its colliders, as `Surroundings`
+    surroundings: Any  # its colliders, as `Surroundings`
     # Parsed entries of keys that are neither plain values nor colliders, by key.
     parts: Mapping[str, Any] = field(default_factory=dict)
     record: EntryRecord | None = None  # record that the spec builds from the parts
@@ -192,14 +192,16 @@ class SystemSetup:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that the system reads in addition to the scene file."""
-        characters = (Path(character.file) for character in self.around.characters)
+        characters = (
+            Path(character.file) for character in self.surroundings.characters
+        )
         resume = [self.resume] if self.resume else []
-        return (*characters, *self.carriers, *self.around.followed, *resume)
+        return (*characters, *self.carriers, *self.surroundings.followed_files, *resume)
 
     @property
     def reads(self) -> tuple[str, ...]:
         """Descriptions of everything that acts on the system."""
-        return (*self._description_source.reads, *self.around.reads)
+        return (*self._description_source.reads, *self.surroundings.reads)
 
     @property
     def result_text(self) -> str:
@@ -217,7 +219,7 @@ class SystemSetup:
     def facts(self) -> SystemFacts:
         """Size, method and step of the system."""
         counts, step = self._description_source.counts, self.spec.step
-        return SystemFacts(counts, self.method, step, self.around.count)
+        return SystemFacts(counts, self.method, step, self.surroundings.count)
 
 
 @dataclass(frozen=True, slots=True)

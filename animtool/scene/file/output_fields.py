@@ -89,7 +89,7 @@ def _value(kind: OptionKind, value: Any, location: Location, reader: KeyReader) 
     return value if parse is None else reader.parse_value(location, value, parse)
 
 
-def _range(first_and_last: list[int]) -> FrameRange:
+def _parse_range(first_and_last: list[int]) -> FrameRange:
     first, last = first_and_last
     if first > last:
         raise ValueError(f"the range from {first} to {last} is reversed")
@@ -100,7 +100,7 @@ _PARSERS: dict[OptionKind, Callable[[Any], Any]] = {
     "unit": LengthUnit,
     "axis": UpAxis,
     "rate": parse_rate,
-    "range": _range,
+    "range": _parse_range,
     "frame": Fraction,
     "offsets": lambda ns: parse_offsets(",".join(map(repr, ns))) if ns else (),
     "length": parse_length,
@@ -194,8 +194,8 @@ class OutputReader:
 
     def _file(self, location: Location, name: str) -> Path:
         """Return the path of a file to write."""
-        place = (self._document, location, name, self._roots)
-        return resolve_reference(*place, is_output=True) or Path(name)
+        reference = (self._document, location, name, self._roots)
+        return resolve_reference(*reference, is_output=True) or Path(name)
 
     def _check_keys(
         self, location: Location, model: OutputModel, writer: Writer
@@ -209,19 +209,19 @@ class OutputReader:
 
     def _frames(self) -> FrameRange | None:
         """Return the frames to write: a range, or the cut and its handles."""
-        shot, with_handles = self._model.shot, self._shot()
+        shot, shot_with_handles = self._model.shot, self._shot()
         location: Location = ("range",) if shot is None else ("shot", "cut")
-        frame_ends = self._model.range if shot is None else shot.cut
+        first_and_last = self._model.range if shot is None else shot.cut
         if shot is not None and self._model.range is not None:
             message = "the cut of the shot already sets the frames to write"
             hint = "remove range or shot"
             self._document.add("SCN041", ("range",), message, hint)
-        if frame_ends is None:
+        if first_and_last is None:
             return None
-        first, last = frame_ends
+        first, last = first_and_last
         if first > last:
             message = f"the {location[-1]} from {first} to {last} is reversed"
             self._document.add("SCN003", location, message, f"write [{last}, {first}]")
-        if with_handles is not None:
-            return FrameRange(with_handles.start, with_handles.end)
+        if shot_with_handles is not None:
+            return FrameRange(shot_with_handles.start, shot_with_handles.end)
         return FrameRange(first, last)

@@ -140,7 +140,7 @@ def stated_rate(path: Path) -> Fraction | None:
 _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
-def _overlap(path: str, other_path: str) -> bool:
+def _paths_overlap(path: str, other_path: str) -> bool:
     """Return whether two paths are equal or one is an ancestor of the other."""
     path, other_path = f"{path}/", f"{other_path}/"
     return path.startswith(other_path) or other_path.startswith(path)
@@ -269,7 +269,7 @@ class _SceneReader:
         props = [self._prop(("props", i), entry) for i, entry in entries]
         for i, prop in enumerate(props):
             for other_prop in props[:i]:
-                if _overlap(prop.path, other_prop.path):
+                if _paths_overlap(prop.path, other_prop.path):
                     message = f"{prop.path!r} overlaps {other_prop.path!r} of "
                     message += other_prop.location.where
                     hint = "each needs its own path, not below another's"
@@ -387,8 +387,10 @@ class _PassReader:
         converted_values = self.units.convert_pass_options(name, values)
         options, faults = record_of_options(pass_.options, converted_values, name)
         for key, fault in faults:
-            place, at_key = (*location, *key), fault.code == "SCN001"
-            document.add(fault.code, place, fault.message, fault.hint, at_key=at_key)
+            key_location, at_key = (*location, *key), fault.code == "SCN001"
+            document.add(
+                fault.code, key_location, fault.message, fault.hint, at_key=at_key
+            )
         if options is None:
             return None
         options, files = self._with_colliders(location, options)
@@ -419,7 +421,7 @@ class _PassReader:
         reader_class: Any = load_object(COLLIDER_READER_NAME)
         reader = reader_class(self.keys.document, self.keys.roots, self.units)
         colliders = {
-            name: reader.around(location, name, models)
+            name: reader.collision_entries(location, name, models)
             for name, models in entries.items()
         }
         characters = colliders.get("characters", ())
@@ -433,9 +435,9 @@ def _check_pass(keys: KeyReader, location: Location, pass_: Pass, options: Any) 
         try:
             check()
         except OptionError as error:
-            place = (*location, option)
+            key_location = (*location, option)
             for fault in error.faults:
-                keys.document.add(fault.code, place, fault.message, fault.hint)
+                keys.document.add(fault.code, key_location, fault.message, fault.hint)
     for field in fields(pass_.options):
         value = getattr(options, field.name)
         if isinstance(value, Path):

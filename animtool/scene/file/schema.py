@@ -134,7 +134,7 @@ class SystemModel(FileModel):
     """A simulation of one kind."""
 
 
-def _one_or_several(value: Any) -> str:
+def _count_tag(value: Any) -> str:
     return "several" if isinstance(value, list) else "one"
 
 
@@ -234,7 +234,7 @@ class SceneModel(FileModel):
         Annotated[
             Annotated[SourceModel, Tag("one")]
             | Annotated[list[SourceModel], Len(1), Tag("several")],
-            Discriminator(_one_or_several),
+            Discriminator(_count_tag),
         ]
         | None
     ) = key(
@@ -272,7 +272,7 @@ class SceneModel(FileModel):
     output: Annotated[
         Annotated[OutputModel, Tag("one")]
         | Annotated[list[OutputModel], Len(1), Tag("several")],
-        Discriminator(_one_or_several),
+        Discriminator(_count_tag),
     ] = key(
         "The output, or a list of outputs, each with its `file`; options on the "
         "command line take precedence.",
@@ -326,12 +326,12 @@ def model_for(raw_scene: Any) -> type[SceneModel]:
 @cache
 def _model_with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
     # An entry has one of the kinds, whose value must not be null.
-    unset: Any = None
+    no_default: Any = None
     fields: dict[str, Any] = {
         name: (
             load_object(SYSTEM_KINDS[name].spec),
             Field(
-                default=unset,
+                default=no_default,
                 description=SYSTEM_KINDS[name].description,
                 examples=[SYSTEM_KINDS[name].example],
             ),

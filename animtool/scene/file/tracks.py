@@ -141,7 +141,7 @@ def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
 def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> Motion:
     """Return a motion in which some tracks are replaced by those of another motion."""
 
-    def optional(
+    def replace_optional(
         name: str, indices: IntArray, neutral: float | FloatArray
     ) -> Channel | None:
         base_channel: Channel | None = getattr(base, name)
@@ -155,9 +155,9 @@ def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> 
     return Motion(
         _replace_entries(base.translations, replacement.translations, tracks.joints),
         _replace_entries(base.rotations, replacement.rotations, tracks.joints),
-        optional("scales", tracks.joints, 1.0),
-        optional("weights", tracks.shapes, 0.0),
-        optional("controls", tracks.controls, _defaults(rig)),
+        replace_optional("scales", tracks.joints, 1.0),
+        replace_optional("weights", tracks.shapes, 0.0),
+        replace_optional("controls", tracks.controls, _defaults(rig)),
     )
 
 

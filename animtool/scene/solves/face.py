@@ -52,7 +52,7 @@ _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 # landmarks; a fit that is so much worse has another cause [1].
 MAX_NEUTRAL_RATIO = 2.0
 # Frames that are fitted without it for comparison.
-MAX_COMPARED = 24
+MAX_COMPARED_FRAMES = 24
 # Shapes of a face that is not neutral, as named in a message.
 MAX_NAMED_SHAPES, MIN_EXPRESSION = 3, 0.1
 # A larger mean head rotation indicates that axes differ from the rig's.
@@ -120,7 +120,7 @@ class FaceResult:
         return "px" if self.pixels else "m"
 
     @property
-    def moved(self) -> int:
+    def moving_shape_count(self) -> int:
         """Number of shapes that move."""
         return sum(shape.max > 0 for shape in self.fit.peaks)
 
@@ -164,8 +164,8 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         neutral_warnings = _neutral_warnings(job.options, rig_face, fit, points)
     if neutral_warnings:
         # Landmarks of a face with other proportions do not match it.
-        kept = [notice for notice in fit.notices if notice.code != "FAC105"]
-        fit = replace(fit, notices=(*kept, *neutral_warnings))
+        other_notices = [notice for notice in fit.notices if notice.code != "FAC105"]
+        fit = replace(fit, notices=(*other_notices, *neutral_warnings))
     links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
     if not links.links:
         message = f"{rig.name!r} has no face shape"
@@ -263,7 +263,7 @@ def _neutral_warnings(
     """
     if options.neutral is None:
         return []
-    frames = np.linspace(0, len(points) - 1, MAX_COMPARED).astype(int)
+    frames = np.linspace(0, len(points) - 1, MAX_COMPARED_FRAMES).astype(int)
     frames = np.unique([*frames, options.neutral])
     rig_fit = fit_face(rig_face, points[frames], 1.0, smooth=0.0)
     if fit.rms < MAX_NEUTRAL_RATIO * rig_fit.rms:

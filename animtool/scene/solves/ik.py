@@ -132,7 +132,7 @@ class IkReport:
         return [str(path) for path in self.written.named] or ["stdout"]
 
     @property
-    def moved(self) -> bool:
+    def is_renumbered(self) -> bool:
         """Whether the written frame numbers differ from the solved ones."""
         clock, span = self.solved.take.clock, self.span
         is_same_clock = (span.first, span.fps) == (clock.start, clock.fps)
@@ -367,7 +367,7 @@ def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
 
 
 # With a smaller fraction of the joints of the smaller rig, a take is of another one.
-MIN_COMMON = 0.25
+MIN_COMMON_FRACTION = 0.25
 
 
 def _map_motion(
@@ -384,10 +384,10 @@ def _map_motion(
     notices = []
     missing_joints = [rig.names[i] for i in np.flatnonzero(names.joints < 0).tolist()]
     unmatched_joints = [take.rig.names[index] for index in names.unmatched_joints]
-    common = len(rig.names) - len(missing_joints)
-    if common < MIN_COMMON * min(len(rig.names), len(take.rig.names)):
+    common_count = len(rig.names) - len(missing_joints)
+    if common_count < MIN_COMMON_FRACTION * min(len(rig.names), len(take.rig.names)):
         common_names = [name for name in rig.names if name not in missing_joints]
-        message = f"is a take of another skeleton: it has {common} of the "
+        message = f"is a take of another skeleton: it has {common_count} of the "
         message += (
             f"{len(rig.names)} joints of {rig.name!r} ({listed(common_names, 3)})"
         )

@@ -47,8 +47,8 @@ class SolvedOutput:
         """Return the output of a solve; a clip names a rig file."""
         outline = None
         if output is not None:
-            named_rig = rig if rig is not None and has_kind_suffix(rig, "rig") else None
-            outline = create_outline(source, output, bake, rig_file=named_rig)
+            clip_rig = rig if rig is not None and has_kind_suffix(rig, "rig") else None
+            outline = create_outline(source, output, bake, rig_file=clip_rig)
         return SolvedOutput(outline, bake, tuple(filter(None, extra_files)))
 
     @property

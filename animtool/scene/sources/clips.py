@@ -61,7 +61,7 @@ def clip_stream(
     path = file.document.path
     count = _frame_count(file, clip)
     # Streams do not keep the text of their file: it is read again for the first notice.
-    reopened = cache(lambda: _reopen(path))
+    reopened_file = cache(lambda: _reopen(path))
     stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
 
     reported_pairs: set[tuple[str, str]] = set()
@@ -71,7 +71,7 @@ def clip_stream(
             # A clip may be sampled again, at other times.
             if (note.fault.code, note.target) not in reported_pairs:
                 reported_pairs.add((note.fault.code, note.target))
-                stream.notices.append(_fault_of(path, reopened(), rig, note))
+                stream.notices.append(_located_fault(path, reopened_file(), rig, note))
         return sampled.motion
 
     def curve(times: FloatArray) -> Motion:
@@ -100,7 +100,9 @@ def _reopen(path: Path) -> ClipFile | None:
         return None
 
 
-def _fault_of(path: Path, file: ClipFile | None, rig: Rig, notice: ClipNotice) -> Fault:
+def _located_fault(
+    path: Path, file: ClipFile | None, rig: Rig, notice: ClipNotice
+) -> Fault:
     """Return the fault of a notice, located at the key or channel that causes it."""
     if file is None:
         return replace(notice.fault, path=str(path))

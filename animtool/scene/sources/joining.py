@@ -31,7 +31,7 @@ from animtool.scene.file.tracks import (
     select_tracks,
     with_tracks,
 )
-from animtool.scene.sources.onto_rig import Notify, on_rig
+from animtool.scene.sources.onto_rig import Notify, map_to_rig
 
 MAX_NAMED = 6
 
@@ -62,7 +62,7 @@ def join_sources(
     faults: list[Fault] = []
     for source in other_sources:
         try:
-            layers.append(_layer(first, source))
+            layers.append(_map_source(first, source))
         except OptionError as error:
             faults += error.faults
     if faults:
@@ -115,25 +115,29 @@ def _with_animated_entries_of(motion: Motion, template: Motion) -> Motion:
 
     def convert(name: str) -> Any:
         channel: Channel | None = getattr(motion, name)
-        like: Channel | None = getattr(template, name)
-        if channel is None or like is None:
+        template_channel: Channel | None = getattr(template, name)
+        if channel is None or template_channel is None:
             return None
-        return Channel(like.rest, like.animated, channel.gather(like.animated))
+        return Channel(
+            template_channel.rest,
+            template_channel.animated,
+            channel.gather(template_channel.animated),
+        )
 
     names = ("translations", "rotations", "scales", "weights", "controls")
     return Motion(*map(convert, names))
 
 
-def _layer(first: JoinedSource, source: JoinedSource) -> _Layer:
+def _map_source(first: JoinedSource, source: JoinedSource) -> _Layer:
     """Return a source mapped to the rig and the clock of the first."""
     rig = first.stream.rig
-    stream, names = on_rig(source.stream, rig, source.note)
-    placed_source, take = replace(source, stream=stream), stream.collect()
+    stream, names = map_to_rig(source.stream, rig, source.note)
+    mapped_source, take = replace(source, stream=stream), stream.collect()
     notices = [
         note
         if note.path
         else source.note(note.code, note.message, note.hint, note.severity)
-        for note in placed_source.stream.notices
+        for note in mapped_source.stream.notices
     ]
     if source.tracks is None:
         source_rig = reorient(replace(source.stream, blocks=iter(())), rig.up).rig
@@ -153,7 +157,7 @@ def _layer(first: JoinedSource, source: JoinedSource) -> _Layer:
             "list its tracks under tracks:",
         )
         raise OptionError(source.note("SCN036", message, hint))
-    return _Layer(placed_source, take, tracks, _delay(first, source), notices)
+    return _Layer(mapped_source, take, tracks, _delay(first, source), notices)
 
 
 def _delay(first: JoinedSource, other_source: JoinedSource) -> Fraction:
@@ -233,14 +237,14 @@ class _JoinedTake:
             self._report_frames(frames_read)
 
     def _curve(self, times: FloatArray) -> Motion:
-        motion = self._base_at(times)
+        motion = self._sample_base(times)
         seconds = (times - float(self.base.first_frame)) / float(self.base.fps)
         for layer in self.layers:
             motions = motion, layer.sample(seconds)
             motion = with_tracks(self.base.rig, *motions, layer.tracks)
         return motion
 
-    def _base_at(self, times: FloatArray) -> Motion:
+    def _sample_base(self, times: FloatArray) -> Motion:
         """Return the first source at times; the rest pose if it cannot be evaluated."""
         if self.base.curve is not None:
             return self.base.curve(times)
@@ -276,16 +280,18 @@ class _JoinedTake:
         end = begin + (clock.count - 1) * layer_step
         if end < 0 or begin > last:
             message = "overlaps no frame of the first source: "
-            message += f"{self._span(begin, end)} is not in "
-            message += self._span(Fraction(0), last)
+            message += f"{self._range_text(begin, end)} is not in "
+            message += self._range_text(Fraction(0), last)
             hint = "compare their time codes and timecode_fps"
             raise OptionError(note("SCN035", message, hint))
         frames_missing = []
         if begin > 0:
-            frames_missing.append(self._span(Fraction(0), Fraction(-(-begin // 1) - 1)))
+            frames_missing.append(
+                self._range_text(Fraction(0), Fraction(-(-begin // 1) - 1))
+            )
         # The last frame of a source with a lower rate lasts until its next would begin.
         if end + max(layer_step, Fraction(1)) <= last:
-            frames_missing.append(self._span(Fraction(end // 1 + 1), last))
+            frames_missing.append(self._range_text(Fraction(end // 1 + 1), last))
         if frames_missing:
             message = (
                 f"does not have frame {' and '.join(frames_missing)}: its nearest "
@@ -298,7 +304,7 @@ class _JoinedTake:
             message += " s before and after the first source are ignored"
             yield note("SCN104", message, None, Severity.NOTE)
 
-    def _span(self, first: Fraction, last: Fraction) -> str:
+    def _range_text(self, first: Fraction, last: Fraction) -> str:
         labels = [
             f"{float(self.base.first_frame + frame * self.base.step):.10g}"
             for frame in (first, last)

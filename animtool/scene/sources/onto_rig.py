@@ -74,13 +74,13 @@ class NameMap:
 
     def apply(self, motion: Motion) -> Motion:
         """Return the other rig's motion on this rig, with unmapped tracks at rest."""
-        rig, one_frame = self.rig, np.ones((len(self.rig.joints), 3))
+        rig, unit_scales = self.rig, np.ones((len(self.rig.joints), 3))
         zero_weights = np.zeros((len(rig.shapes), 1))
         defaults = np.array([[control.default] for control in rig.controls])
         return Motion(
             _gather_entries(motion.translations, self.joints, rig.rest_translations),
             _gather_entries(motion.rotations, self.joints, rig.rest_rotations),
-            _gather_or_rest(motion.scales, self.joints, one_frame),
+            _gather_or_rest(motion.scales, self.joints, unit_scales),
             self._with_combined(
                 _gather_or_rest(motion.weights, self.shapes, zero_weights)
             ),
@@ -125,7 +125,9 @@ def map_names(rig: Rig, other_rig: Rig) -> NameMap:
     )
 
 
-def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, NameMap]:
+def map_to_rig(
+    stream: TakeStream, rig: Rig, note: Notify
+) -> tuple[TakeStream, NameMap]:
     """Return a source mapped to a rig by name, and the name map.
 
     Tracks that the rig lacks are dropped; tracks that only the rig has stay at rest.
@@ -172,13 +174,13 @@ def unmapped_notices(names: NameMap, other_rig: Rig, path: str) -> list[Fault]:
         ("RIG043", missing_joints, "joints only the rig has", STAY_AT_REST, note),
     )
     return [
-        names_fault(code, f"{len(group)} {about}: ", group, path, hint, severity)
-        for code, group, about, hint, severity in groups
+        names_fault(code, f"{len(group)} {description}: ", group, path, hint, severity)
+        for code, group, description, hint, severity in groups
         if group
     ]
 
 
-def on_rig_file(
+def map_to_rig_file(
     path: Path, stream: TakeStream, rig_path: Path, *, force_fit: bool
 ) -> TakeStream:
     """Return a source mapped to a rig of another file."""
@@ -195,7 +197,7 @@ def on_rig_file(
     # Placement of the take, not of the rig's stage.
     rig = at_origin(rig)
     reoriented_stream = reorient(stream, rig.up)
-    mapped_stream, names = on_rig(reoriented_stream, rig, note)
+    mapped_stream, names = map_to_rig(reoriented_stream, rig, note)
     unmatched_notices = unmapped_notices(names, reoriented_stream.rig, str(path))
     differences: list[Fault] = []
     if reoriented_stream.rig.joints and rig.joints:
@@ -232,14 +234,14 @@ def _gather_entries(
     channel: Channel, indices: IntArray, rest_values: FloatArray
 ) -> Channel:
     """Return a channel's entries at indices; -1 gives the rest value."""
-    exists = indices >= 0
+    is_mapped = indices >= 0
     values = np.array(rest_values, np.float64)
-    values[exists] = channel.rest[indices[exists]]
+    values[is_mapped] = channel.rest[indices[is_mapped]]
     columns = np.full(len(channel.rest), -1)
     columns[channel.animated] = np.arange(len(channel.animated))
-    column_of = np.full(len(indices), -1)
-    column_of[exists] = columns[indices[exists]]
-    animated_entries = np.flatnonzero(column_of >= 0)
+    column_indices = np.full(len(indices), -1)
+    column_indices[is_mapped] = columns[indices[is_mapped]]
+    animated_entries = np.flatnonzero(column_indices >= 0)
     return Channel(
-        values, animated_entries, channel.values[:, column_of[animated_entries]]
+        values, animated_entries, channel.values[:, column_indices[animated_entries]]
     )

@@ -323,9 +323,9 @@ def open_source(
     if options.rig is not None and "rig" not in reader.options:
         inner_options = replace(options, rig=None, force_fit=False)
         stream = open_source(path, inner_options, progress=progress)
-        from animtool.scene.sources.onto_rig import on_rig_file
+        from animtool.scene.sources.onto_rig import map_to_rig_file
 
-        stream = on_rig_file(path, stream, options.rig, force_fit=options.force_fit)
+        stream = map_to_rig_file(path, stream, options.rig, force_fit=options.force_fit)
         return _drive_tracks(stream)
     note_input(path)
     defaults = SourceOptions()

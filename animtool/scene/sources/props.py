@@ -59,9 +59,9 @@ def open_props(
             faults += map(entry.location.locate, error.faults)
             continue
         track = _metered_track(entry, prop, stage, meter, notices)
-        follows = same_file(entry.file.resolve(), source)
-        follows = follows or not entry.path.startswith("/")
-        track = replace(track, follows_placement=follows)
+        follows_placement = same_file(entry.file.resolve(), source)
+        follows_placement = follows_placement or not entry.path.startswith("/")
+        track = replace(track, follows_placement=follows_placement)
         opened_props.append(OpenProp(entry, prop, track))
     if faults:
         raise FormatError(faults)
@@ -94,7 +94,7 @@ def with_props(
     curve = stream.curve
     if curve is not None:
         stream_with_props.curve = lambda times: props_stream.with_prop_times(
-            curve(times), props_stream.times_at(times)
+            curve(times), props_stream.prop_times(times)
         )
     return stream_with_props
 
@@ -194,7 +194,7 @@ class _PropStream:
             times = np.concatenate([motion.track_times.dense()[..., 0], times], axis=1)
         return replace(motion, track_times=_channel(times))
 
-    def times_at(self, times: FloatArray) -> FloatArray:
+    def prop_times(self, times: FloatArray) -> FloatArray:
         """Return the time codes of every prop ``(F, N)`` at time codes of the take."""
         frames = (times - float(self.stream.first_frame)) / float(self.stream.step)
         begin_codes = np.array([float(prop.begin) for prop in self.props])

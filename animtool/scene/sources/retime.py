@@ -16,7 +16,7 @@ from animtool.edit.between import TakeSampler
 from animtool.edit.travel import nearby_positions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
-from animtool.scene.sources.away import no_frames_error
+from animtool.scene.sources.shot_errors import no_frames_error
 
 
 @dataclass(frozen=True, slots=True)

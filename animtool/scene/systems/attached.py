@@ -17,7 +17,7 @@ from animtool.motion.take import TakeStream
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.links import with_dependencies
-from animtool.scene.systems.simulation import characters_with, open_systems
+from animtool.scene.systems.simulation import character_cache, open_systems
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Collider, Colliders, MovingBodies, Poses, SheetMotion
 
@@ -52,7 +52,7 @@ def with_colliders(
         running_systems = open_systems(simulated_systems, last, character)
     system_runs = zip(system_indices, running_systems, strict=True)
     run_by_name = {systems[i].name: run for i, run in system_runs}
-    colliders = surroundings.build(characters_with(character), run_by_name)
+    colliders = surroundings.build(character_cache(character), run_by_name)
     rotation = up_from_up(stream.rig.up, UpAxis.Y)
     if rotation is not None:
         colliders = _rotate_colliders(colliders, np.array(rotation))
@@ -64,8 +64,8 @@ def _rotate_colliders(colliders: Colliders, rotation: FloatArray) -> Colliders:
     """Return colliders rotated about the origin by a quaternion ``(4,)``."""
     shapes = []
     for collider in colliders:
-        rows = _rotate_pose_rows(collider.poses.rows, rotation)
-        poses = Poses(collider.poses.sample_times, rows[:, :3], rows[:, 3:])
+        pose_rows = _rotate_pose_rows(collider.poses.rows, rotation)
+        poses = Poses(collider.poses.sample_times, pose_rows[:, :3], pose_rows[:, 3:])
         shapes.append(replace(collider, poses=poses))
     sheets = [
         replace(sheet, motion=_RotatedSheetMotion(sheet.motion, rotation))

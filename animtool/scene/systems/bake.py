@@ -82,10 +82,10 @@ class SystemPrims:
         last_seconds = prims.seconds(codes[-1])
         run = SystemRun(systems, last_seconds, character, state.progress, main_rig)
         clock = (codes, prims.start, job.metadata.span.fps)
-        frame_rows = run.rows(*clock, keep_stopped=plan.options.keep_stopped)
+        coded_frames = run.rows(*clock, keep_stopped=plan.options.keep_stopped)
         if state.report is None:
             self._begin(state)
-        frames = SystemFrames(self, job, run, frame_rows, plan.options.strict)
+        frames = SystemFrames(self, job, run, coded_frames, plan.options.strict)
         if plan.options.chunk is not None:
             frames.chunk(state.layer, plan.output, plan.options.chunk)
         state.growth = frames
@@ -127,40 +127,42 @@ class SystemFrames:
     prims: SystemPrims
     job: SimulatedJob
     run: SystemRun
-    rows: Iterator[Any]  # rows of all systems, frame by frame
+    coded_frames: Iterator[Any]  # rows of all systems, frame by frame
     strict: bool
     # Set after simulating: chunk files, results of the meshes, and the layer of a run
     # that stopped early.
     files: list[Path] = field(default_factory=list)
     written: list[CachedMesh] = field(default_factory=list)
-    ended_layer: Any = None
+    stopped_layer: Any = None
     notices: list[Fault] = field(default_factory=list)  # of the simulation
 
     def chunk(self, layer: Any, output: Path, size: int) -> None:
         """Simulate into files of ``size`` samples each, joined by a layer."""
         clips = system_clip_files(output)
         self.files, self.written = write_simulated_chunks(
-            self.job, self.rows, layer, clips, size
+            self.job, self.coded_frames, layer, clips, size
         )
-        self._end(layer)
+        self._finish(layer)
 
     def save(self, layer: Any, path: Path) -> int:
         """Write a layer, and simulate the frames that are not in chunks into it."""
         if self.files:
             return save_layer(layer, path)
         with growing_layer(layer, path) as growing_file:
-            self.written = list(write_simulated(self.job, self.rows, growing_file))
-            self._end(growing_file.layer)
+            self.written = list(
+                write_simulated(self.job, self.coded_frames, growing_file)
+            )
+            self._finish(growing_file.layer)
         return growing_file.size
 
-    def _end(self, layer: Any) -> None:
+    def _finish(self, layer: Any) -> None:
         """Set the last simulated frame; save requested states."""
         run, prims = self.run, self.prims
         if run.stopped is not None and prims.recorder is None:
             metadata = prims.job.metadata
-            span = replace(metadata.span, last=prims.codes[run.done - 1])
+            span = replace(metadata.span, last=prims.codes[run.frames_done - 1])
             author_metadata(layer, replace(metadata, span=span))
-            self.ended_layer = layer
+            self.stopped_layer = layer
         run.add_notices(self.written)
         self.notices = without_accepted(run.notices)
         refuse_warnings(self.notices, strict=self.strict)
@@ -180,9 +182,9 @@ class SystemFrames:
         if self.prims.recorder is not None:
             return
         if run.stopped is not None:
-            report.result.span = layer_span(self.ended_layer)
+            report.result.span = layer_span(self.stopped_layer)
             stopped_take = report.takes[0]
-            stopped_take.source_frames = stopped_take.written.samples = run.done
+            stopped_take.source_frames = stopped_take.written.samples = run.frames_done
             stopped_take.written.span = report.result.span
         worst_mesh = max(written_meshes, key=lambda prim: prim.error)
         (take,) = report.takes

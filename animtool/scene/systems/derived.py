@@ -167,13 +167,13 @@ class SpecPartReader(EntryReader):
 
     def entry(self, location: Location, model: FileModel) -> Any:
         """Return the parsed entries of a model, or its record; None with faults."""
-        self.note_ranges(location, model)
+        self.check_ranges(location, model)
         parts = self.entry_values(location, model)
         if not isinstance(model, RecordModel):
             return parts
         complete = all(part is not None for part in parts.values())
         record = model.record(parts) if complete else None
-        return self.checked(location, record, model)
+        return self.check_record(location, record, model)
 
     def _reader(
         self, annotation: Any, marks: Sequence[Any] = (), *, check: bool
@@ -205,7 +205,7 @@ class SpecPartReader(EntryReader):
         if (model.prim is None) is (model.mesh is None):
             message = "write either the prim of a USD file, or the mesh of a rig"
             hint = "write prim: /bird/body, or mesh: body"
-            self.note(location, Fault("SIM053", message, hint=hint))
+            self.record_fault(location, Fault("SIM053", message, hint=hint))
             return None
         path = self.find_followed((*location, "file"), model.file)
         if path is None:
@@ -241,7 +241,7 @@ class SpecPartReader(EntryReader):
                 prim_name = path.name, fault.where or model.prim
                 message = ": ".join([*prim_name, fault.message])
                 prim_fault = replace(fault, code="SIM051", message=message)
-                self.note((*location, "prim"), prim_fault)
+                self.record_fault((*location, "prim"), prim_fault)
             return None
 
     def names(self, location: Location, entry: str | int) -> list[str | int]:
@@ -286,11 +286,11 @@ class SpecPartReader(EntryReader):
         except AnimtoolError as error:
             # They are faults of that file, which reports them.
             self.document.faults.extend(error.faults)
-            self.sound = False
+            self.is_valid = False
             return None
         fault = carrier.fault(rig)
         if fault is not None:
-            self.note((*entry_path, str(fault.where)), fault)
+            self.record_fault((*entry_path, str(fault.where)), fault)
         return carrier
 
     def carrying_prim(
@@ -318,9 +318,9 @@ class SpecPartReader(EntryReader):
 
     def _checked_part(self, location: Location, part: Any, *, check: bool) -> Any:
         """Return a parsed entry; if requested, record the faults that it reports."""
-        self.sound &= part is not None
+        self.is_valid &= part is not None
         for reason in part.faults() if check and part is not None else ():
-            self.note(location, Fault("SIM020", reason))
+            self.record_fault(location, Fault("SIM020", reason))
         return part
 
 
@@ -383,12 +383,12 @@ def read_spec(
     )
     collider_parts = collider_reader.entry_values(location, spec, COLLISION_KEYS[:1])
     # Named systems are looked up even if other keys are invalid.
-    is_valid = collider_reader.sound
+    colliders_are_valid = collider_reader.is_valid
     collider_parts |= collider_reader.entry_values(location, spec, COLLISION_KEYS[1:])
     parts = record_reader.entry_values(
         location, spec, type(spec).model_fields.keys() - {*COLLISION_KEYS}
     )
-    record_reader.note_ranges(location, spec)
+    record_reader.check_ranges(location, spec)
     if not COMPARED_KEYS.isdisjoint(type(spec).model_fields):
         sizes = spec.model_dump(include=COMPARED_KEYS | SIZE_KEYS)
         warn_of_suspect_units(document, location, sizes, units.length)
@@ -401,19 +401,21 @@ def read_spec(
     for fault in faults:
         key_location = (*location, *parse_location(fault.where or ""))
         document.add(fault.code, key_location, fault.message, fault.hint)
-    if record_reader.sound:
-        record_reader.note_entry(location, spec, spec.faults(parts))
+    if record_reader.is_valid:
+        record_reader.record_entry_faults(location, spec, spec.faults(parts))
     resume = None
     if spec.resume is not None:
         resume = record_reader.input((*location, "resume"), spec.resume)
     if spec.save is not None:
         record_reader.output((*location, "save"), spec.save)
-    if record is None and (faults or not (is_valid and record_reader.sound)):
+    if record is None and (
+        faults or not (colliders_are_valid and record_reader.is_valid)
+    ):
         return None
     surroundings = Surroundings(
         **{key: tuple(parts) for key, parts in collider_parts.items()},
         tied=tuple(getattr(record, "tied_bodies", ())),
-        followed=(*collider_reader.files, *record_reader.files),
+        followed_files=(*collider_reader.files, *record_reader.files),
         location=location,
     )
     carriers = tuple(record_reader.carriers)

@@ -56,7 +56,7 @@ class EntryReader:
     Attributes:
         document: Document that records faults.
         roots: Folders that may contain files.
-        sound: Whether no fault was recorded.
+        is_valid: Whether no fault was recorded.
         files: USD files that entries follow.
         units: Units of arrays of numbers; numbers of entries are in metres already.
     """
@@ -65,24 +65,24 @@ class EntryReader:
         self, document: Document, roots: Sequence[Path], units: SceneUnits = METRES
     ) -> None:
         self.document, self.roots, self.units = document, tuple(roots), units
-        self.sound = True
+        self.is_valid = True
         self.files: list[Path] = []
 
-    def note(self, location: Location, fault: Fault) -> None:
+    def record_fault(self, location: Location, fault: Fault) -> None:
         """Record a fault at a location."""
-        self.sound, at_key = False, fault.code == "SCN001"
+        self.is_valid, at_key = False, fault.code == "SCN001"
         text = (fault.message, fault.hint)
         self.document.add(fault.code, location, *text, at_key=at_key)
 
-    def note_all(self, location: Location, faults: LocatedFaults) -> None:
+    def record_faults(self, location: Location, faults: LocatedFaults) -> None:
         """Record faults, each at a key below a location."""
         for key, fault in faults:
-            self.note((*location, *key), fault)
+            self.record_fault((*location, *key), fault)
 
-    def note_ranges(self, location: Location, model: FileModel) -> None:
+    def check_ranges(self, location: Location, model: FileModel) -> None:
         """Record a fault for each number of an entry that is out of range."""
         for fault in range_faults(model, ENTRY_RANGE_MESSAGE):
-            self.note((*location, fault.where or ""), fault)
+            self.record_fault((*location, fault.where or ""), fault)
 
     def try_read(
         self,
@@ -102,28 +102,28 @@ class EntryReader:
             if code is not None:
                 faults = [replace(faults[0], code=code)]
             for fault in faults:
-                self.note(location, fault)
+                self.record_fault(location, fault)
             return None
 
-    def checked(
+    def check_record(
         self, location: Location, record: RecordT | None, model: FileModel
     ) -> RecordT | None:
         """Return a record after recording its faults at their keys."""
         if record is None:
-            self.sound = False
+            self.is_valid = False
             return None
         problems, code = record.problems(), record.code
         faults = [Fault(code, reason, where=key) for key, reason in problems]
-        self.note_entry(location, model, faults)
+        self.record_entry_faults(location, model, faults)
         return record
 
-    def note_entry(
+    def record_entry_faults(
         self, location: Location, model: FileModel, faults: Sequence[Fault]
     ) -> None:
         """Record faults of an entry, each at its key if that is present."""
         for fault in faults:
             key = (fault.where,) if fault.where in model.model_fields_set else ()
-            self.note((*location, *key), fault)
+            self.record_fault((*location, *key), fault)
 
     def read_each(
         self,
@@ -135,7 +135,7 @@ class EntryReader:
         read_parts = [read((*location, i), model) for i, model in enumerate(models)]
         return [entry for entry in read_parts if entry is not None]
 
-    def around(
+    def collision_entries(
         self, location: Location, key: str, models: Iterable[Any]
     ) -> tuple[Any, ...]:
         """Return the parsed colliders of a key in `COLLISION_KEYS`."""
@@ -157,11 +157,11 @@ class EntryReader:
         collider = None
         if poses is not None:
             collider = record_of(Collider, model, shape=shape, poses=poses)
-        return self.checked(location, collider, model)
+        return self.check_record(location, collider, model)
 
     def shape(self, location: Location, entry: NamedOptions) -> Any:
         """Return a collider shape."""
-        return self.named(location, entry, SHAPES, "shape", "SIM020")
+        return self.named_record(location, entry, SHAPES, "shape", "SIM020")
 
     def force(self, location: Location, entry: NamedOptions) -> Force | None:
         """Return a force, after checking the ranges of its numbers."""
@@ -175,7 +175,7 @@ class EntryReader:
         for option, reason in [] if force is None else force.faults():
             key = [option] if option in (options or {}) else []
             fault = Fault("SIM022", f"its {option} {reason}")
-            self.note((*location, name, *key), fault)
+            self.record_fault((*location, name, *key), fault)
         return force
 
     def emitter_shape(self, location: Location, entry: NamedOptions) -> Any:
@@ -185,7 +185,7 @@ class EntryReader:
             MeshSurface,
         )
 
-        shape = self.named(location, entry, EMITTER_SHAPES, "place", "SIM021")
+        shape = self.named_record(location, entry, EMITTER_SHAPES, "place", "SIM021")
         return MeshSurface(shape) if isinstance(shape, Mesh) else shape
 
     def mesh(
@@ -197,7 +197,7 @@ class EntryReader:
             return None
         mesh = model.model_copy(update={"file": str(path)})
         if self.try_read((*location, "prim"), lambda: moving_sheet(mesh), "SIM051"):
-            self.note_ranges(location, model)
+            self.check_ranges(location, model)
         return mesh
 
     def poses(self, location: Location, model: PlacedModel, code: str) -> Poses | None:
@@ -217,7 +217,7 @@ class EntryReader:
             elif pose_key == "turns" and not rows[:, 1:].any(axis=1).all():
                 messages[pose_key] = "a quaternion must not be all 0"
         for pose_key, message in messages.items():
-            self.note((*location, pose_key), Fault(code, message))
+            self.record_fault((*location, pose_key), Fault(code, message))
         return None if messages else keyed_poses(model, entry_poses)
 
     def _prim_poses(
@@ -228,13 +228,13 @@ class EntryReader:
         for key in ("moves", "turns"):
             if getattr(model, key):
                 message = f"{key} does not apply to something that follows a prim"
-                self.note((*location, key), Fault(code, message))
+                self.record_fault((*location, key), Fault(code, message))
         path = self.find_followed((*location, "prim", "file"), model.prim.file)
         if path is None:
             return None
         prim = OnPrim(path, model.prim.prim, model.prim.frame)
-        place = (*location, "prim", "prim")
-        carrier = self.try_read(place, prim.sample_poses, "SIM053")
+        key_location = (*location, "prim", "prim")
+        carrier = self.try_read(key_location, prim.sample_poses, "SIM053")
         if carrier is None:
             return None
         offset = entry_poses.rows[0]
@@ -252,17 +252,17 @@ class EntryReader:
         path = self.character(location, model)
         if path is None:
             return None
-        self.note_ranges(location, model)
+        self.check_ranges(location, model)
         if model.mesh is not None and model.margin <= 0:
             reason = "its margin must be above 0: it is half the thickness of the mesh"
-            self.note((*location, "margin"), Fault("SIM020", reason))
+            self.record_fault((*location, "margin"), Fault("SIM020", reason))
         return model.model_copy(update={"file": str(path)})
 
     def surface(
         self, location: Location, model: SystemSurfaceModel
     ) -> SystemSurfaceModel:
         """Return the collision surface of a scene's system that an entry names."""
-        self.note_ranges(location, model)
+        self.check_ranges(location, model)
         return model
 
     def character(
@@ -274,18 +274,20 @@ class EntryReader:
         if model.source is (model.file is not None):
             message = "write either a file, or the character of this scene"
             hint = "write file: walk.clip.yaml, or source: true"
-            self.note(location, Fault("SCN066", message, hint=hint))
+            self.record_fault(location, Fault("SCN066", message, hint=hint))
             return None
         if model.file is not None:
             return self.input((*location, "file"), model.file)
         if not self.document.value.get("source"):
             message = "the scene has no character, as it has no source"
             hint = "name a file, or give the scene a source"
-            self.note((*location, "source"), Fault("SCN066", message, hint=hint))
+            self.record_fault(
+                (*location, "source"), Fault("SCN066", message, hint=hint)
+            )
             return None
         return self.document.path
 
-    def named(
+    def named_record(
         self,
         location: Location,
         entry: NamedOptions,
@@ -298,7 +300,7 @@ class EntryReader:
         if name not in table:
             hint = nearest(_OTHER_SHAPES.get(name, name), list(table))
             fault = Fault(code, f"unknown {noun} {name!r}", hint=hint)
-            self.note((*location, name), fault)
+            self.record_fault((*location, name), fault)
             return None
         location, kind, values = (*location, name), table[name], values or {}
         if kind is Mesh:
@@ -312,18 +314,18 @@ class EntryReader:
     ) -> Kind | None:
         """Return an options record after checking all options; None with faults."""
         record, faults = record_of_options(kind, values, name)
-        self.note_all(location, faults)
+        self.record_faults(location, faults)
         return None if faults else record
 
     def _mesh(self, location: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh made from arrays of a file; None with faults."""
         keys = ["points", "triangles", "closed"]
         unknown_keys = unknown_options(values, keys, "mesh")
-        self.note_all(location, unknown_keys)
+        self.record_faults(location, unknown_keys)
         is_closed = values.get("closed", False)
         if not isinstance(is_closed, bool):
             message = f"must be true or false, not {excerpt(repr(is_closed))}"
-            self.note((*location, "closed"), Fault("SCN002", message))
+            self.record_fault((*location, "closed"), Fault("SCN002", message))
             return None
         points, triangles = (
             self._named_array(
@@ -349,7 +351,7 @@ class EntryReader:
         faults = [("size", reason) for reason in field.faults()]
         faults += [("heights", reason) for reason in field.height_faults(heights)]
         for key, reason in faults:
-            self.note((*location, key), Fault("SIM020", reason))
+            self.record_fault((*location, key), Fault("SIM020", reason))
         return None if faults else field.mesh(heights)
 
     def _named_array(
@@ -363,7 +365,7 @@ class EntryReader:
         if isinstance(text, str):
             return self.array((*location, key), text, key)
         key_location = (*location, key) if key in values else location
-        self.note(key_location, Fault("SCN002", f"{missing_message}.npz#{key}"))
+        self.record_fault(key_location, Fault("SCN002", f"{missing_message}.npz#{key}"))
         return None
 
     def array(
@@ -381,17 +383,17 @@ class EntryReader:
         try:
             values = load_array(path, key)
         except ValueError as error:
-            self.note(location, Fault("RIG018", str(error)))
+            self.record_fault(location, Fault("RIG018", str(error)))
             return None
         reason = _array_fault(values)
         if reason is not None:
-            self.note(location, Fault("RIG018", f"{path.name}#{key} {reason}"))
+            self.record_fault(location, Fault("RIG018", f"{path.name}#{key} {reason}"))
         return values if reason is None else None
 
     def input(self, location: Location, name: str) -> Path | None:
         """Return a file to read; None with a fault if it is missing."""
         path = resolve_input(self.document, location, name, self.roots)
-        self.sound &= path is not None
+        self.is_valid &= path is not None
         return path
 
     def find_followed(self, location: Location, name: str) -> Path | None:
@@ -403,7 +405,7 @@ class EntryReader:
     def output(self, location: Location, name: str) -> None:
         """Record a fault if a file cannot be written."""
         reference = (self.document, location, name, self.roots)
-        self.sound &= resolve_reference(*reference, is_output=True) is not None
+        self.is_valid &= resolve_reference(*reference, is_output=True) is not None
 
 
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:

@@ -29,7 +29,7 @@ def simulation_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
         needed_groups = {
             group_of[index_by_name[name]]
             for i in group
-            for name, _ in systems[i].setup.around.needs
+            for name, _ in systems[i].setup.surroundings.needs
             if name in index_by_name
         }
         sorter.add(k, *sorted(needed_groups))
@@ -42,13 +42,17 @@ def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[i
     This includes indirect dependencies and the systems that they are joined to.
     """
     groups = simulation_order(systems)
-    needed_names = {name for i in group for name, _ in systems[i].setup.around.needs}
+    needed_names = {
+        name for i in group for name, _ in systems[i].setup.surroundings.needs
+    }
     system_indices: list[int] = []
     for earlier_group in reversed(groups[: groups.index(list(group))]):
         if any(systems[i].name in needed_names for i in earlier_group):
             system_indices += earlier_group
             for i in earlier_group:
-                needed_names |= {name for name, _ in systems[i].setup.around.needs}
+                needed_names |= {
+                    name for name, _ in systems[i].setup.surroundings.needs
+                }
     return sorted(system_indices)
 
 
@@ -67,7 +71,7 @@ def with_dependencies(
         needed_indices |= {
             i
             for i, system in enumerate(systems)
-            if any(name in names for name, _ in system.setup.around.pushes)
+            if any(name in names for name, _ in system.setup.surroundings.pushes)
         }
         if needed_indices == included_indices:
             return sorted(included_indices)
@@ -84,12 +88,14 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
     for i, system in enumerate(systems):
         joined_names = {name for name, _ in system.setup.joined}
         joined_indices = [
-            k for k, other in enumerate(systems) if other.name in joined_names
+            other_index
+            for other_index, other in enumerate(systems)
+            if other.name in joined_names
         ]
-        carriers = system.setup.around.carriers
+        carriers = system.setup.surroundings.carriers
         joined_indices += [tied_first.setdefault(name, i) for name in carriers]
-        for k in joined_indices:
-            new_group, old_group = sorted((group_of[i], group_of[k]))
+        for other_index in joined_indices:
+            new_group, old_group = sorted((group_of[i], group_of[other_index]))
             group_of = [new_group if g == old_group else g for g in group_of]
     return [
         [i for i, group in enumerate(group_of) if group == number]
@@ -106,11 +112,11 @@ def check_links(
         setup, scene = system.setup, (document, system, systems, names)
         for name, location in setup.joined:
             valid &= _check_name(*scene, name, location, "weldable")
-        for name, location in setup.around.needs:
+        for name, location in setup.surroundings.needs:
             valid &= _check_name(*scene, name, location, "surface")
-        for name, location in setup.around.pushes if valid else ():
+        for name, location in setup.surroundings.pushes if valid else ():
             valid &= _check_name(*scene, name, location, "rigid")
-        for tie in setup.around.tied if valid else ():
+        for tie in setup.surroundings.tied if valid else ():
             valid &= _check_body(document, system, systems, *tie)
     valid = valid and _check_cycles(document, systems)
     for group in simulation_order(systems) if valid else ():
@@ -182,7 +188,7 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
         for fault in [] if record is None else record.joined_faults(members):
             key_location = (*system.setup.location, *parse_location(fault.where or ""))
             document.add(fault.code, key_location, fault.message, fault.hint)
-    has_colliders = any(system.setup.around.has_colliders for system in systems)
+    has_colliders = any(system.setup.surroundings.has_colliders for system in systems)
     first_values: dict[str, tuple[str, Any]] = {}
     for system in systems:
         for key, value in system.setup.spec.shared(has_colliders=has_colliders).items():
@@ -201,7 +207,7 @@ def _check_cycles(document: Document, systems: Sequence[SceneSystem]) -> bool:
     except CycleError as error:
         groups = joined_groups(systems)
         members = {systems[i].name for k in error.args[1] for i in groups[k]}
-        needs = [s.setup.around.needs for s in systems if s.name in members]
+        needs = [s.setup.surroundings.needs for s in systems if s.name in members]
         locations = (loc for links in needs for name, loc in links if name in members)
         message = f"{listed(sorted(members))} collide with each other in a circle"
         hint = "remove the collision that matters less"
@@ -238,22 +244,22 @@ def _check_name(
     capability: str,
 ) -> bool:
     """Record a fault unless a name is that of a suitable other system."""
-    own_name = None if system is None else system.name
+    system_name = None if system is None else system.name
     kind = next((other.kind for other in systems if other.name == name), None)
     suitable_kinds = [
         k for k, entry in SYSTEM_KINDS.items() if getattr(entry, capability)
     ]
     message, hint = "", None
     if name not in names:
-        other_names = sorted({*names} - {own_name})
+        other_names = sorted({*names} - {system_name})
         message = f"unknown system {name!r}"
-        hint = "there is no other" if own_name else "the scene has no systems"
+        hint = "there is no other" if system_name else "the scene has no systems"
         if other_names:
             hint = nearest(name, other_names) or f"the scene has {listed(other_names)}"
     elif (count := list(names).count(name)) > 1:
         message = f"{count} systems are named {name!r}"
         hint = "give each a unique name"
-    elif name == own_name:
+    elif name == system_name:
         message = f"{name!r} is the system itself"
     elif kind is not None and kind not in suitable_kinds:
         message = f"{name!r} is of kind {kind}, not {' or '.join(suitable_kinds)}"

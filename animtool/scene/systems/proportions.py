@@ -68,7 +68,9 @@ def placement_warnings(
 
 def _characters(system: SceneSystem) -> list[Path]:
     """Return the files of the characters that a system depends on."""
-    files = [Path(str(character.file)) for character in system.setup.around.characters]
+    files = [
+        Path(str(character.file)) for character in system.setup.surroundings.characters
+    ]
     files += [pin.carrier.file for pin in _character_pins(system)]
     return list(dict.fromkeys(files))
 
@@ -158,8 +160,8 @@ def _pin_warnings(
     carrier: OnJoint | OnVertex = pinned.carrier
     rig = characters.of(carrier.file).rig
     joint_size, bounds_size = _sizes(rig)
-    in_carrier = pinned.local_positions(carrier.poses(characters))
-    distance = float(np.linalg.norm(in_carrier, axis=-1).min(initial=np.inf))
+    local_positions = pinned.local_positions(carrier.poses(characters))
+    distance = float(np.linalg.norm(local_positions, axis=-1).min(initial=np.inf))
     if not bounds_size or distance <= bounds_size or not np.isfinite(distance):
         return
     if isinstance(carrier, OnJoint):

@@ -89,7 +89,7 @@ class SystemRun:
         seconds: Time spent on each system [s].
         written: Indices of the systems to write.
         stopped: Error that stopped the run before the last frame; None if complete.
-        done: Number of simulated frames.
+        frames_done: Number of simulated frames.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class SystemRun:
         self.seconds = [0.0] * len(systems)
         self.written = [i for i, system in enumerate(systems) if system.written]
         self.stopped: ToleranceError | None = None
-        self.done = 0
+        self.frames_done = 0
         self._character = character
         self._phases: ProgressPhases | None = None
         self._frames: Progress = None
@@ -184,7 +184,7 @@ class SystemRun:
         self._frames = show_progress
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
             try:
-                row = [self._row(i, t) for i in self.written]
+                system_frames = [self._system_frame(i, t) for i in self.written]
             except ToleranceError as error:
                 faults = self._faults_with_frame(code, error)
                 if not (k and keep_stopped):
@@ -193,8 +193,8 @@ class SystemRun:
                 note = Fault("SIM193", kept, severity=Severity.NOTE)
                 self.stopped = ToleranceError([*faults, note])
                 break
-            yield float(code), row
-            self.done = k + 1
+            yield float(code), system_frames
+            self.frames_done = k + 1
             self._record_states(code)
             if show_progress is not None:
                 show_progress((k + 1) / len(codes))
@@ -279,7 +279,7 @@ class SystemRun:
             for name in system.setup.writes:
                 write_states(folder / name, {"": (state_clock(system, run), state)})
 
-    def _row(self, i: int, t: float) -> Any:
+    def _system_frame(self, i: int, t: float) -> Any:
         """Return the frame of a system at a time [s]."""
         start_time = time.perf_counter()
         with located_systems([self.systems[i]]):

@@ -55,7 +55,7 @@ class BuildContext:
     # Characters in motion, each read once.
     characters: CharacterMotions = field(default_factory=CharacterMotions)
     # Built systems by name.
-    built: dict[str, EntryRun] = field(default_factory=dict)
+    runs_by_name: dict[str, EntryRun] = field(default_factory=dict)
     # Progress of the systems; None if it is not shown.
     progress: SystemProgress | None = None
 
@@ -78,8 +78,10 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
 
     def attach_location(fault: Fault) -> Fault:
         locations = [member.location for member in members]
-        with_key = (location for location in locations if location.nearest_key(fault))
-        return next(with_key, locations[0]).locate(fault)
+        keyed_locations = (
+            location for location in locations if location.nearest_key(fault)
+        )
+        return next(keyed_locations, locations[0]).locate(fault)
 
     try:
         yield
@@ -142,10 +144,12 @@ def run_entries(
         shared_values |= setup.spec.shared()
     spec = setups[0].spec.model_copy(update={**shared_values, **(spec_changes or {})})
     start_time = -spec.preroll
-    surroundings = Surroundings.of([setup.around for setup in setups])
-    colliders = surroundings.build(context.characters, context.built)
-    names = surroundings.carriers
-    carriers = {name: context.built[name].body_carriers() for name in names}
+    surroundings = Surroundings.of([setup.surroundings for setup in setups])
+    colliders = surroundings.build(context.characters, context.runs_by_name)
+    carrier_names = surroundings.carriers
+    carriers = {
+        name: context.runs_by_name[name].body_carriers() for name in carrier_names
+    }
 
     def poses(carrier: Any) -> Poses:
         if isinstance(carrier, BodyCarrier):
@@ -190,7 +194,7 @@ def open_systems(
     ``last`` is the last time [s]. Warnings about their initial state, and about their
     size and distance from a rig, are added to ``warnings``.
     """
-    context = BuildContext(last, characters_with(character), progress=progress)
+    context = BuildContext(last, character_cache(character), progress=progress)
     built_systems = build_systems(systems, context)
     has_characters = main_rig is not None or context.characters.by_path
     if warnings is not None and has_characters:
@@ -206,8 +210,8 @@ def build_systems(
     faults: list[Fault] = []
     for group in simulation_order(systems):
         members = [systems[i] for i in group]
-        needs = [need for member in members for need in member.setup.around.needs]
-        if any(name not in context.built for name, _ in needs):
+        needs = [need for member in members for need in member.setup.surroundings.needs]
+        if any(name not in context.runs_by_name for name, _ in needs):
             continue
         try:
             with located_systems(members):
@@ -217,7 +221,7 @@ def build_systems(
             continue
         runs_by_index |= dict(zip(group, runs, strict=True))
         names = [member.name for member in members]
-        context.built |= dict(zip(names, runs, strict=True))
+        context.runs_by_name |= dict(zip(names, runs, strict=True))
     if faults:
         raise FormatError(list(dict.fromkeys(faults)))
     return [runs_by_index[i] for i in sorted(runs_by_index)]
@@ -251,7 +255,7 @@ def build_faults(document: Document, systems: Sequence[SceneSystem]) -> list[Fau
     return []
 
 
-def characters_with(character: CharacterMotion | None) -> CharacterMotions:
+def character_cache(character: CharacterMotion | None) -> CharacterMotions:
     """Return the cache of characters, which contains the scene's own character."""
     characters = CharacterMotions()
     if character is not None:

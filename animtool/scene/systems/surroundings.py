@@ -98,7 +98,9 @@ class Surroundings:
     meshes: tuple[MovingMeshModel, ...] = ()
     # Rigid systems and bodies that carry particles, with the keys of the entry.
     tied: tuple[tuple[str, str, str], ...] = ()
-    followed: tuple[Path, ...] = ()  # USD files that colliders and emitters follow
+    followed_files: tuple[
+        Path, ...
+    ] = ()  # USD files that colliders and emitters follow
     location: Location = ()  # location of the entry
 
     @staticmethod
@@ -198,8 +200,11 @@ class Surroundings:
                 bodies.append(system_run.body_colliders(*values, two_way=two_way))
                 continue
             surface = system_run.surface()
-            sheet: dict[str, Any] = {"motion": surface, "name": surface_entry.system}
-            sheet |= {"radius": surface.radius, "closed": surface.closed}
-            sheets.append(record_of(Sheet, surface_entry, **sheet))
+            sheet_values: dict[str, Any] = {
+                "motion": surface,
+                "name": surface_entry.system,
+            }
+            sheet_values |= {"radius": surface.radius, "closed": surface.closed}
+            sheets.append(record_of(Sheet, surface_entry, **sheet_values))
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

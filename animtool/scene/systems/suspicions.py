@@ -148,8 +148,10 @@ def _warn_of_ratio(
         ratio = (family or {}).get("ratio")
         if isinstance(ratio, int | float) and ratio > MAX_DAMPING_RATIO:
             message = f"ratio {ratio:g} is {ratio:g} times critical damping"
-            inner = ("springs", key, "ratio") if key else ("ratio",)
-            document.warn("SIM200", (*location, *inner), message, percent_hint(ratio))
+            inner_path = ("springs", key, "ratio") if key else ("ratio",)
+            document.warn(
+                "SIM200", (*location, *inner_path), message, percent_hint(ratio)
+            )
             return
 
 
@@ -242,16 +244,16 @@ ROTATION_KEYS = {"rotate", "inertia_axes", "rotation"}
 
 
 def warn_of_radians(
-    document: Document, at: Location, values: Mapping[str, Any]
+    document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
     """Warn of limits, cones and fields of view that seem to be in radians (SIM200).
 
     ``values`` are the stated keys of the system at a location, in degrees.
     """
-    for location, key, angle in _cones(at, values):
+    for key_location, key, angle in _cones(location, values):
         message = f"{key} {angle:g} is a cone of {angle:g}°"
         hint = f"for {angle:g} rad write {math.degrees(angle):.3g}"
-        document.warn("SIM200", location, message, hint)
+        document.warn("SIM200", key_location, message, hint)
     for i, joint in enumerate(values.get("joints") or ()):
         for key in ("limits", "swing", "twist") if isinstance(joint, Mapping) else ():
             numbers = joint.get(key)
@@ -259,25 +261,27 @@ def warn_of_radians(
                 continue
             angles = numbers if isinstance(numbers, list) else [numbers or 0.0]
             if _look_like_radians(angles):
-                location = (*at, "joints", i, key)
-                message = f"{key} {_text(numbers, 1.0)} look like radians, but angles "
-                message += f"are in degrees: the largest is {max(map(abs, angles)):g}°"
-                hint = f"write {_text(numbers, math.degrees(1.0))}, or declare "
+                key_location = (*location, "joints", i, key)
+                message = f"{key} {_numbers_text(numbers, 1.0)} look like radians, but "
+                message += (
+                    f"angles are in degrees: the largest is {max(map(abs, angles)):g}°"
+                )
+                hint = f"write {_numbers_text(numbers, math.degrees(1.0))}, or declare "
                 hint += "'units: {angle: rad}' in the scene"
-                document.warn("SIM200", location, message, hint)
+                document.warn("SIM200", key_location, message, hint)
                 return
 
 
 def warn_of_rotations(
-    document: Document, at: Location, values: Mapping[str, Any]
+    document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
     """Warn once if a quaternion is not of unit length (RIG110)."""
-    for location, key, value in stated_keys(at, values):
+    for key_location, key, value in stated_keys(location, values):
         if key in ROTATION_KEYS and _is_quaternion(value):
-            warn_of_quaternion_length(document, location, value)
+            warn_of_quaternion_length(document, key_location, value)
         for i, row in enumerate(value if key == "turns" else ()):
             if isinstance(row, list) and _is_quaternion(row[1:]):
-                warn_of_quaternion_length(document, (*location, i), row[1:])
+                warn_of_quaternion_length(document, (*key_location, i), row[1:])
 
 
 def _is_quaternion(value: object) -> bool:
@@ -289,7 +293,7 @@ def _is_quaternion(value: object) -> bool:
 
 
 def _cones(
-    at: Location, values: Mapping[str, Any]
+    location: Location, values: Mapping[str, Any]
 ) -> Iterator[tuple[Location, str, float]]:
     """Yield cone angles that are plausible in radians, with location and key."""
     for key in ("emitters", "species"):
@@ -297,10 +301,10 @@ def _cones(
             spread, vision = entry.get("spread"), entry.get("vision") or {}
             # Few integers are radians.
             if isinstance(spread, float) and 0 < spread <= math.pi and spread % 1:
-                yield (*at, key, i, "spread"), "spread", spread
+                yield (*location, key, i, "spread"), "spread", spread
             angle = vision.get("angle")
             if isinstance(angle, int | float) and 0 < angle <= math.tau:
-                yield (*at, key, i, "vision", "angle"), "vision.angle", angle
+                yield (*location, key, i, "vision", "angle"), "vision.angle", angle
 
 
 def _look_like_radians(angles: Sequence[float]) -> bool:
@@ -312,7 +316,7 @@ def _look_like_radians(angles: Sequence[float]) -> bool:
     return TIGHT_LIMIT <= largest <= FULL_REVOLUTION and is_multiple
 
 
-def _text(numbers: float | Sequence[float], factor: float) -> str:
+def _numbers_text(numbers: float | Sequence[float], factor: float) -> str:
     """Return numbers times a factor as text."""
     if isinstance(numbers, int | float):
         return f"{numbers * factor:.3g}"

@@ -38,21 +38,21 @@ def warn_of_weak_gravity(
     if not constant * acceleration * distance > 0:
         return  # nothing attracts, or arrays that are refused are not finite
     seconds = max(seconds, MIN_SECONDS)
-    move = constant * acceleration * seconds**2 / 2
-    if move >= MIN_MOVE * distance:
+    displacement = constant * acceleration * seconds**2 / 2
+    if displacement >= MIN_MOVE * distance:
         return
     message = f"with a constant of {constant:.3g}, masses of {plain_number(mass)} kg "
     message += f"in all and distances of {length_text(distance)}, gravity moves bodies "
-    message += f"by at most {length_text(move)} in {seconds:.3g} s"
+    message += f"by at most {length_text(displacement)} in {seconds:.3g} s"
     # Bodies then move by their distance in about a second.
-    fitting = float(f"{2 * distance / acceleration:.0e}")
-    hint = f"raise it, such as to gravity_constant: {fitting:g}"
+    suggested_constant = float(f"{2 * distance / acceleration:.0e}")
+    hint = f"raise it, such as to gravity_constant: {suggested_constant:g}"
     if math.isclose(constant, NEWTON_CONSTANT, rel_tol=CONSTANT_TOLERANCE):
         hint = f"{constant:.3g} is that of nature, for kg, m and s; for these numbers "
-        hint += f"write gravity_constant: {fitting:g}"
-    stated = "gravity_constant" in spec.model_fields_set
-    where = (*location, "gravity_constant") if stated else location
-    document.warn("SIM200", where, message, hint)
+        hint += f"write gravity_constant: {suggested_constant:g}"
+    is_stated = "gravity_constant" in spec.model_fields_set
+    key_location = (*location, "gravity_constant") if is_stated else location
+    document.warn("SIM200", key_location, message, hint)
 
 
 def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, float]:
@@ -67,9 +67,9 @@ def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, 
         if body_points.shape[1:] != (3,):
             continue  # refused when the system is built
         body_masses = np.full(len(body_points), float(body.mass))
-        stated = (data or {}).get("masses")
-        if stated is not None and np.shape(stated) == body_masses.shape:
-            body_masses = np.asarray(stated, np.float64)
+        stated_masses = (data or {}).get("masses")
+        if stated_masses is not None and np.shape(stated_masses) == body_masses.shape:
+            body_masses = np.asarray(stated_masses, np.float64)
         points.append(body_points)
         masses.append(body_masses)
     for galaxy in spec.galaxies:

@@ -24,10 +24,10 @@ MIN_FALL = 2.0
 # Entries that start deeper than their size, by more than this, do so by mistake [m].
 MIN_DEPTH = 0.05
 # Thickness over width of a slab, and the sine of its slope when it is upright.
-SLAB, UPRIGHT = 0.1, 0.1
+MAX_SLAB_RATIO, MAX_UPRIGHT_SINE = 0.1, 0.1
 # A box of which half or more is cut was placed by a corner, or beyond a wall; half of a
 # sphere may be meant as a dome [1]. Placed as meant, hardly anything is cut [1].
-MAX_CUT, MAX_ROUND_CUT, MAX_MOVED_CUT = 0.45, 0.55, 0.1
+MAX_CUT_FRACTION, MAX_ROUND_CUT_FRACTION, MAX_DISPLACED_CUT_FRACTION = 0.45, 0.55, 0.1
 # Points along each side at which it is measured.
 FILL_SAMPLES = 12
 # Height above the ground that no position of a crowd needs [m].
@@ -55,54 +55,63 @@ def warn_of_layout(
     """
     used_names: set[str] = set()
     for system in systems:
-        links = (*system.setup.around.needs, *system.setup.joined)
+        links = (*system.setup.surroundings.needs, *system.setup.joined)
         used_names |= {name for name, _ in links}
     for system in systems:
-        at = system.setup.location
-        spec, around = system.setup.spec, system.setup.around
+        location = system.setup.location
+        spec, surroundings = system.setup.spec, system.setup.surroundings
         if system.kind == "crowds":
-            _warn_of_z_up(document, at, spec)
+            _warn_of_z_up(document, location, spec)
             continue
         if system.kind == "nbody":
-            warn_of_weak_gravity(document, at, spec, system.setup.parts, seconds)
+            warn_of_weak_gravity(document, location, spec, system.setup.parts, seconds)
             continue
-        starts = list(_starts(system.kind, at, spec))
+        starts = list(_starts(system.kind, location, spec))
         if not system.setup.carriers and spec.resume is None:
-            _warn_of_planes(document, at, starts, around.colliders, "colliders")
+            _warn_of_planes(
+                document, location, starts, surroundings.colliders, "colliders"
+            )
             kills = system.setup.parts.get("kill") or ()
-            _warn_of_planes(document, at, starts, kills, "kill")
+            _warn_of_planes(document, location, starts, kills, "kill")
             if system.kind == "fluid":
                 _warn_of_cut_fills(document, system)
-        fall = _fall(system.kind, spec) * seconds**2 / 2
-        others = around.needs or around.characters or around.meshes or around.tied
-        if fall <= MIN_FALL or others or system.name in used_names:
+        fall = _free_fall_acceleration(system.kind, spec) * seconds**2 / 2
+        has_contacts = (
+            surroundings.needs
+            or surroundings.characters
+            or surroundings.meshes
+            or surroundings.tied
+        )
+        if fall <= MIN_FALL or has_contacts or system.name in used_names:
             continue
-        if not around.colliders and not system.setup.joined:
-            _warn_of_fall(document, at, system, fall)
-        elif len(around.colliders) == 1:
-            _warn_of_upright(document, at, starts, around.colliders[0], fall)
+        if not surroundings.colliders and not system.setup.joined:
+            _warn_of_fall(document, location, system, fall)
+        elif len(surroundings.colliders) == 1:
+            _warn_of_upright(
+                document, location, starts, surroundings.colliders[0], fall
+            )
 
 
-def _fall(kind: str, spec: Any) -> float:
+def _free_fall_acceleration(kind: str, spec: Any) -> float:
     """Return the acceleration of a system in free fall; 0 if it is held [m/s²]."""
     if kind in {"rope", "strands", "cloth", "volume"}:
-        held = spec.pins or spec.air is not None or spec.settle
-        return 0.0 if held else math.hypot(*spec.gravity)
+        is_supported = spec.pins or spec.air is not None or spec.settle
+        return 0.0 if is_supported else math.hypot(*spec.gravity)
     if kind == "rigid":
         moves = (
             body.kinematic or body.pushes or any(body.velocity) or any(body.spin)
             for body in spec.bodies
         )
-        held = spec.stages or any(joint.to is None for joint in spec.joints)
-        return 0.0 if held or any(moves) else _gravity(spec.forces)
+        is_supported = spec.stages or any(joint.to is None for joint in spec.joints)
+        return 0.0 if is_supported or any(moves) else _gravity_of_forces(spec.forces)
     if kind == "fluid":
         moves = (fill.velocities or any(fill.velocity) for fill in spec.fills)
-        held = spec.emitters or spec.drains
-        return 0.0 if held or any(moves) else _gravity(spec.forces)
+        is_supported = spec.emitters or spec.drains
+        return 0.0 if is_supported or any(moves) else _gravity_of_forces(spec.forces)
     return 0.0
 
 
-def _gravity(forces: Sequence[Mapping[str, Any]]) -> float:
+def _gravity_of_forces(forces: Sequence[Mapping[str, Any]]) -> float:
     """Return the gravity of forces; 0 if there is any other force [m/s²]."""
     total = np.zeros(3)
     for force in forces:
@@ -114,12 +123,16 @@ def _gravity(forces: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _warn_of_fall(
-    document: Document, at: Location, system: SceneSystem, fall: float
+    document: Document, location: Location, system: SceneSystem, fall: float
 ) -> None:
     """Warn of a system that nothing holds or stops (SIM201); ``fall`` is [m]."""
-    pins = hasattr(system.setup.spec, "pins")
-    held = "has no pins and nothing to collide with" if pins else "touches nothing"
-    message = f"{system.name} {held}: it falls freely, by {length_text(fall)} in the "
+    has_pins = hasattr(system.setup.spec, "pins")
+    problem = (
+        "has no pins and nothing to collide with" if has_pins else "touches nothing"
+    )
+    message = (
+        f"{system.name} {problem}: it falls freely, by {length_text(fall)} in the "
+    )
     message += "range"
     hint = "add a floor: colliders: [{shape: {plane: }}]"
     if system.kind == "fluid":
@@ -127,12 +140,12 @@ def _warn_of_fall(
     elif system.kind in _PINS:
         hint = f"pin it, such as pins: [{{particles: [{_PINS[system.kind]}]}}], or "
         hint += "add colliders"
-    document.warn("SIM201", at, message, hint)
+    document.warn("SIM201", location, message, hint)
 
 
 def _warn_of_upright(
     document: Document,
-    at: Location,
+    location: Location,
     starts: Sequence[_Start],
     collider: Collider,
     fall: float,
@@ -141,27 +154,31 @@ def _warn_of_upright(
     if not isinstance(collider.shape, Box) or collider.container:
         return
     size, pose = np.asarray(collider.shape.size, np.float64), collider.poses.rows[0]
-    thin = so3.rotate(pose[3:], np.array([0.0, 1.0, 0.0]))
-    is_slab = size[1] <= SLAB * min(size[0], size[2])
-    if not is_slab or abs(thin[1]) > UPRIGHT or len(collider.poses.rows) > 1:
+    thin_axis = so3.rotate(pose[3:], np.array([0.0, 1.0, 0.0]))
+    is_slab = size[1] <= MAX_SLAB_RATIO * min(size[0], size[2])
+    if (
+        not is_slab
+        or abs(thin_axis[1]) > MAX_UPRIGHT_SINE
+        or len(collider.poses.rows) > 1
+    ):
         return
     if not starts:
         return
     offsets = np.concatenate([start.points - pose[:3] for start in starts])
-    is_beside = (np.abs(offsets[:, [0, 2]]) > size[[0, 2]] / 2).any()
-    if is_beside or (offsets[:, 1] < 0).any():
+    is_outside_slab = (np.abs(offsets[:, [0, 2]]) > size[[0, 2]] / 2).any()
+    if is_outside_slab or (offsets[:, 1] < 0).any():
         return
-    axis = "XYZ"[int(np.argmax(np.abs(thin)))]
+    axis = "XYZ"[int(np.argmax(np.abs(thin_axis)))]
     message = "colliders[0] is a slab that stands upright: its rotate turns its thin "
     message += f"side from Y to {axis}; nothing lies below {starts[0].label}, which "
     message += f"falls by up to {length_text(fall)} in the range"
     hint = "systems have Y up: remove the rotate, and check `at`"
-    document.warn("SIM201", (*at, "colliders", 0, "rotate"), message, hint)
+    document.warn("SIM201", (*location, "colliders", 0, "rotate"), message, hint)
 
 
 def _warn_of_planes(
     document: Document,
-    at: Location,
+    location: Location,
     starts: Sequence[_Start],
     colliders: Sequence[Collider],
     key: str,
@@ -171,22 +188,22 @@ def _warn_of_planes(
         if not isinstance(collider.shape, Plane):
             continue
         name = repr(collider.name) if collider.name else f"{key}[{c}]"
-        plane, deep = Colliders([collider]), []
+        plane, deep_starts = Colliders([collider]), []
         for start in starts:
             depth = -float(plane.sample(start.points, 0.0).distances.max())
             if depth > start.reach + MIN_DEPTH:
-                deep.append((depth, start))
-        if not deep:
+                deep_starts.append((depth, start))
+        if not deep_starts:
             continue
-        depth, start = max(deep, key=lambda entry: entry[0])
+        depth, start = max(deep_starts, key=lambda entry: entry[0])
         normal = np.asarray(collider.shape.normal, np.float64)
         normal = so3.rotate(collider.poses.rows[0, 3:], normal)
         is_down = normal[1] < -0.9 * np.linalg.norm(normal) and not collider.container
-        if is_down and len(deep) == len(starts):
+        if is_down and len(deep_starts) == len(starts):
             message = f"the normal of {name} points down: everything above the plane "
             message += f"is inside it, such as {start.label}"
-            location = (*at, key, c, "shape", "plane", "normal")
-            document.warn("SIM202", location, message, "write normal: [0, 1, 0]")
+            key_location = (*location, key, c, "shape", "plane", "normal")
+            document.warn("SIM202", key_location, message, "write normal: [0, 1, 0]")
             return
         side = "outside" if collider.container else "inside"
         if normal[1] > 0.99 * np.linalg.norm(normal):
@@ -207,11 +224,11 @@ def _warn_of_planes(
 
 def _warn_of_cut_fills(document: Document, system: SceneSystem) -> None:
     """Warn of fills of which a container or a plane cuts half or more (SIM202)."""
-    at, around = system.setup.location, system.setup.around
+    location, surroundings = system.setup.location, system.setup.surroundings
     spec: Any = system.setup.spec
     walls = [
         (c, Colliders([collider]))
-        for c, collider in enumerate(around.colliders)
+        for c, collider in enumerate(surroundings.colliders)
         if collider.container or isinstance(collider.shape, Plane)
     ]
     parts = system.setup.parts.get("fills") or ()
@@ -221,7 +238,7 @@ def _warn_of_cut_fills(document: Document, system: SceneSystem) -> None:
             continue
         points, pose = _fill_samples(shape), data["poses"].at(0.0)
         points = so3.rotate(pose[3:], points) + pose[:3]
-        limit = MAX_CUT if isinstance(shape, Box) else MAX_ROUND_CUT
+        limit = MAX_CUT_FRACTION if isinstance(shape, Box) else MAX_ROUND_CUT_FRACTION
         for c, wall in walls:
             cut = _inside_fraction(wall, points)
             # A fill without any particle is refused, and one below a plane reported.
@@ -235,14 +252,14 @@ def _warn_of_cut_fills(document: Document, system: SceneSystem) -> None:
             hint = "move it inside, or make it smaller"
             half_size = np.ptp(shape_bounds(shape), axis=0) / 2
             offset = so3.rotate(pose[3:], half_size)
-            if _inside_fraction(wall, points + offset) < MAX_MOVED_CUT:
+            if _inside_fraction(wall, points + offset) < MAX_DISPLACED_CUT_FRACTION:
                 unit = 1.0 if system.unit is None else system.unit.meters
                 corner, centre = (
                     vector_text(point / unit, 4)
                     for point in (pose[:3], pose[:3] + offset)
                 )
                 hint = f"at is its centre: for a corner at {corner} write at: {centre}"
-            document.warn("SIM202", (*at, "fills", i, "at"), message, hint)
+            document.warn("SIM202", (*location, "fills", i, "at"), message, hint)
             break
 
 
@@ -261,14 +278,19 @@ def _inside_fraction(wall: Colliders, points: FloatArray) -> float:
     return float((wall.sample(points, 0.0).distances[0] < 0).mean())
 
 
-def _starts(kind: str, at: Location, spec: Any) -> Iterator[_Start]:
+def _starts(kind: str, location: Location, spec: Any) -> Iterator[_Start]:
     """Yield the start of each entry, except entries from files and prims."""
     if kind == "rigid":
         for i, body in enumerate(spec.bodies):
             shape = body.shape
             if shape and not (body.kinematic or body.grid or body.points):
-                where = (*at, "bodies", i, "at")
-                yield _Start(where, repr(body.name), np.array([body.at]), _reach(shape))
+                key_location = (*location, "bodies", i, "at")
+                yield _Start(
+                    key_location,
+                    repr(body.name),
+                    np.array([body.at]),
+                    _shape_radius(shape),
+                )
     elif kind in {"particles", "fluid"}:
         for key, name in (("emitters", "emitter"), ("fills", "fill")):
             for i, entry in enumerate(getattr(spec, key, ())):
@@ -279,27 +301,30 @@ def _starts(kind: str, at: Location, spec: Any) -> Iterator[_Start]:
                     radius = max([entry.radius or 0.0, *(entry.size or ())])
                     shape = {"disc": {"radius": radius}}
                 label = repr(entry.name) if entry.name else f"{name} {i}"
-                reach, where = _reach(shape or {}), (*at, key, i, "at")
+                reach, key_location = (
+                    _shape_radius(shape or {}),
+                    (*location, key, i, "at"),
+                )
                 points = np.zeros((1, 3))
                 if shape and next(iter(shape)) == "box":
                     points, reach = Box(shape["box"]["size"]).anchors(), 0.0
                 w, x, y, z = entry.rotate
                 rotation = so3.normalize(np.array([x, y, z, w]))
                 points = np.array(entry.at) + so3.rotate(rotation, points)
-                yield _Start(where, label, points, reach)
+                yield _Start(key_location, label, points, reach)
     elif kind == "rope":
         points = np.array([spec.start, spec.end])
-        yield _Start((*at, "from"), spec.name, points, 0.0)
+        yield _Start((*location, "from"), spec.name, points, 0.0)
     elif kind == "cloth" and spec.mesh is None:
         corner, across, up = map(np.array, (spec.corner, spec.across, spec.up))
         points = corner + np.array([0 * up, across, up, across + up])
-        yield _Start((*at, "corner"), spec.name, points, 0.0)
+        yield _Start((*location, "corner"), spec.name, points, 0.0)
     elif kind == "volume" and spec.tetrahedra is None:
         points = np.array([spec.corner, np.add(spec.corner, spec.size)])
-        yield _Start((*at, "corner"), spec.name, points, 0.0)
+        yield _Start((*location, "corner"), spec.name, points, 0.0)
 
 
-def _reach(shape: Mapping[str, Any]) -> float:
+def _shape_radius(shape: Mapping[str, Any]) -> float:
     """Return the radius of a shape about its origin; infinite if unknown [m]."""
     ((name, options),) = shape.items() or (("point", None),)
     values = options or {}
@@ -311,13 +336,13 @@ def _reach(shape: Mapping[str, Any]) -> float:
     return 0.0 if name == "point" else math.inf
 
 
-def _warn_of_z_up(document: Document, at: Location, spec: Any) -> None:
+def _warn_of_z_up(document: Document, location: Location, spec: Any) -> None:
     """Warn of a crowd whose positions vary in y but not in z (SIM200)."""
     ground = spec.ground
     if ground.shape is not None or ground.mesh is not None or ground.prim is not None:
         return
     entries = [
-        ((*at, key, i, "at"), entry.at)
+        ((*location, key, i, "at"), entry.at)
         for key in ("populations", "goals")
         for i, entry in enumerate(getattr(spec, key))
         if not getattr(entry, "points", None) and not getattr(entry, "prim", None)
@@ -326,10 +351,10 @@ def _warn_of_z_up(document: Document, at: Location, spec: Any) -> None:
     largest = max(heights, key=abs, default=0.0)
     if any(z for _, (_, _, z) in entries) or abs(largest) <= MAX_HEIGHT:
         return
-    location, (x, y, z) = entries[heights.index(largest)]
+    key_location, (x, y, z) = entries[heights.index(largest)]
     side = "above" if largest > 0 else "below"
     message = f"[{x:g}, {y:g}, {z:g}] is {length_text(abs(largest))} {side} the ground"
     message += ", which agents walk on: heights are ignored, and all z are 0"
     hint = "systems have Y up: write positions and sizes [x, y, z] as [x, z, -y], "
     hint += f"here [{x:g}, {z:g}, {-y:g}]"
-    document.warn("SIM200", location, message, hint)
+    document.warn("SIM200", key_location, message, hint)

@@ -10,13 +10,13 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 
 # A whole number of seconds from which a duration may be one of frames [s].
-MIN_LONG = 20.0
+MIN_SUSPICIOUS_SECONDS = 20.0
 # Lists of rows that begin with a time, and keys of a time at which something begins.
 ROW_KEYS = {"moves", "turns", "gusts", "bursts"}
 START_KEYS = {"start", "release", "opens", "bursts"}
 # Rows in frames reach at least this fraction of the scene's frames; fewer may be the
 # seconds of a longer scene of which only the beginning is written.
-MIN_REACH = 0.3
+MIN_LAST_FRACTION = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,66 +49,70 @@ class SceneTimes:
 
 
 def warn_of_times(
-    document: Document, at: Location, values: Mapping[str, Any], times: SceneTimes
+    document: Document, location: Location, values: Mapping[str, Any], times: SceneTimes
 ) -> None:
     """Warn of durations and times that seem to be in frames (SIM200).
 
     ``values`` are the stated keys of the system at a location.
     """
-    _warn_of_durations(document, at, values, times)
+    _warn_of_durations(document, location, values, times)
     if times.frames is None:
         return
     end = f"but the scene ends at {times.length:.3g} s"
-    for location, key, value in stated_keys(at, values):
+    for key_location, key, value in stated_keys(location, values):
         rows = value if isinstance(value, list | tuple) else []
         starts = [row[0] for row in rows if isinstance(row, list | tuple) and row]
         start = min(starts, default=value if isinstance(value, int | float) else 0.0)
         if key in START_KEYS and times.is_late_frame(start):
-            where = (*location, starts.index(start)) if starts else location
+            row_location = (
+                (*key_location, starts.index(start)) if starts else key_location
+            )
             message = f"{key} {start:g} is {start:g} s, {end}"
-            document.warn("SIM200", where, message, times.hint(start))
+            document.warn("SIM200", row_location, message, times.hint(start))
             return
         if key in ROW_KEYS and _is_in_frames(starts, times):
             row = starts.index(max(starts))
             message = f"the last row of {key} is at {starts[row]:g} s, {end}"
-            document.warn("SIM200", (*location, row), message, times.hint(starts[row]))
+            document.warn(
+                "SIM200", (*key_location, row), message, times.hint(starts[row])
+            )
             return
 
 
 def stated_keys(
-    at: Location, values: Mapping[str, Any]
+    location: Location, values: Mapping[str, Any]
 ) -> Iterator[tuple[Location, str, Any]]:
     """Yield the location, name and value of every key, including nested keys."""
     for key, value in values.items():
-        yield (*at, key), key, value
+        yield (*location, key), key, value
         entries = value if isinstance(value, list) else [value]
         for i, entry in enumerate(entries):
             if isinstance(entry, Mapping):
                 index = (i,) if isinstance(value, list) else ()
-                yield from stated_keys((*at, key, *index), entry)
+                yield from stated_keys((*location, key, *index), entry)
 
 
 def _is_in_frames(rows: list[float], times: SceneTimes) -> bool:
     last = max(rows, default=0.0)
     assert times.frames is not None
     are_integers = all(t == round(t) for t in rows)
-    reach = MIN_REACH * (times.frames[1] - times.frames[0])
-    return are_integers and last >= reach and times.is_late_frame(last)
+    min_last = MIN_LAST_FRACTION * (times.frames[1] - times.frames[0])
+    return are_integers and last >= min_last and times.is_late_frame(last)
 
 
 def _warn_of_durations(
-    document: Document, at: Location, values: Mapping[str, Any], times: SceneTimes
+    document: Document, location: Location, values: Mapping[str, Any], times: SceneTimes
 ) -> None:
-    durations = [((*at, "preroll"), "preroll", values.get("preroll"))]
+    durations = [((*location, "preroll"), "preroll", values.get("preroll"))]
     for i, emitter in enumerate(values.get("emitters") or ()):
-        location = (*at, "emitters", i, "lifetime")
-        durations.append((location, "lifetime", emitter.get("lifetime")))
-    for location, key, seconds in durations:
+        key_location = (*location, "emitters", i, "lifetime")
+        durations.append((key_location, "lifetime", emitter.get("lifetime")))
+    for key_location, key, seconds in durations:
         if not isinstance(seconds, int | float):
             continue
         hint = frames_hint(seconds, times.rate)
-        if hint and seconds >= max(MIN_LONG, times.length):
+        if hint and seconds >= max(MIN_SUSPICIOUS_SECONDS, times.length):
             message = f"{key} {seconds:g} is {seconds:g} s"
             if times.length:
                 message += f", and the scene has {times.length:.3g} s"
-            document.warn("SIM200", location, message, hint)
+            document.warn("SIM200", key_location, message, hint)

@@ -19,7 +19,7 @@ from animtool.scene.systems.links import dependencies, simulation_order
 from animtool.scene.systems.simulation import (
     BuildContext,
     build_systems,
-    characters_with,
+    character_cache,
     located_systems,
     run_entries,
 )
@@ -60,7 +60,7 @@ def system_trials(
     character: CharacterMotion | None = None,
 ) -> list[tuple[list[SceneSystem], Trial]]:
     """Return the trials of systems at times ``(F,)`` [s], with the systems of each."""
-    end_time, characters = float(times[-1]), characters_with(character)
+    end_time, characters = float(times[-1]), character_cache(character)
     trials = []
     for group in simulation_order(systems):
         members = [systems[i] for i in group]

@@ -141,12 +141,12 @@ class _ReferencePoints:
         curve = take.curve if is_curved else None
         # For a curve there are also instants between two samples at the highest rate.
         instants = math.ceil(CURVE_INSTANTS * max(Fraction(1), rate / clock.rate))
-        per_frame = instants if curve is not None else 1
-        count = (clock.count - 1) * per_frame + 1
+        instants_per_frame = instants if curve is not None else 1
+        count = (clock.count - 1) * instants_per_frame + 1
         points = attached_points(take.rig, SHELL_DISTANCE)[..., 0].size
         max_count = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))
         frame_indices = np.unique(np.linspace(0, count - 1, max_count).astype(np.int64))
-        frames = frame_indices / per_frame
+        frames = frame_indices / instants_per_frame
         motion: Motion
         if curve is None:
             motion = take.motion.select(frame_indices)
@@ -155,7 +155,7 @@ class _ReferencePoints:
         snapshots = _attached_snapshots(take.rig, motion.world(take.rig))
         return _ReferencePoints(take.rig, frames / float(clock.rate), snapshots)
 
-    def where(self, snapshot: int, point: int) -> str:
+    def point_label(self, snapshot: int, point: int) -> str:
         """Return the joint of a point and the time of a snapshot, as text."""
         joint_count = max(1, len(self.rig.joints))
         points_per_joint = len(self.snapshots[snapshot].points) // joint_count
@@ -237,7 +237,7 @@ def _sample_trial(
         ErrorMeasure.LARGEST,
         CostMeasure.BYTES,
         "samples",
-        where=reference.where,
+        where=reference.point_label,
         lines=lambda setting: [_scene_text(path, setting, rate_by_value)],
         write=write,
         size=points_extent(reference.snapshots[:1]),

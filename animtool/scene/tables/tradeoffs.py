@@ -177,8 +177,11 @@ def _write_pairs(
         if trial.write is None or other_row is None:
             continue
         settings = (table.chosen.setting, other_row.setting)
-        present, other = f"table{i + 1}_present.usdc", f"table{i + 1}_other.usdc"
-        files = (folder / present, folder / other)
+        chosen_name, other_name = (
+            f"table{i + 1}_present.usdc",
+            f"table{i + 1}_other.usdc",
+        )
+        files = (folder / chosen_name, folder / other_name)
         for setting, file in zip(settings, files, strict=True):
             trial.write(setting, file)
         stage_pairs.append(Pair(i, settings, files, trial.size))

@@ -112,7 +112,7 @@ def test_a_whole_start_keeps_its_number() -> None:
     # Far from a frame at the other rate: the nearest where whole ones are asked for.
     half = Fraction(97096, 100)
     assert frame_start(half, Fraction(24), Fraction(25)) == 1011
-    kept = frame_start(half, Fraction(24), Fraction(25), on_frame=False)
+    kept = frame_start(half, Fraction(24), Fraction(25), rounds_to_frame=False)
     assert kept == half * 25 / 24
 
 

@@ -27,7 +27,7 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file.read import load_scene
 from animtool.scene.file.tracks import TrackNames
 from animtool.scene.sources.joining import JoinedSource, join_sources
-from animtool.scene.sources.onto_rig import on_rig
+from animtool.scene.sources.onto_rig import map_to_rig
 
 GRIN = Control("grin", drives=(Drive("shape/smile"), Drive("joint/jaw.rotation.x")))
 HERO = Rig(
@@ -260,7 +260,7 @@ def test_a_source_of_the_same_rig_replaces_all_that_it_moves(take: Take) -> None
 
 def test_another_rig_is_met_by_name() -> None:
     head = Rig("cap", (Joint("jaw", -1), Joint("cap_head", 0, source_name="head")))
-    placed, names = on_rig(TakeStream.of(numbered(head, 3)), HERO, note)
+    placed, names = map_to_rig(TakeStream.of(numbered(head, 3)), HERO, note)
     assert names.joints.tolist() == [-1, 1, 0]
     motion = placed.collect().motion
     assert motion.translations.animated.tolist() == [1, 2]

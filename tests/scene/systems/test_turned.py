@@ -57,7 +57,7 @@ def scene(folder: Path, text: str) -> Path:
 
 def poses(folder: Path, keys: str) -> Poses:
     setup = load_scene(scene(folder, PARTICLES % STILL + BAT % keys)).systems[0].setup
-    return setup.around.colliders[0].poses
+    return setup.surroundings.colliders[0].poses
 
 
 def points(folder: Path) -> np.ndarray:

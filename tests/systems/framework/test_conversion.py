@@ -64,7 +64,7 @@ def test_an_example_in_another_unit_is_the_same(
     (other,) = written.scene(entry(kind), view, **keys).systems
     assert_close(plain.setup.spec, other.setup.spec, "spec")
     assert_close(plain.setup.parts, other.setup.parts, "parts")
-    assert_close(plain.setup.around, other.setup.around, "around")
+    assert_close(plain.setup.surroundings, other.setup.surroundings, "around")
 
 
 def entry(kind: str) -> list[dict[str, Any]]:
