@@ -87,7 +87,7 @@ VARIANTS_LOCATION = ("variants",)
 def variants_of_document(
     document: Document, variants: Any, reserved_names: Collection[str]
 ) -> Variants | None:
-    """Return the variants that a batch file lists; None with faults."""
+    """Return the variants that a batch file lists; None if they are faulty."""
     reader = _VariantReader(document, reserved_names)
     fault_count = len(document.faults)
     if isinstance(variants, list):

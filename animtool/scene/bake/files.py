@@ -187,7 +187,7 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
 
 
 def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
-    """Return the weights of a take for all the given shapes, in their order.
+    """Return the weights of a take for a list of shapes, in the list's order.
 
     Combination shapes that the take lacks get the weight that follows from its shapes;
     other missing shapes get 0.

@@ -108,7 +108,7 @@ def sample_take(plan: TakePlan, stream: TakeStream) -> SampledTake:
 def _interpolation_notices(
     plan: TakePlan, sampler: TakeSampler, times: SampleTimes
 ) -> list[Fault]:
-    """Return notices of interpolation errors that no pass has reported before."""
+    """Return notices of interpolation errors, without those that a pass reported."""
     reported_codes = {notice.code for notice in plan.stream.notices}
     positions = FramePositions(times.frames, times.fractions)
     hint = f"{argument('keep_samples', True)} keeps the frames as is"

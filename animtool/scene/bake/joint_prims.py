@@ -229,7 +229,7 @@ def _shape_names(plan: TakePlan) -> tuple[str, ...]:
 
 
 def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
-    """Return the animation curves of controls, retimed to time codes of the output."""
+    """Return the animation curves of controls at time codes of the output."""
     stream = plan.stream
     if not stream.control_curves:
         message = "there is no control whose curve could be kept"

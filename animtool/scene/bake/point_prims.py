@@ -282,7 +282,7 @@ def _job(
 def _layer_job(
     plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
-    """Return the same for a layer over a rig: only meshes that the rig has."""
+    """Return what `_job` does, for a layer over a rig: only meshes the rig has."""
     from animtool.usd.caches.target import open_cache_target
 
     assert plan.target is not None

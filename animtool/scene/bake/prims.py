@@ -120,12 +120,12 @@ class TakeReport:
 
     @property
     def in_library(self) -> TakeReport | None:
-        """This report if the take is part of a library, else None."""
+        """The report itself for a take of a library, else None."""
         return self if self.written.name else None
 
     @property
     def if_thinned(self) -> TakeReport | None:
-        """This report if samples were reduced, else None."""
+        """The report itself if samples were reduced, else None."""
         return None if self.thinned is None else self
 
 
@@ -210,7 +210,7 @@ class BakeReport:
 
     @property
     def channels(self) -> None:
-        """None: a USD layer has no keyed channels."""
+        """None, because a USD layer stores samples and no keys."""
         return None
 
     @property

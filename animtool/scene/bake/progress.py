@@ -119,7 +119,7 @@ class BlockProgress:
     """
 
     def __init__(self, show: Callable[[float], None], pass_count: int) -> None:
-        """Start at 0."""
+        """Create progress at 0."""
         self._show, self._pass_count = show, max(pass_count, 1)
         self._finished_fraction, self._shown, self._read_fraction = 0.0, 0.0, 0.0
         show(0.0)
@@ -160,7 +160,7 @@ class ProgressPhases:
     """
 
     def __init__(self, show: Callable[[float], None]) -> None:
-        """Start at 0."""
+        """Create progress at 0."""
         self._show, self._shown = show, 0.0
 
     def phase(self, *, is_last: bool = False) -> Callable[[float], None]:
@@ -184,7 +184,7 @@ class TimeProgress:
     """Progress of simulations that advance in time simultaneously."""
 
     def __init__(self, show: Callable[[float], None], last: float) -> None:
-        """Start at 0; ``last`` is the latest time that will be simulated [s]."""
+        """Create progress at 0; ``last`` is the end of the simulation [s]."""
         self._show, self._last = show, last
         self._fractions: list[float] = []
 

@@ -40,7 +40,7 @@ class StepKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlanStep:
-    """One step of a bake."""
+    """A step of a bake: what it reads, what it produces and what it drops."""
 
     kind: StepKind  # kind of step
     name: str  # name of a file or a pass

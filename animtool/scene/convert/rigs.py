@@ -173,7 +173,7 @@ def _ignored_motion_notice(
 
 
 def rig_to_usd(job: RigJob) -> RigReport:
-    """Write a rig layer, and its physics layer where requested."""
+    """Write a rig layer and, if requested, its physics layer."""
     output, outputs = job.output, rig_outputs(job.output, physics=job.physics)
     check_outputs(outputs, [job.source], overwrite=job.overwrite)
     with protect_inputs(outputs):

@@ -111,7 +111,7 @@ def entry_location(
 
 @dataclass(frozen=True, slots=True)
 class SceneSource:
-    """One source of a scene."""
+    """A clip, capture or USD file that a scene takes motion from."""
 
     path: Path  # the file
     options: SourceOptions  # how to open it
@@ -138,7 +138,7 @@ class SceneProp(PropRequest):
 
 @dataclass(frozen=True, slots=True)
 class ScenePass:
-    """One pass of a scene."""
+    """A pass that a scene applies to its motion, with its options."""
 
     pass_: Pass
     options: Any  # its options record
@@ -224,7 +224,7 @@ class SystemSetup:
 
 @dataclass(frozen=True, slots=True)
 class SceneSystem:
-    """One system of a scene."""
+    """A simulated system of a scene, with its setup."""
 
     name: str  # name of its prim
     kind: str  # key of `SYSTEM_KINDS`
@@ -237,7 +237,7 @@ class SceneSystem:
 
 @dataclass(frozen=True, slots=True)
 class SceneOutput:
-    """One output of a scene."""
+    """A file that a scene writes, with its bake options."""
 
     path: Path | None  # file to write; None if not named
     bake: BakeOptions  # its options, merged with those of the scene

@@ -17,7 +17,7 @@ _RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
 
 
 def parse_frame_range(text: str) -> FrameRange:
-    """Return the range of ``1-240``, ``1-240x2`` or ``12``.
+    """Parse a frame range: ``1-240``, ``1-240x2`` or ``12``.
 
     >>> parse_frame_range("1-240x2")
     FrameRange(first=1, last=240, step=2)
@@ -40,7 +40,7 @@ def parse_frame_range(text: str) -> FrameRange:
 
 
 def parse_frames(text: str) -> FrameRange:
-    """Return the range of ``1-240x2``, or the list of ``1,20,40``.
+    """Parse frames: a range such as ``1-240x2``, or a list such as ``1,20,40``.
 
     >>> parse_frames("1,20,40").frames
     (1, 20, 40)
@@ -54,7 +54,7 @@ def parse_frames(text: str) -> FrameRange:
 
 
 def parse_offsets(text: str) -> tuple[Fraction, ...]:
-    """Return the offsets of ``-.25,0,.25``, ascending.
+    """Parse a list of offsets such as ``-.25,0,.25``; they are sorted.
 
     >>> parse_offsets("-.25,0,.25")
     (Fraction(-1, 4), Fraction(0, 1), Fraction(1, 4))
@@ -94,7 +94,7 @@ def _unit_hint(text: str) -> str:
 
 
 def parse_frame(text: FractionLike) -> Fraction:
-    """Return a time code such as ``1001`` or ``1000.5``.
+    """Parse a time code such as ``1001`` or ``1000.5``.
 
     >>> parse_frame("1000.5")
     Fraction(2001, 2)
@@ -109,7 +109,7 @@ def parse_frame(text: FractionLike) -> Fraction:
 
 
 def parse_rest(text: str) -> int | None:
-    """Return the frame of ``frame:N``, None for ``offsets``.
+    """Parse a rest pose: the frame of ``frame:N``, or None for ``offsets``.
 
     >>> parse_rest("frame:12")
     12

@@ -37,7 +37,7 @@ class KeyReader:
     def parse_value(
         self, location: Location, value: Any, parse: Callable[[Any], ParsedT]
     ) -> ParsedT | None:
-        """Return a parsed value; None if it is None or invalid; record the fault."""
+        """Parse a value and record its fault; return None if it is None or invalid."""
         if value is None:
             return None
         try:

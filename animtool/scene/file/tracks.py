@@ -34,7 +34,7 @@ class Tracks:
     controls: IntArray
 
     def __bool__(self) -> bool:
-        """Return whether any track is selected."""
+        """Whether any track is selected."""
         return any(len(self.indices(kind)) for kind in TRACK_KINDS)
 
     def indices(self, kind: str) -> IntArray:

@@ -18,7 +18,7 @@ from animtool.scene.sources.open import SourceOptions, open_checked
 
 @dataclass(frozen=True, slots=True)
 class LoopResult:
-    """The cycle of a take, its length, and warnings."""
+    """Report of a cycle search: the cycle, its length, and warnings."""
 
     source: Path
     output: Path | None

@@ -229,7 +229,7 @@ class SourceOptions:
 
 @dataclass(frozen=True, slots=True)
 class OpenTake:
-    """An open take, as a source."""
+    """An opened take: a stream of blocks, and the file that it is read from."""
 
     path: Path  # file that messages and reports name
     stream: TakeStream  # its motion, which can be read once

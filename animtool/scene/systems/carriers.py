@@ -49,7 +49,7 @@ class OnJoint:
         return Fault("SIM053", message, hint=hint, where="joint")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return its poses over time."""
+        """Return the joint's poses over time."""
         character = characters.of(self.file)
         _raise_fault(self.fault(character.rig), self.location)
         return joint_poses(
@@ -80,7 +80,7 @@ class OnVertex:
         return Fault("SIM053", message, where="vertex")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return its positions over time, with constant rotation."""
+        """Return the vertex positions over time, with constant rotation."""
         character = characters.of(self.file)
         _raise_fault(self.fault(character.rig), self.location)
         # The next block reuses the buffer of the last one.
@@ -112,7 +112,7 @@ class OnPrim:
     frame: float | None = None  # time code at 0 s; None is the first
 
     def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
-        """Return its poses over time."""
+        """Return the prim's poses over time."""
         return self.sample_poses()
 
     def sample_poses(self) -> Poses:

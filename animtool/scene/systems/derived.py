@@ -79,7 +79,7 @@ class Prototype:
         return tuple(map(sample_frame, times))
 
     def _stage_sampler(self) -> _FrameSampler:
-        """Return a function from time code to mesh, of a prim, and its span."""
+        """Return a function that samples a prim at a time code, and its time span."""
         from animtool.usd.caches.reader import open_mesh
 
         assert self.prim is not None
@@ -92,7 +92,7 @@ class Prototype:
         return frame_at_code, source.span
 
     def _rig_sampler(self) -> _FrameSampler:
-        """Return a function from time to mesh, of a character's skin, and its span."""
+        """Return a function that samples a skin at a time, and its time span."""
         from animtool.scene.systems.character_motion import CharacterMotions, SkinMotion
 
         assert self.mesh is not None
@@ -166,7 +166,7 @@ class SpecPartReader(EntryReader):
         return parts
 
     def entry(self, location: Location, model: FileModel) -> Any:
-        """Return the parsed entries of a model, or its record; None with faults."""
+        """Return the parsed entries of a model, or its record; None if it is faulty."""
         self.check_ranges(location, model)
         parts = self.entry_values(location, model)
         if not isinstance(model, RecordModel):
@@ -201,7 +201,7 @@ class SpecPartReader(EntryReader):
         return next((read for read in item_type if read is not None), None)
 
     def prototype(self, location: Location, model: PrototypeModel) -> Prototype | None:
-        """Return the mesh to copy; a USD file is checked now."""
+        """Return the mesh to copy; the file of a USD prim is checked immediately."""
         if (model.prim is None) is (model.mesh is None):
             message = "write either the prim of a USD file, or the mesh of a rig"
             hint = "write prim: /bird/body, or mesh: body"
@@ -216,7 +216,7 @@ class SpecPartReader(EntryReader):
         return prototype
 
     def gaits(self, location: Location, model: GaitsModel) -> GaitsSource | None:
-        """Return gait clips of a rig, checked now and once for each rig."""
+        """Return gait clips of a rig; each rig is checked once, immediately."""
         from animtool.scene.systems.gaits import GaitsSource
 
         rig = self.find_followed((*location, "rig"), model.rig)
@@ -369,7 +369,7 @@ def read_spec(
     roots: Sequence[Path],
     units: SceneUnits = METRES,
 ) -> SystemSetup | None:
-    """Return the setup of an entry; None with faults.
+    """Return the setup of an entry; None if it is faulty.
 
     ``units`` are those of the scene; they also apply to arrays that it names.
 

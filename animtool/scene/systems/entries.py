@@ -108,7 +108,7 @@ class EntryReader:
     def check_record(
         self, location: Location, record: RecordT | None, model: FileModel
     ) -> RecordT | None:
-        """Return a record after recording its faults at their keys."""
+        """Check a record, record its faults at their keys, and return it."""
         if record is None:
             self.is_valid = False
             return None
@@ -151,7 +151,7 @@ class EntryReader:
     def collider(
         self, location: Location, model: SystemColliderModel
     ) -> Collider | None:
-        """Return a valid collider of an entry; None with faults."""
+        """Return the collider of an entry; None if it is faulty."""
         shape = self.shape((*location, "shape"), model.shape)
         poses = None if shape is None else self.poses(location, model, "SIM020")
         collider = None
@@ -201,7 +201,7 @@ class EntryReader:
         return mesh
 
     def poses(self, location: Location, model: PlacedModel, code: str) -> Poses | None:
-        """Return the poses of an entry over time; None with faults of a code."""
+        """Return the poses of an entry over time; None, with a recorded fault, on error."""
         w, x, y, z = model.rotate
         entry_poses = Poses.fixed(model.at, (x, y, z, w))
         has_keys = model.moves or model.turns or model.prim is not None
@@ -312,13 +312,13 @@ class EntryReader:
     def record(
         self, location: Location, kind: type[Kind], values: dict[str, Any], name: str
     ) -> Kind | None:
-        """Return an options record after checking all options; None with faults."""
+        """Return an options record after checking all options; None if any is faulty."""
         record, faults = record_of_options(kind, values, name)
         self.record_faults(location, faults)
         return None if faults else record
 
     def _mesh(self, location: Location, values: dict[str, Any]) -> Mesh | None:
-        """Return the mesh made from arrays of a file; None with faults."""
+        """Return the mesh of a file's arrays; None if they are faulty."""
         keys = ["points", "triangles", "closed"]
         unknown_keys = unknown_options(values, keys, "mesh")
         self.record_faults(location, unknown_keys)
@@ -339,7 +339,7 @@ class EntryReader:
         return Mesh(points * self.units.length, indices, is_closed)
 
     def _height_field(self, location: Location, values: dict[str, Any]) -> Mesh | None:
-        """Return the mesh of a height field from a file; None with faults."""
+        """Return the mesh of a height field from a file; None if it is faulty."""
         message = "a height field needs heights, such as hill"
         heights = self._named_array(location, values, "heights", message)
         if heights is not None:
@@ -357,7 +357,7 @@ class EntryReader:
     def _named_array(
         self, location: Location, values: dict[str, Any], key: str, missing_message: str
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that a required option names; None with a fault.
+        """Return the array that a required option names; None if it is faulty.
 
         ``missing_message`` ends in the stem of an example file.
         """
@@ -371,7 +371,7 @@ class EntryReader:
     def array(
         self, location: Location, text: str, default: str | None = None
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that a reference names; report a fault if it is unreadable.
+        """Return the array that a reference names; record a fault if it is unreadable.
 
         ``default`` is the array's name if the text has none; None uses the key.
         """

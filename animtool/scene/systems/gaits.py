@@ -31,12 +31,12 @@ class GaitsSource:
     clips: tuple[Path, ...]
 
     def __call__(self) -> Gaits:
-        """Return the clips as gaits, y up; each file is read once."""
+        """Return the clips as Y-up gaits; each file is read once."""
         return self._gaits
 
     @cached_property
     def _gaits(self) -> Gaits:
-        """Return the clips as gaits, y up."""
+        """Read the clips and return them as Y-up gaits."""
         rig = at_origin(open_rig(self.rig)[0])
         rotation = up_from_up(UpAxis.Y, rig.up)
         if rotation is not None:

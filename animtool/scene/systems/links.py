@@ -175,7 +175,7 @@ def _check_body(
 
 
 def member_of(system: SceneSystem) -> Member:
-    """Return a system as the member that build functions take."""
+    """Return the data of a system from which it is built with other systems."""
     setup = system.setup
     return Member(system.name, system.kind, setup.spec, setup.parts, setup.record)
 

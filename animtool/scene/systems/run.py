@@ -82,7 +82,7 @@ MAX_EXPONENT = 9.0
 
 
 class SystemRun:
-    """A run of systems.
+    """Simulates systems frame by frame and yields their frames.
 
     Attributes:
         systems: Simulated systems.
@@ -369,7 +369,7 @@ def system_job(
     meters_per_unit: float,
     up: UpAxis,
 ) -> SimulatedJob:
-    """Return the writer's job for systems: ``meters_per_unit`` [m]."""
+    """Return the writer's job for systems; ``meters_per_unit`` is [m]."""
     rotation = up_from_up(up, UpAxis.Y)
     written_systems = [system for system in systems if system.written]
     return SimulatedJob(

@@ -70,7 +70,7 @@ class BuildContext:
 
 @contextmanager
 def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
-    """Attach the location of jointly simulated systems to faults without a file.
+    """In a block, locate faults without a file at jointly simulated systems.
 
     The location is that of the first system with the key that a fault names, else of
     the first.
@@ -134,7 +134,7 @@ def run_entries(
     spec_changes: Mapping[str, Any] | None = None,
     budget: int | None = None,
 ) -> SimulationRun:
-    """Return the run of joined systems at their start; characters are read now.
+    """Return the run of joined systems at their start; reads their characters.
 
     ``spec_changes`` replace values of their spec, by key.
     """

@@ -142,7 +142,7 @@ class Surroundings:
     def _collided_systems(
         self, key: str
     ) -> Iterator[tuple[SystemSurfaceModel, Location]]:
-        """Yield the systems this one collides with, each with the location of a key."""
+        """Yield the systems that it collides with, each with the location of a key."""
         for i, surface in enumerate(self.systems):
             yield surface, (*self.location, "systems", i, key)
 

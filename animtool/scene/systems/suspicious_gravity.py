@@ -1,4 +1,4 @@
-"""Warnings about N-body systems whose gravity moves nothing."""
+"""Warnings about N-body systems whose gravity is too weak to be visible."""
 
 from __future__ import annotations
 

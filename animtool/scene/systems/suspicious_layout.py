@@ -93,7 +93,7 @@ def warn_of_layout(
 
 
 def _free_fall_acceleration(kind: str, spec: Any) -> float:
-    """Return the acceleration of a system in free fall; 0 if it is held [m/s²]."""
+    """Return the acceleration of a system in free fall; 0 if it cannot fall [m/s²]."""
     if kind in {"rope", "strands", "cloth", "volume"}:
         is_supported = spec.pins or spec.air is not None or spec.settle
         return 0.0 if is_supported else math.hypot(*spec.gravity)
@@ -125,7 +125,7 @@ def _gravity_of_forces(forces: Sequence[Mapping[str, Any]]) -> float:
 def _warn_of_fall(
     document: Document, location: Location, system: SceneSystem, fall: float
 ) -> None:
-    """Warn of a system that nothing holds or stops (SIM201); ``fall`` is [m]."""
+    """Warn of a system that falls without support (SIM201); ``fall`` is [m]."""
     has_pins = hasattr(system.setup.spec, "pins")
     problem = (
         "has no pins and nothing to collide with" if has_pins else "touches nothing"

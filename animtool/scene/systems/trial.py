@@ -59,7 +59,7 @@ def system_trials(
     times: FloatArray,
     character: CharacterMotion | None = None,
 ) -> list[tuple[list[SceneSystem], Trial]]:
-    """Return the trials of systems at times ``(F,)`` [s], with the systems of each."""
+    """Return trials of systems at times ``(F,)`` [s], each with its systems."""
     end_time, characters = float(times[-1]), character_cache(character)
     trials = []
     for group in simulation_order(systems):
