@@ -56,7 +56,7 @@ from animtool.core.shot import Shot
 from animtool.scene.sources.open import source_stem
 
 # Maximum numbers of reported faults and of listed names.
-MAX_FAULTS, MAX_NAMED = 100, 100
+MAX_FAULTS, MAX_LISTED = 100, 100
 # Leaves room for the rest of a file name within the limits of disks.
 MAX_NAME_LENGTH = 120
 # Everything but characters that are safe in file names and variables.
@@ -96,13 +96,13 @@ def read_cuts(
     Times are seconds of the media; a shot counts frames at the timeline's rate.
     """
     reader = _CutReader(path, media, options or CutOptions(), is_excluded)
-    return reader.build_cuts(reader.clips().clips)
+    return reader.build_cuts(reader.visible_clips().clips)
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
     """Return a shot by its name, or the only one; raise BAT048 if there is none."""
     reader = _CutReader(path, (), options)
-    visitor = reader.clips()
+    visitor = reader.visible_clips()
     return reader.build_cuts(
         _shot_clips(visitor.clips, name, path, visitor.skip_reasons)
     )
@@ -125,7 +125,7 @@ def _shot_clips(
     if not names:
         message = "has no clip, so there is no shot to bake"
         raise OptionError(Fault("BAT048", message, str(path)))
-    shots = f"the shots are {listed(names, MAX_NAMED)}"
+    shots = f"the shots are {listed(names, MAX_LISTED)}"
     if name is None:
         if len(names) == 1:
             return list(shown_clips)
@@ -156,16 +156,17 @@ class _CutReader:
         self.used_names: dict[str, int] = {}
         self.timeline_metadata = CutOptions()
         self.fps = Fraction(0)
-        self.tree: Any = None  # the timeline; without it clips have no parents
+        # Kept alive, because clips refer to their parents weakly.
+        self.loaded_timeline: Any = None
         self.is_drop_frame = False  # whether time codes of media are drop-frame
         self.media: dict[str, MatchedFile] = {}
         for file in media:
             self.media.setdefault(source_stem(file.path).casefold(), file)
 
-    def clips(self) -> ClipVisitor:
+    def visible_clips(self) -> ClipVisitor:
         """Return the visible clips, each with the name of its shot."""
         visitor = ClipVisitor(self.path)
-        timeline = self.tree = self.timeline()
+        timeline = self.loaded_timeline = self.load_timeline()
         if timeline is None:
             return visitor
         try:
@@ -181,12 +182,12 @@ class _CutReader:
         ]
         return visitor
 
-    def timeline(self) -> Any:
+    def load_timeline(self) -> Any:
         """Read the timeline, its rate and its metadata; return None without events."""
         import_otio()
         if not is_edl(self.path):
             timeline = read_timeline(self.path)
-            self.timeline_metadata = self.metadata(
+            self.timeline_metadata = self.read_metadata(
                 timeline, "the timeline", allows_fps=True
             )
             self.fps, notices = timeline_rate(
@@ -205,7 +206,7 @@ class _CutReader:
     def build_cuts(self, shown_clips: Sequence[ShownClip]) -> CutList:
         """Return the shots that clips show."""
         for shown_clip in shown_clips:
-            self.clip(shown_clip)
+            self.add_shot(shown_clip)
         if self.faults:
             raise FormatError(first_faults(self.faults, MAX_FAULTS, str(self.path)))
         return self.cuts
@@ -221,7 +222,7 @@ class _CutReader:
         """Record an error of the timeline."""
         self.faults.append(Fault(code, message, str(self.path), (), hint))
 
-    def metadata(
+    def read_metadata(
         self, schema: Any, owner_text: str, *, allows_fps: bool = False
     ) -> CutOptions:
         """Return the ``metadata.animtool`` of a clip or of the timeline."""
@@ -235,9 +236,9 @@ class _CutReader:
         """Return a clip with the name of its shot."""
         path = self.referenced_path(shown_clip.clip)
         name = shown_clip.clip.name or ("" if path is None else source_stem(path))
-        return replace(shown_clip, name=self.name(name, shown_clip.clip_text))
+        return replace(shown_clip, name=self.unique_name(name, shown_clip.clip_text))
 
-    def clip(self, shown_clip: ShownClip) -> None:
+    def add_shot(self, shown_clip: ShownClip) -> None:
         """Add the shot of a clip to the shots read so far."""
         # Imported here since it imports numpy, which planning a batch of files does not
         # need.
@@ -247,7 +248,7 @@ class _CutReader:
         media_file = self.find_media_file(clip, clip_text)
         if media_file is None:
             return
-        metadata = (self.metadata(clip, clip_text), self.timeline_metadata)
+        metadata = (self.read_metadata(clip, clip_text), self.timeline_metadata)
         context = CutContext(self.options, *metadata, find_config(self.path))
         for message in context.cut_in()[1]:
             self.add_fault("BAT047", f"{clip_text}: {message}", "write one of them")
@@ -344,7 +345,7 @@ class _CutReader:
             self.add_notice("BAT043", message)
         return frames_before, frames_after
 
-    def name(self, requested_name: str, clip_text: str) -> str:
+    def unique_name(self, requested_name: str, clip_text: str) -> str:
         """Return a legal name that no earlier shot has."""
         legal_name = (
             _ILLEGAL.sub("_", requested_name).strip("_-")[:MAX_NAME_LENGTH] or "shot"

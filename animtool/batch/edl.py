@@ -172,10 +172,10 @@ class _EventTimes:
 class TimelineBuilder:
     """Builds an OpenTimelineIO timeline of an EDL at a frame rate."""
 
-    def __init__(self, edl: Edl, rate: Fraction) -> None:
+    def __init__(self, edl: Edl, fps: Fraction) -> None:
         import opentimelineio as otio
 
-        self.otio, self.edl, self.rate = otio, edl, rate
+        self.otio, self.edl, self.fps = otio, edl, fps
         self.tracks: dict[str, Any] = {}
         self.end_by_track: dict[str, int] = {}  # ends of tracks, in record frames
         self.notices: list[Fault] = []
@@ -185,19 +185,19 @@ class TimelineBuilder:
         """Return the timeline, and notices."""
         timeline = self.otio.schema.Timeline(self.edl.title)
         for event, belongs_to_next in _with_continuation(self.edl.events):
-            times = self.times(event)
+            times = self.event_times(event)
             if times is not None:
-                self.add(timeline, event, times, belongs_to_next)
+                self.add_event(timeline, event, times, belongs_to_next)
         if self.faults:
             raise FormatError(self.faults[:MAX_FAULTS])
         return timeline, self.notices
 
-    def times(self, event: Event) -> _EventTimes | None:
+    def event_times(self, event: Event) -> _EventTimes | None:
         """Return the times of an event; None with a fault if they are invalid."""
         try:
-            frames = [self.frame(text) for text in event.times]
+            frames = [self.parse_frame(text) for text in event.times]
         except ValueError as error:
-            message = f"{error}, at {rate_label(self.rate)}"
+            message = f"{error}, at {rate_label(self.fps)}"
             hint = "set the rate that its time codes count, such as "
             hint += argument("fps", "30000/1001")
             location = str(self.edl.path), (event.line,)
@@ -207,15 +207,15 @@ class TimelineBuilder:
         first, end = sorted(frames[:2]) if _event_speed(event) < 0 else frames[:2]
         return _EventTimes(first, end - first, frames[2], frames[3] - frames[2])
 
-    def frame(self, text: str) -> int:
+    def parse_frame(self, text: str) -> int:
         """Return the frame of a time code or frame number."""
         if ":" not in text:
             if len(text) > len(str(MAX_FRAME)):
                 raise ValueError(f"{excerpt(text)} is not a frame")
             return int(text)
-        return int(parse_timecode(text, self.rate))
+        return int(parse_timecode(text, self.fps))
 
-    def add(
+    def add_event(
         self, timeline: Any, event: Event, times: _EventTimes, belongs_to_next: bool
     ) -> None:
         """Add the clip of an event to all its tracks."""
@@ -230,25 +230,27 @@ class TimelineBuilder:
                 name, times.record_start
             )
             if gap_frames > 0 and len(track):
-                track.append(schema.Gap(source_range=self.span(0, gap_frames)))
+                track.append(schema.Gap(source_range=self.time_range(0, gap_frames)))
             shown_frames = max(times.record_count, 0) or times.source_count
             self.end_by_track[name] = times.record_start + shown_frames
             if event.edit_type != "C" and event.length and len(track):
-                track.append(self.transition(event))
+                track.append(self.make_transition(event))
             if event.reel.upper() in BLACK_REELS:
                 if shown_frames:
-                    track.append(schema.Gap(source_range=self.span(0, shown_frames)))
+                    track.append(
+                        schema.Gap(source_range=self.time_range(0, shown_frames))
+                    )
             elif not (belongs_to_next and times.source_count <= 0):
-                track.append(self.clip(event, times))
+                track.append(self.make_clip(event, times))
 
-    def transition(self, event: Event) -> Any:
+    def make_transition(self, event: Event) -> Any:
         """Return the dissolve of an event, which begins with the incoming clip."""
-        offsets = self.span(0, event.length)
+        offsets = self.time_range(0, event.length)
         return self.otio.schema.Transition(
             event.edit_type, "SMPTE_Dissolve", offsets.start_time, offsets.duration
         )
 
-    def clip(self, event: Event, times: _EventTimes) -> Any:
+    def make_clip(self, event: Event, times: _EventTimes) -> Any:
         """Return the clip of an event with its speed."""
         schema, comments = self.otio.schema, event.comments
         url = comments.get("file")
@@ -260,13 +262,13 @@ class TimelineBuilder:
             stem = None if url is None else PurePosixPath(url.replace("\\", "/")).stem
             name = stem or reel or event.number
         reference = None if url is None else schema.ExternalReference(url)
-        speed, count = self.speed(event, times, name)
-        clip = schema.Clip(name, reference, self.span(times.source_start, count))
+        speed, count = self.speed_and_length(event, times, name)
+        clip = schema.Clip(name, reference, self.time_range(times.source_start, count))
         if speed != 1:
             clip.effects.append(schema.LinearTimeWarp(time_scalar=float(speed)))
         return clip
 
-    def speed(
+    def speed_and_length(
         self, event: Event, times: _EventTimes, name: str
     ) -> tuple[Fraction, int]:
         """Return the speed of an event and its number of frames."""
@@ -277,13 +279,13 @@ class TimelineBuilder:
         if event.is_freeze_frame:
             return Fraction(0), record_frames or source_frames
         if event.speed is not None:
-            playback_speed = _event_speed(event) / count_rate(self.rate)
+            playback_speed = _event_speed(event) / count_rate(self.fps)
             if not record_frames or not source_frames:
                 return playback_speed, record_frames or source_frames
             # The printed speed has a tenth of a frame; source and record are exact.
             exact_speed = Fraction(source_frames, record_frames)
             rounding_error = abs(exact_speed - abs(playback_speed)) * count_rate(
-                self.rate
+                self.fps
             )
             if playback_speed and rounding_error <= Fraction(1, 10):
                 playback_speed = exact_speed if playback_speed > 0 else -exact_speed
@@ -302,9 +304,9 @@ class TimelineBuilder:
             )
         return Fraction(1), source_frames
 
-    def span(self, first: int, count: int) -> Any:
+    def time_range(self, first: int, count: int) -> Any:
         """Return a time range from its first frame and its number of frames."""
-        rational_time, rate = self.otio.opentime.RationalTime, float(self.rate)
+        rational_time, rate = self.otio.opentime.RationalTime, float(self.fps)
         return self.otio.opentime.TimeRange(
             rational_time(first, rate), rational_time(count, rate)
         )

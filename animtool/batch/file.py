@@ -176,25 +176,25 @@ class _VariantReader:
         return text
 
 
-def load_batch(path: Path | str, *, of_shots: bool = False) -> BatchSpec:
+def load_batch(path: Path | str, *, uses_timeline: bool = False) -> BatchSpec:
     """Return the spec of a batch file.
 
     Args:
         path: The file.
-        of_shots: Whether the command line names a timeline for it.
+        uses_timeline: Whether the command line names a timeline for it.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
         OptionError: The project's settings are malformed.
     """
-    return batch_of_document(read_document(Path(path)), of_shots=of_shots)
+    return batch_of_document(read_document(Path(path)), uses_timeline=uses_timeline)
 
 
-def batch_of_document(document: Document, *, of_shots: bool = False) -> BatchSpec:
+def batch_of_document(document: Document, *, uses_timeline: bool = False) -> BatchSpec:
     """Return the spec of a document; see `load_batch`."""
     check_version(document, "batch")
     model = validate_document(document, BatchModel)
-    spec = _BatchReader(document, model, of_shots=of_shots).spec()
+    spec = _BatchReader(document, model, uses_timeline=uses_timeline).spec()
     document.check()
     return spec
 
@@ -203,12 +203,12 @@ class _BatchReader:
     """Reads the spec of a batch from a validated batch file."""
 
     def __init__(
-        self, document: Document, model: BatchModel, *, of_shots: bool
+        self, document: Document, model: BatchModel, *, uses_timeline: bool
     ) -> None:
         self.document, self.model = document, model
         folder = document.path.parent
         has_timeline = any(is_timeline(folder / text) for text in model.inputs)
-        self.of_shots = of_shots or has_timeline or model.cut is not None
+        self.uses_timeline = uses_timeline or has_timeline or model.cut is not None
         self.keys = KeyReader(document, project_roots(document.path), "BAT002")
 
     def spec(self) -> BatchSpec:
@@ -219,7 +219,7 @@ class _BatchReader:
             self.document.add("BAT001", ("options",), message, hint)
         has_inputs = not self.document.is_placeholder(("inputs",))
         is_scene_alone = model.scene and model.variants
-        if has_inputs and not (model.inputs or self.of_shots or is_scene_alone):
+        if has_inputs and not (model.inputs or self.uses_timeline or is_scene_alone):
             location: Location = ()
             message = "key 'inputs' is missing"
             if "inputs" in model.model_fields_set:
@@ -256,7 +256,7 @@ class _BatchReader:
 
     def _reserved_names(self) -> set[str]:
         """Return the names that inputs and shots define."""
-        return {*INPUT_NAMES, *(SHOT_NAMES if self.of_shots else ())}
+        return {*INPUT_NAMES, *(SHOT_NAMES if self.uses_timeline else ())}
 
     def _first_timecode(self) -> str | None:
         text = self.model.first_timecode
@@ -285,7 +285,7 @@ class _BatchReader:
         """Record a fault for each unknown name in braces in the output."""
         model = self.model
         known_names = dict.fromkeys([*model.variables, *columns], "")
-        if self.of_shots:
+        if self.uses_timeline:
             known_names |= dict.fromkeys(SHOT_NAMES, "")
         for message, hint in pattern_problems(model.output or "", known_names):
             self.document.add("BAT004", ("output",), message, hint)

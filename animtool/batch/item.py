@@ -336,7 +336,7 @@ class ItemTask:
 
         scene = load_scene(path, self.names(item), parts=item.names.keys())
         if item.shot is not None:
-            scene = scene.of_shot(item.shot)
+            scene = scene.with_shot(item.shot)
         for output in scene.outputs:
             if output.bake.form == "library":
                 message = "items of a batch cannot share a library"

@@ -327,7 +327,7 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     if jobs:
         from animtool.batch.file import load_batch
 
-        spec = load_batch(Path(jobs[0]), of_shots=params["cuts"] is not None)
+        spec = load_batch(Path(jobs[0]), uses_timeline=params["cuts"] is not None)
     else:
         spec = BatchSpec(tuple(listed_paths(inputs)))
     if params["path_mapping"] is not None:

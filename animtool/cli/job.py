@@ -100,7 +100,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
         if has_kind_suffix(batch_file, "scene"):
             text += f" that names it: scene: {batch_file.name}"
         raise click.UsageError(f"{text}.")
-    spec = load_batch(batch_file, of_shots=params["cuts"] is not None)
+    spec = load_batch(batch_file, uses_timeline=params["cuts"] is not None)
     resolved_batch = find_batch(with_cuts(spec, params))
     console.faults(resolved_batch.notices)
     check_output_files(resolved_batch)

@@ -136,7 +136,7 @@ class Scene:
             sources.append(replace(source, options=options))
         return replace(self, sources=tuple(sources))
 
-    def of_shot(self, shot: Shot) -> Scene:
+    def with_shot(self, shot: Shot) -> Scene:
         """Return the scene with its take placed in time by a timeline's shot.
 
         Time codes of the take become frames of the shot. The scene may override the

@@ -174,7 +174,7 @@ def test_a_shot_that_begins_before_its_take(tmp_path: Path) -> None:
     scene = load_scene(written(tmp_path, "{joint: lamp, system: rope}"))
     shot = Shot(1001, 1008, fps=Fraction(24), media_in=Fraction(-3, 24))
     # Frames before the take hold its first pose.
-    assert len(check_on_rope(scene.of_shot(shot), tmp_path, 1004.0)) == 5
+    assert len(check_on_rope(scene.with_shot(shot), tmp_path, 1004.0)) == 5
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 # An output that is ready to be written.
 OutputPlan: TypeAlias = "BakePlan | FilePlan"
-MAX_NAMED = 6
+MAX_LISTED = 6
 
 
 def plan_stage(
@@ -168,9 +168,10 @@ def _planned_file(
         notices += tolerance_notices(options.reduce, stream.rig, str(source))
     if entry.scene is not None and entry.scene.systems:
         system_names = [system.name for system in entry.scene.systems]
-        omitted_items.append(f"simulated systems: {listed(system_names, MAX_NAMED)}")
+        omitted_items.append(f"simulated systems: {listed(system_names, MAX_LISTED)}")
     if stream.tracks:
-        omitted_items.append(listed([track.path for track in stream.tracks], MAX_NAMED))
+        paths = [track.path for track in stream.tracks]
+        omitted_items.append(listed(paths, MAX_LISTED))
         stream = PassthroughTracks(stream).stream
     for text in omitted_items:
         message = f"a {take_writer(entry.path).name} file cannot hold {text}"
@@ -179,7 +180,7 @@ def _planned_file(
     fps = options.fps or stream.fps
     if options.shot is not None:
         options = replace(options, shot=replace(options.shot, fps=fps))
-    start = start_of(options, None, stream, source)
+    start = output_start(options, None, stream, source)
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
     name = stream.details.get("take") or stream.details.get("name")
     names: tuple[str, ...] = (str(name),) if name else ()
@@ -302,7 +303,7 @@ def plan_takes(
         rig = streams[0].rig
         notices += tolerance_notices(options.reduce, rig, str(sources[0]))
     notices += _namespace_warning(streams, options)
-    start = start_of(options, target, streams[0], sources[0])
+    start = output_start(options, target, streams[0], sources[0])
     # Only the first take of a library sets the rest pose.
     take_options = [options] + [replace(options, rest_frame=None)] * (len(streams) - 1)
     take_values = zip(sources, names, streams, mappings, take_options, strict=True)
@@ -445,7 +446,7 @@ def _rate_warning(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     return [warning("USD106", message, hint).in_file(target.path)]
 
 
-def start_of(
+def output_start(
     options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
 ) -> Fraction:
     """Return the first frame from options, shot, source or project; the default is 1.

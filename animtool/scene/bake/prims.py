@@ -364,7 +364,7 @@ class OneFile:
         self.result.outputs += [] if self.output == STDOUT else [self.output]
 
 
-class Growth(Protocol):
+class DeferredFrames(Protocol):
     """Frames that are computed while their layer is being written."""
 
     def save(self, layer: Any, path: Path) -> int:
@@ -385,17 +385,17 @@ class BakeState:
     layer: Any = None
     files: OutputFiles | None = None
     report: BakeReport | None = None
-    growth: Growth | None = None  # frames of systems
+    deferred_frames: DeferredFrames | None = None  # frames of systems
     read: list[float] = field(default_factory=list)  # time to compute frames [s]
 
     def write(self) -> None:
         """Write all files and complete the report."""
         assert self.files is not None
-        if self.growth is None:
+        if self.deferred_frames is None:
             self.files.write(save_layer)
             return
-        self.files.write(self.growth.save)
-        self.growth.complete(self)
+        self.files.write(self.deferred_frames.save)
+        self.deferred_frames.complete(self)
 
 
 class OutputPrims(Protocol):

@@ -295,6 +295,7 @@ class BakeStats:
     """Costs of all stages and outputs of a bake."""
 
     costs: list[StageCost | OutputCost]
+    json_keys: ClassVar[str] = "stats=costs"
 
 
 @dataclass(slots=True)

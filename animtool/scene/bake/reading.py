@@ -86,7 +86,10 @@ class SourceSet:
                 if self.names:
                     take_options = replace(options.source, take=self.names[i])
                     options = replace(options, source=take_options)
-                streams.append(take or self._open_one(path, options, source_progress))
+                if take is None:
+                    streams.append(self._open_source(path, options, source_progress))
+                else:
+                    streams.append(take)
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:
@@ -95,7 +98,7 @@ class SourceSet:
             raise type(errors[0])([fault for error in errors for fault in error.faults])
         return streams
 
-    def _open_one(
+    def _open_source(
         self, path: Path, options: BakeOptions, source_progress: Progress
     ) -> TakeStream:
         """Open a source, without a placement that the joints of a rig cannot store."""

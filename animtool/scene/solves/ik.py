@@ -315,7 +315,7 @@ def _goal_tolerances(job: IkJob) -> tuple[float, float]:
     return position_tolerance, angle_tolerance
 
 
-MAX_NAMED = 6
+MAX_LISTED = 6
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
@@ -379,7 +379,7 @@ def _map_motion(
     transfer_hint += f"{flag('to')} {rig_path}"
     if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"
-        hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}; {transfer_hint}"
+        hint = f"its joints are {listed(take.rig.names, MAX_LISTED)}; {transfer_hint}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
     missing_joints = [rig.names[i] for i in np.flatnonzero(names.joints < 0).tolist()]
@@ -399,7 +399,7 @@ def _map_motion(
         (unmatched_joints, "moves {}, which the rig does not have: they are ignored"),
     ):
         if joint_names:
-            message = template.format(listed(joint_names, MAX_NAMED))
+            message = template.format(listed(joint_names, MAX_LISTED))
             notices.append(warning("TGT102", message))
     notices = [notice.in_file(path) for notice in notices]
     motion = replace(names.apply(take.motion), weights=None, controls=None)

@@ -33,7 +33,7 @@ from animtool.scene.file.tracks import (
 )
 from animtool.scene.sources.onto_rig import Notify, map_to_rig
 
-MAX_NAMED = 6
+MAX_LISTED = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +193,7 @@ def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fau
     if not common_names:
         return []
     message = (
-        f"moves {listed(list(common_names), MAX_NAMED)}, as a source above it does"
+        f"moves {listed(list(common_names), MAX_LISTED)}, as a source above it does"
     )
     hint = "its own are used; list the tracks of each under tracks:"
     return [layer.source.note("SCN105", message, hint, Severity.WARNING)]

@@ -43,7 +43,7 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
     return rig, list(rig.notices)
 
 
-MAX_NAMED = 6
+MAX_LISTED = 6
 MOTION_IGNORED = "their motion is ignored"
 STAY_AT_REST = "they stay at rest"
 
@@ -138,7 +138,7 @@ def map_to_rig(
     if (indices < 0).all():
         message = f"has no joint, shape or control of {rig.name!r}"
         hint = (
-            f"its joints are {listed(stream.rig.names, MAX_NAMED)}; animtool retarget "
+            f"its joints are {listed(stream.rig.names, MAX_LISTED)}; animtool retarget "
         )
         hint += "moves a take to another rig"
         raise OptionError(note("SCN036", message, hint))

@@ -88,7 +88,7 @@ class SystemPrims:
         frames = SystemFrames(self, job, run, coded_frames, plan.options.strict)
         if plan.options.chunk is not None:
             frames.chunk(state.layer, plan.output, plan.options.chunk)
-        state.growth = frames
+        state.deferred_frames = frames
 
     def _with_take_codes(self, recorder: CharacterRecorder) -> SystemPrims:
         """Return a copy with the time codes and placement of the recorded take."""
@@ -122,7 +122,7 @@ class SystemPrims:
 
 @dataclass(slots=True)
 class SystemFrames:
-    """Frames of systems that are simulated while they are written; see `Growth`."""
+    """`DeferredFrames` of systems, which are simulated while they are written."""
 
     prims: SystemPrims
     job: SimulatedJob

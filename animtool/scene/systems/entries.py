@@ -201,7 +201,7 @@ class EntryReader:
         return mesh
 
     def poses(self, location: Location, model: PlacedModel, code: str) -> Poses | None:
-        """Return the poses of an entry over time; None, with a recorded fault, on error."""
+        """Return the poses of an entry over time; None if it is faulty."""
         w, x, y, z = model.rotate
         entry_poses = Poses.fixed(model.at, (x, y, z, w))
         has_keys = model.moves or model.turns or model.prim is not None
@@ -312,7 +312,7 @@ class EntryReader:
     def record(
         self, location: Location, kind: type[Kind], values: dict[str, Any], name: str
     ) -> Kind | None:
-        """Return an options record after checking all options; None if any is faulty."""
+        """Check all options and return their record; None if any is faulty."""
         record, faults = record_of_options(kind, values, name)
         self.record_faults(location, faults)
         return None if faults else record

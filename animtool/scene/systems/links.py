@@ -174,7 +174,7 @@ def _check_body(
     return False
 
 
-def member_of(system: SceneSystem) -> Member:
+def to_member(system: SceneSystem) -> Member:
     """Return the data of a system from which it is built with other systems."""
     setup = system.setup
     return Member(system.name, system.kind, setup.spec, setup.parts, setup.record)
@@ -182,7 +182,7 @@ def member_of(system: SceneSystem) -> Member:
 
 def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
     """Record faults of systems that cannot be joined."""
-    members = [member_of(system) for system in systems]
+    members = [to_member(system) for system in systems]
     for system in systems:
         record = system.setup.record
         for fault in [] if record is None else record.joined_faults(members):

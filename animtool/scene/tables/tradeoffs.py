@@ -37,12 +37,12 @@ class Tradeoffs:
     tables: list[TrialTable]  # in the order in which a bake produces the results
     notices: list[Fault] = field(default_factory=list)  # warnings about the tables
     budget: float | None = None  # largest acceptable error [m]; None if unspecified
-    pairs: list[Pair] = field(default_factory=list)
+    pairs: list[StagePair] = field(default_factory=list)
     json_keys: ClassVar[str] = "'report' source budget tables notices"
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class StagePair:
     """Two settings of a table, written as stages for visual comparison."""
 
     table: int  # index of the table
@@ -169,7 +169,7 @@ def _write_pairs(
     trials: Sequence[tuple[EntryLocation | None, Trial]],
     tables: Sequence[TrialTable],
     folder: Path,
-) -> list[Pair]:
+) -> list[StagePair]:
     """Write the chosen setting of each table and a setting to compare as stages."""
     stage_pairs = []
     for i, ((_, trial), table) in enumerate(zip(trials, tables, strict=True)):
@@ -184,7 +184,7 @@ def _write_pairs(
         files = (folder / chosen_name, folder / other_name)
         for setting, file in zip(settings, files, strict=True):
             trial.write(setting, file)
-        stage_pairs.append(Pair(i, settings, files, trial.size))
+        stage_pairs.append(StagePair(i, settings, files, trial.size))
     return stage_pairs
 
 

@@ -12,7 +12,7 @@ from animtool.core.errors import AnimtoolError, OptionError
 from animtool.core.shot import Shot
 from animtool.scene.bake.bake import run_stage
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.plan import plan_stage, start_of
+from animtool.scene.bake.plan import output_start, plan_stage
 from animtool.scene.bake.reading import check_options
 from animtool.scene.sources.open import SourceOptions, open_source
 
@@ -120,10 +120,10 @@ def test_the_first_frame_is_that_of_whoever_states_it_first(
         return SimpleNamespace(start=start, first_frame=first)
 
     options = BakeOptions(start=stated(asked).start)
-    found = start_of(options, stated(rig), stated(source), tmp_path / "a.bvh")
+    found = output_start(options, stated(rig), stated(source), tmp_path / "a.bvh")
     assert found == start
     shot = Shot(1001, 1010, fps=Fraction(24), media_in=Fraction(0))
-    placed = start_of(
+    placed = output_start(
         BakeOptions(shot=shot), stated(rig), stated(source), tmp_path / "a.bvh"
     )
     assert placed == (1 if source is None else source)
