@@ -49,9 +49,9 @@ def test_the_largest_error_of_each_unit_names_its_channel_once() -> None:
 
 
 def test_stages_and_outputs_are_rows_of_one_table() -> None:
-    costs = BakeStats([StageCost("a.bvh", "source", 0.25, 2_000_000)])
-    costs.stats.append(OutputCost("a.usdc", None, 0.001))
-    assert STATS.text(costs) == [
+    bake_stats = BakeStats([StageCost("a.bvh", "source", 0.25, 2_000_000)])
+    bake_stats.costs.append(OutputCost("a.usdc", None, 0.001))
+    assert STATS.text(bake_stats) == [
         "stage           seconds  peak MB  error mm",
         "a.bvh (source)    0.250      2.0",
         "a.usdc                                   1",
