@@ -14,7 +14,7 @@ from animtool.preview.page import viewer_text
 from animtool.preview.svg_plot import plot_svg
 from animtool.preview.work_precision import panels_of
 from animtool.report.tradeoffs import LEGEND, table_parts
-from animtool.scene.tables.tradeoffs import Pair, Tradeoffs
+from animtool.scene.tables.tradeoffs import StagePair, Tradeoffs
 
 # Gap between two figures, relative to their size.
 VIEWER_GAP = 0.6
@@ -101,7 +101,7 @@ def _table_html(
     yield "</table></div>\n"
 
 
-def _viewer_html(compared_pair: Pair) -> Iterator[str]:
+def _viewer_html(compared_pair: StagePair) -> Iterator[str]:
     """Yield an iframe with the viewer of two settings."""
     current, alternative = (
         html.escape(str(setting)) for setting in compared_pair.settings
