@@ -19,7 +19,7 @@ from animtool.core.rates import FractionLike
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
 from animtool.documents.references import split_reference
-from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
+from animtool.formats.trajectories import MAX_POSITIONS, CaptureFile
 from animtool.motion.markers import Markers
 
 _UNIT_SUFFIX = re.compile(r"_(mm|cm|m|in)")
@@ -62,20 +62,28 @@ def read_markers(
     """
     text, array_name = split_reference(str(path), "")
     path = Path(text)
-    array = array or array_name or None
-    file = MarkerFile(str(path))
+    file = CaptureFile(str(path))
     # A missing or unreadable file raises the common error of all files.
     open_input(path, None).close()
     try:
         with Archives() as archives:
-            return _read_arrays(file, archives, path, array, unit, up, fps, subject)
+            return _read_arrays(
+                file,
+                archives,
+                path,
+                array or array_name or None,
+                unit,
+                up,
+                fps,
+                subject,
+            )
     except ValueError as error:
         message = str(error).removeprefix(path.name).lstrip("# ")
         raise file.error("MKR012", message) from error
 
 
 def _read_arrays(
-    file: MarkerFile,
+    file: CaptureFile,
     archives: Archives,
     path: Path,
     array: str | None,
@@ -91,18 +99,15 @@ def _read_arrays(
         message = f"{positions_name!r} has shape {header.shape}, not (frames, markers, "
         message += "3)"
         raise file.error("MKR012", message)
-    frames, point_count, _ = header.shape
-    if frames == 0 or point_count == 0:
-        raise file.error(
-            "MKR013", f"{positions_name!r} has {frames} frames of {point_count} points"
-        )
-    if frames * point_count > MAX_POSITIONS:
-        message = f"{positions_name!r} has {frames} frames of {point_count} points, "
-        message += "above the limit"
-        raise file.error("MKR012", message)
+    frame_count, point_count, _ = header.shape
+    message = f"{positions_name!r} has {frame_count} frames of {point_count} points"
+    if frame_count == 0 or point_count == 0:
+        raise file.error("MKR013", message)
+    if frame_count * point_count > MAX_POSITIONS:
+        raise file.error("MKR012", f"{message}, above the limit")
     _, underscore, suffix_text = positions_name.rpartition("_")
     suffix = _UNIT_SUFFIX.fullmatch(underscore + suffix_text)
-    length_unit = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
+    length_unit = file.choose_unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
     is_default = positions_name.partition("_")[0] == DEFAULT_PREFIX
 
@@ -116,10 +121,10 @@ def _read_arrays(
             return None
         return archives.load_stored(path, name)
 
-    rate = file.rate(read_number("fs"), fps)
+    rate = file.choose_rate(read_number("fs"), fps)
     up_text = archives.text(path, "up") if "up" in array_names else None
-    up_axis = file.up(UpAxis(up_text) if up_text in {"Y", "Z"} else None, up)
-    shape = (frames, point_count)
+    up_axis = file.choose_up(UpAxis(up_text) if up_text in {"Y", "Z"} else None, up)
+    shape = (frame_count, point_count)
     names = _marker_names(file, archives, path, array_names, positions_name, shape)
     labels = names if len(names) == point_count else [""] * point_count
     positions = np.array(archives.load_stored(path, positions_name), np.float64)
@@ -127,8 +132,8 @@ def _read_arrays(
     filled, start = read_point_array("filled"), read_number("start")
     with faults_in(path):
         return Markers(
-            file.names(labels, subject),
-            Clock(rate, _start_frame(start), Fraction(1), frames),
+            file.unique_names(labels, subject),
+            Clock(rate, _start_frame(start), Fraction(1), frame_count),
             file.clean_positions(positions, length_unit.meters),
             up_axis,
             None if cameras is None else cameras.astype(np.int64),
@@ -139,7 +144,7 @@ def _read_arrays(
 
 
 def _marker_names(
-    file: MarkerFile,
+    file: CaptureFile,
     archives: Archives,
     path: Path,
     array_names: list[str],
@@ -148,20 +153,20 @@ def _marker_names(
 ) -> list[str]:
     """Return the names of the points of an array of frames and points.
 
-    Refuse swapped dimensions (MKR012); warn of names that do not apply (MKR106).
+    Refuse swapped dimensions (MKR012); warn about names that do not apply (MKR106).
     """
-    frames, count = shape
+    frame_count, count = shape
     is_default = positions_name.partition("_")[0] == DEFAULT_PREFIX
     if NAMES_ARRAY in array_names:
         names = archives.texts(path, NAMES_ARRAY)
         if not is_default or not names or len(names) == count:
             return names
         message = (
-            f"{positions_name!r} has {counted(frames, 'frame')} of "
+            f"{positions_name!r} has {counted(frame_count, 'frame')} of "
             f"{counted(count, 'point')}, "
             f"but {NAMES_ARRAY!r} has {counted(len(names), 'name')}"
         )
-        if len(names) == frames:
+        if len(names) == frame_count:
             hint = "transpose it to (frames, markers, 3)"
             raise file.error("MKR012", message, hint)
         hint = f"the points are unlabelled: write one name for each in {NAMES_ARRAY!r}"
@@ -183,20 +188,20 @@ def _marker_names(
 
 
 def _find_positions_array(
-    file: MarkerFile,
+    file: CaptureFile,
     archives: Archives,
     path: Path,
     array_names: list[str],
     array: str | None,
 ) -> str:
-    """Return the name of the array of positions."""
+    """Return the name of the array of positions: the requested or the default one."""
     if array is not None:
         # The archive reports a missing array and lists those it has.
         archives.header(path, array)
         return array
     candidates = [key for key in array_names if key.partition("_")[0] == DEFAULT_PREFIX]
     if not candidates:
-        with_unit = [key for key in array_names if _UNIT_SUFFIX.search(key)]
+        names_with_unit = [key for key in array_names if _UNIT_SUFFIX.search(key)]
         if not PIXEL_ARRAYS.isdisjoint(array_names):
             message = "holds pixels of cameras, not positions"
             pixels_hint = (
@@ -206,10 +211,11 @@ def _find_positions_array(
             )
             raise file.error("MKR012", message, pixels_hint)
         message = f"has no array of positions whose name starts with {DEFAULT_PREFIX!r}"
-        hint = f"name one: {path.name}#{with_unit[0]}" if with_unit else None
-        raise file.error(
-            "MKR012", f"{message}; its arrays are {listed(array_names)}", hint
+        message += f"; its arrays are {listed(array_names)}"
+        hint = (
+            f"name one: {path.name}#{names_with_unit[0]}" if names_with_unit else None
         )
+        raise file.error("MKR012", message, hint)
     if len(candidates) > 1:
         # The array of marker names has the same prefix.
         candidates = [k for k in candidates if _UNIT_SUFFIX.search(k)] or candidates
@@ -240,17 +246,17 @@ def write_marker_arrays(
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
     arrays: dict[str, npt.NDArray[Any]] = {
-        "marker_names": np.array(markers.names, dtype=np.str_),
+        NAMES_ARRAY: np.array(markers.names, dtype=np.str_),
         "fs": np.array(float(markers.clock.rate)),
         "start": np.array(float(markers.clock.start)),
         "up": np.array(str(markers.up)),
         "markers_m": markers.positions,
     }
-    extra = (
-        ("cameras", markers.cameras),
-        ("residuals_m", markers.residuals),
-        ("filled", markers.filled),
-    )
-    arrays.update({name: values for name, values in extra if values is not None})
+    optional_arrays = {
+        "cameras": markers.cameras,
+        "residuals_m": markers.residuals,
+        "filled": markers.filled,
+    }
+    arrays |= {k: values for k, values in optional_arrays.items() if values is not None}
     write_arrays(path, arrays)
     return []

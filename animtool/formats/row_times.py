@@ -112,31 +112,31 @@ def find_steps(
     )
     fitted_steps = [fit_frames(times, frames, rounding) for frames in candidates]
     fitted_steps = [steps for steps in fitted_steps if steps.regular]
-    stated_steps = (
-        [1.0 / stated_rate] if stated_rate is not None and stated_rate > 0 else []
-    )
-    if stated_rate is not None and stated_steps:
+    stated_step = None
+    if stated_rate is not None and stated_rate > 0:
+        stated_step = 1.0 / stated_rate
         matching_steps = [
-            steps for steps in fitted_steps if is_rate_of(stated_rate, steps, rounding)
+            steps
+            for steps in fitted_steps
+            if matches_rate(steps, stated_rate, rounding)
         ]
         # Times with few decimals may also fit another rate.
-        gaps = fit_frames_with_gaps(times, stated_steps[0], rounding)
-        if gaps is not None and gaps.regular and _has_few_gaps(gaps.frames):
-            matching_steps.append(gaps)
+        gap_steps = fit_frames_with_gaps(times, stated_step, rounding)
+        if gap_steps and gap_steps.regular and _has_few_gaps(gap_steps.frames):
+            matching_steps.append(gap_steps)
         fitted_steps = [*matching_steps, *fitted_steps]
     if fitted_steps:
         return fitted_steps[0]
-    median = median_step(times)
+    step = median_step(times)
     intervals = np.diff(times)
-    mean = float(intervals[intervals <= MAX_INTERPOLATED_GAP * median].mean())
+    mean = float(intervals[intervals <= MAX_INTERPOLATED_GAP * step].mean())
     gap_steps = fit_frames_with_gaps(times, mean, rounding)
     if gap_steps is not None and gap_steps.regular:
         return gap_steps
-    regular_times = times[0] + median * row_frames
-    close_steps = [s for s in stated_steps if abs(s - mean) <= RATE_TOLERANCE * mean]
-    step = close_steps[0] if close_steps else median
+    error = float(np.abs(times - (times[0] + step * row_frames)).max())
+    if stated_step is not None and abs(stated_step - mean) <= RATE_TOLERANCE * mean:
+        step = stated_step
     gap_steps = fit_frames_with_gaps(times, step, rounding)
-    error = float(np.abs(times - regular_times).max())
     if gap_steps is not None:
         error = gap_steps.error
     return TimeSteps(step, row_frames, error, False)
@@ -147,8 +147,8 @@ def _has_few_gaps(frames: IntArray) -> bool:
     return int((np.diff(frames) > 1).sum()) <= max(1, len(frames) // MIN_ROWS_PER_GAP)
 
 
-def is_rate_of(stated_rate: float, steps: TimeSteps, rounding: float) -> bool:
-    """Return whether a stated rate fits times within their rounding."""
+def matches_rate(steps: TimeSteps, stated_rate: float, rounding: float) -> bool:
+    """Return whether fitted times have a stated rate, within their rounding [s]."""
     if not stated_rate > 0:
         return False
     count = int(steps.frames[-1]) if steps.regular else 1
@@ -159,54 +159,54 @@ def is_rate_of(stated_rate: float, steps: TimeSteps, rounding: float) -> bool:
     return abs(span - count / stated_rate) <= max(2 * rounding, drift)
 
 
-def has_few_empty_frames(at: FloatArray | IntArray, markers: int) -> bool:
-    """Return whether rows at frames ``(R,)`` leave few enough frames empty."""
-    frames = (float(at[-1]) + 1) * markers
-    return frames <= max(MAX_EMPTY_FRAMES, MAX_FRAMES_PER_ROW * len(at) * markers)
+def has_few_empty_frames(row_frames: FloatArray | IntArray, marker_count: int) -> bool:
+    """Return whether rows at frames ``(R,)`` leave few enough frames without a row."""
+    position_count = (float(row_frames[-1]) + 1) * marker_count
+    row_position_count = len(row_frames) * marker_count
+    return position_count <= max(
+        MAX_EMPTY_FRAMES, MAX_FRAMES_PER_ROW * row_position_count
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class RowFrames:
-    """Frame positions of rows."""
+    """Frames of the rows of a file, and the rate of the frames."""
 
     rate: Fraction  # frames per second
     start: int  # number of the first frame
     # Frame of each row ``(R,)``, from 0; integers unless times are irregular.
-    at: FloatArray
+    frames: FloatArray
     begin: float | None  # time of the first frame [s]; None if frame 1 is time 0
 
-    def at_frames(self, positions: FloatArray) -> FloatArray:
+    def resample(self, positions: FloatArray) -> FloatArray:
         """Resample positions ``(R, M, 3)`` at rows to frames ``(F, M, 3)``.
 
         Frames without a close row are NaN; rows at irregular times are interpolated
         linearly.
         """
-        count = int(self.at[-1] + STEP_TOLERANCE) + 1
-        integer_frames = np.rint(self.at)
-        if np.array_equal(integer_frames, self.at):
+        count = int(self.frames[-1] + STEP_TOLERANCE) + 1
+        integer_frames = np.rint(self.frames)
+        if np.array_equal(integer_frames, self.frames):
             if count == len(positions):
                 return positions
-            at_frames = np.full((count, *positions.shape[1:]), np.nan)
-            at_frames[integer_frames.astype(np.int64)] = positions
-            return at_frames
+            resampled = np.full((count, *positions.shape[1:]), np.nan)
+            resampled[integer_frames.astype(np.int64)] = positions
+            return resampled
         frames = np.arange(count)
-        row_before = np.searchsorted(self.at, frames + STEP_TOLERANCE, side="right") - 1
-        row_before = np.clip(row_before, 0, len(self.at) - 2)
-        width = self.at[row_before + 1] - self.at[row_before]
-        fraction = np.clip((frames - self.at[row_before]) / width, 0.0, 1.0)
-        tolerance = STEP_TOLERANCE / width
-        in_gap = (
-            (width > MAX_INTERPOLATED_GAP)
-            & (fraction > tolerance)
-            & (fraction < 1.0 - tolerance)
+        row_before = (
+            np.searchsorted(self.frames, frames + STEP_TOLERANCE, side="right") - 1
         )
+        row_before = np.clip(row_before, 0, len(self.frames) - 2)
+        interval = self.frames[row_before + 1] - self.frames[row_before]
+        fraction = np.clip((frames - self.frames[row_before]) / interval, 0.0, 1.0)
+        tolerance = STEP_TOLERANCE / interval
         weight = fraction[:, None, None]
-        at_frames = (
+        resampled = (
             positions[row_before] * (1.0 - weight) + positions[row_before + 1] * weight
         )
-        at_frames[fraction <= tolerance] = positions[row_before][fraction <= tolerance]
-        at_frames[fraction >= 1.0 - tolerance] = positions[row_before + 1][
-            fraction >= 1.0 - tolerance
-        ]
-        at_frames[in_gap] = np.nan
-        return at_frames
+        is_at_row, is_at_next = fraction <= tolerance, fraction >= 1.0 - tolerance
+        resampled[is_at_row] = positions[row_before][is_at_row]
+        resampled[is_at_next] = positions[row_before + 1][is_at_next]
+        in_gap = (interval > MAX_INTERPOLATED_GAP) & ~is_at_row & ~is_at_next
+        resampled[in_gap] = np.nan
+        return resampled

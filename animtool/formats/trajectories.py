@@ -1,4 +1,4 @@
-"""Helpers of marker readers: names, units, rates and missing positions."""
+"""A capture file that is being read: names, unit, rate and missing positions."""
 
 from __future__ import annotations
 
@@ -45,20 +45,23 @@ _UNITS = {
 
 
 @dataclass(slots=True)
-class MarkerFile:
-    """A marker file that is being read, and its warnings so far."""
+class CaptureFile:
+    """A file of markers or motion that is being read, and its warnings so far."""
 
     path: str
     notices: list[Fault] = field(default_factory=list)
 
-    def error(self, code: str, message: str, hint: str | None = None) -> FormatError:
-        """Return a `FormatError` about the file."""
-        return FormatError(Fault(code, message, self.path, (), hint))
+    def error(
+        self, code: str, message: str, hint: str | None = None, line: int | None = None
+    ) -> FormatError:
+        """Return a `FormatError` about the file, or about one of its lines."""
+        lines = () if line is None else (line,)
+        return FormatError(Fault(code, message, self.path, lines, hint))
 
     def warn(
         self, code: str, message: str, hint: str | None = None, line: int | None = None
     ) -> None:
-        """Add a warning, with a line if known."""
+        """Add a warning about the file, or about one of its lines."""
         warning, lines = Severity.WARNING, () if line is None else (line,)
         self.notices.append(Fault(code, message, self.path, lines, hint, warning))
 
@@ -66,7 +69,9 @@ class MarkerFile:
         """Add a note about the file."""
         self.notices.append(Fault(code, message, self.path, (), hint, Severity.NOTE))
 
-    def rate(self, stated_rate: float | None, fps: FractionLike | None) -> Fraction:
+    def choose_rate(
+        self, stated_rate: float | None, fps: FractionLike | None
+    ) -> Fraction:
         """Return the frame rate: the option, else the stated one."""
         if fps is not None:
             return rate_option(fps)
@@ -79,7 +84,7 @@ class MarkerFile:
         hint = f"set the rate with {argument('source.fps')}"
         raise self.error("MKR010", message, hint)
 
-    def unit(
+    def choose_unit(
         self, stated_unit: str | None, option: LengthUnit | None, default: LengthUnit
     ) -> LengthUnit:
         """Return the length unit: the option, else the stated one, else the default."""
@@ -96,7 +101,7 @@ class MarkerFile:
             raise self.error("MKR011", message, hint)
         return unit
 
-    def up(self, stated_up: UpAxis | None, option: UpAxis | None) -> UpAxis:
+    def choose_up(self, stated_up: UpAxis | None, option: UpAxis | None) -> UpAxis:
         """Return the up axis: the option, else the stated one, else Y."""
         if option is not None:
             return UpAxis(option)
@@ -106,8 +111,10 @@ class MarkerFile:
             return UpAxis.Y
         return stated_up
 
-    def names(self, labels: Sequence[str], subject: str | None) -> tuple[str, ...]:
-        """Return unique marker names; unlabelled ones begin with ``*``.
+    def unique_names(
+        self, labels: Sequence[str], subject: str | None
+    ) -> tuple[str, ...]:
+        """Return unique marker names; those of unlabelled points begin with ``*``.
 
         The prefix of a subject, as in ``Anna:LFHD``, is removed if all labels have the
         same, or if it is the requested subject. Duplicate names get a number (MKR101).
@@ -144,9 +151,9 @@ class MarkerFile:
         with np.errstate(invalid="ignore"):
             beyond_float32 = (np.abs(positions) > FLOAT32_MAX).any(axis=-1)
             origin = (positions == 0.0).all(axis=-1)
-            is_code = (positions == positions[..., :1]).all(axis=-1)
-            is_code &= np.abs(positions[..., 0]) * meters > FARTHEST_METERS
-            is_code &= ~beyond_float32
+            is_missing_code = (positions == positions[..., :1]).all(axis=-1)
+            is_missing_code &= np.abs(positions[..., 0]) * meters > MAX_DISTANCE
+            is_missing_code &= ~beyond_float32
         if beyond_float32.any():
             count = counted(int(beyond_float32.sum()), "position")
             message = f"{count} beyond the largest float32, treated as missing"
@@ -155,12 +162,12 @@ class MarkerFile:
             count = counted(int(origin.sum()), "position")
             message = f"{count} at exactly 0, 0, 0, treated as missing"
             self.note("MKR105", message)
-        if is_code.any():
-            count = counted(int(is_code.sum()), "position")
-            number = float(positions[is_code][0, 0])
+        if is_missing_code.any():
+            count = counted(int(is_missing_code.sum()), "position")
+            number = float(positions[is_missing_code][0, 0])
             message = f"{count} at {number:g} in every coordinate, treated as missing"
             self.warn("MKR102", message, "the number is a code for missing points")
-        is_missing = beyond_float32 | origin | is_code
+        is_missing = beyond_float32 | origin | is_missing_code
         positions[is_missing | np.isnan(positions).any(axis=-1)] = np.nan
         positions *= meters
         return positions
@@ -176,7 +183,7 @@ def _parse_unit(text: str) -> LengthUnit | None:
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 # Equal coordinates beyond this are a code for a missing point [m].
-FARTHEST_METERS = 1000.0
+MAX_DISTANCE = 1000.0
 # Maximum positions of a take; larger files are refused before memory is allocated. An
 # hour of 100 markers at 240 Hz has 86 million.
 MAX_POSITIONS = 200_000_000

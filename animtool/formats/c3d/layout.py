@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from animtool.core.record import dataclass
-from animtool.formats.c3d.claims import Claim, Claims
+from animtool.formats.c3d.field_values import FieldValue, FieldValues
 from animtool.formats.c3d.sections import BLOCK_BYTES
 
-# Costs in addition to those of contradicted claims: nonzero padding after the last
+# Costs in addition to those of contradicted values: nonzero padding after the last
 # frame (DIRTY), bytes after the last frame that are not padding (TRAILING), nonzero
 # bytes before the first frame (SKIPPED), a count that no field states (UNSTATED), a
 # number of frames solved from the file size (FITTED), and other counts solved from it
@@ -28,22 +28,22 @@ MAX_OUTLIER_FRACTION, MAX_SMOOTH_ROUGHNESS, NOISE_ROUGHNESS = 0.1, 0.25, 0.5
 DECISIVE_COST_GAP = 0.2
 # Maximum number of layouts whose values are examined.
 MAX_JUDGED_LAYOUTS = 16
-# Claims with less weight are hints.
-MIN_CLAIM_WEIGHT = 0.5
+# Stated values with less weight are hints.
+MIN_DECISIVE_WEIGHT = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
     """Counts of points, analogue values and frames, and the start of the data."""
 
-    begin: int  # offset of the first frame [byte]
-    width: int  # size of a number [byte]
-    points: int  # points per frame
-    analog: int  # numbers after the points of a frame
-    frames: int  # number of frames
+    data_offset: int  # offset of the first frame [byte]
+    number_bytes: int  # size of a number [byte]
+    point_count: int  # points per frame
+    analog_count: int  # numbers after the points of a frame
+    frame_count: int  # number of frames
     # Bytes after the last frame, except zeros up to a full block.
     trailing_bytes: int = 0
-    cost: float = 0.0  # total cost of contradicted claims
+    cost: float = 0.0  # total cost of contradicted values
     # Whether to use it only if the numbers look like positions.
     needs_evidence: bool = False
     is_solved: bool = False  # whether one of the counts is not stated by any field
@@ -51,19 +51,22 @@ class Layout:
     @property
     def numbers_per_frame(self) -> int:
         """Count of numbers per frame."""
-        return 4 * self.points + self.analog
+        return 4 * self.point_count + self.analog_count
 
     @property
     def end(self) -> int:
         """Byte offset after the last frame."""
-        return self.begin + self.width * self.numbers_per_frame * self.frames
+        return (
+            self.data_offset
+            + self.number_bytes * self.numbers_per_frame * self.frame_count
+        )
 
     def __str__(self) -> str:
         """Describe the layout for messages."""
-        kind = "floats" if self.width == 4 else "integers"
+        kind = "floats" if self.number_bytes == 4 else "integers"
         return (
-            f"{self.frames} frames of {self.points} points and {self.analog} "
-            f"analogue values, {kind} from byte {self.begin}"
+            f"{self.frame_count} frames of {self.point_count} points and "
+            f"{self.analog_count} analogue values, {kind} from byte {self.data_offset}"
         )
 
 
@@ -84,21 +87,21 @@ class LayoutResult:
     layout: Layout | None  # the layout to read; None if no layout fits
     # The layout with the fewest contradictions among those that need more bytes than
     # the file has.
-    truncated: Layout | None = None
+    truncated_layout: Layout | None = None
     # Layouts that the evidence cannot decide between.
     ambiguous_layouts: tuple[Layout, ...] = ()
 
 
 def choose_layout(
-    claims: Claims,
+    fields: FieldValues,
     data: bytes,
     end_offsets: Sequence[int],
     measure_evidence: Callable[[Layout], Evidence],
 ) -> LayoutResult:
-    """Return the layout that fits the file and contradicts the fewest claims.
+    """Return the layout that fits the file and contradicts the fewest stated values.
 
     Args:
-        claims: Values stated by the file.
+        fields: Values stated by the file.
         data: Content of the file.
         end_offsets: Byte offsets where the points may end; the last is the file size.
         measure_evidence: Returns the evidence for a layout.
@@ -106,8 +109,8 @@ def choose_layout(
     cheapest: dict[tuple[float, ...], Layout] = {}
     truncated_layout: Layout | None = None
     padding = _count_padding(data)
-    for layout in _combinations(claims, end_offsets[-1], padding):
-        if layout.end > end_offsets[-1] or layout.begin > end_offsets[-1]:
+    for layout in _combinations(fields, end_offsets[-1], padding):
+        if layout.end > end_offsets[-1] or layout.data_offset > end_offsets[-1]:
             if not layout.is_solved and (
                 truncated_layout is None or layout.cost < truncated_layout.cost
             ):
@@ -117,14 +120,14 @@ def choose_layout(
             (_add_trailing_cost(layout, data, end) for end in end_offsets),
             key=_sort_key,
         )
-        candidate = _add_skipped_cost(candidate, claims.parameters_end, data)
+        candidate = _add_skipped_cost(candidate, fields.parameters_end, data)
         key = _sort_key(candidate)[1:]
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
     candidates = sorted(cheapest.values(), key=_sort_key)[:MAX_JUDGED_LAYOUTS]
-    if truncated_layout is not None and truncated_layout.cost < MIN_CLAIM_WEIGHT:
-        # All claims agree but the file is too small: it is truncated, unless other
-        # claims match its size exactly.
+    if truncated_layout is not None and truncated_layout.cost < MIN_DECISIVE_WEIGHT:
+        # All stated values agree but the file is too small: it is truncated, unless
+        # other stated values match its size exactly.
         candidates = [
             layout
             for layout in candidates
@@ -132,17 +135,13 @@ def choose_layout(
         ]
     if not candidates:
         return LayoutResult(None, truncated_layout)
-    if candidates[0].cost < MIN_CLAIM_WEIGHT:
+    if candidates[0].cost < MIN_DECISIVE_WEIGHT:
         return LayoutResult(candidates[0])
     result = _choose_by_evidence(candidates, truncated_layout, measure_evidence)
     best = result.layout
-    if best is None:
+    if best is None or not best.trailing_bytes or truncated_layout is None:
         return result
-    if (
-        best.trailing_bytes
-        and truncated_layout is not None
-        and truncated_layout.cost < best.cost - TRAILING_COST
-    ):
+    if truncated_layout.cost < best.cost - TRAILING_COST:
         return LayoutResult(None, truncated_layout)
     return result
 
@@ -155,23 +154,23 @@ def _count_padding(data: bytes) -> int:
     return min(BLOCK_BYTES - 1, len(last_block) - len(last_block.rstrip(b"\0")))
 
 
-def contradicted_claims(
-    claims: Claims, layout: Layout
-) -> list[tuple[str, int, list[Claim]]]:
-    """Return contradicted quantities: name, value and the contradicting claims."""
+def find_contradictions(
+    fields: FieldValues, layout: Layout
+) -> list[tuple[str, int, list[FieldValue]]]:
+    """Return each contradicted quantity: name, value and the stated values."""
     contradictions = []
-    for name in ("frames", "points", "analog", "width", "begin"):
-        value = getattr(layout, name)
+    for name in (
+        "frame_count", "point_count", "analog_count", "number_bytes", "data_offset",
+    ):  # fmt: skip
+        value, stated = getattr(layout, name), getattr(fields, name)
+        is_supported = any(v.value == value for v in stated)
+        # A saturated count does not contradict a larger count that is also stated.
         opposing = [
-            claim
-            for claim in getattr(claims, name)
-            if claim.weight >= MIN_CLAIM_WEIGHT and claim.value != value
-        ]
-        supporting = [claim for claim in getattr(claims, name) if claim.value == value]
-        # A saturated count does not contradict a larger count that another claim
-        # states.
-        opposing = [
-            c for c in opposing if c.cost(value) >= MIN_CLAIM_WEIGHT or not supporting
+            v
+            for v in stated
+            if v.weight >= MIN_DECISIVE_WEIGHT
+            and v.value != value
+            and (v.cost(value) >= MIN_DECISIVE_WEIGHT or not is_supported)
         ]
         if opposing:
             contradictions.append((name, value, opposing))
@@ -180,26 +179,26 @@ def contradicted_claims(
 
 def _sort_key(layout: Layout) -> tuple[float, ...]:
     return (
-        layout.cost, layout.begin, layout.width, layout.points, layout.analog,
-        layout.frames,
+        layout.cost, layout.data_offset, layout.number_bytes, layout.point_count,
+        layout.analog_count, layout.frame_count,
     )  # fmt: skip
 
 
-def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
+def _combinations(fields: FieldValues, size: int, padding: int) -> Iterable[Layout]:
     """Yield layouts of all combinations of stated counts, or with one count solved.
 
     ``size`` is the file size, ``padding`` the number of zeros at the end [byte].
     """
-    widths = _costed_values(claims.width, (2, 4))
+    widths = _costed_values(fields.number_bytes, (2, 4))
     for (begin, begin_cost), (width, width_cost) in itertools.product(
-        _costed_values(claims.begin), widths
+        _costed_values(fields.data_offset), widths
     ):
-        contradicts_width = width_cost >= MIN_CLAIM_WEIGHT and _claims_agree(
-            claims.width
+        contradicts_width = width_cost >= MIN_DECISIVE_WEIGHT and _values_agree(
+            fields.number_bytes
         )
         capacity = ((size - begin) // width, (size - begin - padding) // width)
         for points, analog, frames, count_cost, is_solved in _count_combinations(
-            claims, *capacity
+            fields, *capacity
         ):
             cost = begin_cost + width_cost + count_cost
             needs_evidence = contradicts_width or is_solved
@@ -209,96 +208,101 @@ def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
 
 
 def _count_combinations(
-    claims: Claims, capacity: int, min_numbers: int
+    fields: FieldValues, capacity: int, min_numbers: int
 ) -> Iterable[tuple[int, int, int, float, bool]]:
     """Yield point, analogue and frame counts, their cost, and whether one is solved.
 
     The data has space for ``capacity`` numbers, or ``min_numbers`` without the zeros
     at its end.
     """
-    points, frames = _costed_values(claims.points), _costed_values(claims.frames)
-    analog = _costed_values(claims.analog, claims.analog_candidates)
-    claimed_values = {claim.value for claim in claims.analog}
+    points = _costed_values(fields.point_count)
+    frames = _costed_values(fields.frame_count)
+    analog = _costed_values(fields.analog_count, fields.other_analog_counts)
+    stated_candidates = {v.value for v in fields.analog_count}
     for (point_count, point_cost), (analog_count, analog_cost) in itertools.product(
         points, analog
     ):
         numbers_per_frame = 4 * point_count + analog_count
-        is_unclaimed = analog_count not in claimed_values
+        is_unstated = analog_count not in stated_candidates
         frame_counts = [(count, cost, False) for count, cost in frames]
         if numbers_per_frame and min_numbers > 0:
             fitting_count = -(-min_numbers // numbers_per_frame)
-            frame_counts += _solve_frame_counts(claims, fitting_count)
+            frame_counts += _solve_frame_counts(fields, fitting_count)
         for frame_count, frame_cost, is_solved in frame_counts:
             yield (
                 point_count,
                 analog_count,
                 frame_count,
                 point_cost + analog_cost + frame_cost,
-                is_unclaimed or is_solved,
+                is_unstated or is_solved,
             )
+    points_to_solve = points if _can_solve(fields.analog_count) else []
+    analog_to_solve = analog if _can_solve(fields.point_count) else []
     for frame_count, frame_cost in frames:
-        for point_count, point_cost in points if _can_solve(claims.analog) else ():
+        for point_count, point_cost in points_to_solve:
             analog_count = capacity // frame_count - 4 * point_count
             if analog_count >= 0:
-                analog_cost = _claims_cost(claims.analog, analog_count)
+                analog_cost = _total_cost(fields.analog_count, analog_count)
                 cost = point_cost + frame_cost + analog_cost + SOLVED_COST
                 yield point_count, analog_count, frame_count, cost, True
-        for analog_count, analog_cost in analog if _can_solve(claims.points) else ():
+        for analog_count, analog_cost in analog_to_solve:
             point_count, remainder = divmod(capacity // frame_count - analog_count, 4)
             if point_count > 0 and remainder == 0:
-                point_cost = _claims_cost(claims.points, point_count)
+                point_cost = _total_cost(fields.point_count, point_count)
                 cost = analog_cost + frame_cost + point_cost + SOLVED_COST
                 yield point_count, analog_count, frame_count, cost, True
 
 
 def _costed_values(
-    claims: Sequence[Claim], other_values: Sequence[int] = ()
+    values: Sequence[FieldValue], other_values: Sequence[int] = ()
 ) -> list[tuple[int, float]]:
-    """Return candidate values, each with the cost of the claims it contradicts."""
-    claimed_values = {claim.value for claim in claims}
-    unclaimed_cost = UNSTATED_COST if claims else 0.0
-    return [(v, _claims_cost(claims, v)) for v in sorted(claimed_values)] + [
-        (value, _claims_cost(claims, value) + unclaimed_cost)
-        for value in sorted(set(other_values) - claimed_values)
+    """Return candidate values, each with the cost of contradicted stated values."""
+    stated_candidates = {v.value for v in values}
+    unstated_cost = UNSTATED_COST if values else 0.0
+    return [(v, _total_cost(values, v)) for v in sorted(stated_candidates)] + [
+        (value, _total_cost(values, value) + unstated_cost)
+        for value in sorted(set(other_values) - stated_candidates)
     ]
 
 
-def _claims_cost(claims: Sequence[Claim], value: int) -> float:
-    return sum(claim.cost(value) for claim in claims)
+def _total_cost(values: Sequence[FieldValue], value: int) -> float:
+    return sum(v.cost(value) for v in values)
 
 
-def _claims_agree(claims: Sequence[Claim]) -> bool:
-    """Return whether all claims except hints state the same value."""
-    return len({c.value for c in claims if c.weight >= MIN_CLAIM_WEIGHT}) == 1
+def _values_agree(values: Sequence[FieldValue]) -> bool:
+    """Return whether all stated values except hints are equal."""
+    return len({c.value for c in values if c.weight >= MIN_DECISIVE_WEIGHT}) == 1
 
 
-def _can_solve(claims: Sequence[Claim]) -> bool:
-    """Return whether claims leave a value open, so that the file size may decide it."""
-    decisive = [claim for claim in claims if claim.weight >= MIN_CLAIM_WEIGHT]
-    return len(decisive) < 2 or not _claims_agree(claims)
+def _can_solve(values: Sequence[FieldValue]) -> bool:
+    """Return whether stated values leave a count open for the file size to decide."""
+    decisive = [v for v in values if v.weight >= MIN_DECISIVE_WEIGHT]
+    return len(decisive) < 2 or not _values_agree(values)
 
 
-def _solve_frame_counts(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
+def _solve_frame_counts(
+    fields: FieldValues, count: int
+) -> list[tuple[int, float, bool]]:
     """Return frame counts solved from the file size: value, cost, and whether solved.
 
     Empty unless stated counts are saturated, wrap around, differ, or are missing.
     ``count`` is the number of frames that fit into the data.
     """
-    frames = claims.frames
-    if any(claim.value == count for claim in frames):
+    frames = fields.frame_count
+    if any(v.value == count for v in frames):
         return []
-    cost = _claims_cost(frames, count)
+    cost = _total_cost(frames, count)
     if not frames or any(c.is_saturated and count > c.value for c in frames):
         return [(count, cost + UNSTATED_COST, False)]
-    if any(claim.can_wrap and claim.cost(count) < claim.weight for claim in frames):
+    if any(v.can_wrap and v.cost(count) < v.weight for v in frames):
         return [(count, cost, False)]
-    return [] if _claims_agree(frames) else [(count, cost + FITTED_COST, True)]
+    return [] if _values_agree(frames) else [(count, cost + FITTED_COST, True)]
 
 
 def _add_skipped_cost(layout: Layout, parameters_end: int, data: bytes) -> Layout:
     """Return a layout with the cost of nonzero bytes before the first frame added."""
-    gap_bytes = layout.begin - parameters_end
-    if gap_bytes <= 0 or data.count(b"\0", parameters_end, layout.begin) == gap_bytes:
+    start, gap_bytes = parameters_end, layout.data_offset - parameters_end
+    if gap_bytes <= 0 or data.count(b"\0", start, layout.data_offset) == gap_bytes:
         return layout
     return replace(layout, cost=layout.cost + SKIPPED_COST)
 
@@ -306,12 +310,8 @@ def _add_skipped_cost(layout: Layout, parameters_end: int, data: bytes) -> Layou
 def _add_trailing_cost(layout: Layout, data: bytes, end: int) -> Layout:
     """Add the number of bytes after the last frame and their cost to a layout."""
     unused_bytes = end - layout.end
-    if unused_bytes < 0:
-        return replace(
-            layout, trailing_bytes=-unused_bytes, cost=layout.cost + TRAILING_COST
-        )
-    is_padding = unused_bytes < BLOCK_BYTES and end % BLOCK_BYTES == 0
-    frame_bytes = layout.width * layout.numbers_per_frame
+    is_padding = 0 <= unused_bytes < BLOCK_BYTES and end % BLOCK_BYTES == 0
+    frame_bytes = layout.number_bytes * layout.numbers_per_frame
     if is_padding and data.count(b"\0", layout.end, end) == unused_bytes:
         # A last frame of zeros is probably padding.
         last_frame = layout.end - frame_bytes
@@ -319,16 +319,12 @@ def _add_trailing_cost(layout: Layout, data: bytes, end: int) -> Layout:
             0 < frame_bytes < BLOCK_BYTES - unused_bytes
             and data.count(b"\0", last_frame, layout.end) == frame_bytes
         )
-        return (
-            replace(layout, cost=layout.cost + DIRTY_COST) if is_zero_frame else layout
-        )
+        dirty_cost = DIRTY_COST if is_zero_frame else 0.0
+        return replace(layout, cost=layout.cost + dirty_cost)
     if unused_bytes == 0:
         return layout
-    return replace(
-        layout,
-        trailing_bytes=unused_bytes,
-        cost=layout.cost + (DIRTY_COST if is_padding else TRAILING_COST),
-    )
+    cost = layout.cost + (DIRTY_COST if is_padding else TRAILING_COST)
+    return replace(layout, trailing_bytes=abs(unused_bytes), cost=cost)
 
 
 def _choose_by_evidence(
@@ -377,10 +373,15 @@ def _is_noise(layout: Layout, evidence: Evidence) -> bool:
     """Return whether the numbers of a layout look like noise, not like positions."""
     # A single point may be rough: its spread can be small.
     return evidence.outlier_fraction > MAX_OUTLIER_FRACTION or (
-        layout.points > 1 and evidence.roughness > NOISE_ROUGHNESS
+        layout.point_count > 1 and evidence.roughness > NOISE_ROUGHNESS
     )
 
 
 def _interpretation_key(layout: Layout) -> tuple[int, ...]:
     """Return the layout values that determine which number is which coordinate."""
-    return layout.begin, layout.width, layout.points, layout.numbers_per_frame
+    return (
+        layout.data_offset,
+        layout.number_bytes,
+        layout.point_count,
+        layout.numbers_per_frame,
+    )

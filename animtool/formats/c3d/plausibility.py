@@ -10,9 +10,9 @@ from animtool.core.array_types import FloatArray
 from animtool.formats.c3d.layout import Evidence, Layout
 from animtool.formats.c3d.sections import Processor
 
-# Number and length of the runs of consecutive frames that are examined.
-SAMPLED_RUNS = 8
-RUN_FRAMES = 8
+# Number and length of the spans of consecutive frames that are examined.
+SPAN_COUNT = 8
+SPAN_FRAMES = 8
 # Range of captured positions, in any unit; other magnitudes are not positions.
 MAX_COORDINATE = 1e6
 MIN_COORDINATE = 1e-12
@@ -21,26 +21,29 @@ MAX_WORD = 32768.0
 
 def measure_evidence(layout: Layout, data: bytes, processor: Processor) -> Evidence:
     """Measure how much a layout's numbers look like positions, in sampled frames."""
-    if layout.points == 0:
+    if layout.point_count == 0:
         return Evidence(0.0, math.nan)
-    run_length = min(RUN_FRAMES, layout.frames)
-    begins = np.linspace(0, layout.frames - run_length, SAMPLED_RUNS).astype(np.int64)
-    frame_bytes = layout.width * layout.numbers_per_frame
-    runs = []
+    span_frames = min(SPAN_FRAMES, layout.frame_count)
+    begins = np.linspace(0, layout.frame_count - span_frames, SPAN_COUNT).astype(
+        np.int64
+    )
+    frame_bytes = layout.number_bytes * layout.numbers_per_frame
+    spans = []
     for begin in sorted(set(begins.tolist())):
-        offset = layout.begin + frame_bytes * begin
-        run_bytes = data[offset : offset + frame_bytes * run_length]
-        point_numbers = 4 * layout.points
+        offset = layout.data_offset + frame_bytes * begin
         rows = processor.rows(
-            run_bytes, layout.width, layout.numbers_per_frame, point_numbers
+            data[offset : offset + frame_bytes * span_frames],
+            layout.number_bytes,
+            layout.numbers_per_frame,
+            4 * layout.point_count,
         )
-        runs.append(rows.reshape(run_length, layout.points, 4))
-    return _measure_runs(np.array(runs), layout.width)
+        spans.append(rows.reshape(span_frames, layout.point_count, 4))
+    return _measure_spans(np.array(spans), layout.number_bytes)
 
 
-def _measure_runs(runs: FloatArray, width: int) -> Evidence:
-    """Return outlier fraction and roughness of runs of frames ``(R, L, M, 4)``."""
-    positions, words = runs[..., :3], runs[..., 3]
+def _measure_spans(spans: FloatArray, width: int) -> Evidence:
+    """Return outlier fraction and roughness of spans of frames ``(R, L, M, 4)``."""
+    positions, words = spans[..., :3], spans[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
         magnitudes = np.abs(positions)
         is_outlier = ~np.isfinite(words) | (words < -1.5) | (words > MAX_WORD)

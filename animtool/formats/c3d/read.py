@@ -16,12 +16,11 @@ from animtool.core.errors import FormatError, counted, excerpt, listed
 from animtool.core.files.reading import MAX_INPUT_BYTES, open_input
 from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
-from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.formats.c3d.claims import (
+from animtool.formats.c3d.field_values import (
     WORD_RANGE,
-    Claim,
-    collect_declared_layouts,
+    FieldValue,
+    collect_field_values,
     trial_frame_range,
     unsigned_word,
 )
@@ -29,7 +28,7 @@ from animtool.formats.c3d.layout import (
     Layout,
     LayoutResult,
     choose_layout,
-    contradicted_claims,
+    find_contradictions,
 )
 from animtool.formats.c3d.plausibility import measure_evidence
 from animtool.formats.c3d.sections import (
@@ -38,86 +37,19 @@ from animtool.formats.c3d.sections import (
     Sections,
     read_sections,
 )
-from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
+from animtool.formats.trajectories import MAX_POSITIONS, CaptureFile
 from animtool.motion.markers import Markers
 
-# C3D files state the axes that point right and up on a screen.
-
+_UP_HINT = f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}"
 _AXIS = re.compile(r"([+-]?)([XYZ])")
 # For other up axes than +Y and +Z: the up axis after conversion, and the order and
 # signs of the coordinates that become x, y and z.
 _UP_CONVERSIONS = {
-    "-Y": (UpAxis.Y, (0, 1, 2), (1, -1, -1)),
-    "-Z": (UpAxis.Z, (0, 1, 2), (1, -1, -1)),
-    "+X": (UpAxis.Y, (1, 0, 2), (-1, 1, 1)),
-    "-X": (UpAxis.Y, (1, 0, 2), (1, -1, 1)),
+    "-Y": (UpAxis.Y, [0, 1, 2], [1, -1, -1]),
+    "-Z": (UpAxis.Z, [0, 1, 2], [1, -1, -1]),
+    "+X": (UpAxis.Y, [1, 0, 2], [-1, 1, 1]),
+    "-X": (UpAxis.Y, [1, 0, 2], [1, -1, 1]),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class ScreenAxes:
-    """Up axis of a file, and the axis permutation that converts positions to it."""
-
-    up: UpAxis  # the up axis of the converted positions
-    # File coordinates that become x, y and z; None without a conversion.
-    order: IntArray | None = None
-    signs: FloatArray | None = None  # signs of the converted coordinates
-
-    def convert(self, positions: FloatArray) -> FloatArray:
-        """Return positions ``(..., 3)`` rotated to the up axis."""
-        if self.order is None or self.signs is None:
-            return positions
-        return positions[..., self.order] * self.signs
-
-
-def read_screen_axes(
-    file: MarkerFile, sections: Sections, stated_up: UpAxis | None
-) -> ScreenAxes:
-    """Return the up axis of ``X_SCREEN`` and ``Y_SCREEN``; an option overrides it."""
-    if stated_up is not None:
-        return ScreenAxes(UpAxis(stated_up))
-    right_axis, up_axis = (_read_axis(file, sections, f"{n}_SCREEN") for n in "XY")
-    if up_axis is None and right_axis is not None and right_axis[1] == "Y":
-        # Y points sideways and cannot be the default up axis.
-        message = f"the file states no up axis; using Z, as X_SCREEN is {right_axis}"
-        file.note("MKR103", message, f"set the up axis with {argument('source.up')}")
-        return ScreenAxes(UpAxis.Z)
-    if up_axis is None:
-        return ScreenAxes(file.up(None, None))
-    if right_axis is not None and right_axis[1] == up_axis[1]:
-        message = f"X_SCREEN is {right_axis} and Y_SCREEN {up_axis}, which are the "
-        message += "same axis; "
-        file.warn(
-            "C3D105",
-            f"{message}{up_axis} is used as up",
-            f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
-        )
-    if up_axis not in _UP_CONVERSIONS:
-        return ScreenAxes(UpAxis(up_axis[1]))
-    axis, order, signs = _UP_CONVERSIONS[up_axis]
-    message = f"has {up_axis} up; positions are rotated so that {axis} is up"
-    file.note("C3D106", message)
-    return ScreenAxes(axis, np.array(order), np.array(signs, np.float64))
-
-
-def _read_axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
-    """Return a signed axis such as ``+Z``; None if missing or invalid."""
-    texts = sections.texts("POINT", name)
-    text = texts[0].strip() if texts else ""
-    if not text:
-        return None
-    match = _AXIS.fullmatch(text.upper())
-    if match is None:
-        message = f"{name} is {excerpt(text)}, not one of +X, -X, +Y, -Y, +Z, -Z"
-        file.warn(
-            "C3D105",
-            message,
-            f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
-        )
-        return None
-    return f"{match[1] or '+'}{match[2]}"
-
-
 # Parameters that list the labels of model outputs, which are stored like points.
 MODEL_OUTPUT_PARAMETERS = (
     "ANGLES",
@@ -129,6 +61,46 @@ MODEL_OUTPUT_PARAMETERS = (
 )
 # Parameter group in which `write_c3d` lists filled positions.
 ANIMTOOL_GROUP = "ANIMTOOL"
+
+
+def _up_axis(file: CaptureFile, sections: Sections, up: UpAxis | None) -> str:
+    """Return the signed up axis such as ``+Z``: the option, else the stated one.
+
+    C3D files state the axes that point right and up on a screen.
+    """
+    if up is not None:
+        return f"+{UpAxis(up)}"
+    right_axis, up_axis = (_read_axis(file, sections, f"{n}_SCREEN") for n in "XY")
+    if up_axis is None and right_axis is not None and right_axis[1] == "Y":
+        # Y points sideways and cannot be the default up axis.
+        message = f"the file states no up axis; using Z, as X_SCREEN is {right_axis}"
+        file.note("MKR103", message, f"set the up axis with {argument('source.up')}")
+        return "+Z"
+    if up_axis is None:
+        return f"+{file.choose_up(None, None)}"
+    if right_axis is not None and right_axis[1] == up_axis[1]:
+        message = f"X_SCREEN is {right_axis} and Y_SCREEN {up_axis}, which are the "
+        message += f"same axis; {up_axis} is used as up"
+        file.warn("C3D105", message, _UP_HINT)
+    if up_axis in _UP_CONVERSIONS:
+        message = f"has {up_axis} up; positions are rotated so that "
+        message += f"{_UP_CONVERSIONS[up_axis][0]} is up"
+        file.note("C3D106", message)
+    return up_axis
+
+
+def _read_axis(file: CaptureFile, sections: Sections, name: str) -> str | None:
+    """Return a signed axis such as ``+Z``; None if missing or invalid."""
+    texts = sections.texts("POINT", name)
+    text = texts[0].strip() if texts else ""
+    if not text:
+        return None
+    match = _AXIS.fullmatch(text.upper())
+    if match is None:
+        message = f"{name} is {excerpt(text)}, not one of +X, -X, +Y, -Y, +Z, -Z"
+        file.warn("C3D105", message, _UP_HINT)
+        return None
+    return f"{match[1] or '+'}{match[2]}"
 
 
 @expects_format("C3D001", "a C3D file")
@@ -157,7 +129,7 @@ def read_c3d(
             is the only subject, if there is only one.
     """
     path = Path(path)
-    file = MarkerFile(str(path))
+    file = CaptureFile(str(path))
     with open_input(path, MAX_INPUT_BYTES) as input_file:
         data = input_file.read_all()
     try:
@@ -170,23 +142,29 @@ def read_c3d(
         file.warn("C3D107", message, "check the number of points and frames")
     layout = _find_layout(file, sections, data)
     _check_scale(file, sections, layout)
-    length_unit = file.unit(_length_unit(sections), unit, LengthUnit.MM)
-    rate = file.rate(_frame_rate(file, sections, fps), fps)
-    screen_axes = read_screen_axes(file, sections, up)
+    stated_unit = next(iter(sections.texts("POINT", "UNITS")), None)
+    length_unit = file.choose_unit(stated_unit, unit, LengthUnit.MM)
+    rate = file.choose_rate(_frame_rate(file, sections, fps), fps)
+    file_up = _up_axis(file, sections, up)
     positions, words = _read_points(sections, layout, data)
-    names, columns = _marker_names(file, sections, layout.points, subject)
+    names, columns = _marker_names(file, sections, layout.point_count, subject)
     positions, words = positions[:, columns], words[:, columns]
     positions[words < 0] = np.nan
-    positions = screen_axes.convert(file.clean_positions(positions, length_unit.meters))
+    positions = file.clean_positions(positions, length_unit.meters)
+    if file_up in _UP_CONVERSIONS:
+        up_axis, order, signs = _UP_CONVERSIONS[file_up]
+        positions = positions[..., order] * signs
+    else:
+        up_axis = UpAxis(file_up[1])
     visible = np.isfinite(positions[..., 0])
     residual_scale = abs(_point_scale(sections)) * length_unit.meters
-    first_frame = _first_frame(sections, layout.frames)
-    clock = Clock(rate, Fraction(first_frame), Fraction(1), layout.frames)
+    first_frame = _first_frame(sections, layout.frame_count)
+    clock = Clock(rate, Fraction(first_frame), Fraction(1), layout.frame_count)
     return Markers(
         names,
         clock,
         positions,
-        screen_axes.up,
+        up_axis,
         _camera_counts(words, visible),
         _residuals(words, visible, residual_scale),
         _filled_positions(sections, words, visible, columns),
@@ -194,12 +172,12 @@ def read_c3d(
     )
 
 
-def _find_layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
-    """Return the layout that fits the file; warn about contradicted claims."""
-    claims = collect_declared_layouts(sections)
-    ends = [*_data_ends(sections, len(data)), len(data)]
+def _find_layout(file: CaptureFile, sections: Sections, data: bytes) -> Layout:
+    """Return the layout that fits the file; warn about contradictions."""
+    fields = collect_field_values(sections)
+    ends = [*_rotation_start(sections, len(data)), len(data)]
     result = choose_layout(
-        claims,
+        fields,
         data,
         ends,
         lambda candidate: measure_evidence(candidate, data, sections.processor),
@@ -207,70 +185,69 @@ def _find_layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     layout = result.layout
     if layout is None:
         raise _layout_error(file, result, len(data))
-    if layout.points == 0 or layout.frames == 0:
-        noun = "points" if layout.points == 0 else "frames"
+    if layout.point_count == 0 or layout.frame_count == 0:
+        noun = "points" if layout.point_count == 0 else "frames"
         raise file.error("MKR013", f"has no {noun}")
-    if layout.points * layout.frames > MAX_POSITIONS:
-        message = f"claims {layout.points} points in {layout.frames} frames, "
+    if layout.point_count * layout.frame_count > MAX_POSITIONS:
+        message = f"claims {layout.point_count} points in {layout.frame_count} frames, "
         raise file.error("C3D001", message + "above the limit")
-    candidates = [_candidate_text(*c) for c in contradicted_claims(claims, layout)]
-    if candidates:
+    contradictions = find_contradictions(fields, layout)
+    if contradictions:
         message = "its header, parameters and size disagree; what matches the file "
-        message += "size is "
-        file.warn("C3D101", f"{message}read: {'; '.join(candidates)}")
+        message += "size is read: "
+        message += "; ".join(_contradiction_text(*c) for c in contradictions)
+        file.warn("C3D101", message)
     if layout.trailing_bytes >= min(
-        BLOCK_BYTES, layout.width * layout.numbers_per_frame
+        BLOCK_BYTES, layout.number_bytes * layout.numbers_per_frame
     ) or (layout.trailing_bytes and len(data) % BLOCK_BYTES):
         message = f"has {counted(layout.trailing_bytes, 'byte')} after the last of "
-        message += f"{counted(layout.frames, 'frame')}, which are ignored"
+        message += f"{counted(layout.frame_count, 'frame')}, which are ignored"
         file.warn("C3D108", message, "check the number of frames")
     return layout
 
 
-def _data_ends(sections: Sections, size: int) -> list[int]:
-    """Return byte offsets where points may end before the end of the file."""
-    rotation_block = unsigned_word(sections, "ROTATION", "DATA_START")
-    rotations = sections.number("ROTATION", "USED")
-    if not rotation_block or not rotations or not rotation_block > 2:
-        return []
-    return [end for end in [BLOCK_BYTES * (rotation_block - 1)] if end < size]
+def _rotation_start(sections: Sections, size: int) -> list[int]:
+    """Return the byte offset of rotations before the end of the file, if it has any."""
+    block = unsigned_word(sections, "ROTATION", "DATA_START") or 0
+    start = BLOCK_BYTES * (block - 1)
+    has_rotations = block > 2 and sections.number("ROTATION", "USED")
+    return [start] if has_rotations and start < size else []
 
 
-def _layout_error(file: MarkerFile, result: LayoutResult, size: int) -> FormatError:
+def _layout_error(file: CaptureFile, result: LayoutResult, size: int) -> FormatError:
     """Return the error for a file whose size fits no combination of counts."""
-    if len(result.ambiguous_layouts) == 1:
-        (rival,) = result.ambiguous_layouts
-        message = f"its counts do not match its size of {size} bytes: {rival} end at "
-        message += f"{rival.end}, and are not positions"
-        return file.error("C3D003", message, "export it again")
-    if result.ambiguous_layouts:
+    rivals = result.ambiguous_layouts
+    if rivals:
         message = "its header, parameters and size disagree, and nothing resolves it: "
-        message += f"between {' or '.join(map(str, result.ambiguous_layouts))}"
+        message += f"between {' or '.join(map(str, rivals))}"
+        if len(rivals) == 1:
+            message = f"its counts do not match its size of {size} bytes: {rivals[0]} "
+            message += f"end at {rivals[0].end}, and are not positions"
         return file.error("C3D003", message, "export it again")
-    truncated = result.truncated
-    if truncated is None or not truncated.points or not truncated.frames:
+    truncated = result.truncated_layout
+    if truncated is None or not truncated.point_count or not truncated.frame_count:
         return file.error("MKR013", "has no points in frames")
-    available_bytes = max(0, size - truncated.begin)
+    available_bytes = max(0, size - truncated.data_offset)
+    frame_bytes = truncated.number_bytes * truncated.numbers_per_frame
     message = (
-        f"is truncated: it claims {truncated}, {truncated.end - truncated.begin} "
-        f"bytes; it has {available_bytes}, "
-        f"{available_bytes // (truncated.width * truncated.numbers_per_frame)} frames"
+        f"is truncated: it claims {truncated}, {truncated.end - truncated.data_offset} "
+        f"bytes; it has {available_bytes}, {available_bytes // frame_bytes} frames"
     )
     return file.error("C3D002", message, "copy or export it again")
 
 
 _QUANTITIES = {
-    "frames": "frames",
-    "points": "points",
-    "analog": "analogue values per frame",
-    "width": "bytes per number",
-    "begin": "bytes before the first frame",
+    "frame_count": "frames",
+    "point_count": "points",
+    "analog_count": "analogue values per frame",
+    "number_bytes": "bytes per number",
+    "data_offset": "bytes before the first frame",
 }
 
 
-def _candidate_text(name: str, value: int, contradicting: list[Claim]) -> str:
-    claims = ", ".join(f"{claim.value} ({claim.source})" for claim in contradicting)
-    return f"{value} {_QUANTITIES[name]}, not {claims}"
+def _contradiction_text(name: str, value: int, values: list[FieldValue]) -> str:
+    texts = ", ".join(f"{stated.value} ({stated.source})" for stated in values)
+    return f"{value} {_QUANTITIES[name]}, not {texts}"
 
 
 def _first_frame(sections: Sections, frames: int) -> int:
@@ -278,9 +255,11 @@ def _first_frame(sections: Sections, frames: int) -> int:
     header = sections.header
     start, end = trial_frame_range(sections)
     if start is None or end is None or end - start + 1 != frames:
-        return header.first
-    is_header_valid = header.last - header.first + 1 == frames and end < WORD_RANGE
-    return header.first if is_header_valid else start
+        return header.first_frame
+    is_header_valid = (
+        header.last_frame - header.first_frame + 1 == frames and end < WORD_RANGE
+    )
+    return header.first_frame if is_header_valid else start
 
 
 def _point_scale(sections: Sections) -> float:
@@ -290,13 +269,12 @@ def _point_scale(sections: Sections) -> float:
     return scale if np.isfinite(scale) and scale != 0 else -1.0
 
 
-def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
+def _check_scale(file: CaptureFile, sections: Sections, layout: Layout) -> None:
     """Warn about a scale that is missing or stated with two values."""
-    header_scale = sections.header.scale
-    parameter_scale = sections.number("POINT", "SCALE")
-    if layout.width == 4:
+    if layout.number_bytes == 4:
         return
-    scales = [abs(s) for s in (parameter_scale, header_scale) if s and np.isfinite(s)]
+    stated_scales = sections.number("POINT", "SCALE"), sections.header.scale
+    scales = [abs(s) for s in stated_scales if s and np.isfinite(s)]
     if not scales:
         message = "has integers without a scale; they are read unscaled"
         file.warn("C3D101", message, "check the size of the captured subject")
@@ -307,7 +285,7 @@ def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
 
 
 def _frame_rate(
-    file: MarkerFile, sections: Sections, fps: FractionLike | None
+    file: CaptureFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
     """Return the stated frame rate; parameters come before the header."""
     header_rate, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
@@ -321,22 +299,20 @@ def _frame_rate(
     return parameter_rate
 
 
-def _length_unit(sections: Sections) -> str | None:
-    texts = sections.texts("POINT", "UNITS")
-    return texts[0] if texts else None
-
-
 def _read_points(
     sections: Sections, layout: Layout, data: bytes
 ) -> tuple[FloatArray, IntArray]:
     """Return positions ``(F, M, 3)`` in file units, and the status words ``(F, M)``."""
-    data_bytes = data[layout.begin : layout.end]
+    data_bytes = data[layout.data_offset : layout.end]
     rows = sections.processor.rows(
-        data_bytes, layout.width, layout.numbers_per_frame, 4 * layout.points
+        data_bytes,
+        layout.number_bytes,
+        layout.numbers_per_frame,
+        4 * layout.point_count,
     )
-    rows = rows.reshape(layout.frames, layout.points, 4)
+    rows = rows.reshape(layout.frame_count, layout.point_count, 4)
     positions = np.ascontiguousarray(rows[..., :3])
-    if layout.width == 2:
+    if layout.number_bytes == 2:
         positions *= abs(_point_scale(sections))
     fourth_words = rows[..., 3]
     is_valid_word = np.isfinite(fourth_words) & (np.abs(fourth_words) < 2**31)
@@ -349,7 +325,7 @@ def _read_points(
 
 
 def _marker_names(
-    file: MarkerFile, sections: Sections, point_count: int, subject: str | None
+    file: CaptureFile, sections: Sections, point_count: int, subject: str | None
 ) -> tuple[tuple[str, ...], IntArray]:
     """Return marker names and point indices, without model outputs."""
     labels = sections.texts("POINT", "LABELS")
@@ -357,12 +333,8 @@ def _marker_names(
         message = f"names {len(labels)} of {counted(point_count, 'point')}"
         file.warn("C3D102", f"{message}; the others are unlabelled points")
     labels = [*labels[:point_count], *[""] * (point_count - len(labels))]
-    model_labels = {
-        label
-        for group in MODEL_OUTPUT_PARAMETERS
-        for label in sections.texts("POINT", group)
-        if label
-    }
+    outputs = [sections.texts("POINT", name) for name in MODEL_OUTPUT_PARAMETERS]
+    model_labels = {label for names in outputs for label in names if label}
     columns = np.array([i for i, name in enumerate(labels) if name not in model_labels])
     if len(columns) < point_count:
         skipped_labels = [name for name in labels if name in model_labels]
@@ -370,11 +342,11 @@ def _marker_names(
         file.note("C3D103", message + listed(skipped_labels))
     if not len(columns):
         raise file.error("MKR013", "has no marker points")
-    return file.names([labels[i] for i in columns.tolist()], subject), columns
+    return file.unique_names([labels[i] for i in columns.tolist()], subject), columns
 
 
 def _camera_counts(words: IntArray, visible: BoolArray) -> IntArray | None:
-    """Return how many of seven cameras saw each position; None if not stated."""
+    """Return the number of cameras, at most 7, of each position; None if not stated."""
     mask = np.where(visible, (words >> 8) & 0x7F, 0)
     if not mask.any():
         return None
@@ -382,7 +354,7 @@ def _camera_counts(words: IntArray, visible: BoolArray) -> IntArray | None:
 
 
 def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray | None:
-    """Return residuals [m]; NaN where the position was not measured."""
+    """Return residuals [m] ``(F, M)``; NaN for positions that were not measured."""
     residual_steps = words & 0xFF
     is_measured = visible & (residual_steps > 0)
     if not is_measured.any():
@@ -393,7 +365,7 @@ def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray 
 def _filled_positions(
     sections: Sections, words: IntArray, visible: BoolArray, columns: IntArray
 ) -> BoolArray | None:
-    """Return which positions were filled rather than measured ``(F, M)``.
+    """Return the positions that were filled, not measured ``(F, M)``; None if none.
 
     animtool lists them in its own parameter group. In other files, a residual and
     cameras of 0 mean filled if other positions have nonzero ones.

@@ -63,38 +63,37 @@ class Processor(IntEnum):
         return np.where(bits >> 31, -magnitude, magnitude)
 
     def rows(
-        self, data: bytes, width: int, numbers_per_row: int, columns: int
+        self, data: bytes, width: int, numbers_per_row: int, column_count: int
     ) -> FloatArray:
-        """Return the first numbers ``(F, columns)`` of rows of integers or floats."""
+        """Return the first numbers of each row as floats ``(F, column_count)``."""
         if width == 4 and self is Processor.DEC:
-            pairs = np.frombuffer(data, "<u2").reshape(-1, 2 * numbers_per_row)[
-                :, : 2 * columns
-            ]
-            return self.floats(pairs.tobytes()).reshape(-1, columns)
+            words = np.frombuffer(data, "<u2").reshape(-1, 2 * numbers_per_row)
+            pairs = words[:, : 2 * column_count]
+            return self.floats(pairs.tobytes()).reshape(-1, column_count)
         dtype = f"{self.order}{'f4' if width == 4 else 'i2'}"
         numbers = np.frombuffer(data, dtype).reshape(-1, numbers_per_row)
         # Arbitrary bytes may be signalling NaNs.
         with np.errstate(invalid="ignore"):
-            return numbers[:, :columns].astype(np.float64)
+            return numbers[:, :column_count].astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
     """Values of the header block of a file."""
 
-    points: int
-    analog: int  # analogue values per frame, all samples
-    first: int
-    last: int
-    scale: float
-    data_block: int
-    samples: int  # analogue samples per channel and frame
+    point_count: int
+    analog_count: int  # analogue values per frame, all samples
+    first_frame: int
+    last_frame: int
+    scale: float  # of integers; negative means floats
+    data_block: int  # block of the first frame, from 1
+    analog_samples: int  # analogue samples per channel and frame
     rate: float
 
 
 @dataclass(slots=True)
 class Sections:
-    """Header and parameters of a file."""
+    """Header and parameters of a C3D file."""
 
     header: Header
     processor: Processor
@@ -186,8 +185,8 @@ def _is_plausible_header(header: Header, size: int) -> bool:
     """Return whether a header's values are possible for a capture."""
     scale, rate = header.scale, header.rate
     return (
-        header.points > 0
-        and header.last >= header.first
+        header.point_count > 0
+        and header.last_frame >= header.first_frame
         and header.data_block <= max(255, 1 + size // BLOCK_BYTES)
         and MIN_SCALE < abs(scale) < MAX_SCALE
         and MIN_RATE < rate < MAX_RATE
@@ -201,26 +200,23 @@ def _read_parameters(sections: Sections, data: bytes, offset: int) -> None:
     for _ in range(MAX_PARAMETERS):
         if offset + 2 > len(data):
             break
-        name_length = _signed_byte(data[offset])
+        name_length = abs(_signed_byte(data[offset]))  # negative if locked
         group_id = _signed_byte(data[offset + 1])
-        name_length = abs(name_length)  # below 0 is locked
         body_offset = offset + 2 + name_length
         if name_length == 0 or group_id == 0 or body_offset + 2 > len(data):
             break
         name = _decode_text(data[offset + 2 : body_offset]).upper()
-        next_offset = (
-            int(sections.processor.integers(data[body_offset : body_offset + 2])[0])
-            & 0xFFFF
-        )
+        size_word = sections.processor.integers(data[body_offset : body_offset + 2])
+        body_bytes = int(size_word[0]) & 0xFFFF
         if group_id < 0:
             names[-group_id] = name
         else:
             value = _parse_parameter(sections.processor, data, body_offset + 2)
             if value is not None:
                 parameters.append((group_id, name, value))
-        if next_offset == 0:
+        if body_bytes == 0:
             break
-        offset = body_offset + next_offset
+        offset = body_offset + body_bytes
     # A group may be defined after its parameters.
     for name in names.values():
         sections.groups.setdefault(name, {})

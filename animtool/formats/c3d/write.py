@@ -110,10 +110,8 @@ def _residual_scale(markers: Markers) -> float:
     if residuals is not None and np.nanmax(residuals, initial=0.0) > 0:
         return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS
     magnitudes = np.abs(markers.positions) * 1000.0
-    largest = np.nanmax(
-        np.where(magnitudes <= FLOAT32_MAX, magnitudes, 0.0), initial=0.0
-    )
-    return -max(float(largest), 1.0) / INTEGER_RANGE
+    magnitudes = np.where(magnitudes <= FLOAT32_MAX, magnitudes, 0.0)
+    return -max(float(np.nanmax(magnitudes, initial=0.0)), 1.0) / INTEGER_RANGE
 
 
 def _build_parameters(markers: Markers, data_block: int) -> bytes:
@@ -121,7 +119,6 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
     frames, marker_count = markers.positions.shape[:2]
     first, last = _frame_range(markers.clock)
     clamped_frames = min(frames, MAX_COUNT)
-    x_screen, y_screen = ("+X", f"+{markers.up}")
     point_group: dict[str, bytes] = {
         "USED": _integer_parameter([marker_count]),
         "SCALE": _float_parameter([_residual_scale(markers)]),
@@ -129,14 +126,14 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
         "DATA_START": _integer_parameter([data_block]),
         "FRAMES": _integer_parameter([clamped_frames]),
         "UNITS": _text_parameter([LengthUnit.MM.value]),
-        "X_SCREEN": _text_parameter([x_screen]),
-        "Y_SCREEN": _text_parameter([y_screen]),
+        "X_SCREEN": _text_parameter(["+X"]),
+        "Y_SCREEN": _text_parameter([f"+{markers.up}"]),
     }
     if frames > MAX_COUNT:
         point_group["LONG_FRAMES"] = _float_parameter([frames])
     point_group |= _continued_parameter("LABELS", markers.names, _text_parameter)
-    blank_texts = [""] * marker_count
-    point_group |= _continued_parameter("DESCRIPTIONS", blank_texts, _text_parameter)
+    blanks = [""] * marker_count
+    point_group |= _continued_parameter("DESCRIPTIONS", blanks, _text_parameter)
     groups = {
         "POINT": point_group,
         "ANALOG": {
@@ -150,7 +147,7 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
             for name, field in (("START", first), ("END", last))
         },
     }
-    spans = filled_spans(markers)
+    spans = _filled_spans(markers)
     if spans:
         groups[ANIMTOOL_GROUP] = _continued_parameter(
             "FILLED", np.array(spans), _float_parameter
@@ -158,11 +155,8 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
     section = b""
     for number, (name, entries) in enumerate(groups.items(), 1):
         encoded_name = name.encode()
-        section += (
-            struct.pack("<bb", len(encoded_name), -number)
-            + encoded_name
-            + struct.pack("<HB", 3, 0)
-        )
+        section += struct.pack("<bb", len(encoded_name), -number) + encoded_name
+        section += struct.pack("<HB", 3, 0)
         for key, body in entries.items():
             encoded_name = key.encode()
             section += struct.pack("<bb", len(encoded_name), number) + encoded_name
@@ -199,7 +193,7 @@ def _float_parameter(values: Sequence[float] | FloatArray) -> bytes:
     return b"\x04" + bytes([len(sizes), *sizes]) + array.tobytes()
 
 
-def filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
+def _filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
     """Return marker, first and last frame of every filled span, counted from 0."""
     if markers.filled is None:
         return []
@@ -233,10 +227,8 @@ def _frame_rows(markers: Markers, frames: slice) -> bytes:
         residual_steps = np.rint(np.where(is_finite, steps, 0.0)).astype(np.int64)
         words += np.where(is_finite, np.clip(residual_steps, 1, RESIDUAL_STEPS), 0)
     if markers.cameras is not None:
-        camera_counts = np.clip(markers.cameras[frames], 0, MAX_CAMERAS).astype(
-            np.int64
-        )
-        words += ((1 << camera_counts) - 1) << 8
+        camera_counts = np.clip(markers.cameras[frames], 0, MAX_CAMERAS)
+        words += ((1 << camera_counts.astype(np.int64)) - 1) << 8
     if markers.filled is not None:
         words[markers.filled[frames]] = 0
     words[~is_visible] = -1
@@ -248,8 +240,10 @@ def _data_loss_notice(markers: Markers, path: str) -> list[Fault]:
     """Return warnings about data that C3D cannot store."""
     losses = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
-        most = int(markers.cameras.max())
-        losses.append(f"more than {MAX_CAMERAS} cameras per point, here up to {most}")
+        largest = int(markers.cameras.max())
+        losses.append(
+            f"more than {MAX_CAMERAS} cameras per point, here up to {largest}"
+        )
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
         losses.append(f"the first frame {markers.clock.start}")
     is_out_of_range = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)

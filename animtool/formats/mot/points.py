@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.core.errors import AnimtoolError, Fault, FormatError, counted, listed
+from animtool.core.errors import AnimtoolError, counted, listed
 from animtool.core.rates import FractionLike
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.delimited import read_lines
@@ -20,24 +20,24 @@ from animtool.formats.mot.table import (
     parse_numbers,
     read_header,
     read_rows,
+    table_rate,
 )
 from animtool.formats.row_times import (
     MAX_START_FRAME,
     RowFrames,
     find_steps,
     has_few_empty_frames,
-    is_rate_of,
-    rate_of_step,
+    matches_rate,
     rounding_error,
 )
-from animtool.formats.trajectories import MarkerFile
+from animtool.formats.trajectories import CaptureFile
 from animtool.motion.markers import Markers
 
 
 def holds_points(path: Path) -> bool:
-    """Return whether a file is a table of vectors; False if it is unreadable."""
+    """Return whether a file is a readable table of vectors."""
     try:
-        return read_header(path, read_lines(path)).has_points
+        return read_header(CaptureFile(str(path)), read_lines(path)).has_points
     except AnimtoolError:
         return False
 
@@ -50,7 +50,7 @@ def read_points(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return a table's vectors as markers; NaN means not visible.
+    """Return the vectors of a table as markers; NaN means not visible.
 
     Time 0 is frame 1. Frames without a row have no position; rows at irregular times
     are resampled linearly.
@@ -63,64 +63,60 @@ def read_points(
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
     """
     path = Path(path)
-    file = MarkerFile(str(path))
+    file = CaptureFile(str(path))
     lines = read_lines(path)
-    header = read_header(path, lines)
+    header = read_header(file, lines)
     if not header.has_points:
-        message = f"has DataType {header.kind or 'double'}, but markers are Vec3"
-        raise FormatError(Fault("MOF009", message, str(path)))
+        message = f"has DataType {header.data_type or 'double'}, but markers are Vec3"
+        raise file.error("MOF009", message)
     column_count = 1 + 3 * len(header.names)
     if header.separator != b",":
-        lines[header.begin :] = [
-            line.replace(b",", b"\t") for line in lines[header.begin :]
-        ]
-    rows = read_rows(path, lines, header, column_count, file.notices)
-    values = parse_numbers(path, rows, column_count)
+        row_lines = lines[header.first_row :]
+        lines[header.first_row :] = [line.replace(b",", b"\t") for line in row_lines]
+    rows = read_rows(file, lines, header, column_count)
+    values = parse_numbers(file, rows, column_count)
     message = f"{counted(len(header.names), 'column')} of vectors are read as positions"
     hint = "forces and other vectors are not markers"
     file.note("MOF111", f"{message}: {listed(list(header.names[:3]))}", hint)
-    length_unit = file.unit(header.unit, unit, LengthUnit.M)
-    names, up_axis = file.names(header.names, subject), file.up(None, up)
+    length_unit = file.choose_unit(header.unit, unit, LengthUnit.M)
+    names, up_axis = file.unique_names(header.names, subject), file.choose_up(None, up)
     positions = values[:, 1:].reshape(len(values), -1, 3).copy()
     positions = file.clean_positions(positions, length_unit.meters)
     times = values[:, 0]
-    check_times(path, times, rows.line_numbers)
+    check_times(file, times, rows.line_numbers)
     frames = _row_frames(file, header, times, rounding_error(rows.decimals(0)), fps)
-    positions = frames.at_frames(positions)
+    positions = frames.resample(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
     notices, begin = tuple(file.notices), frames.begin
     return Markers(names, clock, positions, up_axis, notices=notices, begin=begin)
 
 
 def _row_frames(
-    file: MarkerFile,
+    file: CaptureFile,
     header: MotHeader,
     times: FloatArray,
     rounding: float,
     fps: FractionLike | None,
 ) -> RowFrames:
-    """Return the frames of rows; record warnings about their times."""
+    """Return the frames of the rows; warn about uneven times and gaps."""
     stated_rate, count = header.counts.get("rate"), len(times)
     if fps is not None or count == 1:
-        rate, frames = file.rate(stated_rate, fps), np.arange(count, dtype=np.float64)
-        return _rows_from_times(times, rate, frames, rounding)
+        rate, frames = (
+            file.choose_rate(stated_rate, fps),
+            np.arange(count, dtype=np.float64),
+        )
+        return _build_row_frames(times, rate, frames, rounding)
     steps = find_steps(times, None, stated_rate, rounding)
     intervals = int(steps.frames[-1]) if steps.regular else 1
-    exact_rate = rate_of_step(steps.step, rounding, intervals)
-    if exact_rate is None:
-        raise file.error(
-            "MOF006",
-            f"has a row every {steps.step:g} s",
-            f"set the rate with {argument('source.fps')}",
-        )
-    if stated_rate is not None and is_rate_of(stated_rate, steps, rounding):
-        exact_rate = file.rate(stated_rate, None)
+    rate = table_rate(file, steps.step, rounding, intervals)
+    if stated_rate is not None and matches_rate(steps, stated_rate, rounding):
+        rate = file.choose_rate(stated_rate, None)
     elif stated_rate is not None:
         message = f"states DataRate {stated_rate:g}, but its times are at "
-        message += f"{float(exact_rate):g}"
+        message += f"{float(rate):g}"
         file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
-        frames = (times - times[0]) * float(exact_rate)
+        frames = (times - times[0]) * float(rate)
     if steps.regular:
         frames = steps.frames.astype(np.float64)
     if not has_few_empty_frames(frames, len(header.names)):
@@ -128,16 +124,16 @@ def _row_frames(
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise file.error("MOF006", message, hint)
     if not steps.regular:
-        message = f"times are uneven: resampled at {float(exact_rate):g} fps, linearly "
+        message = f"times are uneven: resampled at {float(rate):g} fps, linearly "
         file.warn("MOF105", f"{message}between rows, but not over gaps")
     elif (missing_count := int(frames[-1]) + 1 - count) > 0:
         message = f"{counted(missing_count, 'frame')} without a row; markers have no "
         message += "positions there"
         file.warn("MOF105", message)
-    return _rows_from_times(times, exact_rate, frames, rounding)
+    return _build_row_frames(times, rate, frames, rounding)
 
 
-def _rows_from_times(
+def _build_row_frames(
     times: FloatArray, rate: Fraction, frames: FloatArray, rounding: float
 ) -> RowFrames:
     first_frame = float(times[0]) * float(rate)

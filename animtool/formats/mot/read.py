@@ -11,7 +11,6 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import (
     Fault,
-    FormatError,
     OptionError,
     Severity,
     counted,
@@ -28,15 +27,20 @@ from animtool.formats.mot.coordinates import (
     coordinates_by_name,
     parse_coordinate_name,
 )
-from animtool.formats.mot.table import MotionTable, check_duplicates, read_table
+from animtool.formats.mot.table import (
+    MotionTable,
+    check_duplicates,
+    read_table,
+    table_rate,
+)
 from animtool.formats.row_times import (
     MAX_START_FRAME,
     STEP_TOLERANCE,
     fit_frames,
     median_step,
-    rate_of_step,
     rounding_error,
 )
+from animtool.formats.trajectories import CaptureFile
 from animtool.ik.sub_rig import with_mimics
 from animtool.maths.filters import fill_gaps
 from animtool.motion.motion import Channel, Motion
@@ -71,42 +75,46 @@ def read_mot(
     path = Path(path)
     requested_rate = None if fps is None else rate_option(fps)
     table = read_table(path)
-    notices = list(table.notices)
+    file, header = table.file, table.header
     take_rig = (
-        _build_default_rig(table) if rig is None else at_origin(Rig.load(Path(rig)))
+        _build_default_rig(path, table)
+        if rig is None
+        else at_origin(Rig.load(Path(rig)))
     )
-    table_columns, columns, unmatched = _match_columns(table, take_rig)
+    table_columns, columns, unmatched_names = _match_columns(table, take_rig)
     if rig is None:
         message = "names no rig: each coordinate became a joint"
         hint = f"set the rig of its coordinates with {argument('source.rig')}"
-        notices.append(Fault("MOF106", message, str(path), (), hint, Severity.NOTE))
-    elif unmatched:
-        message = f"{len(unmatched)} columns are not coordinates of {take_rig.name!r}: "
+        file.note("MOF106", message, hint)
+    elif unmatched_names:
+        message = f"{len(unmatched_names)} columns are not coordinates of "
+        message += f"{take_rig.name!r}: "
         hint = "name columns after joints: knee.angle, lift.slide, hip_x"
         warning = Severity.WARNING
-        notices.append(
-            names_fault("MOF102", message, unmatched, str(path), hint, warning)
+        file.notices.append(
+            names_fault("MOF102", message, unmatched_names, file.path, hint, warning)
         )
-    if table.degrees is None:
-        notices.append(_radians_notice(table, path))
+    if header.in_degrees is None:
+        _warn_unstated_unit(file, header.invalid_in_degrees)
     values = fill_gaps(table.values[:, table_columns], table.times)
-    if not table.degrees:
+    if not header.in_degrees:
         is_angle = [coordinate.is_angle for coordinate in columns]
         names = [
-            table.names[c] for c, a in zip(table_columns, is_angle, strict=True) if a
+            header.names[c] for c, a in zip(table_columns, is_angle, strict=True) if a
         ]
-        notices += _degrees_notice(str(path), names, values[:, is_angle])
+        _warn_likely_degrees(file, names, values[:, is_angle])
         values[:, is_angle] = np.degrees(values[:, is_angle])
-    rate, values, timing_notices = _resample_rows(table, values, requested_rate)
+    rate, values = _resample_rows(table, values, requested_rate)
     motion = _build_motion(take_rig, columns, values)
     details: dict[str, object] = {
         "format": "OpenSim motion",
-        "columns": len(table.names),
+        "columns": len(header.names),
         "coordinates": len(columns),
-        "angles": "degrees" if table.degrees else "radians",
+        "angles": "degrees" if header.in_degrees else "radians",
         "first_time": float(table.times[0]),
         "units": unit_name(take_rig.meters_per_unit),
     }
+    notices = file.notices
     if rig is not None:
         details["rig"] = str(rig)
         notices = [*take_rig.notices, *notices]
@@ -115,49 +123,43 @@ def read_mot(
         Fraction(round(first_frame) + 1) if abs(first_frame) < MAX_START_FRAME else None
     )
     return TakeStream(
-        take_rig,
-        rate,
-        start,
-        Fraction(1),
-        iter([motion]),
-        [*notices, *timing_notices],
-        details,
+        take_rig, rate, start, Fraction(1), iter([motion]), notices, details
     )
 
 
-def _radians_notice(table: MotionTable, path: Path) -> Fault:
+def _warn_unstated_unit(file: CaptureFile, invalid_in_degrees: str) -> None:
     """Warn that a header does not state the unit of angles (MOF107)."""
     message = "has no inDegrees in its header: using radians, as OpenSim does"
-    if table.in_degrees:
-        message = f"inDegrees is {excerpt(table.in_degrees)}, not yes or no: "
+    if invalid_in_degrees:
+        message = f"inDegrees is {excerpt(invalid_in_degrees)}, not yes or no: "
         message += "using radians, as OpenSim does"
-    hint = "write inDegrees=yes or no in its header"
-    return Fault("MOF107", message, str(path), (), hint, Severity.WARNING)
+    file.warn("MOF107", message, "write inDegrees=yes or no in its header")
 
 
 def read_mot_rig(path: Path) -> Rig:
     """Return a rig with a joint for each coordinate of a motion file."""
-    return _build_default_rig(read_table(path))
+    return _build_default_rig(path, read_table(path))
 
 
-def _build_default_rig(table: MotionTable) -> Rig:
-    names = dict.fromkeys(filter(None, map(parse_coordinate_name, table.names)))
+def _build_default_rig(path: Path, table: MotionTable) -> Rig:
+    names = dict.fromkeys(filter(None, map(parse_coordinate_name, table.header.names)))
     if not names:
-        message = "has no column with a coordinate"
-        raise FormatError(Fault("MOF002", message, str(table.path)))
-    return build_rig_from_columns(table.path.stem, list(names))
+        raise table.file.error("MOF002", "has no column with a coordinate")
+    return build_rig_from_columns(path.stem, list(names))
 
 
-def _degrees_notice(path: str, names: list[str], angles: FloatArray) -> list[Fault]:
-    """Return a warning about angles ``(R, A)`` [rad] that are likely degrees."""
+def _warn_likely_degrees(
+    file: CaptureFile, names: list[str], angles: FloatArray
+) -> None:
+    """Warn about angles ``(R, A)`` [rad] that are likely degrees (MOF112)."""
     max_angles = np.abs(angles).max(axis=0, initial=0.0)
     if not (max_angles > MAX_RADIANS).any():
-        return []
+        return
     name, value = names[int(max_angles.argmax())], float(max_angles.max())
     message = f"angles are read as radians, but {excerpt(name)} reaches {value:.4g}, "
     message += f"which is {value / (2 * np.pi):.3g} revolutions"
     hint = "write inDegrees=yes in the header if they are degrees"
-    return [Fault("MOF112", message, path, (), hint, Severity.WARNING)]
+    file.warn("MOF112", message, hint)
 
 
 def _match_columns(
@@ -165,72 +167,59 @@ def _match_columns(
 ) -> tuple[list[int], list[Coordinate], list[str]]:
     """Return indices of known columns, their coordinates, and unknown names."""
     coordinate_by_name = coordinates_by_name(rig)
-    table_columns, columns, unmatched = [], [], []
-    for c, name in enumerate(table.names):
+    table_columns, columns, unmatched_names = [], [], []
+    for c, name in enumerate(table.header.names):
         coordinate = coordinate_by_name.get(parse_coordinate_name(name) or "")
         if coordinate is None:
-            unmatched.append(name)
+            unmatched_names.append(name)
         else:
             table_columns.append(c)
             columns.append(coordinate)
     if not columns:
         option = argument("source.rig")
         message = f"{option}: rig {rig.name!r} has none of the "
-        message += f"{counted(len(unmatched), 'coordinate')}, such as {unmatched[0]!r}"
-        similar_name = most_similar(unmatched[0], coordinate_by_name)
+        message += f"{counted(len(unmatched_names), 'coordinate')}, such as "
+        message += repr(unmatched_names[0])
+        similar_name = most_similar(unmatched_names[0], coordinate_by_name)
         hint = f"read it with the rig that it was made for, or without {option}; "
         hint += "animtool retarget transfers the take to another"
         hint = f"did you mean {similar_name}?" if similar_name else hint
-        raise OptionError(Fault("MOF007", message, str(table.path), (), hint))
-    check_duplicates(
-        table.path, tuple(columns), tuple(table.names[c] for c in table_columns), None
-    )
-    return table_columns, columns, unmatched
+        raise OptionError(Fault("MOF007", message, table.file.path, (), hint))
+    names = [table.header.names[c] for c in table_columns]
+    check_duplicates(table.file, columns, names)
+    return table_columns, columns, unmatched_names
 
 
 def _resample_rows(
     table: MotionTable, values: FloatArray, requested_rate: Fraction | None
-) -> tuple[Fraction, FloatArray, list[Fault]]:
+) -> tuple[Fraction, FloatArray]:
     """Return the rate, and values resampled to constant steps."""
-    times, path = table.times, str(table.path)
+    times, file = table.times, table.file
     if requested_rate is not None:
-        return requested_rate, values, []
+        return requested_rate, values
     if len(times) == 1:
         message = "has one row, which gives no rate"
         hint = f"set the rate with {argument('source.fps')}"
-        raise FormatError(Fault("MOF006", message, path, (), hint))
+        raise file.error("MOF006", message, hint)
     duration = float(times[-1] - times[0])
     rounding = rounding_error(table.decimals)
     steps = fit_frames(times, np.arange(len(times)), rounding)
     if steps.regular:
-        return _table_rate(path, steps.step, rounding, len(times) - 1), values, []
-    rate = _table_rate(path, median_step(times), rounding, 1)
+        return table_rate(file, steps.step, rounding, len(times) - 1), values
+    rate = table_rate(file, median_step(times), rounding, 1)
     count = duration * float(rate) + 1
+    hint = f"{argument('source.fps')} reads each row as a frame"
     if count > MAX_FRAMES_PER_ROW * len(times):
         message = f"{len(times)} rows span {count:.3g} frames at {float(rate):g} fps"
-        hint = f"{argument('source.fps')} reads each row as a frame"
-        raise FormatError(Fault("MOF006", message, path, (), hint))
+        raise file.error("MOF006", message, hint)
     frame_times = times[0] + np.arange(int(count + STEP_TOLERANCE)) / float(rate)
     resampled_values = np.stack(
         [np.interp(frame_times, times, column) for column in values.T], axis=-1
     )
     message = f"times are uneven, up to {steps.error:.3g} s off: resampled at "
     message += f"{float(rate):g} fps, linearly between rows"
-    hint = f"{argument('source.fps')} reads each row as a frame"
-    return (
-        rate,
-        resampled_values,
-        [Fault("MOF105", message, path, (), hint, Severity.WARNING)],
-    )
-
-
-def _table_rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
-    rate = rate_of_step(step, rounding, frames)
-    if rate is None:
-        message = f"has a row every {step:g} s"
-        hint = f"set the rate with {argument('source.fps')}"
-        raise FormatError(Fault("MOF006", message, path, (), hint))
-    return rate
+    file.warn("MOF105", message, hint)
+    return rate, resampled_values
 
 
 def _build_motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:

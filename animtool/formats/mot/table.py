@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.core.arguments import argument
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted, excerpt, listed
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.delimited import (
@@ -20,7 +23,8 @@ from animtool.formats.delimited import (
     read_lines,
     split_cells,
 )
-from animtool.formats.trajectories import FLOAT32_MAX
+from animtool.formats.row_times import rate_of_step
+from animtool.formats.trajectories import FLOAT32_MAX, CaptureFile
 
 # OpenSim headers have about ten lines; those of results may have a page of remarks.
 MAX_HEADER_LINES = 1000
@@ -47,20 +51,45 @@ _BOOLEAN_WORDS = {
     "0": False,
 }
 
+# Header keys of numbers of rows and columns, also those of SIMM.
+_COUNT_NAMES = {
+    "nrows": "rows",
+    "datarows": "rows",
+    "ncolumns": "columns",
+    "datacolumns": "columns",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MotHeader:
+    """Values of the header, and the names of the columns."""
+
+    names: tuple[str, ...]  # names of the C columns, without the time
+    # Stated numbers of ``rows`` and ``columns``, and the ``rate`` [1/s].
+    counts: dict[str, float]
+    in_degrees: bool | None  # whether angles are degrees; None if not stated
+    # The value of inDegrees if it is neither yes nor no; else empty.
+    invalid_in_degrees: str
+    data_type: str  # DataType; empty if not stated
+    unit: str | None  # Units; None if not stated
+    separator: bytes  # separator of cells
+    first_row: int  # index of the first line below the column names
+
+    @property
+    def has_points(self) -> bool:
+        """Whether each cell is a vector of three numbers."""
+        return self.data_type.lower() in {"vec3", "vec<3>"}
+
 
 @dataclass(frozen=True, slots=True)
 class MotionTable:
-    """Header, times and columns of a motion file."""
+    """Times and columns of a motion file."""
 
-    path: Path  # path of the file
-    names: tuple[str, ...]  # names of the C columns, without the time
+    file: CaptureFile  # the file, with warnings
+    header: MotHeader  # names of the C columns, and the unit of angles
     values: FloatArray  # ``(R, C)``, NaN if a cell is empty or not a finite number
     times: FloatArray  # times of the rows ``(R,)`` [s], ascending
     decimals: int  # largest number of decimals of the times
-    lines: IntArray  # 1-based line number of each row ``(R,)``
-    degrees: bool | None  # whether angles are degrees; None if not stated
-    in_degrees: str  # the value of inDegrees if it is neither yes nor no; else empty
-    notices: tuple[Fault, ...]  # warnings about the file
 
 
 @expects_format("MOF001", "an OpenSim motion file")
@@ -69,107 +98,60 @@ def read_table(path: Path) -> MotionTable:
 
     Cells are separated by tabs, semicolons, commas or blanks.
     """
-    lines = read_lines(path)
-    header = read_header(path, lines)
-    names, stated_counts, degrees = header.names, header.counts, header.degrees
-    _check_data_type(path, header, lines)
-    notices: list[Fault] = []
-    rows = read_rows(path, lines, header, len(names) + 1, notices)
-    decimals, line_numbers = rows.decimals(0), rows.line_numbers
-    values = parse_numbers(path, rows, len(names) + 1)
-    counts = {"rows": len(values), "columns": len(names) + 1}
-    for noun, count in counts.items():
-        if noun in stated_counts and stated_counts[noun] != count:
-            message = f"states {stated_counts[noun]:g} {noun}, but has {count}"
-            warning = Severity.WARNING
-            hint = f"all {noun} are read; correct the header"
-            notices.append(Fault("MOF101", message, str(path), (), hint, warning))
+    file, lines = CaptureFile(str(path)), read_lines(path)
+    header = read_header(file, lines)
+    _check_data_type(file, header, lines)
+    column_count = len(header.names) + 1
+    rows = read_rows(file, lines, header, column_count)
+    decimals = rows.decimals(0)
+    values = parse_numbers(file, rows, column_count)
+    for noun, count in (("rows", len(values)), ("columns", column_count)):
+        if header.counts.get(noun, count) != count:
+            message = f"states {header.counts[noun]:g} {noun}, but has {count}"
+            file.warn("MOF101", message, f"all {noun} are read; correct the header")
     times = values[:, 0].copy()
-    check_times(path, times, line_numbers)
+    check_times(file, times, rows.line_numbers)
     cells = values[:, 1:].copy()
     with np.errstate(invalid="ignore"):
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
-    notices += _missing_values_warning(path, names, cells, line_numbers)
-    return MotionTable(
-        path,
-        names,
-        cells,
-        times,
-        decimals,
-        line_numbers,
-        degrees,
-        header.in_degrees,
-        tuple(notices),
-    )
+    _warn_missing_values(file, header.names, cells, rows.line_numbers)
+    return MotionTable(file, header, cells, times, decimals)
 
 
-def _table_error(
-    code: str, path: Path, message: str, line: int | None = None
-) -> FormatError:
-    """Return the error of a file, or of one of its lines."""
-    lines = () if line is None else (line,)
-    return FormatError(Fault(code, message, str(path), lines))
-
-
-@dataclass(frozen=True, slots=True)
-class MotHeader:
-    """Header values above the rows."""
-
-    names: tuple[str, ...]  # names of the C columns, without the time
-    counts: dict[str, float]  # ``rows`` and ``columns``, and ``rate`` [1/s], if stated
-    degrees: bool | None  # whether angles are degrees; None if not stated
-    in_degrees: str  # the value of inDegrees if it is neither yes nor no; else empty
-    kind: str  # DataType; empty if not stated
-    unit: str | None  # Units; None if not stated
-    separator: bytes  # separator of cells
-    begin: int  # index of the first line below the column names
-
-    @property
-    def has_points(self) -> bool:
-        """Whether each cell is a vector of three numbers."""
-        return self.kind.lower() in {"vec3", "vec<3>"}
-
-
-def read_header(path: Path, lines: list[bytes]) -> MotHeader:
+def read_header(file: CaptureFile, lines: list[bytes]) -> MotHeader:
     """Return the header (MOF001) and column names (MOF002, MOF004)."""
-    end_line = _find_header_end(path, lines)
-    counts, degrees, texts = _parse_header(lines[:end_line])
-    names_line = next(
-        (
-            i
-            for i in range(end_line + 1, len(lines))
-            if lines[i].strip(BLANK_CHARACTERS)
-        ),
-        None,
-    )
+    contents = [line.strip(BLANK_CHARACTERS) for line in lines[:MAX_HEADER_LINES]]
+    end = next((i for i, c in enumerate(contents) if c.lower() == b"endheader"), None)
+    if end is None:
+        message = "has no line 'endheader', which ends the header of OpenSim's files"
+        raise file.error("MOF001", message)
+    following = range(end + 1, len(lines))
+    names_line = next((i for i in following if lines[i].strip(BLANK_CHARACTERS)), None)
     if names_line is None:
-        raise _table_error("MOF002", path, "ends after its header", end_line + 1)
+        raise file.error("MOF002", "ends after its header", line=end + 1)
     separator = find_separator(lines[names_line])
-    names = _column_names(path, lines[names_line], separator, names_line + 1)
-    kind, unit = texts.get("datatype", ""), texts.get("units")
-    in_degrees_text = texts.get("indegrees", "")
+    names = _column_names(file, lines[names_line], separator, names_line + 1)
+    counts, in_degrees, texts = _parse_header(lines[:end])
     return MotHeader(
-        names, counts, degrees, in_degrees_text, kind, unit, separator, names_line + 1
+        names,
+        counts,
+        in_degrees,
+        texts.get("indegrees", ""),
+        texts.get("datatype", ""),
+        texts.get("units"),
+        separator,
+        names_line + 1,
     )
-
-
-def _find_header_end(path: Path, lines: list[bytes]) -> int:
-    """Return the index of the line that ends the header; raise MOF001 without one."""
-    for i, line in enumerate(lines[:MAX_HEADER_LINES]):
-        if line.strip(BLANK_CHARACTERS).lower() == b"endheader":
-            return i
-    message = "has no line 'endheader', which ends the header of OpenSim's files"
-    raise _table_error("MOF001", path, message)
 
 
 def _parse_header(
     lines: list[bytes],
 ) -> tuple[dict[str, float], bool | None, dict[str, str]]:
-    """Parse counts, angle unit and texts of a header."""
+    """Return the counts of a header, whether angles are degrees, and its texts."""
     counts: dict[str, float] = {}
     texts: dict[str, str] = {}
-    degrees = None
-    stated_degrees = None
+    in_degrees: bool | None = None
+    default_in_degrees: bool | None = None  # stated by other lines than inDegrees
     for line in lines:
         text = decode_text(line).strip(" \t,;").lower()
         key, _, value = (part.strip() for part in text.partition("="))
@@ -177,13 +159,8 @@ def _parse_header(
             # SIMM writes: datarows 250.
             key, _, value = (part.strip() for part in text.partition(" "))
             if key in {"datarows", "datacolumns"}:
-                stated_degrees = True  # SIMM files are in degrees
-        count_name = {
-            "nrows": "rows",
-            "datarows": "rows",
-            "ncolumns": "columns",
-            "datacolumns": "columns",
-        }.get(key)
+                default_in_degrees = True  # SIMM files are in degrees
+        count_name = _COUNT_NAMES.get(key)
         if count_name and value.isascii() and value.isdigit() and len(value) < 300:
             counts[count_name] = float(value)
         elif key in {"datatype", "units"}:
@@ -191,41 +168,44 @@ def _parse_header(
         elif key == "datarate" and (rate := parse_number(value)) is not None:
             counts["rate"] = rate
         elif key == "indegrees":
-            degrees = _BOOLEAN_WORDS.get(value, degrees)
+            in_degrees = _BOOLEAN_WORDS.get(value, in_degrees)
             if value not in _BOOLEAN_WORDS:
                 texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
         elif text.startswith("angles are in "):
             units = {"degrees": True, "radians": False}
-            stated_degrees = units.get(text[14:].rstrip(". "), stated_degrees)
-    return counts, stated_degrees if degrees is None else degrees, texts
+            default_in_degrees = units.get(text[14:].rstrip(". "), default_in_degrees)
+    return counts, default_in_degrees if in_degrees is None else in_degrees, texts
 
 
 def _column_names(
-    path: Path, line: bytes, separator: bytes, line_number: int
+    file: CaptureFile, line: bytes, separator: bytes, line_number: int
 ) -> tuple[str, ...]:
     """Return the names of a line's columns, without the time (MOF002, MOF004)."""
     text = line.strip(BLANK_CHARACTERS if separator == b" " else b" " + separator)
     cells = split_cells(text, separator)
     if cells[0].lower() != "time":
         message = f"the first column is {excerpt(cells[0])}, not time"
-        raise _table_error("MOF002", path, message, line_number)
+        raise file.error("MOF002", message, line=line_number)
     if len(cells) < 2 or not all(cells):
-        problem = "has an unnamed column"
+        message = "has an unnamed column"
         if len(cells) < 2:
-            problem = "has no column besides the time"
-        raise _table_error("MOF002", path, problem, line_number)
+            message = "has no column besides the time"
+        raise file.error("MOF002", message, line=line_number)
     if len(cells) - 1 > MAX_COLUMNS:
         message = f"has {len(cells) - 1} columns; the limit is {MAX_COLUMNS}"
-        raise _table_error("MOF002", path, message, line_number)
+        raise file.error("MOF002", message, line=line_number)
     names = tuple(cells[1:])
-    check_duplicates(path, names, names, line_number)
+    check_duplicates(file, names, names, line_number)
     return names
 
 
 def check_duplicates(
-    path: Path, keys: tuple[object, ...], names: tuple[str, ...], line: int | None
+    file: CaptureFile,
+    keys: Sequence[object],
+    names: Sequence[str],
+    line: int | None = None,
 ) -> None:
-    """Raise for two columns with the same key (MOF004)."""
+    """Raise if two columns have the same key (MOF004)."""
     first_names: dict[object, str] = {}
     for key, name in zip(keys, names, strict=True):
         if key in first_names:
@@ -233,17 +213,17 @@ def check_duplicates(
             message = f"{both_names} are the same coordinate"
             if first_names[key] == name:
                 message = f"duplicate column {excerpt(name)}"
-            raise _table_error("MOF004", path, message, line)
+            raise file.error("MOF004", message, line=line)
         first_names[key] = name
 
 
-def _check_data_type(path: Path, header: MotHeader, lines: list[bytes]) -> None:
-    """Raise for cells with more than one number, such as quaternions (MOF009)."""
-    data_type, names, begin = header.kind, header.names, header.begin
+def _check_data_type(file: CaptureFile, header: MotHeader, lines: list[bytes]) -> None:
+    """Raise if cells have more than one number, such as quaternions (MOF009)."""
+    data_type, names, first = header.data_type, header.names, header.first_row
     separator = header.separator
-    rows = (i for i in range(begin, len(lines)) if lines[i].strip(BLANK_CHARACTERS))
-    row = next(rows, begin - 1)
-    cells = split_cells(lines[row], separator)[1:] if row >= begin else []
+    rows = (i for i in range(first, len(lines)) if lines[i].strip(BLANK_CHARACTERS))
+    row = next(rows, first - 1)
+    cells = split_cells(lines[row], separator)[1:] if row >= first else []
     numbers_per_cell = max((cell.count(",") + 1 for cell in cells), default=1)
     has_decimal_commas = numbers_per_cell == 2 and b"." not in lines[row]
     has_numbers = numbers_per_cell == 1 or separator == b"," or has_decimal_commas
@@ -258,26 +238,21 @@ def _check_data_type(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     message += f", {listed(list(names[:3]))}"
     default_hint = "MOT and STO are read with one number in a cell"
     hint = _TYPE_HINTS.get(data_type.lower(), default_hint)
-    raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
+    raise file.error("MOF009", message, hint, row + 1)
 
 
-def parse_numbers(path: Path, rows: TextRows, column_count: int) -> FloatArray:
-    """Parse the numbers of rows ``(R, width)`` (MOF003)."""
+def parse_numbers(file: CaptureFile, rows: TextRows, column_count: int) -> FloatArray:
+    """Parse the numbers of rows ``(R, column_count)`` (MOF003)."""
     return rows.values(
-        column_count, lambda text, line: _table_error("MOF003", path, text, line)
+        column_count, lambda text, line: file.error("MOF003", text, line=line)
     )
 
 
 def read_rows(
-    path: Path,
-    lines: list[bytes],
-    header: MotHeader,
-    column_count: int,
-    notices: list[Fault],
+    file: CaptureFile, lines: list[bytes], header: MotHeader, column_count: int
 ) -> TextRows:
     """Return rows of equal width; a truncated last row is dropped (MOF103)."""
-    rows = gather_rows(lines, header.begin, header.separator)
-    warning = Severity.WARNING
+    rows = gather_rows(lines, header.first_row, header.separator)
     while len(rows.texts):
         is_bad = rows.value_counts > column_count
         is_bad |= rows.cell_counts < column_count
@@ -291,21 +266,21 @@ def read_rows(
         # The last row of a truncated file has no line end.
         is_last = row == len(rows.texts) - 1 and line == len(lines)
         if not (is_last and is_short and row):
-            raise _table_error("MOF003", path, message, line)
+            raise file.error("MOF003", message, line=line)
         message = f"is truncated: {message}; it is skipped"
-        notices.append(Fault("MOF103", message, str(path), (line,), None, warning))
+        file.warn("MOF103", message, line=line)
         rows = rows.without_last()
     if not rows.texts:
-        raise _table_error("MOF003", path, "has no rows")
+        raise file.error("MOF003", "has no rows")
     if rows.has_decimal_commas:
         message = "numbers have decimal commas: read as such"
         hint = "export it with decimal points, which other programs need"
-        notices.append(Fault("MOF110", message, str(path), (), hint, Severity.NOTE))
+        file.note("MOF110", message, hint)
     return rows
 
 
-def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
-    """Raise for times that do not ascend (MOF005)."""
+def check_times(file: CaptureFile, times: FloatArray, line_numbers: IntArray) -> None:
+    """Raise if the times do not ascend (MOF005)."""
     with np.errstate(invalid="ignore", over="ignore"):
         is_invalid = ~np.isfinite(times)
         is_invalid[1:] |= ~(np.diff(times) > 0)
@@ -314,19 +289,34 @@ def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
         message = f"time {times[row]:g} does not come after the row before"
         if not np.isfinite(times[row]):
             message = "the time is not a finite number"
-        raise _table_error("MOF005", path, message, int(lines[row]))
+        raise file.error("MOF005", message, line=int(line_numbers[row]))
 
 
-def _missing_values_warning(
-    path: Path, names: tuple[str, ...], values: FloatArray, lines: IntArray
-) -> list[Fault]:
-    """Return a warning about columns with missing values."""
-    is_missing: BoolArray = np.isnan(values)
+def table_rate(
+    file: CaptureFile, step: float, rounding: float, frame_count: int
+) -> Fraction:
+    """Return the rate of rows with a step [s]; raise if there is none (MOF006).
+
+    ``frame_count`` is the number of steps between the two times it was measured from.
+    """
+    rate = rate_of_step(step, rounding, frame_count)
+    if rate is None:
+        message = f"has a row every {step:g} s"
+        hint = f"set the rate with {argument('source.fps')}"
+        raise file.error("MOF006", message, hint)
+    return rate
+
+
+def _warn_missing_values(
+    file: CaptureFile, names: Sequence[str], values: FloatArray, line_numbers: IntArray
+) -> None:
+    """Warn about columns with missing values (MOF104)."""
+    is_missing = np.isnan(values)
     columns = np.flatnonzero(is_missing.any(axis=0)).tolist()
     if not columns:
-        return []
+        return
     count = counted(int(is_missing.sum()), "value")
     message = f"{count} missing in {listed([names[c] for c in columns])}: "
     message += "interpolated, or 0 where a column has no values"
-    row = int(lines[np.flatnonzero(is_missing.any(axis=1))[0]])
-    return [Fault("MOF104", message, str(path), (row,), None, Severity.WARNING)]
+    first_row = np.flatnonzero(is_missing.any(axis=1))[0]
+    file.warn("MOF104", message, line=int(line_numbers[first_row]))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.clock import Clock
-from animtool.core.errors import Fault, FormatError, counted, excerpt
+from animtool.core.errors import counted, excerpt
 from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
@@ -25,7 +25,7 @@ from animtool.formats.delimited import (
     read_lines,
     split_cells,
 )
-from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
+from animtool.formats.trajectories import MAX_POSITIONS, CaptureFile
 from animtool.formats.trc.timing import find_row_frames
 from animtool.motion.markers import Markers
 
@@ -41,15 +41,16 @@ class TrcHeader:
 
     rate: float | None  # DataRate [1/s]; None without a number
     unit: str | None  # Units; None if missing
-    frames: float | None  # NumFrames; None without a number
-    markers: float | None  # NumMarkers; None without a number
+    frame_count: float | None  # NumFrames; None without a number
+    marker_count: float | None  # NumMarkers; None without a number
     names: list[str]  # marker names in column order, empty for unnamed markers
-    axes: int  # number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing
-    begin: int  # index of the first row
+    # Number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing.
+    axis_marker_count: int
+    first_row: int  # line index of the first row
     separator: bytes  # separator of cells in rows
 
 
-def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
+def read_header(file: CaptureFile, lines: list[bytes]) -> TrcHeader:
     """Return the values of the header lines."""
     words = re.split(rb"[\s,;]+", lines[0].strip(BLANK_CHARACTERS + b'"'))
     if words[0].strip(b'"').lower() != b"pathfiletype":
@@ -65,21 +66,22 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     name_match = name_matches[names_index]
     assert name_match is not None
     names = _read_marker_names(file, lines[names_index], name_match[1], names_index + 1)
-    begin, axes = names_index + 1, 0
+    first_row, axis_marker_count = names_index + 1, 0
     # X1 Y1 Z1 follows the names, and sometimes an empty line.
-    while begin < len(lines) and _is_heading(lines[begin]):
-        cells = lines[begin].replace(b",", b" ").replace(b";", b" ").split()
-        axes = max(axes, sum(cell[:1] in b"Xx" for cell in cells))
-        begin += 1
-    row = lines[begin] if begin < len(lines) else b""
+    while first_row < len(lines) and _is_heading(lines[first_row]):
+        cells = lines[first_row].replace(b",", b" ").replace(b";", b" ").split()
+        line_marker_count = sum(cell[:1] in b"Xx" for cell in cells)
+        axis_marker_count = max(axis_marker_count, line_marker_count)
+        first_row += 1
+    row = lines[first_row] if first_row < len(lines) else b""
     return TrcHeader(
         parse_number(values.get("datarate")),
         values.get("units"),
         parse_number(values.get("numframes")),
         parse_number(values.get("nummarkers")),
         names,
-        axes,
-        begin,
+        axis_marker_count,
+        first_row,
         find_row_separator(row, name_match[1]),
     )
 
@@ -100,7 +102,7 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
 
 
 def _read_marker_names(
-    file: MarkerFile, line: bytes, separator: bytes, number: int
+    file: CaptureFile, line: bytes, separator: bytes, line_number: int
 ) -> list[str]:
     """Return the marker names of a header line; each names one or three columns."""
     if separator == b" " and (line_separator := find_separator(line)) != b" ":
@@ -117,7 +119,7 @@ def _read_marker_names(
         names.pop()
     if len(names) > MAX_MARKERS:
         message = f"the header names {len(names)} markers; the limit is {MAX_MARKERS}"
-        raise FormatError(Fault("TRC001", message, file.path, (number,)))
+        raise file.error("TRC001", message, line=line_number)
     return names
 
 
@@ -141,34 +143,33 @@ def _is_heading(line: bytes) -> bool:
     return not text or text[:1].upper() in {b"X", b"Y", b"Z"}
 
 
-def match_columns(
-    file: MarkerFile, header: TrcHeader, cell_count: int
-) -> tuple[list[str], int]:
-    """Return the marker names of the rows' columns, and the count of unnamed markers.
+def _match_columns(file: CaptureFile, header: TrcHeader, cell_count: int) -> list[str]:
+    """Return marker names for the columns of the rows, empty for unnamed markers.
 
     Warns if the header states another count (TRC101).
 
     ``cell_count`` is the number of cells of the longest row, up to the last nonempty
     one.
     """
-    rows = max(0, -(-(cell_count - 2) // 3))
-    names, stated_count = header.names, header.markers
-    columns = max(rows, header.axes if header.axes == stated_count else 0)
-    if len(names) > columns > 0 and columns == stated_count:
+    names, stated_count = header.names, header.marker_count
+    column_marker_count = max(0, -(-(cell_count - 2) // 3))
+    if header.axis_marker_count == stated_count:
+        column_marker_count = max(column_marker_count, header.axis_marker_count)
+    if len(names) > column_marker_count > 0 and column_marker_count == stated_count:
         if header.separator == b" ":
             message = f"the header has {len(names)} names, but rows have columns of "
-            message += counted(columns, "marker")
+            message += counted(column_marker_count, "marker")
             hint = "separate columns by tabs if names contain blanks: "
             raise file.error("TRC001", message, hint + excerpt(" ".join(names)))
         message = f"the header names {len(names)} markers, but rows have columns of "
-        file.warn("TRC101", f"{message}{columns}; the last names are ignored")
-        names = names[:columns]
-    count = max(len(names), columns)
+        message += f"{column_marker_count}; the last names are ignored"
+        file.warn("TRC101", message)
+        names = names[:column_marker_count]
+    count = max(len(names), column_marker_count)
     if stated_count is not None and stated_count not in (count, len(header.names)):
         message = f"the header states {stated_count:g} markers, but there are {count}"
         file.warn("TRC101", f"{message}; all are read")
-    names = [*names, *[""] * (count - len(names))]
-    return names, sum(not name for name in names)
+    return [*names, *[""] * (count - len(names))]
 
 
 @expects_format("TRC001", "a TRC file")
@@ -196,36 +197,34 @@ def read_trc(
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
     """
     path = Path(path)
-    file = MarkerFile(str(path))
+    file = CaptureFile(str(path))
     lines = read_lines(path)
     header = read_header(file, lines)
-    rows = gather_rows(lines, header.begin, header.separator)
+    rows = gather_rows(lines, header.first_row, header.separator)
     names = _marker_names(file, header, rows)
     width = 2 + 3 * len(names)
     rows = _drop_truncated_row(file, rows, len(lines) if lines[-1] else 0, width)
-
-    def build_error(message: str, line: int) -> FormatError:
-        return FormatError(Fault("TRC002", message, file.path, (line,)))
-
     if len(rows.texts) * len(names) > MAX_POSITIONS:
         raise file.error("TRC001", f"more than {MAX_POSITIONS:,} positions")
     decimals = rows.decimals(1)
-    values = rows.values(width, build_error)
+    values = rows.values(
+        width, lambda message, line: file.error("TRC002", message, line=line)
+    )
     if rows.has_decimal_commas:
         hint = "export it with decimal points, which other programs need"
         file.note("TRC108", "commas are read as decimal points", hint)
-    length_unit = file.unit(header.unit, unit, LengthUnit.MM)
-    up_axis = file.up(None, up)
-    if header.frames not in (None, len(values)):
-        message = f"the header states {header.frames:g} frames, but there are "
+    length_unit = file.choose_unit(header.unit, unit, LengthUnit.MM)
+    up_axis = file.choose_up(None, up)
+    if header.frame_count not in (None, len(values)):
+        message = f"the header states {header.frame_count:g} frames, but there are "
         file.warn("TRC101", f"{message}{len(values)}; all are read")
     positions = values[:, 2:].reshape(len(values), -1, 3).copy()
-    labels = file.names(names, subject)
+    labels = file.unique_names(names, subject)
     positions = file.clean_positions(positions, length_unit.meters)
     frames = find_row_frames(
         file, values[:, :2], rows.line_numbers, decimals, header.rate, fps, len(names)
     )
-    positions = frames.at_frames(positions)
+    positions = frames.resample(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
     notices = tuple(file.notices)
     return Markers(
@@ -233,13 +232,13 @@ def read_trc(
     )
 
 
-def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
-    """Return marker names for the rows' columns, empty for unnamed markers."""
+def _marker_names(file: CaptureFile, header: TrcHeader, rows: TextRows) -> list[str]:
+    """Return the marker names of the rows; warn about unnamed markers (TRC103)."""
     if not rows.texts:
         missing = "frames" if header.names else "markers"
         raise file.error("MKR013", f"the file has no {missing}")
     max_cells = int(rows.value_counts.max())
-    names, unnamed_count = match_columns(file, header, max_cells)
+    names = _match_columns(file, header, max_cells)
     if not names:
         raise file.error("MKR013", "the file has no markers")
     is_too_wide = rows.value_counts > 2 + 3 * len(header.names)
@@ -258,10 +257,10 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):
             hint = "commas separate both cells and decimals; export with tabs or points"
-        row_lines = (int(rows.line_numbers[row]),)
-        raise FormatError(Fault("TRC002", message, file.path, row_lines, hint))
+        raise file.error("TRC002", message, hint, int(rows.line_numbers[row]))
+    unnamed_count = names.count("")
     if unnamed_count:
-        first_unnamed = next(i for i, name in enumerate(names) if not name)
+        first_unnamed = names.index("")
         message = (
             f"{unnamed_count} of {counted(len(names), 'marker')} "
             f"{'has' if unnamed_count == 1 else 'have'} no name, the first in column "
@@ -276,30 +275,32 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
 
 
 def _drop_truncated_row(
-    file: MarkerFile, rows: TextRows, unterminated_line: int, width: int
+    file: CaptureFile, rows: TextRows, unterminated_line: int, width: int
 ) -> TextRows:
     """Drop the last row, with a warning, if it is truncated (TRC109).
 
     ``unterminated_line`` is the last line if it has no line end; otherwise 0.
     """
     is_short = (rows.cell_counts < width) & (rows.value_counts > 1)
-    is_cut_in_marker = is_short & (rows.cell_counts == rows.value_counts)
-    is_cut_in_marker &= rows.cell_counts % 3 != 2
-    incomplete_markers = np.flatnonzero(is_cut_in_marker)
+    ends_in_marker = is_short & (rows.cell_counts == rows.value_counts)
+    ends_in_marker &= rows.cell_counts % 3 != 2
+    partial_rows = np.flatnonzero(ends_in_marker)
     last_row = len(rows.texts) - 1
     # A row that ends after a complete marker is not truncated if others are short too.
-    is_cut = is_cut_in_marker[last_row] or (is_short[last_row] and is_short.sum() == 1)
+    is_incomplete = ends_in_marker[last_row] or (
+        is_short[last_row] and is_short.sum() == 1
+    )
     is_unterminated = rows.line_numbers[last_row] == unterminated_line
-    is_truncated = last_row > 0 and is_unterminated and is_cut
-    if not len(incomplete_markers) and not is_truncated:
+    is_truncated = last_row > 0 and is_unterminated and is_incomplete
+    if not len(partial_rows) and not is_truncated:
         return rows
-    row = last_row if is_truncated else int(incomplete_markers[0])
+    row = last_row if is_truncated else int(partial_rows[0])
     count_text = f"{int(rows.cell_counts[row])} of {width} values"
     message = f"the last row is truncated ({count_text}) and is skipped"
     if not is_truncated:
         message = f"the row ends within a marker ({count_text}), which is missing there"
-        if len(incomplete_markers) > 1:
+        if len(partial_rows) > 1:
             message += ", and so do "
-            message += f"{counted(len(incomplete_markers) - 1, 'other row')}"
+            message += f"{counted(len(partial_rows) - 1, 'other row')}"
     file.warn("TRC109", message, "copy or export it again", int(rows.line_numbers[row]))
     return rows.without_last() if is_truncated else rows

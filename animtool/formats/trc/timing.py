@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, FormatError, counted
+from animtool.core.errors import counted
 from animtool.core.rates import FractionLike, rate_from_float
 from animtool.formats.row_times import (
     MAX_START_FRAME,
@@ -17,28 +17,28 @@ from animtool.formats.row_times import (
     TimeSteps,
     find_steps,
     has_few_empty_frames,
-    is_rate_of,
+    matches_rate,
     rate_of_step,
     rounding_error,
 )
-from animtool.formats.trajectories import MarkerFile
+from animtool.formats.trajectories import CaptureFile
 
 
 def find_row_frames(
-    file: MarkerFile,
+    file: CaptureFile,
     columns: FloatArray,
-    lines: IntArray,
+    line_numbers: IntArray,
     decimals: int,
     stated_rate: float | None,
     fps: FractionLike | None,
     marker_count: int,
 ) -> RowFrames:
-    """Return the frames of rows; warn about contradictions of their times.
+    """Return the frames of the rows; warn about times that contradict each other.
 
     Args:
         file: The file.
         columns: Frame# and Time [s] ``(R, 2)``.
-        lines: Line numbers of the rows ``(R,)``.
+        line_numbers: Line numbers of the rows ``(R,)``.
         decimals: Number of decimals of the times.
         stated_rate: DataRate [1/s]; None without one.
         fps: Requested rate; Time is then ignored.
@@ -47,37 +47,37 @@ def find_row_frames(
     numbers, times = columns[:, 0], columns[:, 1]
     counted_frames = _counted_frames(numbers)
     if fps is not None or len(times) == 1 or np.isnan(times).all():
-        rate = file.rate(stated_rate, fps)
+        rate = file.choose_rate(stated_rate, fps)
         if fps is None and len(times) > 1:
             message = f"Time is empty; rows are placed by Frame# at {float(rate):g} fps"
             file.warn("TRC107", message, "write Time, which other programs need")
         if counted_frames is None:
-            _warn_numbers(file, numbers, lines, "each row is one frame")
+            _warn_numbers(file, numbers, line_numbers, "each row is one frame")
         frames = np.arange(len(times)) if counted_frames is None else counted_frames
         start, begin = _start_frame(numbers[0]), None
     else:
-        _check_times(file, numbers, times, lines)
+        _check_times(file, numbers, times, line_numbers)
         rounding = rounding_error(decimals)
         steps = find_steps(times, counted_frames, stated_rate, rounding)
         rate = _rate_of_times(file, steps, stated_rate, rounding)
         if not steps.regular:
             with np.errstate(over="ignore"):
                 time_frames = (times - times[0]) * float(rate)
-            _check_gaps(file, time_frames, marker_count, lines)
-            _warn_irregular(file, steps, times, rate, lines)
+            _check_gaps(file, time_frames, marker_count, line_numbers)
+            _warn_irregular(file, steps, times, rate, line_numbers)
             start = _start_frame(numbers[0])
             return RowFrames(rate, start, time_frames, float(times[0]))
         frames = steps.frames
         start, begin = _first_frame_and_time(
-            file, columns, frames, lines, rate, rounding
+            file, columns, frames, line_numbers, rate, rounding
         )
-    _check_gaps(file, frames, marker_count, lines)
-    _warn_gaps(file, frames, lines, float(rate))
+    _check_gaps(file, frames, marker_count, line_numbers)
+    _warn_gaps(file, frames, line_numbers, float(rate))
     return RowFrames(rate, start, frames.astype(np.float64), begin)
 
 
 def _counted_frames(numbers: FloatArray) -> IntArray | None:
-    """Return frames from 0 by Frame#; None unless it has ascending integers."""
+    """Return frames from 0 by Frame#; None if it does not have ascending integers."""
     first_number = numbers[0]
     usable = np.isfinite(numbers) & (np.abs(numbers) < MAX_START_FRAME)
     if not usable.all() or not np.array_equal(np.floor(numbers), numbers):
@@ -94,15 +94,15 @@ def _start_frame(number: float) -> int:
     return int(number) if is_integer and abs(number) < MAX_START_FRAME else 1
 
 
-def _frame_number(number: float, line: int) -> str:
+def _frame_label(number: float, line: int) -> str:
     is_number = np.isfinite(number)
     return f"frame {number:g} in line {line}" if is_number else f"line {line}"
 
 
 def _check_times(
-    file: MarkerFile, numbers: FloatArray, times: FloatArray, lines: IntArray
+    file: CaptureFile, numbers: FloatArray, times: FloatArray, line_numbers: IntArray
 ) -> None:
-    """Raise for times that do not ascend (TRC003)."""
+    """Raise if the times do not ascend (TRC003)."""
     with np.errstate(invalid="ignore", over="ignore"):
         is_invalid = ~np.isfinite(times)
         is_invalid[1:] |= ~(np.diff(times) > 0)
@@ -110,10 +110,10 @@ def _check_times(
     if not len(rows):
         return
     row, other_count = int(rows[0]), len(rows) - 1
-    row_frame = _frame_number(numbers[row], int(lines[row]))
+    row_frame = _frame_label(numbers[row], int(line_numbers[row]))
     message = f"the time of {row_frame} is not a finite number"
     if np.isfinite(times[row]):
-        previous_frame = _frame_number(numbers[row - 1], int(lines[row - 1]))
+        previous_frame = _frame_label(numbers[row - 1], int(line_numbers[row - 1]))
         is_repeated = numbers[row] == numbers[row - 1] or times[row] == times[row - 1]
         relation = "repeats" if is_repeated else "does not come after"
         message = f"{row_frame}, at {times[row]:g} s, {relation} {previous_frame}, at "
@@ -121,16 +121,15 @@ def _check_times(
     message += f"; {counted(other_count, 'other row')} too" if other_count else ""
     hint = f"repair the rows, or set the rate with {argument('source.fps')} to place "
     hint += "them by Frame#"
-    at = (int(lines[row]),)
-    raise FormatError(Fault("TRC003", message, file.path, at, hint))
+    raise file.error("TRC003", message, hint, int(line_numbers[row]))
 
 
 def _rate_of_times(
-    file: MarkerFile, steps: TimeSteps, stated_rate: float | None, rounding: float
+    file: CaptureFile, steps: TimeSteps, stated_rate: float | None, rounding: float
 ) -> Fraction:
-    """Return the header's frame rate if it fits the times, else the times' own."""
-    if stated_rate is not None and is_rate_of(stated_rate, steps, rounding):
-        return file.rate(stated_rate, None)
+    """Return the header's frame rate if it matches the times, else their own rate."""
+    if stated_rate is not None and matches_rate(steps, stated_rate, rounding):
+        return file.choose_rate(stated_rate, None)
     count = int(steps.frames[-1]) if steps.regular else 1
     rate = rate_of_step(steps.step, rounding, count)
     if rate is None:
@@ -153,12 +152,12 @@ def _rate_of_times(
 
 
 def _check_gaps(
-    file: MarkerFile,
+    file: CaptureFile,
     row_frames: FloatArray | IntArray,
     marker_count: int,
-    lines: IntArray,
+    line_numbers: IntArray,
 ) -> None:
-    """Raise if frames far outnumber rows (TRC003)."""
+    """Raise if there are far more frames than rows (TRC003)."""
     if has_few_empty_frames(row_frames, marker_count):
         return
     frame_count = float(row_frames[-1]) + 1
@@ -166,11 +165,11 @@ def _check_gaps(
     message = f"{len(row_frames)} rows span {frame_count:.6g} frames; the largest gap "
     message += "is before this row"
     hint = "repair Frame# and Time of the row, or end the file there"
-    raise FormatError(Fault("TRC003", message, file.path, (int(lines[row]),), hint))
+    raise file.error("TRC003", message, hint, int(line_numbers[row]))
 
 
 def _warn_gaps(
-    file: MarkerFile, frames: IntArray, lines: IntArray, rate: float
+    file: CaptureFile, frames: IntArray, line_numbers: IntArray, rate: float
 ) -> None:
     """Warn about frames without a row (TRC105)."""
     missing_count = int(frames[-1]) + 1 - len(frames)
@@ -180,21 +179,21 @@ def _warn_gaps(
     row = int(rows[0])
     first_gap = int(frames[row + 1] - frames[row]) - 1
     message = f"{counted(first_gap, 'missing frame')} ({first_gap / rate:.4g} s) "
-    message += f"before line {lines[row + 1]}"
+    message += f"before line {line_numbers[row + 1]}"
     if len(rows) > 1:
         message += f", and {missing_count - first_gap} in "
         message += f"{counted(len(rows) - 1, 'other gap')}"
     message += "; markers are missing there"
     hint = "mocap fill computes positions in gaps"
-    file.warn("TRC105", message, hint, int(lines[row + 1]))
+    file.warn("TRC105", message, hint, int(line_numbers[row + 1]))
 
 
 def _warn_irregular(
-    file: MarkerFile,
+    file: CaptureFile,
     steps: TimeSteps,
     times: FloatArray,
     rate: Fraction,
-    lines: IntArray,
+    line_numbers: IntArray,
 ) -> None:
     """Warn that rows at irregular times are resampled (TRC106)."""
     intervals = np.diff(times)
@@ -204,11 +203,11 @@ def _warn_irregular(
         f"to {float(rate):g} fps by linear interpolation, except across gaps"
     )
     hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
-    file.warn("TRC106", message, hint, int(lines[row]))
+    file.warn("TRC106", message, hint, int(line_numbers[row]))
 
 
 def _warn_numbers(
-    file: MarkerFile, numbers: FloatArray, lines: IntArray, result: str
+    file: CaptureFile, numbers: FloatArray, line_numbers: IntArray, result: str
 ) -> None:
     """Warn about a Frame# column that does not count frames (TRC107)."""
     with np.errstate(invalid="ignore"):
@@ -225,18 +224,18 @@ def _warn_numbers(
         message += f" after {numbers[row - 1]:g}" if row else ""
     if len(rows) > 1:
         message += f", and {counted(len(rows) - 1, 'other row')} too"
-    file.warn("TRC107", f"{message}; {result}", None, int(lines[row]))
+    file.warn("TRC107", f"{message}; {result}", None, int(line_numbers[row]))
 
 
 def _first_frame_and_time(
-    file: MarkerFile,
+    file: CaptureFile,
     columns: FloatArray,
     frames: IntArray,
-    lines: IntArray,
+    line_numbers: IntArray,
     rate: Fraction,
     rounding: float,
 ) -> tuple[int, float | None]:
-    """Return the first frame and its time; no time if frame 1 is time 0.
+    """Return the first frame and its time [s], which is None if frame 1 is time 0.
 
     Warns if Frame# and Time disagree.
     """
@@ -244,7 +243,7 @@ def _first_frame_and_time(
     start = _start_frame(numbers[0])
     frame_by_time = times[0] * float(rate) + 1
     if _counted_frames(numbers) is None:
-        _warn_numbers(file, numbers, lines, "rows are placed by Time")
+        _warn_numbers(file, numbers, line_numbers, "rows are placed by Time")
         return start, float(times[0])
     mismatched_rows = np.flatnonzero(numbers - numbers[0] != frames)
     if len(mismatched_rows):
@@ -254,7 +253,7 @@ def _first_frame_and_time(
             f"{numbers[0]:g}; at {float(rate):g} fps it would be "
             f"{numbers[0] + frames[row]:g}; rows are placed by Time"
         )
-        file.warn("TRC107", message, None, int(lines[row]))
+        file.warn("TRC107", message, None, int(line_numbers[row]))
     elif abs(frame_by_time - start) > STEP_TOLERANCE + 3 * rounding * float(rate):
         message = (
             f"frame {start} is at {times[0]:.6g} s; a TRC keeps that, but in a MOT "

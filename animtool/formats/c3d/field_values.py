@@ -14,12 +14,12 @@ WORD_RANGE = 65536
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class FieldValue:
     """A value of a layout quantity, stated by one field of the file."""
 
     source: str  # the field, as named in messages
     value: int  # the stated value
-    # Cost of a layout that contradicts it; claims below 0.5 are hints, not mentioned in
+    # Cost of a layout that contradicts it; values below 0.5 are hints, not mentioned in
     # messages.
     weight: float
     is_saturated: bool = False  # whether the field cannot state a larger value
@@ -27,7 +27,7 @@ class Claim:
     can_wrap: bool = False
 
     def cost(self, value: int) -> float:
-        """Return the cost of a layout value under this claim; 0 if they agree."""
+        """Return the cost of a layout value; 0 if it agrees with the stated value."""
         if value == self.value or (self.is_saturated and value > self.value):
             return 0.0
         has_wrapped = value >= WORD_RANGE and (value - self.value) % WORD_RANGE == 0
@@ -37,29 +37,31 @@ class Claim:
 
 
 @dataclass(frozen=True, slots=True)
-class Claims:
+class FieldValues:
     """All layout values that a file states, by quantity."""
 
-    begin: tuple[Claim, ...]  # offset of the first frame [byte]
-    width: tuple[Claim, ...]  # size of a number [byte]: 2 for integers, 4 for floats
-    points: tuple[Claim, ...]  # points per frame
-    analog: tuple[Claim, ...]  # analogue values per frame, all samples of all channels
-    frames: tuple[Claim, ...]  # number of frames
-    # Further values of `analog` to try that no field states.
-    analog_candidates: tuple[int, ...] = ()
+    data_offset: tuple[FieldValue, ...]  # offset of the first frame [byte]
+    # Size of a number [byte]: 2 for integers, 4 for floats.
+    number_bytes: tuple[FieldValue, ...]
+    point_count: tuple[FieldValue, ...]  # points per frame
+    # Analogue values per frame, all samples of all channels.
+    analog_count: tuple[FieldValue, ...]
+    frame_count: tuple[FieldValue, ...]  # number of frames
+    # Further analogue counts to try that no field states.
+    other_analog_counts: tuple[int, ...] = ()
     # End of the parameters [byte]; the data start there or later.
     parameters_end: int = 0
 
 
-def collect_declared_layouts(sections: Sections) -> Claims:
+def collect_field_values(sections: Sections) -> FieldValues:
     """Return all layout values that a file states."""
-    analog, candidates = _analog_claims(sections)
-    return Claims(
-        tuple(_begin_claims(sections)),
-        tuple(_width_claims(sections)),
-        tuple(_point_claims(sections)),
+    analog, candidates = _stated_analog_counts(sections)
+    return FieldValues(
+        tuple(_stated_offsets(sections)),
+        tuple(_stated_widths(sections)),
+        tuple(_stated_point_counts(sections)),
         analog,
-        tuple(_frame_claims(sections)),
+        tuple(_stated_frame_counts(sections)),
         candidates,
         BLOCK_BYTES * (sections.end_block - 1),
     )
@@ -90,7 +92,7 @@ def _join_words(words: list[float]) -> int | None:
     return (int(low) & 0xFFFF) + ((int(high) & 0xFFFF) << 16)
 
 
-def _begin_claims(sections: Sections) -> Iterable[Claim]:
+def _stated_offsets(sections: Sections) -> Iterable[FieldValue]:
     candidates = (
         ("header word 9", sections.header.data_block, 1.0),
         ("POINT:DATA_START", unsigned_word(sections, "POINT", "DATA_START"), 0.75),
@@ -99,50 +101,56 @@ def _begin_claims(sections: Sections) -> Iterable[Claim]:
     )
     for source, block, weight in candidates:
         if block is not None and block >= 2:
-            yield Claim(source, BLOCK_BYTES * (block - 1), weight)
+            yield FieldValue(source, BLOCK_BYTES * (block - 1), weight)
 
 
-def _width_claims(sections: Sections) -> Iterable[Claim]:
+def _stated_widths(sections: Sections) -> Iterable[FieldValue]:
     candidates = (
         ("header scale", sections.header.scale, 0.75),
         ("POINT:SCALE", sections.number("POINT", "SCALE"), 1.0),
     )
     for source, scale, weight in candidates:
         if scale is not None and math.isfinite(scale) and scale != 0:
-            yield Claim(source, 4 if scale < 0 else 2, weight)
+            yield FieldValue(source, 4 if scale < 0 else 2, weight)
 
 
-def _point_claims(sections: Sections) -> Iterable[Claim]:
-    yield Claim("header word 2", sections.header.points, 1.0)
+def _stated_point_counts(sections: Sections) -> Iterable[FieldValue]:
+    yield FieldValue("header word 2", sections.header.point_count, 1.0)
     used_points = unsigned_word(sections, "POINT", "USED")
     if used_points is not None:
-        yield Claim("POINT:USED", used_points, 1.0)
+        yield FieldValue("POINT:USED", used_points, 1.0)
     labels = sections.texts("POINT", "LABELS")
     while labels and not labels[-1]:
         labels.pop()
     if labels:
         # Many writers only label the first 255 points.
-        yield Claim("POINT:LABELS", len(labels), 0.25, is_saturated=len(labels) == 255)
+        yield FieldValue(
+            "POINT:LABELS", len(labels), 0.25, is_saturated=len(labels) == 255
+        )
 
 
-def _analog_claims(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
-    """Return claims about analogue values per frame, and further candidate values."""
-    header_count, samples = sections.header.analog, sections.header.samples
-    claims = [Claim("header word 3", header_count, 1.0)]
+def _stated_analog_counts(
+    sections: Sections,
+) -> tuple[tuple[FieldValue, ...], tuple[int, ...]]:
+    """Return stated analogue values per frame, and further counts to try."""
+    header_count, samples = sections.header.analog_count, sections.header.analog_samples
+    values = [FieldValue("header word 3", header_count, 1.0)]
     used_channels = unsigned_word(sections, "ANALOG", "USED")
     rates = [sections.number(group, "RATE") for group in ("ANALOG", "POINT")]
     samples_from_rates = _analog_samples_per_frame(
         rates[0], rates[1] or sections.header.rate
     )
     if used_channels == 0:
-        claims.append(Claim("ANALOG:USED", 0, 0.75))
+        values.append(FieldValue("ANALOG:USED", 0, 0.75))
     elif used_channels is not None:
         word_source = "ANALOG:USED x header word 10"
         rate_source = "ANALOG:USED x ANALOG:RATE / POINT:RATE"
         if samples:
-            claims.append(Claim(word_source, used_channels * samples, 0.75))
+            values.append(FieldValue(word_source, used_channels * samples, 0.75))
         if samples_from_rates:
-            claims.append(Claim(rate_source, used_channels * samples_from_rates, 0.75))
+            values.append(
+                FieldValue(rate_source, used_channels * samples_from_rates, 0.75)
+            )
     channels = {
         used_channels or 0,
         header_count,
@@ -150,7 +158,7 @@ def _analog_claims(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ..
     }
     factors = {1, samples, samples_from_rates or 0}
     candidates = {0, *(c * f for c in channels for f in factors)}
-    return tuple(claims), tuple(sorted(candidates - {claim.value for claim in claims}))
+    return tuple(values), tuple(sorted(candidates - {v.value for v in values}))
 
 
 def _analog_samples_per_frame(
@@ -165,27 +173,31 @@ def _analog_samples_per_frame(
     return round(ratio) if is_integer else None
 
 
-def _frame_claims(sections: Sections) -> Iterable[Claim]:
+def _stated_frame_counts(sections: Sections) -> Iterable[FieldValue]:
     header = sections.header
-    if not (header.first == 0 and header.last == 0):
-        count = (header.last - header.first + 1) % WORD_RANGE
-        is_saturated = header.last in SATURATED_COUNTS or count in SATURATED_COUNTS
+    if not (header.first_frame == 0 and header.last_frame == 0):
+        count = (header.last_frame - header.first_frame + 1) % WORD_RANGE
+        is_saturated = (
+            header.last_frame in SATURATED_COUNTS or count in SATURATED_COUNTS
+        )
         if count:
-            yield Claim("header words 4 and 5", count, 1.0, is_saturated, can_wrap=True)
+            yield FieldValue(
+                "header words 4 and 5", count, 1.0, is_saturated, can_wrap=True
+            )
     start, end = trial_frame_range(sections)
     if end is not None:
-        count = end - (header.first if start is None else start) + 1
+        count = end - (header.first_frame if start is None else start) + 1
         is_saturated = end in SATURATED_COUNTS or count in SATURATED_COUNTS
         if count > 0:
-            yield Claim("TRIAL:ACTUAL_END_FIELD", count, 0.5, is_saturated)
+            yield FieldValue("TRIAL:ACTUAL_END_FIELD", count, 0.5, is_saturated)
     long_frames = sections.number("POINT", "LONG_FRAMES")
     if long_frames is not None and math.isfinite(long_frames) and long_frames >= 1:
         count = int(long_frames)
-        yield Claim("POINT:LONG_FRAMES", count, 0.5, count in SATURATED_COUNTS)
+        yield FieldValue("POINT:LONG_FRAMES", count, 0.5, count in SATURATED_COUNTS)
     frame_count = unsigned_word(sections, "POINT", "FRAMES")
     if frame_count:
         is_saturated = frame_count in SATURATED_COUNTS
-        yield Claim(
+        yield FieldValue(
             "POINT:FRAMES",
             frame_count,
             0.5,
