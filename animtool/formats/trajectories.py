@@ -59,11 +59,18 @@ class CaptureFile:
         return FormatError(Fault(code, message, self.path, lines, hint))
 
     def warn(
-        self, code: str, message: str, hint: str | None = None, line: int | None = None
+        self, code: str, message: str, hint: str | None = None, *lines: int
     ) -> None:
-        """Add a warning about the file, or about one of its lines."""
-        warning, lines = Severity.WARNING, () if line is None else (line,)
+        """Add a warning about the file, or about some of its lines."""
+        warning = Severity.WARNING
         self.notices.append(Fault(code, message, self.path, lines, hint, warning))
+
+    def warn_of_names(
+        self, code: str, message: str, names: Sequence[str], hint: str
+    ) -> None:
+        """Add a warning about the file that lists names."""
+        warning = Severity.WARNING
+        self.notices.append(names_fault(code, message, names, self.path, hint, warning))
 
     def note(self, code: str, message: str, hint: str | None = None) -> None:
         """Add a note about the file."""
@@ -132,11 +139,9 @@ class CaptureFile:
         unique = numbered_names(label_names)
         renamed = [u for s, u in zip(label_names, unique, strict=True) if s != u]
         if renamed:
-            warning = names_fault(
-                "MKR101", "duplicate names; later ones became ", renamed,
-                self.path, "rename them in the capture software", Severity.WARNING,
-            )  # fmt: skip
-            self.notices.append(warning)
+            hint = "rename them in the capture software"
+            message = "duplicate names; later ones became "
+            self.warn_of_names("MKR101", message, renamed, hint)
         return tuple(unique)
 
     def clean_positions(self, positions: FloatArray, meters: float) -> FloatArray:

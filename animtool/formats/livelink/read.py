@@ -9,14 +9,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from animtool.core.arguments import argument
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import (
     Fault,
     OptionError,
-    Severity,
     counted,
     listed,
-    names_fault,
 )
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
@@ -27,7 +25,7 @@ from animtool.formats.livelink.columns import (
     Recording,
     read_recording,
 )
-from animtool.formats.livelink.timecodes import TimecodeFrames, row_frames
+from animtool.formats.livelink.timecodes import RecordingFrames, find_row_frames
 from animtool.maths.euler import to_quaternion
 from animtool.maths.filters import fill_gaps
 from animtool.maths.so3 import align_signs, slerp
@@ -77,31 +75,34 @@ def read_livelink(
         raise OptionError(Fault("SCN022", message, str(path), (), hint))
     label_rate = None if fps is None else rate_option(fps)
     recording = read_recording(path)
-    frames = row_frames(recording.labels, recording.lines, str(path), label_rate)
-    target_rig = face_rig(recording) if rig is None else Rig.load(Path(rig))
+    file, timecodes = recording.file, recording.timecodes
+    frames = find_row_frames(file, timecodes, recording.line_numbers, label_rate)
+    target_rig = (
+        _build_default_rig(path, recording) if rig is None else Rig.load(Path(rig))
+    )
     table = None if remap is None else load_remap(remap)
     links = link_shapes(recording.shapes, [s.name for s in target_rig.shapes], table)
     joints = head_joints(target_rig)
-    notices = [*recording.notices, *frames.notices]
-    rotations = _part_angles(recording)
-    if not links.links and not (set(rotations) & set(joints)):
+    part_angles = _part_angles(recording)
+    if not links.links and not (set(part_angles) & set(joints)):
         message = f"{target_rig.name!r} has no shape of this recording, and no head "
         message += "joint"
         hint = f"map the shapes of other conventions with {argument('source.remap')}"
         if not target_rig.shapes:
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
-    notices += _recording_notices(recording, frames, dropped)
-    notices += _unmatched_notices(recording, links, rotations, joints, rig is not None)
+    _warn_of_values(recording, frames, dropped)
+    _warn_of_unmatched_names(recording, links, part_angles, joints, rig is not None)
     motion = _build_motion(recording, frames, target_rig, links, joints, dropped)
     details: dict[str, object] = {
         "format": "Live Link Face",
-        "timecode": recording.labels[int(frames.rows[0])],
-        "clock": str(frames.clock),
-        "rows": len(recording.labels),
-        "dropped_frames": frames.dropped.tolist(),
+        "timecode": timecodes[int(frames.row_indices[0])],
+        "clock": str(frames.label_rate),
+        "rows": len(timecodes),
+        "dropped_frames": frames.dropped_frames.tolist(),
         "units": unit_name(target_rig.meters_per_unit),
     }
+    notices = file.notices
     if rig is not None:
         details["rig"] = str(rig)
         notices = [*target_rig.notices, *notices]
@@ -112,11 +113,11 @@ def read_livelink(
 
 def read_livelink_rig(path: Path) -> Rig:
     """Return a rig with a recording's shapes, and joints for head and eyes."""
-    return face_rig(read_recording(path))
+    return _build_default_rig(path, read_recording(path))
 
 
-def face_rig(recording: Recording) -> Rig:
-    """Return the default rig of a recording: shapes without meshes, head, eyes."""
+def _build_default_rig(path: Path, recording: Recording) -> Rig:
+    """Return a rig of a recording's shapes, without meshes, with head and eyes."""
     parts = ["Head", *(part for part in _rotated_parts(recording) if part != "Head")]
     joints = tuple(
         Joint(_JOINT_NAMES[joint], -1 if joint == HEAD else 0, JointType.BALL,
@@ -124,11 +125,11 @@ def face_rig(recording: Recording) -> Rig:
         for joint in (JOINTS_BY_PART[part] for part in parts)
     )  # fmt: skip
     shapes = tuple(Shape(name) for name in recording.shapes)
-    return Rig(recording.path.stem, joints, shapes=shapes)
+    return Rig(path.stem, joints, shapes=shapes)
 
 
 def _rotated_parts(recording: Recording) -> list[str]:
-    """Return the parts (head, eyes) that have all three angles."""
+    """Return the parts, of head and eyes, whose three angles are all recorded."""
     return [
         part
         for part in FACE_PARTS
@@ -148,7 +149,7 @@ def _part_angles(recording: Recording) -> dict[str, FloatArray]:
 
 def _build_motion(
     recording: Recording,
-    frames: TimecodeFrames,
+    frames: RecordingFrames,
     rig: Rig,
     links: ShapeLinks,
     joints: dict[str, int],
@@ -156,10 +157,10 @@ def _build_motion(
 ) -> Motion:
     times = frames.frames if dropped != "close" else np.arange(len(frames.frames))
     frame_numbers = np.arange(int(times[-1]) + 1)
-    filled_weights = fill_gaps(recording.weights[frames.rows], times)
+    filled_weights = fill_gaps(recording.weights[frames.row_indices], times)
     shape_weights = links.apply(filled_weights, len(rig.shapes))
     weights = np.stack(
-        [_interpolated_rows(column, times, frame_numbers, dropped)
+        [_interpolate_rows(column, times, frame_numbers, dropped)
          for column in shape_weights.T],
         axis=-1,
     ) if len(rig.shapes) else np.zeros((len(frame_numbers), 0))  # fmt: skip
@@ -167,13 +168,11 @@ def _build_motion(
     for joint_key, angles in _part_angles(recording).items():
         if joint_key not in joints:
             continue
-        rotations = to_quaternion(fill_gaps(angles[frames.rows], times), "YXZ")
-        local_rotations_of_joint = local_rotations(rig, joints[joint_key], rotations)
-        values = _slerp_rows(
-            align_signs(local_rotations_of_joint), times, frame_numbers, dropped
-        )
-        joint_index = np.array([joints[joint_key]])
-        channel = channel.put(joint_index, values[:, None])
+        rotations = to_quaternion(fill_gaps(angles[frames.row_indices], times), "YXZ")
+        joint = joints[joint_key]
+        local = align_signs(local_rotations(rig, joint, rotations))
+        values = _slerp_rows(local, times, frame_numbers, dropped)
+        channel = channel.put(np.array([joint]), values[:, None])
     return Motion(
         Channel.static(rig.rest_translations, len(frame_numbers)),
         channel.compact(),
@@ -181,14 +180,12 @@ def _build_motion(
     )
 
 
-def _interpolated_rows(
+def _interpolate_rows(
     values: FloatArray, times: IntArray, frame_numbers: IntArray, dropped: DroppedFrames
 ) -> FloatArray:
     if dropped == "hold":
-        previous: FloatArray = values[
-            np.searchsorted(times, frame_numbers, side="right") - 1
-        ]
-        return previous
+        row_before = np.searchsorted(times, frame_numbers, side="right") - 1
+        return np.asarray(values[row_before])
     return np.interp(frame_numbers, times, values)
 
 
@@ -205,42 +202,40 @@ def _slerp_rows(
     span = np.maximum(times[row_after] - times[row_before], 1)
     fraction = (frame_numbers - times[row_before]) / span
     interpolated = slerp(rotations[row_before], rotations[row_after], fraction)
-    is_exact: BoolArray = fraction == 0
-    interpolated[is_exact] = rotations[row_before[is_exact]]
+    is_on_row = fraction == 0
+    interpolated[is_on_row] = rotations[row_before[is_on_row]]
     return interpolated
 
 
-def _recording_notices(
-    recording: Recording, frames: TimecodeFrames, dropped: DroppedFrames
-) -> list[Fault]:
-    """Return warnings about dropped frames, missing values and unusual weights."""
-    path = str(recording.path)
-    notices = []
-    gaps = frames.dropped
-    if len(gaps):
+def _warn_of_values(
+    recording: Recording, frames: RecordingFrames, dropped: DroppedFrames
+) -> None:
+    """Warn about dropped frames, missing values and unusual weights."""
+    file, dropped_frames = recording.file, frames.dropped_frames
+    if len(dropped_frames):
         fill = {
             "interpolate": "interpolated",
             "hold": "held from the frame before",
             "close": "removed, which moves later frames up",
         }[dropped]
-        message = f"{len(gaps)} of {frames.count} frames have no row: {fill}; from the "
-        message += f"first, frames {listed((gaps).tolist(), MAX_LISTED_SHAPES)}"
+        message = f"{len(dropped_frames)} of {frames.count} frames have no row: {fill}"
+        message += "; from the first, frames "
+        message += listed(dropped_frames.tolist(), MAX_LISTED_SHAPES)
         hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
-        notices.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))
+        file.warn("LLF101", message, hint)
     for values, names in (
         (recording.weights, recording.shapes),
         (recording.rotations, recording.angles),
     ):
         is_missing = ~np.isfinite(values)
         for c in np.flatnonzero(is_missing.any(axis=0)).tolist():
-            lines = recording.lines[is_missing[:, c]].tolist()
+            lines = recording.line_numbers[is_missing[:, c]].tolist()
             treatment = "interpolated from its neighbours"
             if is_missing[:, c].all():
                 treatment = "set to 0"
             message = f"{names[c]} has no value in {counted(len(lines), 'row')}: "
-            message += f"{treatment}"
-            rows, warning = tuple(lines[:MAX_LISTED_SHAPES]), Severity.WARNING
-            notices.append(Fault("LLF102", message, path, rows, severity=warning))
+            message += treatment
+            file.warn("LLF102", message, None, *lines[:MAX_LISTED_SHAPES])
     # Values are kept: some rigs exceed 1, and percentages are detected.
     with np.errstate(invalid="ignore"):
         out_of_range = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
@@ -250,22 +245,19 @@ def _recording_notices(
             f"{counted(int(out_of_range.sum()), 'weight')} outside 0 to 1, the first "
             f"{recording.shapes[column]} = {recording.weights[row, column]:g}"
         )
-        line = (int(recording.lines[row]),)
         hint = "set gain and clamp in a remap file"
-        notices.append(Fault("LLF109", message, path, line, hint, Severity.WARNING))
-    return notices
+        file.warn("LLF109", message, hint, int(recording.line_numbers[row]))
 
 
-def _unmatched_notices(
+def _warn_of_unmatched_names(
     recording: Recording,
     links: ShapeLinks,
-    rotations: dict[str, FloatArray],
+    part_angles: dict[str, FloatArray],
     joints: dict[str, int],
     has_rig_option: bool,
-) -> list[Fault]:
-    """Return notices of names only in the recording or only in the rig."""
-    path = str(recording.path)
-    notices = []
+) -> None:
+    """Warn about names only in the recording or only in the rig."""
+    file = recording.file
     if has_rig_option and links.lost:
         zero_shapes = {
             name
@@ -276,15 +268,11 @@ def _unmatched_notices(
         if unmatched_names:
             message = f"{len(unmatched_names)} shapes are not in the rig: "
             hint = f"map them to its shapes with {argument('source.remap')}"
-            notices.append(
-                names_fault(
-                    "LLF108", message, unmatched_names, path, hint, Severity.WARNING
-                )
-            )
-    for part, angles in rotations.items():
+            file.warn_of_names("LLF108", message, unmatched_names, hint)
+    for part, angles in part_angles.items():
         if part not in joints and np.nan_to_num(angles).any():
             message = f"the rig has no joint for the {part}: its rotation is skipped"
-            notices.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
+            file.note("LLF110", message)
     incomplete_angles = {
         angle
         for angle in recording.angles
@@ -292,5 +280,4 @@ def _unmatched_notices(
     }
     if incomplete_angles:
         message = f"{listed(sorted(incomplete_angles))} without the two others: skipped"
-        notices.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
-    return notices
+        file.note("LLF110", message)

@@ -10,10 +10,11 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.core.errors import Fault, FormatError, counted, excerpt, listed
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.timecode import count_rate, day_frames, parse_timecode
+from animtool.formats.trajectories import CaptureFile
 
 # Clock rates of recorders [1/s], and the app's default.
 TIMECODE_RATES = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
@@ -27,96 +28,105 @@ MAX_CLOCK_JITTER = 0.1
 # Longer gaps between two rows are not filled [s].
 MAX_GAP_SECONDS = 600
 MAX_LISTED_LINES = 12
-# If more than this fraction of labels exceed a stated rate, the rate is wrong.
-MIN_BEYOND_FRACTION = 0.1
-_LABEL = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
+# If more than this fraction of time codes exceed a stated rate, the rate is wrong.
+MIN_ABOVE_LIMIT_FRACTION = 0.1
+_TIMECODE = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 
 @dataclass(frozen=True, slots=True)
-class TimecodeFrames:
+class RecordingFrames:
     """Frame rate, and the frame of each row."""
 
-    clock: Fraction  # labels per second, exact
+    label_rate: Fraction  # labels per second, exact
     step: int  # labels per frame
-    rows: IntArray  # indices of the rows that are used, sorted by time ``(N,)``
+    row_indices: IntArray  # indices of the rows that are used, sorted by time ``(N,)``
     frames: IntArray  # frame of each used row, from 0, ascending ``(N,)``
     notices: tuple[Fault, ...] = ()  # warnings about the timecodes
 
     @property
     def rate(self) -> Fraction:
         """Frames per second."""
-        return self.clock / self.step
+        return self.label_rate / self.step
 
     @property
     def count(self) -> int:
-        """Count of frames, including those without a row."""
+        """Number of frames, including those without a row."""
         return int(self.frames[-1]) + 1
 
     @property
-    def dropped(self) -> IntArray:
+    def dropped_frames(self) -> IntArray:
         """Indices of the frames without a row."""
         is_dropped = np.ones(self.count, np.bool_)
         is_dropped[self.frames] = False
         return np.flatnonzero(is_dropped)
 
 
-def row_frames(
-    labels: Sequence[str], lines: IntArray, path: str, clock: Fraction | None = None
-) -> TimecodeFrames:
-    """Return the frames of rows with timecodes ``HH:MM:SS:FF.mmm``.
+def find_row_frames(
+    file: CaptureFile,
+    timecodes: Sequence[str],
+    line_numbers: IntArray,
+    label_rate: Fraction | None = None,
+) -> RecordingFrames:
+    """Return the frames of rows with time codes ``HH:MM:SS:FF.mmm``.
 
-    The clock is the one whose seconds end with those of the labels. A recorder may
+    The label rate is the one at which the seconds of the time codes end. A recorder may
     write a row every second label. If rows follow the clock, fractions of frames are
     rounded; if they jitter, the label is the frame.
 
     Args:
-        labels: One per row, as written.
-        lines: Line number of each row.
-        path: The file, for messages.
-        clock: Labels per second; None derives it.
+        file: The file, to which warnings are added.
+        timecodes: One per row, as written.
+        line_numbers: Line number of each row ``(R,)``.
+        label_rate: Labels per second; None derives it.
     """
-    fields = _label_fields(labels, lines, path)
-    notices: list[Fault] = []
-    is_drop_frame = any(";" in label for label in labels)
-    if clock is not None:
-        _check_stated_rate(fields, lines, path, clock, is_drop_frame)
-    rate = clock or _fit_timecode_rate(fields, is_drop_frame, path, notices)
-    label_counts, fractions = _label_numbers(labels, rate, lines, path)
+    fields = _timecode_fields(file, timecodes, line_numbers)
+    is_drop_frame = any(";" in timecode for timecode in timecodes)
+    if label_rate is not None:
+        _check_stated_rate(file, fields, line_numbers, label_rate, is_drop_frame)
+    rate = label_rate or _fit_timecode_rate(file, fields, is_drop_frame)
+    label_counts, fractions = _timecode_numbers(file, timecodes, rate, line_numbers)
     labels_per_day = day_frames(rate, drop=is_drop_frame)
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
-    steps = (
-        np.diff(label_counts) + labels_per_day // 2
-    ) % labels_per_day - labels_per_day // 2
+    half_day = labels_per_day // 2
+    steps = (np.diff(label_counts) + half_day) % labels_per_day - half_day
     times = np.concatenate([[0], np.cumsum(steps)])
     order = np.argsort(times + fractions, kind="stable")
-    notices += _unsorted_notice(order, lines, path)
+    unsorted_rows = np.flatnonzero(np.diff(order) < 0)
+    if len(unsorted_rows):
+        unsorted_lines = line_numbers[order[unsorted_rows + 1]].tolist()
+        message = f"{counted(len(unsorted_lines), 'row')} not in order of time: sorted"
+        file.warn("LLF104", message, None, *unsorted_lines[:MAX_LISTED_LINES])
     times, fractions = times[order] - times[order[0]], fractions[order]
-    time_steps = np.diff(times)
-    if len(time_steps) and (longest_gap := time_steps.max()) > MAX_GAP_SECONDS * rate:
-        gap_index = int(time_steps.argmax())
+    row_steps = np.diff(times)
+    if len(row_steps) and (longest_gap := row_steps.max()) > MAX_GAP_SECONDS * rate:
+        row = order[int(row_steps.argmax()) + 1]
         message = f"{longest_gap / float(rate):.6g} s without a row before "
-        message += f"{labels[order[gap_index + 1]]}"
+        message += timecodes[row]
         hint = "split the recording there, or repair the time code"
-        line = (int(lines[order[gap_index + 1]]),)
-        raise FormatError(Fault("LLF006", message, path, line, hint))
+        raise file.error("LLF006", message, hint, int(line_numbers[row]))
     step, frames = _frames_of_labels(times, fractions)
     is_first = np.concatenate([[True], np.diff(frames) > 0])
-    notices += _repeated_notice(is_first, order, lines, path)
-    return TimecodeFrames(rate, step, order[is_first], frames[is_first], tuple(notices))
+    repeated_lines = sorted(line_numbers[order[~is_first]].tolist())
+    if repeated_lines:
+        message = f"{counted(len(repeated_lines), 'row')} for a frame that already has "
+        message += f"one: skipped, lines {listed(repeated_lines, MAX_LISTED_LINES)}"
+        file.warn("LLF105", message, None, *repeated_lines[:MAX_LISTED_LINES])
+    return RecordingFrames(rate, step, order[is_first], frames[is_first])
 
 
-def _label_fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
-    """Return hours, minutes, seconds and frames of labels ``(R, 4)``."""
-    matches = [_LABEL.fullmatch(label) for label in labels]
+def _timecode_fields(
+    file: CaptureFile, timecodes: Sequence[str], line_numbers: IntArray
+) -> IntArray:
+    """Return hours, minutes, seconds and frames of time codes ``(R, 4)``."""
+    matches = [_TIMECODE.fullmatch(timecode) for timecode in timecodes]
+    rows = zip(timecodes, matches, line_numbers.tolist(), strict=True)
     faults = [
-        Fault(
-            "LLF005",
-            f"{excerpt(label)} is not a time code such as 12:00:00:00.000",
-            path,
-            (int(line),),
-            column=1,
+        _timecode_fault(
+            file,
+            f"{excerpt(timecode)} is not a time code such as 12:00:00:00.000",
+            line,
         )
-        for label, match, line in zip(labels, matches, lines.tolist(), strict=True)
+        for timecode, match, line in rows
         if match is None
     ]
     if faults:
@@ -124,30 +134,40 @@ def _label_fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray
     return np.array([[int(m[i]) for i in (1, 2, 3, 5)] for m in matches if m], np.int64)
 
 
+def _timecode_fault(
+    file: CaptureFile, message: str, line: int, hint: str | None = None
+) -> Fault:
+    return Fault("LLF005", message, file.path, (line,), hint, column=1)
+
+
 def _check_stated_rate(
-    fields: IntArray, lines: IntArray, path: str, clock: Fraction, is_drop_frame: bool
+    file: CaptureFile,
+    fields: IntArray,
+    line_numbers: IntArray,
+    label_rate: Fraction,
+    is_drop_frame: bool,
 ) -> None:
-    """Refuse a stated rate that many labels exceed (LLF005)."""
+    """Refuse a stated rate that many time codes exceed (LLF005)."""
     try:
-        limit = count_rate(clock)
+        limit = count_rate(label_rate)
     except ValueError:
         return  # reported where labels are counted
-    is_beyond = fields[:, 3] >= limit
-    if is_beyond.sum() < max(2, MIN_BEYOND_FRACTION * len(fields)):
+    is_above_limit = fields[:, 3] >= limit
+    if is_above_limit.sum() < max(2, MIN_ABOVE_LIMIT_FRACTION * len(fields)):
         return
     message = f"its time codes count frames up to {fields[:, 3].max()}; the largest is "
-    message += f"{limit - 1} at {rate_label(clock)}"
-    fitting_rate = _fit_timecode_rate(fields, is_drop_frame, path, [])
+    message += f"{limit - 1} at {rate_label(label_rate)}"
+    fitting_rate = _fit_timecode_rate(CaptureFile(file.path), fields, is_drop_frame)
     hint = f"set {argument('source.fps', fitting_rate)}, or leave it out: the time "
     hint += "codes show it"
-    line = (int(lines[int(is_beyond.argmax())]),)
-    raise FormatError(Fault("LLF005", message, path, line, hint, column=1))
+    line = int(line_numbers[int(is_above_limit.argmax())])
+    raise FormatError(_timecode_fault(file, message, line, hint))
 
 
 def _fit_timecode_rate(
-    fields: IntArray, is_drop_frame: bool, path: str, notices: list[Fault]
+    file: CaptureFile, fields: IntArray, is_drop_frame: bool
 ) -> Fraction:
-    """Return the timecode rate [1/s] that fits the labels best."""
+    """Return the timecode rate [1/s] that fits the time codes best."""
     max_label = int(fields[:, 3].max())
     seconds = fields[:, :3] @ [3600, 60, 1]
     candidates = [n for n in TIMECODE_RATES if n > max_label] or [max_label + 1]
@@ -156,13 +176,12 @@ def _fit_timecode_rate(
         return Fraction(candidates[0] * 1000, 1001)
     seconds_ends = np.flatnonzero(np.diff(seconds) == 1)
     if len(candidates) > 1 and not len(seconds_ends):
-        rate = candidates[0]
-        if DEFAULT_TIMECODE_RATE in candidates:
-            rate = DEFAULT_TIMECODE_RATE
+        is_default = DEFAULT_TIMECODE_RATE in candidates
+        rate = DEFAULT_TIMECODE_RATE if is_default else candidates[0]
         message = f"the time code never reaches another second, so {rate} frames per "
         message += "second are assumed, the default of the app"
         hint = f"set the rate of its time code with {argument('source.fps')}"
-        notices.append(Fault("LLF107", message, path, (), hint, Severity.NOTE))
+        file.note("LLF107", message, hint)
         return Fraction(rate)
     if len(candidates) == 1:
         return Fraction(candidates[0])
@@ -174,21 +193,24 @@ def _fit_timecode_rate(
     return Fraction(candidates[int(np.argmin(misses))])
 
 
-def _label_numbers(
-    labels: Sequence[str], rate: Fraction, lines: IntArray, path: str
+def _timecode_numbers(
+    file: CaptureFile,
+    timecodes: Sequence[str],
+    rate: Fraction,
+    line_numbers: IntArray,
 ) -> tuple[IntArray, FloatArray]:
     """Return the frame number since midnight and the frame fraction of each label."""
     counts, fractions, faults = [], [], []
-    for label, line in zip(labels, lines.tolist(), strict=True):
-        text = label if label[1] != ":" else f"0{label}"
+    for timecode, line in zip(timecodes, line_numbers.tolist(), strict=True):
+        text = timecode if timecode[1] != ":" else f"0{timecode}"
         try:
-            exact = parse_timecode(text, rate)
+            frame = parse_timecode(text, rate)
         except ValueError as error:
             message = f"{error} at {rate_label(rate)}"
-            faults.append(Fault("LLF005", message, path, (line,), column=1))
+            faults.append(_timecode_fault(file, message, line))
             continue
-        counts.append(exact.numerator // exact.denominator)
-        fractions.append(float(exact - counts[-1]))
+        counts.append(frame.numerator // frame.denominator)
+        fractions.append(float(frame - counts[-1]))
     if faults:
         raise FormatError(faults[:100])
     return np.array(counts, np.int64), np.array(fractions)
@@ -224,25 +246,3 @@ def _is_step_multiple(exact: FloatArray, step: int) -> BoolArray:
     return np.asarray(
         np.abs(step_counts - np.round(step_counts)) * step <= MAX_CLOCK_JITTER
     )
-
-
-def _unsorted_notice(order: IntArray, lines: IntArray, path: str) -> list[Fault]:
-    out_of_order = np.flatnonzero(np.diff(order) < 0)
-    if not len(out_of_order):
-        return []
-    late_lines = lines[order[out_of_order + 1]].tolist()
-    message = f"{counted(len(late_lines), 'row')} not in order of time: sorted"
-    rows = tuple(late_lines[:MAX_LISTED_LINES])
-    return [Fault("LLF104", message, path, rows, None, Severity.WARNING)]
-
-
-def _repeated_notice(
-    is_first: BoolArray, order: IntArray, lines: IntArray, path: str
-) -> list[Fault]:
-    repeats = sorted(lines[order[~is_first]].tolist())
-    if not repeats:
-        return []
-    message = f"{counted(len(repeats), 'row')} for a frame that already has one: "
-    message += f"skipped, lines {listed(repeats, MAX_LISTED_LINES)}"
-    rows = tuple(repeats[:MAX_LISTED_LINES])
-    return [Fault("LLF105", message, path, rows, None, Severity.WARNING)]

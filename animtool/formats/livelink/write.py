@@ -37,9 +37,9 @@ def build_livelink_text(take: Take) -> TakeText:
     and 59.94. Shapes missing in the rig are 0. The format cannot store other shapes and
     joints; notices list the animated shapes.
     """
-    columns = {arkit_name(s.name): i for i, s in enumerate(take.rig.shapes)}
-    columns.pop(None, None)
-    if not columns:
+    shape_indices = {arkit_name(s.name): i for i, s in enumerate(take.rig.shapes)}
+    shape_indices.pop(None, None)
+    if not shape_indices:
         message = f"{take.rig.name!r} has no ARKit shape, which is all that this CSV "
         message += "holds"
         hint = "write USD, or keys in a .clip.yaml"
@@ -51,15 +51,14 @@ def build_livelink_text(take: Take) -> TakeText:
         hint = f"{argument('fps', '60')} gives it a rate that time codes can count"
         raise OptionError(Fault("LLF009", str(error), hint=hint)) from error
     weights = np.zeros((take.clock.count, len(APP_SHAPES)))
-    channel = take.motion.weights
-    all_weights = None if channel is None else channel.dense()[..., 0]
-    for i, name in enumerate(APP_SHAPES):
-        shape_index = columns.get(arkit_name(name))
-        if all_weights is not None and shape_index is not None:
-            weights[:, i] = all_weights[:, shape_index]
     notices = []
-    if all_weights is not None:
-        written_shapes = set(columns.values())
+    if take.motion.weights is not None:
+        all_weights = take.motion.weights.dense()[..., 0]
+        for i, name in enumerate(APP_SHAPES):
+            shape_index = shape_indices.get(arkit_name(name))
+            if shape_index is not None:
+                weights[:, i] = all_weights[:, shape_index]
+        written_shapes = set(shape_indices.values())
         unwritten = [
             shape.name
             for i, shape in enumerate(take.rig.shapes)

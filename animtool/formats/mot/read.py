@@ -9,14 +9,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import (
-    Fault,
-    OptionError,
-    Severity,
-    counted,
-    excerpt,
-    names_fault,
-)
+from animtool.core.errors import Fault, OptionError, counted, excerpt
 from animtool.core.names import most_similar
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
@@ -90,10 +83,7 @@ def read_mot(
         message = f"{len(unmatched_names)} columns are not coordinates of "
         message += f"{take_rig.name!r}: "
         hint = "name columns after joints: knee.angle, lift.slide, hip_x"
-        warning = Severity.WARNING
-        file.notices.append(
-            names_fault("MOF102", message, unmatched_names, file.path, hint, warning)
-        )
+        file.warn_of_names("MOF102", message, unmatched_names, hint)
     if header.in_degrees is None:
         _warn_unstated_unit(file, header.invalid_in_degrees)
     values = fill_gaps(table.values[:, table_columns], table.times)

@@ -268,7 +268,7 @@ def read_rows(
         if not (is_last and is_short and row):
             raise file.error("MOF003", message, line=line)
         message = f"is truncated: {message}; it is skipped"
-        file.warn("MOF103", message, line=line)
+        file.warn("MOF103", message, None, line)
         rows = rows.without_last()
     if not rows.texts:
         raise file.error("MOF003", "has no rows")
@@ -289,7 +289,7 @@ def check_times(file: CaptureFile, times: FloatArray, line_numbers: IntArray) ->
         message = f"time {times[row]:g} does not come after the row before"
         if not np.isfinite(times[row]):
             message = "the time is not a finite number"
-        raise file.error("MOF005", message, line=int(line_numbers[row]))
+        raise file.error("MOF005", message, None, int(line_numbers[row]))
 
 
 def table_rate(
@@ -319,4 +319,4 @@ def _warn_missing_values(
     message = f"{count} missing in {listed([names[c] for c in columns])}: "
     message += "interpolated, or 0 where a column has no values"
     first_row = np.flatnonzero(is_missing.any(axis=1))[0]
-    file.warn("MOF104", message, line=int(line_numbers[first_row]))
+    file.warn("MOF104", message, None, int(line_numbers[first_row]))

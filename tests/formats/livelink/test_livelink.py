@@ -14,9 +14,10 @@ from support.faults import raises
 from animtool.core.errors import FormatError, OptionError
 from animtool.formats.livelink.columns import ANGLE_COLUMNS, APP_SHAPES
 from animtool.formats.livelink.read import read_livelink
-from animtool.formats.livelink.timecodes import row_frames
+from animtool.formats.livelink.timecodes import find_row_frames
 from animtool.formats.livelink.write import build_livelink_text, timecode
 from animtool.formats.take_text import write_text
+from animtool.formats.trajectories import CaptureFile
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -146,7 +147,7 @@ def labels(count: int, fps: int, step: int = 1, first: int = 0) -> list[str]:
 
 
 def frames_of(texts: list[str]) -> tuple[Fraction, list[int]]:
-    found = row_frames(texts, np.arange(len(texts)) + 2, "x.csv")
+    found = find_row_frames(CaptureFile("x.csv"), texts, np.arange(len(texts)) + 2)
     return found.rate, found.frames.tolist()
 
 
