@@ -8,9 +8,8 @@ from animtool.core.errors import Fault
 from animtool.core.files.reading import note_input
 from animtool.core.record import dataclass
 from animtool.formats.characters.choice import find_characters
-from animtool.formats.gltf.document import Gltf, open_gltf
+from animtool.formats.gltf.document import Gltf, humanoid_bones, open_gltf
 from animtool.formats.gltf.timing import unique_clip_names
-from animtool.formats.gltf.vrm import humanoid_bones
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,14 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.fbx.angles import XYZ, rotations_from_angles
 from animtool.formats.fbx.layers import (
     OUTER_ROTATIONS,
     PIVOT_PROPERTIES,
     ROTATION,
     SCALING,
     TRANSLATION,
+    XYZ,
+    rotations_from_angles,
 )
 from animtool.formats.fbx.objects import (
     ROOT_IDS,

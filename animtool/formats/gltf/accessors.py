@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
-from animtool.formats.gltf.buffers import Buffers
-from animtool.formats.gltf.container import Container
+from animtool.formats.gltf.container import Buffers, Container
 from animtool.formats.gltf.json_items import JsonItem
 from animtool.formats.gltf.unused import UnusedIndices
 

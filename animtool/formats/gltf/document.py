@@ -14,7 +14,7 @@ from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animation_targets import POINTER_EXTENSION
 from animtool.formats.gltf.animations import Animation, read_animations
 from animtool.formats.gltf.container import Container, read_container
-from animtool.formats.gltf.json_items import JsonItem, escape_pointer
+from animtool.formats.gltf.json_items import JsonItem, escape_pointer, is_number
 from animtool.formats.gltf.meshes import (
     QUANTIZATION,
     MeshEntry,
@@ -285,3 +285,27 @@ def _is_ancestor(gltf: Gltf, ancestor: int, node: int) -> bool:
     while node >= 0 and node != ancestor:
         node = gltf.nodes[node].parent
     return node == ancestor
+
+
+def humanoid_bones(gltf: Gltf) -> list[tuple[str, int]]:
+    """Return the humanoid bones of a VRM 1.0 or 0.x with their nodes."""
+    extensions = gltf.root.values.get("extensions")
+    if not isinstance(extensions, dict):
+        return []
+    bones_by_name: list[tuple[str, Any]] = []
+    for key in ("VRMC_vrm", "VRM"):
+        extension = extensions.get(key)
+        humanoid = extension.get("humanoid") if isinstance(extension, dict) else None
+        bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
+        if isinstance(bones, dict):
+            bones_by_name += [(str(name), bone) for name, bone in bones.items()]
+        elif isinstance(bones, list):
+            bone_entries = [bone for bone in bones if isinstance(bone, dict)]
+            bones_by_name += [(str(bone.get("bone")), bone) for bone in bone_entries]
+    return [
+        (name, int(bone["node"]))
+        for name, bone in bones_by_name
+        if isinstance(bone, dict)
+        and is_number(bone.get("node"))
+        and 0 <= bone["node"] < len(gltf.nodes)
+    ]

@@ -17,9 +17,8 @@ from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import joint_names, renamed_joints_notice
 from animtool.formats.characters.nodes import SCALE_TOLERANCE
 from animtool.formats.gltf.animation_targets import TargetPath
-from animtool.formats.gltf.document import Gltf
+from animtool.formats.gltf.document import Gltf, humanoid_bones
 from animtool.formats.gltf.surfaces import build_meshes
-from animtool.formats.gltf.vrm import humanoid_bones
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_LISTED_JOINTS = 6

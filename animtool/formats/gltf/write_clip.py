@@ -16,9 +16,9 @@ from animtool.formats.gltf.clip_keys import (
     SamplerKeys,
     convert_clip_keys,
     convert_native_keys,
+    reduce_keys,
 )
 from animtool.formats.gltf.glb import GlbBuilder
-from animtool.formats.gltf.reduce import reduce_keys
 from animtool.formats.gltf.sampling import NativeKeys
 from animtool.formats.gltf.write_rig import RigIndices
 from animtool.motion.motion import Channel

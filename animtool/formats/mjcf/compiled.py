@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.formats.mjcf.equality import JointEqualities
-from animtool.formats.mjcf.reduced import MIN_MASS, ReducedModel, element_name_label
+from animtool.formats.mjcf.reduced import MIN_MASS, ReducedModel, named_element_label
 from animtool.formats.robots.notes import MAX_VALUE, XmlNotes
 from animtool.formats.robots.parts import (
     IDENTITY_ROTATION,
@@ -49,7 +49,7 @@ _ERROR_PREFIX = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
 _INSTALL_COMMAND = "pip install 'animtool[mjcf]'"
 # Joint and geom types by MuJoCo's numbers.
 _JOINT_TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
-_FREE, _BALL, _SLIDE, _HINGE = range(4)
+FREE, BALL, SLIDE, HINGE = range(4)
 # Limit of mass and inertia of a body [kg], [kg m²].
 MAX_MASS = 1e30
 # MuJoCo hides geoms of this group and above.
@@ -83,12 +83,12 @@ def _record_error(text: str, reduced: ReducedModel, notes: XmlNotes) -> None:
     match = _ERROR_LINE.search(text)
     element, body = None, ""
     if match is not None and 0 < int(match[1]) <= len(reduced.elements):
-        element = reduced.elements[int(match[1]) - 1]
-        body = reduced.bodies[int(match[1]) - 1]
+        row = int(match[1]) - 1
+        element, body = reduced.elements[row], reduced.bodies[row]
     message = _ERROR_LINE.sub("", _ERROR_PREFIX.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
-    where = None if element is None else element_name_label(element)
+    where = None if element is None else named_element_label(element)
     if where is None and element is not None and body:
         where = f"{element.tag} of body {excerpt(body)}"
     message, hint = next(
@@ -103,9 +103,9 @@ def _record_error(text: str, reduced: ReducedModel, notes: XmlNotes) -> None:
 
 
 def build_robot(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
-    """Return the robot of a compiled model; record what a rig cannot store."""
+    """Return the robot of a compiled model; record contents that a rig cannot store."""
     _check_sizes(model, notes)
-    equalities = JointEqualities.of(model, notes)
+    equalities = JointEqualities.from_model(model, notes)
     notes.check()
     links = [_build_link(model, b, equalities, reduced) for b in range(1, model.nbody)]
     for site in range(model.nsite):
@@ -149,7 +149,7 @@ def _build_link(
     first_joint = int(model.body_jntadr[body])
     for joint in range(first_joint, first_joint + int(model.body_jntnum[body])):
         joint_pivot = np.array(model.jnt_pos[joint])
-        if model.jnt_type[joint] in {_FREE, _SLIDE}:
+        if model.jnt_type[joint] in {FREE, SLIDE}:
             joint_pivot = pivot  # its position has no effect
         translation = position + so3.rotate(rotation, joint_pivot - pivot)
         built_joint = _build_joint(model, joint, translation, rotation, equalities)
@@ -165,9 +165,9 @@ def _build_link(
     link.solids, link.surfaces = _simple_geoms(model, body)
     mass = float(model.body_mass[body])
     inertial_values = [mass, *model.body_inertia[body], *model.body_ipos[body]]
-    has_mass = mass > 2 * MIN_MASS and name not in reduced.with_unknown_mass
+    has_mass = mass > 2 * MIN_MASS and name not in reduced.bodies_of_unknown_mass
     if has_mass and (np.abs(inertial_values) < MAX_MASS).all():
-        link.weight = _body_weight(model, body, mass)
+        link.mass = _body_mass(model, body, mass)
     return link
 
 
@@ -178,7 +178,7 @@ def _build_joint(
     rotation: FloatArray,
     equalities: JointEqualities,
 ) -> RobotJoint:
-    """Return a joint whose coordinate is MuJoCo's qpos (except free joints).
+    """Return a joint whose coordinate is MuJoCo's qpos, except for free joints.
 
     A hinge or slide is at 0 where qpos is 0, which differs from the file's pose by
     ``ref``. A free joint is at rest in the pose of the file.
@@ -186,9 +186,9 @@ def _build_joint(
     kind = int(model.jnt_type[joint])
     axis = float_vector(model.jnt_axis[joint])
     limits = None
-    if kind in {_SLIDE, _HINGE}:
+    if kind in {SLIDE, HINGE}:
         ref = float(model.qpos0[model.jnt_qposadr[joint]])
-        if kind == _HINGE and ref:
+        if kind == HINGE and ref:
             inverse_ref = so3.from_axis_angle(np.array(axis), np.array(-ref))
             rotation = so3.multiply(rotation, inverse_ref)
         elif ref:
@@ -236,7 +236,7 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
     return colliding_geoms, visible
 
 
-def _body_weight(model: Any, body: int, mass: float) -> LinkMass:
+def _body_mass(model: Any, body: int, mass: float) -> LinkMass:
     rotation = so3.to_matrix(np.array(convert_quaternion(model.body_iquat[body])))
     inertia = np.array(model.body_inertia[body])
     tensor = rotation @ np.diag(inertia) @ rotation.T
@@ -256,12 +256,12 @@ def _record_differences(
             message += f": {listed(labels, MAX_LISTED_JOINTS)}"
             notes.add(code, None, message, hint, severity=Severity.NOTE)
 
-    scalar = [j for j in range(model.njnt) if model.jnt_type[j] in {_SLIDE, _HINGE}]
+    scalar = [j for j in range(model.njnt) if model.jnt_type[j] in {SLIDE, HINGE}]
     joints_with_ref = [j for j in scalar if model.qpos0[model.jnt_qposadr[j]] != 0]
     hint = "coordinates are MuJoCo's qpos, and the rest pose has them at 0"
     message = "the file draws {} at another value (ref) than 0"
     add("MJC109", joints_with_ref, message, hint)
-    excluding_zero = [
+    joints_without_zero = [
         j
         for j in scalar
         if model.jnt_limited[j]
@@ -269,20 +269,20 @@ def _record_differences(
         and not model.jnt_range[j, 0] <= 0 <= model.jnt_range[j, 1]
     ]
     hint = "the rest pose is still at 0; a take uses the nearest limit"
-    add("MJC109", excluding_zero, "0 is outside the limits of {}", hint)
+    add("MJC109", joints_without_zero, "0 is outside the limits of {}", hint)
     limited = np.flatnonzero(model.jnt_limited).tolist()
-    balls = [j for j in limited if model.jnt_type[j] == _BALL]
+    balls = [j for j in limited if model.jnt_type[j] == BALL]
     widest = max((math.degrees(model.jnt_range[j, 1]) for j in balls), default=0.0)
     message = "the limits of {} are ignored, " + f"up to {widest:.4g}° each way"
     hint = "a rig limits swing and twist; a rig file over this one may state them"
     add("MJC104", balls, message, hint)
-    if reduced.idle:
+    if reduced.has_only_joint_actuators:
         constrained_joints = {*equalities.mimics, *equalities.drivers}
         free = [j for j in scalar if j not in constrained_joints]
-        idle = [j for j in free if names[j] not in reduced.actuated]
+        idle = [j for j in free if names[j] not in reduced.actuated_joints]
         add("MJC105", idle, "no actuator drives {}", "in a rig they move as others do")
-    if reduced.with_unknown_mass:
-        bodies = sorted(reduced.with_unknown_mass)
+    if reduced.bodies_of_unknown_mass:
+        bodies = sorted(reduced.bodies_of_unknown_mass)
         message = "masses computed from meshes are ignored: "
         message += listed([excerpt(name) for name in bodies], MAX_LISTED_JOINTS)
         notes.add("MJC107", None, message, severity=Severity.NOTE)

@@ -26,39 +26,43 @@ class JointEqualities:
     drivers: dict[int, Driver] = field(default_factory=dict)
 
     @staticmethod
-    def of(model: Any, notes: XmlNotes) -> JointEqualities:
+    def from_model(model: Any, notes: XmlNotes) -> JointEqualities:
         """Return the active equalities of a model; record unsupported ones."""
-        rows: dict[int, tuple[int, list[float]]] = {}
+        # Leader and polynomial of each constrained joint.
+        constraints: dict[int, tuple[int, list[float]]] = {}
         for constraint in range(model.neq):
             if model.eq_type[constraint] != _EQ_JOINT:
                 continue
             if not model.eq_active0[constraint]:
-                notes.leave_out(["equality that is not active"])
+                notes.ignore(["equality that is not active"])
                 continue
             follower = int(model.eq_obj1id[constraint])
             leader = int(model.eq_obj2id[constraint])
             name = model.joint(follower).name
-            if follower in rows:
+            if follower in constraints:
                 message = f"joint {excerpt(name)} is tied to two others by equality"
                 hint = "keep the one that moves it"
                 notes.add("MJC010", None, message, hint, joint=name)
                 continue
-            rows[follower] = (leader, np.array(model.eq_data[constraint][:5]).tolist())
+            constraints[follower] = (
+                leader,
+                np.array(model.eq_data[constraint][:5]).tolist(),
+            )
         equalities = JointEqualities()
-        if not _has_cycles(model, rows, notes):
-            for follower in rows:
-                equalities._add(model, follower, rows)
+        if not _has_cycles(model, constraints, notes):
+            for follower in constraints:
+                equalities._add(model, follower, constraints)
         return equalities
 
     def _add(
-        self, model: Any, follower: int, rows: dict[int, tuple[int, list[float]]]
+        self, model: Any, follower: int, constraints: dict[int, tuple[int, list[float]]]
     ) -> None:
         """Add a joint as mimic or driver; resolve chains of linear leaders."""
-        leader, polynomial = rows[follower]
+        leader, polynomial = constraints[follower]
         offset, gain = _linear_part(model, follower, leader, polynomial)
         is_nonlinear = leader >= 0 and any(polynomial[2:])
-        while not is_nonlinear and leader in rows:
-            outer_leader, leader_polynomial = rows[leader]
+        while not is_nonlinear and leader in constraints:
+            outer_leader, leader_polynomial = constraints[leader]
             if outer_leader < 0 or any(leader_polynomial[2:]):
                 break
             linear, factor = _linear_part(
@@ -72,11 +76,11 @@ class JointEqualities:
             self.drivers[follower] = _polynomial_driver(
                 model, follower, leader, polynomial
             )
-        elif leader in rows:
+        elif leader in constraints:
             # Linear in a joint that itself has a driver.
             polynomial = [polynomial[0], polynomial[1], 0.0, 0.0, 0.0]
             self.drivers[follower] = _polynomial_driver(
-                model, follower, rows[follower][0], polynomial
+                model, follower, constraints[follower][0], polynomial
             )
         else:
             self.mimics[follower] = Mimic(model.joint(leader).name, gain, offset)
@@ -114,15 +118,15 @@ def _polynomial_driver(
 
 
 def _has_cycles(
-    model: Any, rows: dict[int, tuple[int, list[float]]], notes: XmlNotes
+    model: Any, constraints: dict[int, tuple[int, list[float]]], notes: XmlNotes
 ) -> bool:
     """Record cycles of constrained joints; return whether there are any."""
     checked: set[int] = set()
     has_cycles = False
-    for first_joint in rows:
+    for first_joint in constraints:
         path: list[int] = []
         joint = first_joint
-        while joint in rows and joint not in checked:
+        while joint in constraints and joint not in checked:
             if joint in path:
                 names = [model.joint(j).name for j in path[path.index(joint) :]]
                 message = f"joints are tied in a ring: {cycle_text([*names, names[0]])}"
@@ -131,6 +135,6 @@ def _has_cycles(
                 has_cycles = True
                 break
             path.append(joint)
-            joint = rows[joint][0]
+            joint = constraints[joint][0]
         checked.update(path)
     return has_cycles

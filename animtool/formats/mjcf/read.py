@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
-from animtool.formats.mjcf.compiled import build_robot, compile_model
-from animtool.formats.mjcf.includes import read_model
-from animtool.formats.mjcf.range_unit import warn_of_range_unit
+import numpy as np
+
+from animtool.core.errors import Severity, counted, excerpt
+from animtool.core.files.reading import exists, nearest_file
+from animtool.core.files.signatures import expects_format
+from animtool.formats.mjcf.compiled import HINGE, build_robot, compile_model
 from animtool.formats.mjcf.reduced import reduce_model
-from animtool.formats.robots.build import RobotCodes, build_rig
+from animtool.formats.robots.build import RobotCodes, build_rig, zero_pose_stream
 from animtool.formats.robots.notes import XmlNotes
-from animtool.formats.robots.standing import zero_pose_stream
+from animtool.formats.robots.packages import OutsideError, PackageFolders
+from animtool.formats.robots.xml import MAX_ELEMENTS, XmlCodes, XmlElement, read_xml
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicions import (
+    ANGLE_NAMES,
+    OTHER_ANGLE_UNITS,
+    AngleLimit,
+    limits_in_other_unit,
+)
 
-_CODES = RobotCodes("MJC102", "MJC106", "MJC101")
+_XML_CODES = XmlCodes("MJC001", "MJC002", "MJC003")
+ROOT = "mujoco"
+MAX_INCLUDES = 1000
+_ROBOT_CODES = RobotCodes("MJC102", "MJC106", "MJC101")
 
 
 def read_mjcf_rig(path: Path | str) -> Rig:
@@ -30,18 +45,18 @@ def read_mjcf_rig(path: Path | str) -> Rig:
     """
     path = Path(path)
     notes = XmlNotes(path, "MJC007")
-    root, folders = read_model(path, notes)
+    root, folders = _read_model(path, notes)
     reduced = reduce_model(root, folders, notes)
     notes.check()
     model = compile_model(reduced, notes)
-    warn_of_range_unit(root, model, notes)
+    _warn_of_range_unit(root, model, notes)
     robot = build_robot(model, reduced, notes)
     if not robot.links:
         notes.add("MJC004", root, "the model has no body", "bodies are what moves")
         notes.check()
     if not root.attributes.get("model"):
         robot.name = path.stem
-    return build_rig(robot, notes, _CODES)
+    return build_rig(robot, notes, _ROBOT_CODES)
 
 
 def read_mjcf(path: Path | str) -> TakeStream:
@@ -51,3 +66,147 @@ def read_mjcf(path: Path | str) -> TakeStream:
         path: A .xml or .mjcf file.
     """
     return zero_pose_stream(read_mjcf_rig(path), "MJCF")
+
+
+def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
+    """Record hinges whose ranges look like radians in degrees, or the reverse (MJC110).
+
+    Args:
+        root: The file, with its includes.
+        model: The compiled model, whose ranges are in radians.
+        notes: Notices of the file.
+    """
+    angle = "deg"
+    for compiler in root.all("compiler"):
+        if "angle" in compiler.attributes:
+            angle = "rad" if compiler.attributes["angle"] == "radian" else "deg"
+    factor = math.degrees(1.0) if angle == "deg" else 1.0
+    # Without the rounding of the conversion.
+    limits = [
+        AngleLimit(
+            (),
+            model.joint(j).name,
+            [round(float(end), 9) for end in np.array(model.jnt_range[j]) * factor],
+        )
+        for j in range(model.njnt)
+        if model.jnt_limited[j] and model.jnt_type[j] == HINGE
+    ]
+    suspects = limits_in_other_unit(limits, angle)
+    if not suspects:
+        return
+    largest = max(suspects, key=lambda limit: limit.largest_value)
+    element = next(
+        (
+            element
+            for element in root.walk()
+            if element.tag == "joint"
+            and element.attributes.get("name") == largest.joint
+        ),
+        None,
+    )
+    likely, ratio = OTHER_ANGLE_UNITS[angle]
+    low, high = largest.values
+    message = (
+        f"the ranges of {counted(len(suspects), 'joint')} look like "
+        f"{ANGLE_NAMES[likely]}, but the unit is {ANGLE_NAMES[angle]}: "
+        f"{largest.joint!r} has {low:.4g} to {high:.4g}"
+    )
+    setting = '<compiler angle="radian"/>'
+    hint = f"write {setting}" if likely == "rad" else f"remove {setting}"
+    hint += f', or write range="{low * ratio:.4g} {high * ratio:.4g}"'
+    if likely == "deg":
+        hint = hint.replace(setting, 'angle="radian" of <compiler>')
+    notes.add("MJC110", element, message, hint, severity=Severity.WARNING)
+
+
+@expects_format("MJC001", "an MJCF file")
+def _read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]:
+    """Return the root of a model with all includes replaced by their content."""
+    root = read_xml(path, _XML_CODES)
+    if root.tag != ROOT:
+        hints = {
+            "robot": "it is a URDF: name it .urdf",
+            "mujocoinclude": "it is a part that a model includes: give the model",
+            "sdf": "it is SDF: use the URDF or MJCF that it was made from",
+        }
+        hint = hints.get(root.tag, f"the root element of MJCF is <{ROOT}>")
+        message = f"no MJCF: its root element is <{root.tag[:60]}>"
+        notes.add("MJC004", root, message, hint)
+        notes.check()
+    folders = PackageFolders.of(path, _XML_CODES)
+    _IncludeResolver(path, folders, notes).run(root)
+    notes.check()
+    return root, folders
+
+
+class _IncludeResolver:
+    """Replaces include elements with the content of their files."""
+
+    def __init__(self, path: Path, folders: PackageFolders, notes: XmlNotes) -> None:
+        self._folders, self._notes = folders, notes
+        self._included_files = {path.resolve()}
+        self._count = 0
+
+    def run(self, root: XmlElement) -> None:
+        """Resolve all includes below an element."""
+        pending = [root]
+        while pending and not self._notes.faults:
+            element = pending.pop()
+            self._count += 1
+            if self._count > MAX_ELEMENTS:
+                message = f"more than {MAX_ELEMENTS:,} elements with all includes"
+                self._notes.add("MJC003", element, message)
+                return
+            children: list[XmlElement] = []
+            remaining = list(reversed(element.children))
+            while remaining and not self._notes.faults:
+                child = remaining.pop()
+                if child.tag == "include":
+                    remaining += reversed(self._included(child))
+                else:
+                    children.append(child)
+            element.children = children
+            pending += reversed(children)
+
+    def _included(self, element: XmlElement) -> list[XmlElement]:
+        """Return the elements that replace an include."""
+        name = element.attributes.get("file", "")
+        path = self._path_of(element, name)
+        if path is None:
+            return []
+        if path in self._included_files:
+            message = f"{excerpt(name, 100)} is included already"
+            if path == element.path.resolve():
+                message = f"{excerpt(name, 100)} includes itself"
+            hint = "a file may be included once; attach makes several copies"
+            self._notes.add("MJC006", element, message, hint)
+            return []
+        if len(self._included_files) > MAX_INCLUDES:
+            message = f"more than {MAX_INCLUDES} files are included"
+            self._notes.add("MJC003", element, message)
+            return []
+        self._included_files.add(path)
+        return read_xml(path, _XML_CODES).children
+
+    def _path_of(self, element: XmlElement, name: str) -> Path | None:
+        """Return the path of an include, relative to the model, else to its file."""
+        if not name:
+            message = "an include without file"
+            self._notes.add("MJC006", element, message, 'write file="parts/legs.xml"')
+            return None
+        try:
+            path = self._folders.find(name)
+            if path is None:
+                by_including_file = element.path.resolve().parent / name
+                path = self._folders.find(str(by_including_file))
+        except OutsideError as error:
+            message = f"{excerpt(name, 100)} is not included: {error}"
+            hint = "copy it into the project, or name its folder in animtool.toml: "
+            self._notes.add("MJC006", element, message, f"{hint}roots = [...]")
+            return None
+        if path is None or not exists(path):
+            message = f"{excerpt(name, 100)} does not exist"
+            similar_file = nearest_file(Path(name), self._folders.folder)
+            self._notes.add("MJC006", element, message, similar_file)
+            return None
+        return path

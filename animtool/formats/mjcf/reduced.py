@@ -1,7 +1,8 @@
-"""Reduces an MJCF to bodies, joints and shapes, to compile it without other files."""
+"""Reduces an MJCF to bodies, joints and shapes, so that it compiles without files."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import field
@@ -9,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 
 from animtool.core.errors import Severity, counted, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import XmlNotes, to_number
+from animtool.formats.robots.notes import XmlNotes, element_label, to_number
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import XmlElement
 
@@ -64,9 +65,10 @@ class ReducedModel:
     elements: list[XmlElement]  # source element of each line
     bodies: list[str]  # body of each line; empty outside bodies
     # Bodies whose mass depends on meshes, which are not read.
-    with_unknown_mass: frozenset[str]
-    idle: bool  # whether there are actuators, and each acts on a joint
-    actuated: frozenset[str]  # joints with actuators
+    bodies_of_unknown_mass: frozenset[str]
+    # Whether there are actuators, and each acts on a joint.
+    has_only_joint_actuators: bool
+    actuated_joints: frozenset[str]  # joints with actuators
 
 
 def reduce_model(
@@ -86,7 +88,7 @@ def reduce_model(
     )
     for section in root.children:
         if section.tag in _SECTION_LABELS:
-            notes.leave_out(filter(None, [_SECTION_LABELS[section.tag]]))
+            notes.ignore(filter(None, [_SECTION_LABELS[section.tag]]))
         else:
             reduction.write(section, section.tag, "", "")
     reduction.add(root, "</mujoco>")
@@ -105,7 +107,7 @@ def reduce_model(
         "\n".join(reduction.lines),
         reduction.elements,
         reduction.bodies,
-        frozenset(reduction.with_unknown_mass - with_inertia),
+        frozenset(reduction.bodies_of_unknown_mass - with_inertia),
         bool(actuated_joints) and "" not in actuated_joints,
         actuated_joints,
     )
@@ -120,7 +122,7 @@ class _Reduction:
     lines: list[str] = field(default_factory=list)
     elements: list[XmlElement] = field(default_factory=list)
     bodies: list[str] = field(default_factory=list)
-    with_unknown_mass: set[str] = field(default_factory=set)
+    bodies_of_unknown_mass: set[str] = field(default_factory=set)
 
     def add(self, element: XmlElement, text: str, body: str = "") -> None:
         """Add a line of XML with its source element and body."""
@@ -131,13 +133,15 @@ class _Reduction:
     def write(self, element: XmlElement, section: str, classes: str, body: str) -> None:
         """Add an element with its supported children, or record that it is left out."""
         tag = element.tag
-        kept_children = [
-            c for c in element.children if _is_kept(element, c, section, self.notes)
+        supported_children = [
+            c
+            for c in element.children
+            if _is_supported(element, c, section, self.notes)
         ]
         is_body_geom = tag == "geom" and section == "worldbody"
         if is_body_geom and self.meshes.is_mesh(element, classes):
-            self.notes.leave_out(["geoms of meshes"])
-            self.with_unknown_mass.add(body)
+            self.notes.ignore(["geoms of meshes"])
+            self.bodies_of_unknown_mass.add(body)
             return
         if tag in {"body", "frame", "replicate"}:
             classes = element.attributes.get("childclass", classes)
@@ -145,29 +149,31 @@ class _Reduction:
             body = element.attributes.get("name", "")
         attributes = _attribute_text(element, section, self.notes)
         self.add(element, f"<{tag}{attributes}>", body)
-        for child in kept_children:
+        for child in supported_children:
             self.write(child, section or child.tag, classes, body)
         self.add(element, f"</{tag}>", body)
 
 
-def _is_kept(
+def _is_supported(
     parent: XmlElement, child: XmlElement, section: str, notes: XmlNotes
 ) -> bool:
     """Return whether a child of a section is supported; record omitted children."""
     tag = child.tag
     match section:
         case "worldbody":
-            return _is_kept_in_body(parent, child, notes)
+            return _is_supported_in_body(parent, child, notes)
         case "equality":
             if tag != "joint":
-                notes.leave_out([f"equality of <{tag[:40]}>"])
+                notes.ignore([f"equality of <{tag[:40]}>"])
             return tag == "joint"
         case "default":
             return tag in _DEFAULT_TAGS
     return section != "compiler"
 
 
-def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
+def _is_supported_in_body(
+    parent: XmlElement, child: XmlElement, notes: XmlNotes
+) -> bool:
     """Return whether a child of a body is supported; record omitted children."""
     tag, label = child.tag, _BODY_CONTENT_LABELS.get(child.tag)
     if tag in _GENERATOR_TAGS:
@@ -178,7 +184,7 @@ def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> 
     if parent.tag == "worldbody" and tag in {"geom", "site"}:
         label = "geoms and sites of the world"
     if label is not None:
-        notes.leave_out([label])
+        notes.ignore([label])
         return False
     return parent.tag not in {"geom", "joint", "site", "inertial"}
 
@@ -207,7 +213,7 @@ def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) 
         if number is not None and not math.isfinite(number):
             message = f"{name} of <{element.tag}> is {excerpt(value)}: "
             message += f"{excerpt(text)} is not finite"
-            notes.add("MJC007", element, message, where=element_name_label(element))
+            notes.add("MJC007", element, message, where=named_element_label(element))
             return
 
 
@@ -220,57 +226,52 @@ def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
     if element.attributes.get("limited") != "false":
         message = f"range {excerpt(value)} is reversed: {lower:g} is above {upper:g}"
         hint = f'write range="{upper:g} {lower:g}" if they are swapped'
-        notes.add("MJC011", element, message, hint, where=element_name_label(element))
+        notes.add("MJC011", element, message, hint, where=named_element_label(element))
 
 
-def element_name_label(element: XmlElement) -> str | None:
-    """Return an element's label for messages; None without a name."""
+def named_element_label(element: XmlElement) -> str | None:
+    """Return the label of a named element for messages; None without a name."""
     name = element.attributes.get("name")
-    return None if name is None else f"{element.tag} {excerpt(name)}"
+    return None if name is None else element_label(element.tag, name)
 
 
 def _name_bodies(root: XmlElement) -> None:
     """Give unique names to bodies without a name."""
     bodies = [e for s in root.all("worldbody") for e in s.walk() if e.tag == "body"]
     used_names = {body.attributes.get("name") for body in bodies}
-    number = 0
+    names = (f"body_{number}" for number in itertools.count(1))
+    unused_names = (name for name in names if name not in used_names)
     for body in bodies:
         if not body.attributes.get("name"):
-            number += 1
-            while f"body_{number}" in used_names:
-                number += 1
-            body.attributes["name"] = f"body_{number}"
+            body.attributes["name"] = next(unused_names)
 
 
 class _MeshDefaults:
     """Finds which geoms are meshes, directly or by their default class."""
 
     def __init__(self, root: XmlElement) -> None:
-        self._classes: dict[str, bool] = {}
+        self._is_mesh_by_class = {"main": False}
         for default in root.all("default"):
             name = default.attributes.get("class", "main")
-            self._add(default, name, inherited=self._classes.get("main", False))
-        self._main = self._classes.get("main", False)
-
-    def _add(self, default: XmlElement, name: str, *, inherited: bool) -> None:
-        pending = [(default, name, inherited)]
-        while pending:
-            element, class_name, mesh = pending.pop()
-            for geom in element.all("geom"):
-                mesh = _inherited_is_mesh(geom, mesh)
-            self._classes[class_name] = mesh
-            pending += [
-                (child, child.attributes.get("class", ""), mesh)
-                for child in element.all("default")
-            ]
+            pending = [(default, name, self._is_mesh_by_class["main"])]
+            while pending:
+                element, name, is_mesh = pending.pop()
+                for geom in element.all("geom"):
+                    is_mesh = _is_mesh(geom, is_mesh)
+                self._is_mesh_by_class[name] = is_mesh
+                pending += [
+                    (child, child.attributes.get("class", ""), is_mesh)
+                    for child in element.all("default")
+                ]
 
     def is_mesh(self, geom: XmlElement, childclass: str) -> bool:
         """Return whether a body's geom is a mesh."""
         name = geom.attributes.get("class", childclass)
-        return _inherited_is_mesh(geom, self._classes.get(name, self._main))
+        classes = self._is_mesh_by_class
+        return _is_mesh(geom, classes.get(name, classes["main"]))
 
 
-def _inherited_is_mesh(geom: XmlElement, inherited: bool) -> bool:
+def _is_mesh(geom: XmlElement, inherited: bool) -> bool:
     """Return whether a geom is a mesh; without a type, the inherited value."""
     if geom.attributes.get("type") in _MESH_TYPES or "mesh" in geom.attributes:
         return True
@@ -287,17 +288,16 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
     }
     missing_count = 0
     for element, name in _file_attributes(root):
-        file_folder = folders.get("assetdir", "")
         key = "texturedir" if element.tag == "texture" else "meshdir"
-        file_folder = folders.get(key, file_folder)
+        folder = folders.get(key, folders.get("assetdir", ""))
         try:
-            if packages.find(f"{file_folder}/{name}" if file_folder else name) is None:
+            if packages.find(f"{folder}/{name}" if folder else name) is None:
                 missing_count += 1
         except OutsideError as error:
             message = f"file {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            where = element_name_label(element)
+            where = named_element_label(element)
             notes.add("MJC016", element, message, hint, where=where)
     if missing_count:
         message = f"{counted(missing_count, 'file')} of its assets not found"

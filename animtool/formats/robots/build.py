@@ -1,4 +1,4 @@
-"""Rig of a robot: a joint for every link and every moving joint.
+"""Builds the rig of a robot: a joint for every link and every moving joint.
 
 A joint that moves a link of the same name in the same frame is merged with it;
 otherwise the link is a fixed joint below. Children of a link are attached to the joint
@@ -9,8 +9,8 @@ name of their link.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 
@@ -19,10 +19,19 @@ from animtool.core.quantities import CONTROL, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.robots.notes import XmlNotes
-from animtool.formats.robots.parts import ORIGIN, Link, Robot, RobotJoint
+from animtool.formats.robots.parts import ORIGIN, Robot, RobotJoint
 from animtool.formats.robots.solids import build_capsule, build_mass
 from animtool.formats.robots.triangles import merge_surfaces
+from animtool.ik.sub_rig import with_mimics
+from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
+from animtool.rig.joints import (
+    coordinate_slices,
+    local_from_coordinates,
+    rest_coordinates,
+)
 from animtool.rig.kinematics import rest_world
+from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivision
 from animtool.rig.skeleton import MAX_RIG_SIZE, Joint, JointType, Rig
 from animtool.rig.suspicious_shape import rest_pose_without_kernels
@@ -32,6 +41,8 @@ MAX_LISTED_JOINTS = 8
 ROBOT_SIZES = (0.3, 10.0)
 # Longest name in rig files.
 MAX_NAME_LENGTH = 4000
+# Arbitrary: one frame has no rate.
+POSE_RATE = Fraction(24)
 _CONTROL = re.compile(f"[{CONTROL}]")
 
 
@@ -39,15 +50,15 @@ _CONTROL = re.compile(f"[{CONTROL}]")
 class RobotCodes:
     """Codes of notices about differences between robot and rig."""
 
-    renamed: str
+    renamed: str  # renamed links and joints
     approximate: str  # approximate colliders
-    left_out: str
+    ignored: str  # contents that are not read
 
 
-def valid_name(name: str) -> str:
+def _valid_name(name: str) -> str:
     r"""Return a name without characters that text files cannot contain.
 
-    >>> valid_name("a\x1bb"), valid_name("elbow flex")
+    >>> _valid_name("a\x1bb"), _valid_name("elbow flex")
     ('a_b', 'elbow flex')
     """
     return _CONTROL.sub("_", name)[:MAX_NAME_LENGTH]
@@ -63,44 +74,39 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     link_joints: list[int] = []
     colliders: list[Collider] = []
     masses: list[Mass] = []
-    rig_names = names.of_file
     largest_error = 0.0
     for i, link in enumerate(robot.links):
         parent = link_joints[link.parent] if link.parent >= 0 else -1
         for robot_joint, name in zip(link.joints, names.joints[i], strict=True):
-            joints.append(_rig_joint(robot_joint, name, parent, rig_names))
+            joints.append(_rig_joint(robot_joint, name, parent, names))
             parent = len(joints) - 1
         moving_joint = parent
-        if not names.merged[i]:
+        if not names.is_merged[i]:
             name = names.links[i]
             joints.append(Joint(name, parent, JointType.FIXED, link.offset))
             if not link.joints or np.any(link.offset):
                 parent = len(joints) - 1
         link_joints.append(parent)
         for site, position, rotation in link.sites:
-            site_name = names.sites.get((i, site))
-            if site_name is not None:
-                fixed_type = JointType.FIXED
-                joints.append(
-                    Joint(site_name, link_joints[i], fixed_type, position, rotation)
-                )
+            name, fixed = names.sites[i, site], JointType.FIXED
+            joints.append(Joint(name, link_joints[i], fixed, position, rotation))
         joint_name = joints[moving_joint if link.joints else parent].name
         link_offset = link.offset if link.joints else ORIGIN
         for shape in link.solids:
             capsule, error = build_capsule(shape, link_offset)
             largest_error = max(largest_error, error)
             colliders.append(Collider(joint_name, capsule))
-        if link.weight is not None:
-            masses.append(build_mass(joint_name, link.weight, link_offset))
+        if link.mass is not None:
+            masses.append(build_mass(joint_name, link.mass, link_offset))
     if largest_error:
         _record_approximate(robot, notes, codes, largest_error)
     meshes = _link_meshes(robot, names, joints)
     _record_size(notes, joints)
-    if notes.left_out:
-        message = f"not read: {listed(list(notes.left_out), 20)}"
-        notes.add(codes.left_out, None, message, severity=Severity.NOTE)
+    if notes.ignored_labels:
+        message = f"not read: {listed(list(notes.ignored_labels), 20)}"
+        notes.add(codes.ignored, None, message, severity=Severity.NOTE)
     return Rig(
-        valid_name(robot.name) or notes.path.stem,
+        _valid_name(robot.name) or notes.path.stem,
         tuple(joints),
         up=UpAxis.Z,
         meshes=meshes,
@@ -162,9 +168,9 @@ def _link_meshes(
 
 
 def _rig_joint(
-    robot_joint: RobotJoint, name: str, parent: int, rig_names: Mapping[str, str]
+    robot_joint: RobotJoint, name: str, parent: int, names: _JointNames
 ) -> Joint:
-    mimic, driver = robot_joint.mimic, robot_joint.driver
+    mimic, driver, rig_names = robot_joint.mimic, robot_joint.driver, names.by_file_name
     if mimic is not None:
         mimic = replace(mimic, joint=rig_names[mimic.joint])
     return Joint(
@@ -186,12 +192,13 @@ class _JointNames:
 
     links: list[str]  # name of each link
     joints: list[list[str]]  # names of the joints of each link
-    merged: list[bool]  # whether each link is merged with its last joint
+    is_merged: list[bool]  # whether each link is merged with its last joint
     sites: dict[tuple[int, str], str]  # name of each site, by link and site
-    of_file: dict[str, str]  # name of each joint, by its name in the file
+    by_file_name: dict[str, str]  # name of each joint, by its name in the file
 
 
 def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
+    """Return unique names of the rig's joints; record changed names."""
     used_names: set[str] = set()
     numbers: dict[str, int] = {}
     renamed: list[str] = []
@@ -210,13 +217,15 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
             renamed.append(f"{source!r} is {unique!r}")
         return unique
 
-    links = [unique_name(valid_name(link.name), link.name) for link in robot.links]
+    links = [unique_name(_valid_name(link.name), link.name) for link in robot.links]
     joint_names: list[list[str]] = []
     merged: list[bool] = []
     name_of_file_joint: dict[str, str] = {}
     for link, name in zip(robot.links, links, strict=True):
         last_joint = link.joints[-1] if link.joints else None
-        is_merged = last_joint is not None and _has_frame_of_link(link, last_joint)
+        # Whether the last joint has the name and frame of the link.
+        is_merged = last_joint is not None and last_joint.name in {"", link.name}
+        is_merged = is_merged and not np.any(link.offset)
         merged.append(is_merged)
         new_names = []
         for k, robot_joint in enumerate(link.joints):
@@ -224,7 +233,7 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
                 new_name = name
             elif robot_joint.name:
                 new_name = unique_name(
-                    valid_name(robot_joint.name), robot_joint.name, "_joint"
+                    _valid_name(robot_joint.name), robot_joint.name, "_joint"
                 )
             else:
                 new_name = unique_name(f"{name}_joint_{k + 1}", "")
@@ -233,7 +242,7 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
                 name_of_file_joint[robot_joint.name] = new_name
         joint_names.append(new_names)
     sites = {
-        (i, site): unique_name(valid_name(site), site, "_site")
+        (i, site): unique_name(_valid_name(site), site, "_site")
         for i, link in enumerate(robot.links)
         for site, _, _ in link.sites
     }
@@ -242,11 +251,6 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
         message += f"of a rig share their names: {listed(renamed, MAX_LISTED_JOINTS)}"
         notes.add(codes.renamed, None, message, severity=Severity.NOTE)
     return _JointNames(links, joint_names, merged, sites, name_of_file_joint)
-
-
-def _has_frame_of_link(link: Link, joint: RobotJoint) -> bool:
-    """Return whether a link's last joint has the name and frame of the link."""
-    return joint.name in {"", link.name} and not np.any(link.offset)
 
 
 def _record_approximate(
@@ -259,3 +263,23 @@ def _record_approximate(
     message += f"capsules, whose surfaces are up to {length_text(largest_error)} off"
     hint = "colliders of a rig are capsules; a rig file over this one may have others"
     notes.add(codes.approximate, None, message, hint, severity=Severity.NOTE)
+
+
+def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:
+    """Return a take of one frame with all coordinates at 0, or at the nearest limit.
+
+    Mimic joints follow their leaders.
+    """
+    coordinates = rest_coordinates(rig, 1)
+    for joint, columns in zip(rig.joints, coordinate_slices(rig), strict=True):
+        if isinstance(joint.limits, RangeLimit):
+            coordinates[0, columns] = joint.limits.clamped(coordinates[0, columns])
+    coordinates = with_mimics(rig, coordinates, rig.names)
+    local = local_from_coordinates(rig, coordinates)
+    motion = Motion(
+        Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
+    )
+    stream = TakeStream(rig, POSE_RATE, Fraction(1), Fraction(1), iter([motion]))
+    stream.notices += rig.notices
+    stream.details = {"format": format_name}
+    return stream

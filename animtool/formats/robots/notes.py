@@ -28,7 +28,7 @@ class XmlNotes:
     faults: list[Fault] = field(default_factory=list)  # errors, in the order found
     notices: list[Fault] = field(default_factory=list)  # warnings and notes
     # Labels of contents that are not read.
-    left_out: dict[str, None] = field(default_factory=dict)
+    ignored_labels: dict[str, None] = field(default_factory=dict)
 
     def add(
         self,
@@ -51,7 +51,7 @@ class XmlNotes:
         (self.faults if severity is Severity.ERROR else self.notices).append(fault)
 
     def check(self) -> None:
-        """Raise `FormatError` with all faults, if any."""
+        """Raise `FormatError` with the recorded faults if there are any."""
         if not self.faults:
             return
         first_faults = self.faults[:MAX_FAULTS]
@@ -109,9 +109,9 @@ class XmlNotes:
         """Return the number of an attribute; see `numbers`."""
         return self.numbers(element, name, 1, (default,), where)[0]
 
-    def leave_out(self, names: Iterable[str]) -> None:
+    def ignore(self, labels: Iterable[str]) -> None:
         """Record labels of contents that are not read."""
-        self.left_out.update(dict.fromkeys(names))
+        self.ignored_labels.update(dict.fromkeys(labels))
 
 
 def to_number(text: str) -> float | None:

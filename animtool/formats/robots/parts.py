@@ -1,4 +1,4 @@
-"""Robot description common to URDF and MJCF: a tree of links and joints."""
+"""Records of a robot, common to URDF and MJCF: a tree of links and joints."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Link:
     offset: Vector = ORIGIN  # offset from the last joint to the link [m]
     solids: list[SimpleShape] = field(default_factory=list)  # shapes that collide
     surfaces: list[Triangles] = field(default_factory=list)  # visible surfaces
-    weight: LinkMass | None = None  # mass and inertia; None if not stated
+    mass: LinkMass | None = None  # mass and inertia; None if not stated
     # Named poses on the link.
     sites: list[tuple[str, Vector, Quaternion]] = field(default_factory=list)
 

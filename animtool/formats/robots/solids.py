@@ -64,15 +64,15 @@ def _box_capsule(
     return radius, length, max(corner - radius, radius - shortest / 2)
 
 
-def build_mass(joint: str, weight: LinkMass, link_offset: Vector) -> Mass:
+def build_mass(joint: str, link_mass: LinkMass, link_offset: Vector) -> Mass:
     """Return a joint's mass and principal inertia; its link is at ``link_offset``."""
-    principal, axes = np.linalg.eigh(weight.inertia)
+    principal, axes = np.linalg.eigh(link_mass.inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]
     a, b, c = np.maximum(principal, 0.0).tolist()
-    centre = float_vector(np.array(weight.centre) + np.array(link_offset))
+    centre = float_vector(np.array(link_mass.centre) + np.array(link_offset))
     rotation = float_quaternion(so3.from_matrix(axes))
-    return Mass(joint, weight.mass, centre, (a, b, c), rotation)
+    return Mass(joint, link_mass.mass, centre, (a, b, c), rotation)
 
 
 def find_mass_problem(mass: float, inertia: FloatArray) -> str:

@@ -71,7 +71,7 @@ def read_xml(path: Path, codes: XmlCodes) -> XmlElement:
 
 def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> XmlElement:
     """Return the root element of a file's content; see `read_xml`."""
-    return _TreeBuilder(path, codes).root_of(content)
+    return _TreeBuilder(path, codes).parse(content)
 
 
 class _TreeBuilder:
@@ -79,7 +79,7 @@ class _TreeBuilder:
 
     def __init__(self, path: Path, codes: XmlCodes) -> None:
         self._path, self._codes = path, codes
-        self._open: list[XmlElement] = []
+        self._open_elements: list[XmlElement] = []
         self._root: XmlElement | None = None
         self._count = 0
         self._skipped_lines = 0  # blank lines before the declaration
@@ -94,14 +94,12 @@ class _TreeBuilder:
         parser.ExternalEntityRefHandler = self._doctype
         self._parser = parser
 
-    def root_of(self, content: bytes) -> XmlElement:
+    def parse(self, content: bytes) -> XmlElement:
         # A declaration after blank lines is invalid XML, but many tools write it.
         from_declaration = content.lstrip(b" \t\r\n")
         if from_declaration.startswith(b"<?xml"):
-            self._skipped_lines = content[: len(content) - len(from_declaration)].count(
-                b"\n"
-            )
-            content = from_declaration
+            blanks = content[: len(content) - len(from_declaration)]
+            self._skipped_lines, content = blanks.count(b"\n"), from_declaration
         try:
             self._parser.Parse(content, True)
         except _InvalidXmlError as error:
@@ -122,11 +120,11 @@ class _TreeBuilder:
         errors = expat.errors
         if reason in {errors.XML_ERROR_UNCLOSED_TOKEN, errors.XML_ERROR_NO_ELEMENTS}:
             reason = "the file holds no element"
-            if self._open:
+            if self._open_elements:
                 reason = f"the file ends inside <{self._innermost_element()}>"
-        elif reason == errors.XML_ERROR_TAG_MISMATCH and self._open:
+        elif reason == errors.XML_ERROR_TAG_MISMATCH and self._open_elements:
             reason = f"<{self._innermost_element()}> is closed by another name"
-            hint = f"it begins in line {self._open[-1].line}"
+            hint = f"it begins in line {self._open_elements[-1].line}"
         elif reason == errors.XML_ERROR_UNDEFINED_ENTITY:
             reason = "an entity that XML does not define"
             hint = "write the text itself; & is &amp;"
@@ -138,13 +136,18 @@ class _TreeBuilder:
         )
 
     def _innermost_element(self) -> str:
-        return self._open[-1].tag[:60] if self._open else "?"
+        return self._open_elements[-1].tag[:60] if self._open_elements else "?"
 
     def _fail(
-        self, code: str, message: str, hint: str, at: tuple[int, int] | None = None
+        self,
+        code: str,
+        message: str,
+        hint: str,
+        position: tuple[int, int] | None = None,
     ) -> NoReturn:
         parser = self._parser
-        line, column = at or (parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
+        current = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        line, column = position or current
         line += self._skipped_lines
         fault = Fault(code, message, str(self._path), (line,), hint, column=column)
         raise FormatError(fault)
@@ -155,7 +158,7 @@ class _TreeBuilder:
         if self._count > MAX_ELEMENTS:
             message = f"more than {MAX_ELEMENTS:,} elements"
             raise _InvalidXmlError(self._codes.limits, message, hint)
-        if len(self._open) >= MAX_DEPTH:
+        if len(self._open_elements) >= MAX_DEPTH:
             message = f"elements are nested deeper than {MAX_DEPTH}"
             raise _InvalidXmlError(self._codes.limits, message, hint)
         longest = max(map(len, attributes.values()), default=0)
@@ -166,17 +169,17 @@ class _TreeBuilder:
         line = self._parser.CurrentLineNumber + self._skipped_lines
         column = self._parser.CurrentColumnNumber + 1
         element = XmlElement(tag, attributes, self._path, line, column)
-        if self._open:
-            self._open[-1].children.append(element)
+        if self._open_elements:
+            self._open_elements[-1].children.append(element)
         else:
             self._root = element
-        self._open.append(element)
+        self._open_elements.append(element)
 
     def _end(self, _tag: str) -> None:
-        self._open.pop()
+        self._open_elements.pop()
 
     def _text(self, text: str) -> None:
-        element = self._open[-1]
+        element = self._open_elements[-1]
         if len(element.text) < MAX_TEXT_LENGTH:
             element.text += text[:MAX_TEXT_LENGTH]
 

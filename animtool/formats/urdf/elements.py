@@ -1,4 +1,4 @@
-"""Data classes of URDF links and joints, and readers of common elements."""
+"""Records of URDF links and joints, and readers of elements that both have."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from dataclasses import field
 from enum import StrEnum
 
+from animtool.core.errors import Severity
 from animtool.core.record import dataclass
 from animtool.formats.robots.notes import XmlNotes, element_label
 from animtool.formats.robots.parts import ORIGIN, LinkMass, SimpleShape
@@ -70,7 +71,7 @@ class UrdfLink:
 
     element: XmlElement
     name: str
-    weight: LinkMass | None = None
+    mass: LinkMass | None = None
     solids: list[SimpleShape] = field(default_factory=list)
     meshes: list[XmlElement] = field(default_factory=list)
     visuals: list[Visual] = field(default_factory=list)
@@ -83,19 +84,39 @@ class UrdfFile:
     name: str
     links: dict[str, UrdfLink]
     joints: dict[str, UrdfJoint]
-    driven: frozenset[str]  # joints with a transmission or controller
+    actuated_joints: frozenset[str]  # joints with a transmission or controller
     has_actuators: bool  # whether there are transmissions or controllers
 
 
+def add_joint_fault(
+    notes: XmlNotes,
+    code: str,
+    joint: UrdfJoint,
+    message: str,
+    hint: str | None = None,
+    element: XmlElement | None = None,
+    severity: Severity = Severity.ERROR,
+) -> None:
+    """Record a fault of a joint, at an element inside it or at the joint."""
+    where, name = joint.where, joint.name
+    element = element or joint.element
+    notes.add(code, element, message, hint, where=where, joint=name, severity=severity)
+
+
 def find_single_child(
-    element: XmlElement, tag: str, where: str, notes: XmlNotes, *, needed: bool = False
+    element: XmlElement,
+    tag: str,
+    where: str,
+    notes: XmlNotes,
+    *,
+    required: bool = False,
 ) -> XmlElement | None:
-    """Return the child with a tag; the first of several, None if missing."""
+    """Return the only child with a tag; None if missing, with a fault if required."""
     elements = element.all(tag)
     if any(child.attributes != elements[0].attributes for child in elements):
         message = f"<{tag}> is given {len(elements)} times with different values"
         notes.add("URD006", elements[1], message, "keep one", where=where)
-    if not elements and needed:
+    if not elements and required:
         notes.add("URD006", element, f"<{tag}> is missing", where=where)
     return elements[0] if elements else None
 

@@ -6,17 +6,59 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import Severity, counted, excerpt
 from animtool.core.files.signatures import expects_format
-from animtool.formats.robots.notes import XmlNotes, to_number
+from animtool.core.names import nearest
+from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, element_label, to_number
+from animtool.formats.robots.parts import LinkMass, SimpleShape, float_vector
+from animtool.formats.robots.solids import find_mass_problem
 from animtool.formats.robots.xml import XmlElement, read_xml
-from animtool.formats.urdf.elements import CODES, UrdfFile, UrdfJoint, UrdfLink
-from animtool.formats.urdf.joints import add_joint
-from animtool.formats.urdf.links import add_link
+from animtool.formats.urdf.elements import (
+    CODES,
+    SCALAR_KINDS,
+    UrdfFile,
+    UrdfJoint,
+    UrdfJointKind,
+    UrdfLink,
+    Visual,
+    add_joint_fault,
+    find_single_child,
+    read_pose,
+    require_text,
+)
+from animtool.maths import so3
+from animtool.rig.limits import RangeLimit
+from animtool.rig.parts import Vector
+from animtool.rig.skeleton import Mimic
 
 _XACRO_MARKERS = "${", "$("
 EXPAND_HINT = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of "
 EXPAND_HINT += "ROS)"
+# Two revolutions, which robot angles do not exceed [rad], and in degrees; larger limits
+# mean no limits.
+MAX_RADIANS = 4 * math.pi
+MAX_DEGREES = 720.0
+_LIMIT_ATTRIBUTES = ("lower", "upper")
+# Elements that are not read, and their labels.
+_HANDLED_TAGS = {"link", "joint", "material"}
+_JOINT_CONTENTS = {
+    "dynamics": "damping and friction of joints",
+    "safety_controller": "safety controllers",
+    "calibration": "calibrations",
+}
+# Shorter axes have no direction.
+MIN_AXIS_LENGTH = 1e-9
+_LIMITED_KINDS = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
+# Shapes and their attributes.
+_SHAPE_ATTRIBUTES: dict[str, tuple[tuple[str, int], ...]] = {
+    "box": (("size", 3),),
+    "sphere": (("radius", 1),),
+    "cylinder": (("radius", 1), ("length", 1)),
+    "capsule": (("radius", 1), ("length", 1)),
+}
 
 
 @expects_format("URD001", "a URDF file")
@@ -29,32 +71,29 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
     joints: dict[str, UrdfJoint] = {}
     for element in root.children:
         if element.tag == "link":
-            add_link(element, links, notes)
+            _read_link(element, links, notes)
         elif element.tag == "joint":
-            add_joint(element, joints, notes)
+            _read_joint(element, joints, notes)
     if not links and not notes.faults:
         message = "the robot has no link"
         notes.add("URD006", root, message, "a robot is links, and joints between them")
     _warn_about_degrees(root, notes)
-    actuated_joints, has_actuators = _actuated_joints(root)
-    notes.leave_out(_ignored_labels(root))
+    notes.ignore(_ignored_labels(root))
     name = root.attributes.get("name", "")
-    return UrdfFile(name, links, joints, actuated_joints, has_actuators)
+    return UrdfFile(name, links, joints, *_actuated_joints(root))
 
 
 def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     """Record roots other than <robot>, and xacro files."""
     for element in root.walk():
-        texts = element.attributes.values()
-        is_macro = element.tag.startswith("xacro:")
-        if is_macro or any(start in text for text in texts for start in _XACRO_MARKERS):
-            macro_text = next(
-                (t for t in texts if any(start in t for start in _XACRO_MARKERS)),
-                "",
+        macros = [f"<{element.tag}>"] if element.tag.startswith("xacro:") else []
+        for text in element.attributes.values():
+            if any(marker in text for marker in _XACRO_MARKERS):
+                macros.append(excerpt(text))
+        if macros:
+            message = (
+                f"is a xacro file: it holds {macros[0]}, which a URDF is made from"
             )
-            macro_label = f"<{element.tag}>" if is_macro else excerpt(macro_text)
-            message = f"is a xacro file: it holds {macro_label}, which a URDF is made "
-            message += "from"
             notes.add("URD005", element, message, EXPAND_HINT)
             return
     if root.tag == "robot":
@@ -66,12 +105,6 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     }
     hint = hints.get(root.tag, "the root element of a URDF is <robot>")
     notes.add("URD004", root, f"no URDF: its root element is <{root.tag[:60]}>", hint)
-
-
-# Two revolutions, which robot angles do not exceed [rad], and in degrees; larger limits
-# mean no limits.
-MAX_RADIANS = 4 * math.pi
-MAX_DEGREES = 720.0
 
 
 def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
@@ -103,16 +136,6 @@ def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
     notes.add("URD111", element, message, hint, severity=Severity.WARNING)
 
 
-_LIMIT_ATTRIBUTES = ("lower", "upper")
-# Elements that are not read, and their labels.
-_HANDLED_TAGS = {"link", "joint", "material"}
-_JOINT_CONTENTS = {
-    "dynamics": "damping and friction of joints",
-    "safety_controller": "safety controllers",
-    "calibration": "calibrations",
-}
-
-
 def _ignored_labels(root: XmlElement) -> Iterator[str]:
     """Yield labels of contents that a rig cannot store."""
     for element in root.children:
@@ -129,7 +152,7 @@ def _ignored_labels(root: XmlElement) -> Iterator[str]:
 
 
 def _actuated_joints(root: XmlElement) -> tuple[frozenset[str], bool]:
-    """Return joints named by transmissions or controllers, and if any exist."""
+    """Return joints of transmissions or controllers, and whether there are any."""
     actuators = [*root.all("transmission"), *root.all("ros2_control")]
     names = {
         joint.attributes.get("name", "")
@@ -138,3 +161,216 @@ def _actuated_joints(root: XmlElement) -> tuple[frozenset[str], bool]:
         if joint.tag == "joint"
     }
     return frozenset(names), bool(actuators)
+
+
+def _read_joint(
+    element: XmlElement, joints: dict[str, UrdfJoint], notes: XmlNotes
+) -> None:
+    """Read a joint into the joints of the file; record faults."""
+    name = require_text(element, "name", None, notes)
+    if not name:
+        return
+    where = element_label("joint", name)
+    if name in joints:
+        message = f"two joints are named {excerpt(name)}"
+        hint = f"the first is in line {joints[name].element.line}"
+        notes.add("URD009", element, message, hint, joint=name)
+        return
+    kind_names = ", ".join(UrdfJointKind)
+    type_name = require_text(element, "type", where, notes, f"allowed: {kind_names}")
+    if type_name not in list(UrdfJointKind):
+        if type_name:
+            message = f"unknown joint type {excerpt(type_name)}"
+            hint = nearest(type_name, [kind.value for kind in UrdfJointKind])
+            notes.add("URD008", element, message, hint, where=where, joint=name)
+        type_name = UrdfJointKind.FIXED
+    link_names = []
+    for tag in ("parent", "child"):
+        reference = find_single_child(element, tag, where, notes, required=True)
+        link = (
+            "" if reference is None else require_text(reference, "link", where, notes)
+        )
+        link_names.append(link)
+    parent, child = link_names
+    kind, pose = UrdfJointKind(type_name), read_pose(element, where, notes)
+    joint = joints[name] = UrdfJoint(element, name, kind, parent, child, *pose)
+    if joint.kind not in {UrdfJointKind.FIXED, UrdfJointKind.FLOATING}:
+        joint.axis = _read_axis(joint, notes)
+    joint.limits = _read_limits(joint, notes)
+    joint.mimic = _read_mimic(joint, notes)
+
+
+def _read_axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
+    element = find_single_child(joint.element, "axis", joint.where, notes)
+    if element is None:
+        return (1.0, 0.0, 0.0)
+    values = notes.numbers(element, "xyz", 3, (1.0, 0.0, 0.0), joint.where)
+    if max(map(abs, values)) < MIN_AXIS_LENGTH:
+        text = element.attributes.get("xyz", "")
+        message = f"axis {excerpt(text)} has no length, and so no direction"
+        hint = "write the axis of rotation or the direction of travel"
+        add_joint_fault(notes, "URD013", joint, message, hint, element)
+        return (1.0, 0.0, 0.0)
+    return _unit_direction(np.array(values))
+
+
+def _unit_direction(values: FloatArray) -> Vector:
+    """Return a unit vector, normalised to full precision."""
+    direction = values / np.abs(values).max()
+    return float_vector(direction / math.sqrt(float(direction @ direction)))
+
+
+def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
+    where = joint.where
+    element = find_single_child(joint.element, "limit", where, notes)
+    if joint.kind not in _LIMITED_KINDS:
+        return None
+    if element is None:
+        message = f"is {joint.kind} and has no <limit>"
+        hint = 'write <limit lower="…" upper="…" effort="…" velocity="…"/>'
+        if joint.kind is UrdfJointKind.REVOLUTE:
+            hint += ", or make it continuous"
+        add_joint_fault(notes, "URD014", joint, message, hint)
+        return None
+    lower, upper = (
+        notes.numbers(element, name, 1, (0.0,), where, limit=math.inf)[0]
+        for name in _LIMIT_ATTRIBUTES
+    )
+    if lower > upper:
+        message = f"its lower limit {lower:g} is above its upper limit {upper:g}"
+        hint = f'write lower="{upper:g}" upper="{lower:g}" if they are swapped'
+        add_joint_fault(notes, "URD014", joint, message, hint, element)
+        return None
+    if lower == upper:
+        message = f"its limits are both {lower:g}: it cannot move"
+        warning = Severity.WARNING
+        add_joint_fault(notes, "URD104", joint, message, None, element, warning)
+    if lower <= -MAX_VALUE and upper >= MAX_VALUE:
+        return None
+    return RangeLimit(max(lower, -MAX_VALUE), min(upper, MAX_VALUE))
+
+
+def _read_mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:
+    where = joint.where
+    element = find_single_child(joint.element, "mimic", where, notes)
+    if element is None:
+        return None
+    if joint.kind is UrdfJointKind.FIXED:
+        notes.ignore(["mimics of fixed joints"])
+        return None
+    leader = require_text(element, "joint", where, notes)
+    gain = notes.number(element, "multiplier", 1.0, where)
+    offset = notes.number(element, "offset", 0.0, where)
+    if joint.kind not in SCALAR_KINDS:
+        message = f"is {joint.kind}, and mimics {excerpt(leader)}"
+        hint = "revolute, continuous and prismatic joints can mimic another"
+        add_joint_fault(notes, "URD015", joint, message, hint, element)
+        return None
+    return Mimic(leader, gain, offset) if leader else None
+
+
+def _read_link(
+    element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes
+) -> None:
+    """Read a link into the links of the file; record faults."""
+    name = require_text(element, "name", None, notes)
+    if not name:
+        return
+    where = element_label("link", name)
+    if name in links:
+        message = f"two links are named {excerpt(name)}"
+        hint = f"the first is in line {links[name].element.line}"
+        notes.add("URD009", element, message, hint)
+        return
+    link = links[name] = UrdfLink(element, name)
+    inertial = find_single_child(element, "inertial", where, notes)
+    if inertial is not None:
+        link.mass = _read_mass(inertial, where, notes)
+    link.meshes += [
+        mesh
+        for shape in (*element.all("visual"), *element.all("collision"))
+        for geometry in shape.all("geometry")
+        for mesh in geometry.all("mesh")
+        if mesh.attributes.get("filename")
+    ]
+    for shape_element in element.all("collision"):
+        solid = _read_shape(shape_element, where, notes)
+        if solid is not None:
+            link.solids.append(solid)
+    for shape_element in element.all("visual"):
+        link.visuals += _read_visual(shape_element, where, notes)
+
+
+def _read_visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
+    """Yield a link's visual; skip an invalid one with a notice."""
+    visual_notes = XmlNotes(notes.path, notes.number_code)
+    meshes = [m for g in element.all("geometry") for m in g.all("mesh")]
+    visual: Visual | None = None
+    if meshes and meshes[0].attributes.get("filename"):
+        position, rotation = read_pose(element, where, visual_notes)
+        x, y, z = visual_notes.numbers(meshes[0], "scale", 3, (1.0, 1.0, 1.0), where)
+        pose = SimpleShape("mesh", (), position, rotation)
+        visual = Visual(meshes[0], pose, (x, y, z))
+    elif not meshes:
+        solid = _read_shape(element, where, visual_notes)
+        visual = None if solid is None else Visual(None, solid)
+    if visual_notes.faults:
+        notes.ignore(["visuals with faults"])
+    elif visual is not None:
+        yield visual
+    else:
+        notes.ignore(["visuals without a shape"])
+
+
+def _read_mass(inertial: XmlElement, where: str, notes: XmlNotes) -> LinkMass | None:
+    """Return a link's mass; None without one and, with a warning, if impossible."""
+    position, rotation = read_pose(inertial, where, notes)
+    fault_count = len(notes.faults)
+    mass_element = find_single_child(inertial, "mass", where, notes)
+    tensor = find_single_child(inertial, "inertia", where, notes)
+    mass = 0.0
+    if mass_element is not None:
+        mass = notes.number(mass_element, "value", 0.0, where)
+    inertia = np.zeros((3, 3))
+    if tensor is not None:
+        for i, row_axis in enumerate("xyz"):
+            for j, column_axis in enumerate("xyz"[i:], i):
+                value = notes.number(tensor, f"i{row_axis}{column_axis}", 0.0, where)
+                inertia[i, j] = inertia[j, i] = value
+    if len(notes.faults) > fault_count:
+        return None
+    if not mass and not inertia.any():
+        return None  # a frame without mass
+    problem = find_mass_problem(mass, inertia)
+    if problem:
+        message = f"no body can have this mass: {problem}; it is ignored"
+        hint = "bodies of a ragdoll then weigh what the density of colliders gives"
+        notes.add(
+            "URD107", inertial, message, hint, where=where, severity=Severity.WARNING
+        )
+        return None
+    matrix = so3.to_matrix(np.array(rotation))
+    return LinkMass(mass, position, matrix @ inertia @ matrix.T)
+
+
+def _read_shape(element: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
+    """Return the primitive shape of a visual or collision; None for other geometry."""
+    geometry = find_single_child(element, "geometry", where, notes)
+    shape = next(iter(geometry.children), None) if geometry is not None else None
+    if shape is None or shape.tag not in _SHAPE_ATTRIBUTES:
+        tag = "of no shape" if shape is None else f"of <{shape.tag[:40]}>"
+        label = "collision meshes" if tag == "of <mesh>" else f"collisions {tag}"
+        notes.ignore([label])
+        return None
+    position, rotation = read_pose(element, where, notes)
+    size: list[float] = []
+    fault_count = len(notes.faults)
+    for name, count in _SHAPE_ATTRIBUTES[shape.tag]:
+        if require_text(shape, name, where, notes):
+            size += notes.numbers(shape, name, count, (1.0,) * count, where)
+    if len(notes.faults) > fault_count:
+        return None
+    if min(size) <= 0:
+        notes.ignore(["collisions without size"])
+        return None
+    return SimpleShape(shape.tag, tuple(size), position, rotation)

@@ -1,4 +1,4 @@
-"""Reads URDF meshes: OBJ and STL files inside the project."""
+"""Finds and reads the meshes of a URDF: OBJ and STL files inside the project."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.core.errors import Severity, counted, excerpt, listed
-from animtool.formats.robots.mesh_files import SUFFIXES, read_mesh
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import FormatError, Severity, counted, excerpt, listed
+from animtool.core.files.reading import read_input
 from animtool.formats.robots.notes import XmlNotes, element_label
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.parts import Triangles
@@ -18,10 +19,18 @@ from animtool.maths import so3
 MAX_LISTED_FILES = 8
 # Maximum triangles of a robot; the others are omitted.
 MAX_TRIANGLES = 1_000_000
+MAX_BYTES = 100_000_000
+MAX_MESH_TRIANGLES = 300_000
+MAX_COORDINATE = 1e9
+SUFFIXES = (".obj", ".stl")
+_HEADER_BYTES, _TRIANGLE_BYTES = 84, 50
+_TRIANGLE_RECORD = np.dtype(
+    [("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<u2")]
+)
 
 
-def find_mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
-    """Return mesh paths by name; raise for files outside the project.
+def find_mesh_files(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
+    """Return mesh files by their names in the URDF; record files outside the project.
 
     Missing files are only noted, since motion does not need them.
     """
@@ -43,9 +52,8 @@ def find_mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            notes.add(
-                "URD016", mesh, message, hint, where=element_label("link", link.name)
-            )
+            where = element_label("link", link.name)
+            notes.add("URD016", mesh, message, hint, where=where)
             continue
         if file_path is None:
             missing_files[name] = None
@@ -60,24 +68,22 @@ def find_mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
     return files
 
 
-def read_visible_surfaces(
+def read_surfaces(
     file: UrdfFile, files: dict[str, Path], notes: XmlNotes
 ) -> dict[str, list[Triangles]]:
-    """Return visible surfaces by link name; record what is not shown."""
+    """Return visible surfaces by link name; record meshes that cannot be read."""
     cache: dict[Path, Triangles | None] = {}
     unreadable_files: dict[str, None] = {}
     surfaces: dict[str, list[Triangles]] = {}
     total = 0
     for link in file.links.values():
         for visual in link.visuals:
-            surface = _read_visible_surface(
-                visual, files, cache, unreadable_files, notes
-            )
+            surface = _read_surface(visual, files, cache, unreadable_files, notes)
             if surface is None:
                 continue
             total += len(surface.faces)
             if total > MAX_TRIANGLES:
-                notes.leave_out([f"more than {MAX_TRIANGLES:,} triangles of visuals"])
+                notes.ignore([f"more than {MAX_TRIANGLES:,} triangles of visuals"])
                 return surfaces
             surfaces.setdefault(link.name, []).append(surface)
     if unreadable_files:
@@ -88,14 +94,14 @@ def read_visible_surfaces(
     return surfaces
 
 
-def _read_visible_surface(
+def _read_surface(
     visual: Visual,
     files: dict[str, Path],
     cache: dict[Path, Triangles | None],
     unreadable_files: dict[str, None],
     notes: XmlNotes,
 ) -> Triangles | None:
-    """Return a visual's surface in its link frame; None if not shown."""
+    """Return a visual's surface in its link frame; None if it cannot be read."""
     if visual.mesh is None:
         return triangulate_shape(visual.solid)
     name = visual.mesh.attributes["filename"]
@@ -103,7 +109,7 @@ def _read_visible_surface(
     if path is None:
         return None
     if path.suffix.lower() not in SUFFIXES:
-        notes.leave_out([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
+        notes.ignore([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
         return None
     if path not in cache:
         try:
@@ -121,3 +127,78 @@ def _read_visible_surface(
     # Mirroring reverses the orientation of faces.
     faces = mesh.faces[:, ::-1] if np.prod(scale) < 0 else mesh.faces
     return Triangles(points, faces)
+
+
+def read_mesh(path: Path) -> Triangles:
+    """Return the triangles of an OBJ or STL, in file units."""
+    try:
+        content = read_input(path, MAX_BYTES)
+    except FormatError as error:
+        raise ValueError(error.faults[0].message) from error
+    is_obj = path.suffix.lower() == ".obj"
+    mesh = _parse_obj(content) if is_obj else _parse_stl(content)
+    if not len(mesh.faces):
+        raise ValueError("it holds no faces")
+    if len(mesh.faces) > MAX_MESH_TRIANGLES:
+        raise ValueError(f"it has more than {MAX_MESH_TRIANGLES:,} triangles")
+    if not np.isfinite(mesh.points).all() or np.abs(mesh.points).max() > MAX_COORDINATE:
+        raise ValueError("it has points that are not finite, or too far")
+    return mesh
+
+
+def _parse_stl(content: bytes) -> Triangles:
+    if len(content) >= _HEADER_BYTES:
+        count = int.from_bytes(content[80:84], "little")
+        if len(content) == _HEADER_BYTES + _TRIANGLE_BYTES * count:
+            rows = np.frombuffer(content, _TRIANGLE_RECORD, offset=_HEADER_BYTES)
+            return _separate_triangles(rows["points"].reshape(-1, 3).astype(np.float64))
+    if content[:5].lower() != b"solid":
+        raise ValueError("it is not an STL, or is truncated")
+    words = content.split()
+    vertices = [i for i, word in enumerate(words) if word == b"vertex"]
+    try:
+        points = np.array([words[i + 1 : i + 4] for i in vertices], np.float64)
+    except ValueError as error:
+        raise ValueError(f"it has an invalid vertex: {error}") from error
+    if len(points) % 3 or points.shape[1:] != (3,):
+        raise ValueError("it is not an STL, or is truncated")
+    return _separate_triangles(points)
+
+
+def _separate_triangles(points: FloatArray) -> Triangles:
+    """Return triangles that share no points, so that they are shaded flat."""
+    return Triangles(points, np.arange(len(points), dtype=np.int64).reshape(-1, 3))
+
+
+def _parse_obj(content: bytes) -> Triangles:
+    points: list[list[float]] = []
+    faces: list[list[int]] = []
+    for line in content.splitlines():
+        words = line.split()
+        if not words:
+            continue
+        try:
+            if words[0] == b"v":
+                points.append([float(word) for word in words[1:4]])
+            elif words[0] == b"f":
+                faces += _fan_triangles(
+                    [int(word.split(b"/")[0]) for word in words[1:]], points
+                )
+        except ValueError as error:
+            raise ValueError(f"a line of it is malformed: {error}") from error
+        if len(faces) > MAX_MESH_TRIANGLES:
+            break
+    if any(len(point) != 3 for point in points):
+        raise ValueError("it has a point without three numbers")
+    triangles: IntArray = np.array(faces, np.int64).reshape(-1, 3)
+    if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(points):
+        raise ValueError("it has a face of a point that it lacks")
+    return Triangles(np.array(points, np.float64).reshape(-1, 3), triangles)
+
+
+def _fan_triangles(corners: list[int], points: list[list[float]]) -> list[list[int]]:
+    """Return the triangles of a face; negative corners count from the last point."""
+    indices = [i - 1 if i > 0 else len(points) + i for i in corners]
+    return [
+        [indices[0], indices[k], indices[k + 1]] for k in range(1, len(indices) - 1)
+    ]

@@ -5,21 +5,24 @@ from __future__ import annotations
 from animtool.core.errors import cycle_text, excerpt, listed
 from animtool.core.names import nearest
 from animtool.formats.robots.notes import XmlNotes
-from animtool.formats.urdf.elements import SCALAR_KINDS, UrdfFile, UrdfJoint
+from animtool.formats.urdf.elements import (
+    SCALAR_KINDS,
+    UrdfFile,
+    UrdfJoint,
+    add_joint_fault,
+)
 from animtool.rig.skeleton import Mimic
 
 
 def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
-    """Record missing links, links with two parents or none, and cycles."""
+    """Record unknown links, links with two parents or none, and cycles."""
     parents: dict[str, UrdfJoint] = {}
-    has_missing = False
     for joint in file.joints.values():
         for tag, name in (("parent", joint.parent), ("child", joint.child)):
             if name and name not in file.links:
-                has_missing = True
                 message = f"its {tag} link {excerpt(name)} does not exist"
                 hint = nearest(name, file.links)
-                _add_fault(notes, "URD010", joint, message, hint)
+                add_joint_fault(notes, "URD010", joint, message, hint)
         if joint.child in parents:
             first_joint = parents[joint.child]
             message = (
@@ -31,16 +34,15 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
             hint = "a robot is a tree: remove one of the two joints"
             if cycle:
                 message += f"; {cycle_text(cycle)} go round"
-            _add_fault(notes, "URD011", joint, message, hint)
+            add_joint_fault(notes, "URD011", joint, message, hint)
         elif joint.child:
             parents[joint.child] = joint
-    if has_missing or notes.faults:
-        return
-    _check_roots(file, parents, notes)
+    if not notes.faults:
+        _check_roots(file, parents, notes)
 
 
 def _cycle_through(joint: UrdfJoint, parent_joints: dict[str, UrdfJoint]) -> list[str]:
-    """Return the cycle of joints through a joint's child; empty if none."""
+    """Return the joints of a cycle through a joint's child; empty without a cycle."""
     names, link = [joint.name], joint.parent
     visited: set[str] = set()
     while link in parent_joints and link not in visited:
@@ -83,14 +85,17 @@ def _check_roots(
             link = parent_joints[link].parent
         names = names[cycle.index(link) :]
         first_joint = file.joints[names[0]]
+        hint = "remove one of these joints"
         message = f"joints go round: {cycle_text([*reversed(names), names[-1]])}"
         if not roots:
             message += "; every link has a parent, so there is no root"
-        _add_fault(notes, "URD011", first_joint, message, "remove one of these joints")
+        add_joint_fault(
+            notes, "URD011", first_joint, message, "remove one of these joints"
+        )
 
 
 def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
-    """Return the mimics by joint name; chains are resolved to the first leader.
+    """Return the mimics by joint name.
 
     A mimic of a mimic follows the first leader, with combined multipliers and offsets.
     """
@@ -101,11 +106,11 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         if leader is None:
             message = f"it mimics joint {excerpt(joint.mimic.joint)}, which does not "
             hint = nearest(joint.mimic.joint, file.joints)
-            _add_fault(notes, "URD015", joint, f"{message}exist", hint)
+            add_joint_fault(notes, "URD015", joint, f"{message}exist", hint)
         elif leader.kind not in SCALAR_KINDS:
             message = f"it mimics {leader.where}, which is {leader.kind}"
             hint = "a mimic follows a revolute, continuous or prismatic joint"
-            _add_fault(notes, "URD015", joint, message, hint)
+            add_joint_fault(notes, "URD015", joint, message, hint)
     if notes.faults:
         return {}
     resolved: dict[str, Mimic] = {}
@@ -128,14 +133,8 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         cycle = cycle if len(cycle) > 1 else [mimic.joint, mimic.joint]
         if not reported.intersection(cycle):
             message = f"joints mimic each other: {cycle_text(cycle)}"
-            _add_fault(
+            add_joint_fault(
                 notes, "URD015", file.joints[cycle[0]], message, "one must move itself"
             )
         reported.update(cycle)
     return resolved
-
-
-def _add_fault(
-    notes: XmlNotes, code: str, joint: UrdfJoint, message: str, hint: str | None
-) -> None:
-    notes.add(code, joint.element, message, hint, where=joint.where, joint=joint.name)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool.formats.robots.mesh_files import read_mesh
 from animtool.formats.robots.parts import SimpleShape, Triangles
 from animtool.formats.robots.solids import build_capsule
 from animtool.formats.robots.triangles import triangulate_shape
+from animtool.formats.urdf.meshes import read_mesh
 
 TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0]], "<f4")
