@@ -29,6 +29,7 @@ from animtool.core.rates import (
 )
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
+from animtool.formats import FLOAT32_MAX
 
 # Names of unlabelled points, besides an empty name.
 _UNLABELLED = re.compile(
@@ -186,7 +187,6 @@ def _parse_unit(text: str) -> LengthUnit | None:
     return matching_units.pop() if len(matching_units) == 1 else None
 
 
-FLOAT32_MAX = float(np.finfo(np.float32).max)
 # Equal coordinates beyond this are a code for a missing point [m].
 MAX_DISTANCE = 1000.0
 # Maximum positions of a take; larger files are refused before memory is allocated. An

@@ -17,7 +17,8 @@ from animtool.core.rates import (
     rate_of_milliseconds,
 )
 from animtool.core.record import dataclass
-from animtool.formats.bvh.lines import FLOAT32_MAX, HeaderLines
+from animtool.formats import FLOAT32_MAX
+from animtool.formats.bvh.lines import HeaderLines
 from animtool.rig.skeleton import CHANNEL_NAMES
 
 _KEYWORDS = ("ROOT", "JOINT", "End Site", "OFFSET", "CHANNELS", "MOTION")
@@ -29,6 +30,7 @@ PLAUSIBLE_RATES = (4, 1000)
 
 _TOKENS_AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
 
+_TRUNCATED_HINT = "is it truncated? copy or export it again"
 _CONTROL_PATTERN = re.compile(f"[{CONTROL}]")
 _WORD_PATTERN = re.compile(r"[{}]|[^\s{}]+")
 
@@ -45,25 +47,25 @@ class BvhJoint:
     tips: list[tuple[float, float, float]] = field(default_factory=list)
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class BvhHeader:
     """Hierarchy, frame count and frame time of a BVH file."""
 
     joints: list[BvhJoint]  # in file order, parents first
-    declared_frames: int = 0  # value of ``Frames:``
-    frames_line: int = 0  # 1-based line of ``Frames:``
-    frame_time: str = ""  # text of ``Frame Time:``
-    rate: RateChoice | None = None  # frame rate chosen for the frame time
+    declared_frame_count: int  # value of ``Frames:``
+    frames_line: int  # 1-based line of ``Frames:``
+    frame_time: str  # text of ``Frame Time:``
+    rate: RateChoice  # frame rate chosen for the frame time
 
 
 @dataclass(slots=True)
-class _OpenBrace:
-    """An unclosed brace of a joint, or of an End Site (with its parent's index)."""
+class _OpenBlock:
+    """An unclosed block of a joint, or of an End Site with the index of its parent."""
 
     joint_index: int
     is_end_site: bool
     line: int
-    is_opened: bool = False
+    is_open: bool = False
     has_offset: bool = False
 
 
@@ -73,7 +75,7 @@ class _HierarchyParser:
     def __init__(self, lines: HeaderLines) -> None:
         self.lines = lines
         self.joints: list[BvhJoint] = []
-        self.stack: list[_OpenBrace] = []
+        self.stack: list[_OpenBlock] = []
 
     def parse(self) -> None:
         """Parse the block up to and including the line MOTION."""
@@ -86,16 +88,14 @@ class _HierarchyParser:
                     self._check_complete()
                     return
                 self._parse_statement(keyword, words)
-            line = self.lines.next()
-        self.lines.fail(
-            "BVH005",
-            "the file ends inside the HIERARCHY, without a MOTION block",
-            self._missing_braces_hint() or "is it truncated? copy or export it again",
-        )
+            line = self.lines.next_line()
+        message = "the file ends inside the HIERARCHY, without a MOTION block"
+        hint = self._missing_braces_hint() or _TRUNCATED_HINT
+        self.lines.fail("BVH005", message, hint)
 
     def _read_start(self) -> str:
         """Read the line HIERARCHY; return the text after that word."""
-        while (line := self.lines.next()) is not None and not line.strip():
+        while (line := self.lines.next_line()) is not None and not line.strip():
             continue
         keyword, _, remaining_text = (line or "").strip().partition(" ")
         if keyword.upper() != "HIERARCHY":
@@ -106,17 +106,14 @@ class _HierarchyParser:
     def _parse_statement(self, keyword: str, words: list[str]) -> None:
         statement = keyword.upper()
         block = self.stack[-1] if self.stack else None
-        if block is not None and not block.is_opened and statement != "{":
-            self.lines.fail(
-                "BVH004",
-                f"'{{' is missing before {excerpt(keyword)}",
-                self._block_label(block),
-            )
+        if block is not None and not block.is_open and statement != "{":
+            message = f"'{{' is missing before {excerpt(keyword)}"
+            self.lines.fail("BVH004", message, self._block_label(block))
         match statement:
             case "{":
-                self._open_brace(block)
+                self._open_block(block)
             case "}":
-                self._close_brace()
+                self._close_block()
             case "ROOT" | "JOINT":
                 self._parse_joint(statement, words, block)
             case "END":
@@ -131,34 +128,29 @@ class _HierarchyParser:
                 hint = f"did you mean {similar}?" if similar else hint
                 self.lines.fail("BVH003", f"unexpected {excerpt(keyword)}", hint)
 
-    def _open_brace(self, block: _OpenBrace | None) -> None:
-        if block is None or block.is_opened:
+    def _open_block(self, block: _OpenBlock | None) -> None:
+        if block is None or block.is_open:
             self.lines.fail("BVH004", "'{' without a joint")
-        block.is_opened = True
+        block.is_open = True
 
-    def _close_brace(self) -> None:
+    def _close_block(self) -> None:
         if not self.stack:
-            self.lines.fail(
-                "BVH004", "'}' without a matching '{'", "there is one brace too many"
-            )
+            message = "'}' without a matching '{'"
+            self.lines.fail("BVH004", message, "there is one brace too many")
         block = self.stack.pop()
         if not block.is_end_site and not block.has_offset:
             self.lines.fail("BVH006", f"{self._block_label(block)} has no OFFSET")
 
     def _parse_joint(
-        self, keyword: str, words: list[str], block: _OpenBrace | None
+        self, keyword: str, words: list[str], block: _OpenBlock | None
     ) -> None:
         if (keyword == "ROOT") != (block is None):
-            expected_keyword = "JOINT" if block else "ROOT"
             context = "inside a joint" if block else "outside every joint"
-            self.lines.fail(
-                "BVH003",
-                f"unexpected {keyword} {context}",
-                f"expected {expected_keyword}",
-            )
+            hint = f"expected {'JOINT' if block else 'ROOT'}"
+            self.lines.fail("BVH003", f"unexpected {keyword} {context}", hint)
         if block is not None and block.is_end_site:
             self.lines.fail("BVH003", "unexpected JOINT inside an End Site")
-        name = self._take_name(words)
+        name = self._pop_name(words)
         if _CONTROL_PATTERN.search(name):
             message = f"the name {excerpt(name)} contains a control character"
             self.lines.fail("BVH001", message, "remove it")
@@ -166,23 +158,23 @@ class _HierarchyParser:
             self.lines.fail("BVH003", f"{keyword} has no name")
         parent = block.joint_index if block else -1
         self.joints.append(BvhJoint(name, parent, self.lines.number))
-        self.stack.append(_OpenBrace(len(self.joints) - 1, False, self.lines.number))
+        self.stack.append(_OpenBlock(len(self.joints) - 1, False, self.lines.number))
 
-    def _parse_end_site(self, words: list[str], block: _OpenBrace | None) -> None:
+    def _parse_end_site(self, words: list[str], block: _OpenBlock | None) -> None:
         if block is None or block.is_end_site:
             self.lines.fail("BVH003", "unexpected End Site outside a joint")
-        self._take_name(words)
-        self.stack.append(_OpenBrace(block.joint_index, True, self.lines.number))
+        self._pop_name(words)
+        self.stack.append(_OpenBlock(block.joint_index, True, self.lines.number))
 
     @staticmethod
-    def _take_name(words: list[str]) -> str:
-        """Consume the words of a name up to a brace; names may contain spaces."""
+    def _pop_name(words: list[str]) -> str:
+        """Remove and return a name, which may contain spaces, before a brace."""
         name = []
         while words and words[0] not in {"{", "}"}:
             name.append(words.pop(0))
         return " ".join(name)
 
-    def _parse_offset(self, words: list[str], block: _OpenBrace | None) -> None:
+    def _parse_offset(self, words: list[str], block: _OpenBlock | None) -> None:
         if block is None:
             self.lines.fail("BVH003", "unexpected OFFSET outside a joint")
         texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
@@ -208,18 +200,16 @@ class _HierarchyParser:
             self.lines.fail("BVH006", f"OFFSET {text} is not a finite float32")
         return value
 
-    def _parse_channels(self, words: list[str], block: _OpenBrace | None) -> None:
+    def _parse_channels(self, words: list[str], block: _OpenBlock | None) -> None:
         if block is None or block.is_end_site:
             self.lines.fail("BVH003", "unexpected CHANNELS outside a joint")
         joint = self.joints[block.joint_index]
         if joint.channels is not None:
-            self.lines.fail(
-                "BVH007", f"{self._block_label(block)} has two CHANNELS lines"
-            )
+            message = f"{self._block_label(block)} has two CHANNELS lines"
+            self.lines.fail("BVH007", message)
         if not words or not words[0].isdecimal():
-            self.lines.fail(
-                "BVH007", "CHANNELS needs a count first", self._block_label(block)
-            )
+            message = "CHANNELS needs a count first"
+            self.lines.fail("BVH007", message, self._block_label(block))
         count = int(words.pop(0)[:9])
         names: list[str] = []
         while words and (len(names) < count or words[0].lower() in _CHANNELS):
@@ -228,33 +218,28 @@ class _HierarchyParser:
             names.append(words.pop(0))
         for name in names:
             if name.lower() not in _CHANNELS:
-                channel_names = ", ".join(CHANNEL_NAMES)
                 message = f"unknown channel {excerpt(name)}"
-                self.lines.fail("BVH007", message, f"allowed: {channel_names}")
+                hint = f"allowed: {', '.join(CHANNEL_NAMES)}"
+                self.lines.fail("BVH007", message, hint)
         if len(names) != count:
-            self.lines.fail(
-                "BVH007",
-                f"CHANNELS of {self._block_label(block)} states {count}, but names "
-                f"{len(names)}",
-                f"write CHANNELS {len(names)}, or the missing names",
-            )
+            message = f"CHANNELS of {self._block_label(block)} states {count}, but "
+            message += f"names {len(names)}"
+            hint = f"write CHANNELS {len(names)}, or the missing names"
+            self.lines.fail("BVH007", message, hint)
         joint.channels = tuple(_CHANNELS[name.lower()] for name in names)
         if len(set(joint.channels)) != count:
             self.lines.fail("BVH007", "duplicate channel", self._block_label(block))
 
     def _check_complete(self) -> None:
         if self.stack:
-            self.lines.fail(
-                "BVH004",
-                "MOTION before all braces are closed",
-                self._missing_braces_hint(),
-            )
+            message = "MOTION before all braces are closed"
+            self.lines.fail("BVH004", message, self._missing_braces_hint())
         if not self.joints:
             self.lines.fail("BVH003", "the HIERARCHY has no ROOT")
         if not any(joint.channels for joint in self.joints):
             self.lines.fail("BVH007", "no joint has a channel")
 
-    def _block_label(self, block: _OpenBrace) -> str:
+    def _block_label(self, block: _OpenBlock) -> str:
         kind = "End Site of" if block.is_end_site else "joint"
         name = excerpt(self.joints[block.joint_index].name)
         return f"{kind} {name}, line {block.line}"
@@ -262,52 +247,43 @@ class _HierarchyParser:
     def _missing_braces_hint(self) -> str | None:
         if not self.stack:
             return None
-        innermost = self.stack[-1]
-        return (
-            f"{len(self.stack)} "
-            f"'}}' missing, the innermost for {self._block_label(innermost)}"
-        )
+        innermost = self._block_label(self.stack[-1])
+        return f"{len(self.stack)} '}}' missing, the innermost for {innermost}"
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
     """Return the header above the rows of numbers, and notices about it."""
     hierarchy = _HierarchyParser(lines)
     hierarchy.parse()
-    header = BvhHeader(hierarchy.joints)
-    notices = _duplicate_name_notices(header.joints, path)
-    _read_motion_head(lines, header)
-    notices += _rate_notices(header, path, lines.number)
-    return header, notices
-
-
-def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
     text = _read_field(lines, "frames")
-    header.frames_line = lines.number
+    frames_line = lines.number
     try:
-        header.declared_frames = int(text)
+        frame_count = int(text)
     except ValueError:
         lines.fail("BVH008", f"Frames is {excerpt(text)}, not a whole number")
-    if header.declared_frames <= 0:
-        message = f"Frames is {header.declared_frames}; at least 1 is needed"
-        lines.fail("BVH008", message)
-    header.frame_time = _read_field(lines, "frame time")
+    if frame_count <= 0:
+        lines.fail("BVH008", f"Frames is {frame_count}; at least 1 is needed")
+    frame_time = _read_field(lines, "frame time")
     try:
-        header.rate = rate_from_frame_time(header.frame_time)
+        rate = rate_from_frame_time(frame_time)
     except ValueError:
-        message = f"Frame Time is {excerpt(header.frame_time)}"
+        message = f"Frame Time is {excerpt(frame_time)}"
         hint = "a positive number of seconds is needed"
-        if "," in header.frame_time and header.frame_time.replace(",", "").isdigit():
-            hint = f"write {header.frame_time.replace(',', '.')}, with a decimal point"
+        if "," in frame_time and frame_time.replace(",", "").isdigit():
+            hint = f"write {frame_time.replace(',', '.')}, with a decimal point"
         lines.fail("BVH009", message, hint)
+    header = BvhHeader(hierarchy.joints, frame_count, frames_line, frame_time, rate)
+    notices = _duplicate_name_notices(header.joints, path)
+    return header, notices + _rate_notices(header, path, lines.number)
 
 
 def _read_field(lines: HeaderLines, name: str) -> str:
     """Return the text after ``name:`` on the next line that is not blank."""
-    while (line := lines.next()) is not None and not line.strip():
+    while (line := lines.next_line()) is not None and not line.strip():
         continue
     if line is None:
         message = f"the file ends before '{name.title()}:'"
-        lines.fail("BVH005", message, "is it truncated? copy or export it again")
+        lines.fail("BVH005", message, _TRUNCATED_HINT)
     key, colon, value = line.partition(":")
     if not colon or " ".join(key.split()).lower() != name:
         message = f"expected '{name.title()}:', found {excerpt(line.strip())}"
@@ -319,24 +295,18 @@ def _duplicate_name_notices(joints: list[BvhJoint], path: str) -> list[Fault]:
     lines_by_name: dict[str, list[int]] = {}
     for joint in joints:
         lines_by_name.setdefault(joint.name, []).append(joint.line)
-    return [
-        Fault(
-            "BVH103",
-            f"joint name {excerpt(name)} appears {len(line_numbers)} times, on lines "
-            + listed(line_numbers, 10),
-            path,
-            tuple(line_numbers),
-            "a number is appended to the later ones",
-            Severity.WARNING,
-        )
-        for name, line_numbers in lines_by_name.items()
-        if len(line_numbers) > 1
-    ]
+    notices, hint = [], "a number is appended to the later ones"
+    for name, line_numbers in lines_by_name.items():
+        if len(line_numbers) > 1:
+            message = f"joint name {excerpt(name)} appears {len(line_numbers)} times, "
+            message += f"on lines {listed(line_numbers, 10)}"
+            lines, warning = tuple(line_numbers), Severity.WARNING
+            notices.append(Fault("BVH103", message, path, lines, hint, warning))
+    return notices
 
 
 def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     rate, text = header.rate, header.frame_time
-    assert rate is not None
     slowest, fastest = PLAUSIBLE_RATES
     hint = f"set the real rate with {argument('source.fps')}"
     severity = Severity.WARNING
@@ -350,7 +320,7 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
             hint += f"set {argument('source.fps', label.split()[0])}"
         elif slowest <= float(text) <= fastest:
             hint = "is it a rate instead of a time? then set "
-            hint += f"{argument('source.fps', text)}"
+            hint += argument("source.fps", text)
     elif rate.kind is RateKind.PRINTED:
         code = "BVH106"
         message = f"Frame Time {text} is not a standard rate; using "

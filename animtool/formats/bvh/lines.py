@@ -23,6 +23,7 @@ from animtool.core.files.reading import (
     unreadable_error,
 )
 from animtool.core.record import dataclass
+from animtool.formats import FLOAT32_MAX
 
 CHUNK_BYTES = 1 << 19
 # Maximum length of a header line, which names one joint or its channels.
@@ -39,7 +40,6 @@ MAX_NUMBER_BYTES = 1024
 MAX_FILLED_SAMPLES = 10
 MAX_FILLED_FRACTION = 0.1
 MAX_LISTED_CHANNELS = 20
-FLOAT32_MAX = 3.4028234663852886e38
 
 _LINE_END = re.compile(rb"\r\n?|\n")
 
@@ -68,16 +68,15 @@ class HeaderLines:
         if not self._data:
             self.fail("BVH002", "the file is empty", line=False)
         if self._data.startswith((b"\xff\xfe", b"\xfe\xff")):
-            self.fail(
-                "BVH001", "the file is UTF-16 text", "save it as UTF-8", line=False
-            )
+            message = "the file is UTF-16 text"
+            self.fail("BVH001", message, "save it as UTF-8", line=False)
         self._data = self._data.removeprefix(b"\xef\xbb\xbf")
         if b"\0" in self._data:
             message = "the file is binary, not BVH text"
             self.fail("BVH001", message, line=False)
 
-    def next(self) -> str | None:
-        """Return the next line without the line break; None after the last line."""
+    def next_line(self) -> str | None:
+        """Return the next line without its line break; None after the last line."""
         while True:
             match = _LINE_END.search(self._data, self._offset)
             is_chunk_end = match is not None and match.end() == len(self._data)
@@ -109,11 +108,8 @@ class HeaderLines:
 
     def _fail_line_too_long(self) -> NoReturn:
         self.number += 1
-        self.fail(
-            "BVH013",
-            f"the line is longer than {MAX_LINE_BYTES} bytes",
-            "is this a BVH file?",
-        )
+        message = f"the line is longer than {MAX_LINE_BYTES} bytes"
+        self.fail("BVH013", message, "is this a BVH file?")
 
     def fail(
         self, code: str, message: str, hint: str | None = None, *, line: bool = True
@@ -125,14 +121,14 @@ class HeaderLines:
 
 @dataclass(slots=True)
 class RowSource:
-    """Where rows are read from: file, byte offset and channels."""
+    """Location of the rows of numbers in a file, and their channels."""
 
     path: Path  # path of the file
-    state: FileState  # state of the file when its header was read
-    start: int  # offset of the first row [byte]
+    file_state: FileState  # state of the file when its header was read
+    first_row_offset: int  # offset of the first row [byte]
     line: int  # number of lines before the rows
     channels: list[str]  # name of each column, ``joint.Xposition``
-    declared_frames: int  # number of frames in the header
+    declared_frame_count: int  # number of frames in the header
     frames_line: int  # line of the header with that number
     # Called with the fraction of the file read so far.
     progress: Callable[[float], None] | None = None
@@ -153,8 +149,8 @@ class RowReader:
         self._row_count = 0
         self._first_surplus_line: int | None = None
         self._last_row: FloatArray | None = None
-        self._missing_lines: dict[int, list[int]] = {}
-        self._out_of_range_lines: dict[int, list[int]] = {}
+        self._missing_lines_by_column: dict[int, list[int]] = {}
+        self._out_of_range_lines_by_column: dict[int, list[int]] = {}
 
     def blocks(self) -> Iterator[FloatArray]:
         """Yield the rows of the file in blocks."""
@@ -186,10 +182,10 @@ class RowReader:
         """Yield rows and their line numbers."""
         source = self.source
         with open_input(source.path, None) as file:
-            if file.state != source.state:
+            if file.state != source.file_state:
                 raise changed_error(source.path)
             try:
-                file.seek(source.start)
+                file.seek(source.first_row_offset)
                 yield from self._parse_blocks(file)
             except OSError as error:
                 raise unreadable_error(source.path, error) from error
@@ -218,9 +214,8 @@ class RowReader:
             text = text[consumed:]
             if fault_code:
                 is_last_line = is_last_chunk and len(text.splitlines()) <= 1
-                raise FormatError(
-                    self._row_fault(fault_code, line, column, token, is_last_line)
-                )
+                fault = self._row_fault(fault_code, line, column, token, is_last_line)
+                raise FormatError(fault)
             if is_last_chunk and not text:
                 return
             if len(text) > max_line_bytes and not consumed:
@@ -250,20 +245,20 @@ class RowReader:
 
     def _record_counts(self, lines: IntArray) -> None:
         first_row, self._row_count = self._row_count, self._row_count + len(lines)
-        declared = self.source.declared_frames
+        declared = self.source.declared_frame_count
         if self._first_surplus_line is None and self._row_count > declared:
             self._first_surplus_line = int(lines[declared - first_row])
 
     def _record_invalid(self, rows: FloatArray, lines: IntArray) -> None:
         with np.errstate(invalid="ignore"):
             is_out_of_range = np.abs(rows) > FLOAT32_MAX
-        for fault_lines, mask in (
-            (self._missing_lines, np.isnan(rows)),
-            (self._out_of_range_lines, is_out_of_range),
+        for lines_by_column, is_invalid in (
+            (self._missing_lines_by_column, np.isnan(rows)),
+            (self._out_of_range_lines_by_column, is_out_of_range),
         ):
-            for column in np.flatnonzero(mask.any(axis=0)).tolist():
-                invalid_lines = lines[mask[:, column]].tolist()
-                fault_lines.setdefault(column, []).extend(invalid_lines)
+            for column in np.flatnonzero(is_invalid.any(axis=0)).tolist():
+                invalid_lines = lines[is_invalid[:, column]].tolist()
+                lines_by_column.setdefault(column, []).extend(invalid_lines)
 
     def _fill_missing(self, block: FloatArray) -> None:
         """Fill NaN in place: linear interpolation, nearest value at both ends."""
@@ -289,13 +284,10 @@ class RowReader:
             message = "the MOTION block has no rows of numbers"
             raise FormatError(Fault("BVH014", message, path, (line,)))
         faults = []
-        for column, lines in sorted(self._missing_lines.items()):
+        for column, lines in sorted(self._missing_lines_by_column.items()):
             missing_count = len(lines)
-            is_too_many = (
-                missing_count > MAX_FILLED_SAMPLES
-                and missing_count > MAX_FILLED_FRACTION * self._row_count
-            )
-            if is_too_many or missing_count == self._row_count:
+            limit = max(MAX_FILLED_SAMPLES, MAX_FILLED_FRACTION * self._row_count)
+            if missing_count > limit or missing_count == self._row_count:
                 name = self.source.channels[column]
                 message = f"{name}: {missing_count} of {self._row_count} values are "
                 message += "not finite"
@@ -305,35 +297,34 @@ class RowReader:
             raise FormatError(faults[:MAX_LISTED_CHANNELS])
 
     def _add_notices(self) -> None:
-        declared_frames, count = self.source.declared_frames, self._row_count
-        if declared_frames != count:
+        declared_count, count = self.source.declared_frame_count, self._row_count
+        if declared_count != count:
             line = self._first_surplus_line or self.source.frames_line
-            message = f"Frames states {declared_frames}, but there are {count} rows"
+            message = f"Frames states {declared_count}, but there are {count} rows"
             hint = "all rows are read"
-            if declared_frames > count:
+            if declared_count > count:
                 hint += "; is the file truncated? copy or export it again"
             self._warn("BVH101", message, [line], hint)
         hint = "interpolated between neighbours"
-        self._warn_channels("BVH102", self._missing_lines, "not finite", hint)
+        self._warn_channels("BVH102", self._missing_lines_by_column, "not finite", hint)
         hint = "the largest float32 is written; the reported error does not count them"
-        self._warn_channels("BVH104", self._out_of_range_lines, "beyond float32", hint)
+        self._warn_channels(
+            "BVH104", self._out_of_range_lines_by_column, "beyond float32", hint
+        )
 
     def _warn(self, code: str, message: str, lines: list[int], hint: str) -> None:
         fault = Fault(code, message, self._path, tuple(lines), hint, Severity.WARNING)
         self.notices.append(fault)
 
     def _warn_channels(
-        self, code: str, fault_lines: dict[int, list[int]], problem: str, hint: str
+        self, code: str, lines_by_column: dict[int, list[int]], problem: str, hint: str
     ) -> None:
-        for column, lines in sorted(fault_lines.items())[:MAX_LISTED_CHANNELS]:
-            line_list = listed(lines, 10)
-            name = self.source.channels[column]
-            values_text = (
-                "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
-            )
-            message = f"{name}: {values_text} {problem}, on line {line_list}"
+        for column, lines in sorted(lines_by_column.items())[:MAX_LISTED_CHANNELS]:
+            count_text = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
+            message = f"{self.source.channels[column]}: {count_text} {problem}, on "
+            message += f"line {listed(lines, 10)}"
             self._warn(code, message, lines[:10], hint)
-        if len(fault_lines) > MAX_LISTED_CHANNELS:
-            omitted_count = len(fault_lines) - MAX_LISTED_CHANNELS
-            message = f"{omitted_count} more channels have values {problem}"
+        if len(lines_by_column) > MAX_LISTED_CHANNELS:
+            count = len(lines_by_column) - MAX_LISTED_CHANNELS
+            message = f"{count} more channels have values {problem}"
             self._warn(code, message, [], hint)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -20,11 +19,11 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
-from animtool.formats.bvh.plausible import (
+from animtool.formats.bvh.plausibility import (
     ChannelRanges,
     radians_warning,
-    stated_rate_notice,
-    unused_positions_notice,
+    stated_rate_note,
+    unused_positions_note,
 )
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
@@ -89,25 +88,24 @@ def read_bvh(
     notices += _size_notice(rig, unit, str(path))
     if rate is not None:
         notices = [notice for notice in notices if notice.code not in _RATE_CODES]
-        notices += stated_rate_notice(header, rate, str(path))
+        notices += stated_rate_note(header, rate, str(path))
     channels = [f"{j.name}.{c}" for j in header.joints for c in j.channels or ()]
     if positions == "offsets":
-        notices += unused_positions_notice(header, str(path))
+        notices += unused_positions_note(header, str(path))
     rows = RowSource(
         path,
         file.state,
         rows_start,
         header_lines.number,
         channels,
-        header.declared_frames,
+        header.declared_frame_count,
         header.frames_line,
         progress,
     )
     layout = _ColumnLayout(header, keep_offsets=positions == "offsets")
-    assert header.rate is not None
     details: dict[str, object] = {
         "format": "BVH",
-        "declared_frames": header.declared_frames,
+        "declared_frames": header.declared_frame_count,
         "frame_time": header.frame_time,
         "rate_choice": str(header.rate.kind) if rate is None else "stated",
         "channels": len(channels),
@@ -134,13 +132,11 @@ def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fa
     smallest, largest = LIKELY_METERS
     if len(rig.joints) < MIN_JOINTS or smallest <= meters <= largest:
         return []
-    file_extent = meters / rig.meters_per_unit
-    unit = stated_unit or LengthUnit.CM
-    message = f"the skeleton spans {file_extent:.4g}, which is not plausible for a "
-    message += f"character in {unit}"
-    hint = _unit_hint(file_extent)
+    extent = meters / rig.meters_per_unit
+    message = f"the skeleton spans {extent:.4g}, which is not plausible for a "
+    message += f"character in {stated_unit or LengthUnit.CM}"
     severity = Severity.NOTE if stated_unit is None else Severity.WARNING
-    return [Fault("RIG217", message, path, (), hint, severity)]
+    return [Fault("RIG217", message, path, (), _unit_hint(extent), severity)]
 
 
 def _unit_hint(extent: float) -> str:
@@ -162,16 +158,15 @@ def _unit_hint(extent: float) -> str:
 
 
 def _build_rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
-    joints = []
     names = numbered_names(joint.name for joint in header.joints)
-    for joint, unique_name in zip(header.joints, names, strict=True):
-        rig_joint = _build_joint(joint, unit.meters)
-        source_name = joint.name if unique_name != joint.name else ""
-        joints.append(replace(rig_joint, name=unique_name, source_name=source_name))
+    joints = [
+        _build_joint(joint, unique_name, unit.meters)
+        for joint, unique_name in zip(header.joints, names, strict=True)
+    ]
     return Rig(name, tuple(joints), unit.meters, up)
 
 
-def _build_joint(joint: BvhJoint, meters: float) -> Joint:
+def _build_joint(joint: BvhJoint, name: str, meters: float) -> Joint:
     channels = joint.channels or ()
     rotations = [name[0] for name in channels if name.endswith("rotation")]
     positions = [name[0] for name in channels if name.endswith("position")]
@@ -190,13 +185,14 @@ def _build_joint(joint: BvhJoint, meters: float) -> Joint:
         return (values[0] * meters, values[1] * meters, values[2] * meters)
 
     return Joint(
-        joint.name,
+        name,
         joint.parent,
         joint_type,
         scaled(joint.offset or (0.0, 0.0, 0.0)),
         axis=axis,
         channels=channels,
         tips=tuple(scaled(tip) for tip in joint.tips),
+        source_name="" if name == joint.name else joint.name,
     )
 
 
@@ -205,7 +201,16 @@ def _channel_axis(letter: str) -> tuple[float, float, float]:
 
 
 class _ColumnLayout:
-    """Column indices of each joint's position and rotation channels."""
+    """Columns of the position and rotation channels of the joints.
+
+    Attributes:
+        position_joints: The P joints with position channels.
+        rotation_joints: The R joints with rotation channels.
+        position_slots: Index of each position channel in positions ``(P, 3)``, raveled.
+        position_columns: Column of each position channel.
+        rotation_columns: Columns of the rotation channels ``(R, 3)``, padded with -1.
+        rotation_axes: Axes of the rotation channels ``(R, 3)``, padded with 0.
+    """
 
     def __init__(self, header: BvhHeader, *, keep_offsets: bool = False) -> None:
         """Assign columns; ``keep_offsets`` ignores position channels below roots."""
@@ -215,28 +220,25 @@ class _ColumnLayout:
         columns: list[int] = []
         rotation_columns: list[list[int]] = []
         rotation_axes: list[list[int]] = []
-        column = 0
+        column_count = 0
         for j, joint in enumerate(header.joints):
             rotations: list[tuple[int, int]] = []
-            has_positions = False
-            for name in joint.channels or ():
+            ignores_positions = keep_offsets and joint.parent >= 0
+            for column, name in enumerate(joint.channels or (), column_count):
                 axis = "XYZ".index(name[0])
-                if name.endswith("position") and keep_offsets and joint.parent >= 0:
-                    pass
-                elif name.endswith("position"):
-                    slots.append(3 * len(self.position_joints) + axis)
-                    columns.append(column)
-                    has_positions = True
-                else:
+                if not name.endswith("position"):
                     rotations.append((column, axis))
-                column += 1
-            if has_positions:
-                self.position_joints.append(j)
+                elif not ignores_positions:
+                    if self.position_joints[-1:] != [j]:
+                        self.position_joints.append(j)
+                    slots.append(3 * len(self.position_joints) - 3 + axis)
+                    columns.append(column)
+            column_count += len(joint.channels or ())
             if rotations:
                 self.rotation_joints.append(j)
                 rotations += [(-1, 0)] * (3 - len(rotations))
-                rotation_columns.append([column_index for column_index, _ in rotations])
-                rotation_axes.append([axis_index for _, axis_index in rotations])
+                rotation_columns.append([column for column, _ in rotations])
+                rotation_axes.append([axis for _, axis in rotations])
         self.position_slots = np.array(slots, np.int64)
         self.position_columns = np.array(columns, np.int64)
         self.rotation_columns = np.array(rotation_columns, np.int32).reshape(-1, 3)

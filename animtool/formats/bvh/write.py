@@ -135,9 +135,8 @@ def _rotation_channels(
     axis_order = "".join(name[0] for name in names)
     axis_order += "".join(letter for letter in "XYZ" if letter not in axis_order)
     axes = np.array([axes_of(axis_order)], np.int32)
-    angles = _kernels.quaternion_to_euler(np.ascontiguousarray(values[:, None]), axes)[
-        :, 0
-    ]
+    quaternions = np.ascontiguousarray(values[:, None])
+    angles = _kernels.quaternion_to_euler(quaternions, axes)[:, 0]
     declared_count = len(names)
     max_unused_angle = np.abs(angles[:, declared_count:]).max(initial=0.0)
     if declared_count == 3 or max_unused_angle <= UNUSED_AXIS_TOLERANCE:
@@ -149,11 +148,9 @@ def _order_channels(
     joint: Joint, positions: tuple[str, ...], rotations: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return channels in the declared order of a joint, else positions first."""
-    declared_names = joint.channels or ()
-    needed_names = set(positions) | set(rotations)
-    if needed_names == set(declared_names):
-        return declared_names
-    return positions + rotations
+    declared_names, needed_names = joint.channels or (), positions + rotations
+    is_unchanged = set(needed_names) == set(declared_names)
+    return declared_names if is_unchanged else needed_names
 
 
 def _header_lines(
@@ -163,7 +160,8 @@ def _header_lines(
     channel_orders: dict[int, tuple[str, ...]],
 ) -> Iterator[str]:
     yield "HIERARCHY"
-    # A stack replaces recursion: chains may be thousands of joints long.
+    # A stack replaces recursion: chains may be thousands of joints long. It has joints
+    # with their depth, and lines that close their blocks.
     pending: list[tuple[int, int] | str] = [(root, 0) for root in take.rig.roots[::-1]]
     while pending:
         item = pending.pop()

@@ -13,9 +13,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.units import LengthUnit
+from animtool.formats import FLOAT32_MAX
 from animtool.formats.c3d.read import ANIMTOOL_GROUP
 from animtool.formats.c3d.sections import BLOCK_BYTES, MAGIC, Processor
-from animtool.formats.trajectories import FLOAT32_MAX
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 

@@ -11,6 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
+from animtool.formats import FLOAT32_MAX
 from animtool.formats.file_notices import FileNotices
 
 # Maximum nesting depth; keys of an object are four levels deep.
@@ -18,8 +19,6 @@ MAX_DEPTH = 48
 MAX_ELEMENTS = 3_000_000
 # Limit of all arrays of a file, inflated [byte].
 MAX_ARRAY_BYTES = 1_000_000_000
-# Largest float32; larger numbers are invalid.
-FLOAT32_MAX = 3.4028234663852886e38
 
 
 @dataclass(slots=True, eq=False)

@@ -10,8 +10,9 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.files.reading import read_input
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
+from animtool.formats import FLOAT32_MAX
 from animtool.formats.fbx.binary import MAGIC, read_binary
-from animtool.formats.fbx.elements import FLOAT32_MAX, Element
+from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.legacy import convert_to_objects
 from animtool.formats.fbx.text import looks_like_text, read_text
 from animtool.formats.file_notices import FileNotices

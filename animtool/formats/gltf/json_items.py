@@ -7,10 +7,8 @@ from typing import Any, NoReturn
 
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
+from animtool.formats import FLOAT32_MAX
 from animtool.formats.file_notices import FileNotices
-
-# Largest float32, the number type of glTF.
-FLOAT32_MAX = 3.4028234663852886e38
 
 
 def escape_pointer(key: str) -> str:

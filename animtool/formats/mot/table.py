@@ -13,6 +13,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, excerpt, listed
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
+from animtool.formats import FLOAT32_MAX
 from animtool.formats.delimited import (
     BLANK_CHARACTERS,
     TextRows,
@@ -24,7 +25,7 @@ from animtool.formats.delimited import (
     split_cells,
 )
 from animtool.formats.row_times import rate_of_step
-from animtool.formats.trajectories import FLOAT32_MAX, CaptureFile
+from animtool.formats.trajectories import CaptureFile
 
 # OpenSim headers have about ten lines; those of results may have a page of remarks.
 MAX_HEADER_LINES = 1000

@@ -1,4 +1,4 @@
-"""Detects implausible rates and rotations of a BVH file."""
+"""Detects implausible rates, rotations and options of a BVH file."""
 
 from __future__ import annotations
 
@@ -24,39 +24,32 @@ RATE_TOLERANCE = Fraction(2, 1000)
 MIN_TRAVEL, MIN_RADIANS, MAX_RADIANS, MIN_ROTATION = 0.5, 0.7, 6.4, 0.1
 
 
-def stated_rate_notice(header: BvhHeader, rate: Fraction, path: str) -> list[Fault]:
+def stated_rate_note(header: BvhHeader, rate: Fraction, path: str) -> list[Fault]:
     """Return a note if the stated rate differs from a plausible Frame Time."""
-    assert header.rate is not None
-    file_rate, frame_count = header.rate.fps, header.declared_frames
+    file_rate, frame_count = header.rate.fps, header.declared_frame_count
     is_same_rate = (
         abs(rate - file_rate) <= RATE_TOLERANCE * file_rate
         or rate in header.rate.ambiguous_rates
     )
-    if is_same_rate or header.rate.kind is RateKind.PRINTED or rate_warning(file_rate):
+    if is_same_rate or header.rate.kind is RateKind.PRINTED:
         return []
-    if rate_warning(rate):
+    if rate_warning(file_rate) or rate_warning(rate):
         return []
-    option_text = argument("source.fps", f"{float(rate):g}")
+    durations = [f"{float(frame_count / fps):.3g} s" for fps in (rate, file_rate)]
     message = f"Frame Time {header.frame_time} is {rate_label(file_rate)}, not "
-    message += f"{option_text}"
-    if frame_count:
-        durations = [f"{float(frame_count / fps):.3g} s" for fps in (rate, file_rate)]
-        message += f": {frame_count} frames last {durations[0]} instead of "
-        message += f"{durations[1]}"
+    message += f"{argument('source.fps', f'{float(rate):g}')}: {frame_count} frames "
+    message += f"last {durations[0]} instead of {durations[1]}"
     hint = f"to resample the motion, use {argument('fps')} instead"
     return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 
 
-def unused_positions_notice(header: BvhHeader, path: str) -> list[Fault]:
+def unused_positions_note(header: BvhHeader, path: str) -> list[Fault]:
     """Return a note if no joint below a root has position channels (BVH113)."""
-    child_joints = [joint for joint in header.joints if joint.parent >= 0]
-    has_positions = any(
-        c.endswith("position") for j in child_joints for c in j.channels or ()
-    )
-    if has_positions:
+    children = [joint for joint in header.joints if joint.parent >= 0]
+    if any(c.endswith("position") for j in children for c in j.channels or ()):
         return []
-    option_text = argument("source.positions", "offsets")
-    message = f"{option_text} has no effect: only roots have position channels"
+    message = f"{argument('source.positions', 'offsets')} has no effect: only roots "
+    message += "have position channels"
     return [Fault("BVH113", message, path, (), "remove it", Severity.NOTE)]
 
 
@@ -65,8 +58,8 @@ class ChannelRanges:
 
     def __init__(self, columns: IntArray) -> None:
         self.columns = columns
-        self.low = np.full(len(columns) + 3, np.inf)
-        self.high = -self.low
+        self.min_values = np.full(len(columns) + 3, np.inf)
+        self.max_values = -self.min_values
 
     def add(self, rows: FloatArray, root: FloatArray) -> None:
         """Extend the ranges by rows and the positions of the first joint.
@@ -76,37 +69,40 @@ class ChannelRanges:
         rotations = rows[:, self.columns]
         for values, columns in ((rotations, slice(0, -3)), (root, slice(-3, None))):
             if values.shape[1]:
-                self.low[columns] = np.minimum(self.low[columns], values.min(axis=0))
-                self.high[columns] = np.maximum(self.high[columns], values.max(axis=0))
+                self.min_values[columns] = np.minimum(
+                    self.min_values[columns], values.min(axis=0)
+                )
+                self.max_values[columns] = np.maximum(
+                    self.max_values[columns], values.max(axis=0)
+                )
 
     @property
     def rotations(self) -> tuple[float, int]:
         """Largest absolute rotation [file's angle], and number of changing channels."""
-        low, high = self.low[:-3], self.high[:-3]
+        low, high = self.min_values[:-3], self.max_values[:-3]
         largest = np.maximum(np.abs(low), np.abs(high)).max(initial=0.0)
         return float(largest), int((high - low > MIN_ROTATION).sum())
 
     @property
     def travel(self) -> float:
         """Diagonal of the bounding box of the first joint's path [m]."""
-        return float(np.linalg.norm(self.high[-3:] - self.low[-3:]))
+        return float(np.linalg.norm(self.max_values[-3:] - self.min_values[-3:]))
 
 
 def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
     """Return a warning if the rotations of a moving body look like radians (BVH112)."""
-    rest_extent = rest_size(rig)
     if len(rig.joints) < MIN_JOINTS or not np.isfinite(ranges.travel):
         return []
-    max_angle, moving_channels = ranges.rotations
-    is_static = (
-        ranges.travel <= MIN_TRAVEL * rest_extent or moving_channels < MIN_JOINTS
-    )
-    if is_static or not MIN_RADIANS <= max_angle <= MAX_RADIANS:
+    max_angle, moving_channel_count = ranges.rotations
+    is_static = moving_channel_count < MIN_JOINTS
+    if is_static or ranges.travel <= MIN_TRAVEL * rest_size(rig):
+        return []
+    if not MIN_RADIANS <= max_angle <= MAX_RADIANS:
         return []
     message = (
         f"the body travels {length_text(ranges.travel)}, but none of "
-        f"{moving_channels} rotation "
-        f"channels that change exceeds {max_angle:.3g}: the rotations look like radians"
+        f"{moving_channel_count} rotation channels that change exceeds "
+        f"{max_angle:.3g}: the rotations look like radians"
     )
     hint = f"a BVH has degrees: {max_angle:.3g} rad is {np.degrees(max_angle):.3g}; "
     hint += "export degrees, or multiply the rotation channels by 57.2958"
