@@ -64,10 +64,9 @@ class SkinBinder:
             matrices = skin.inverse_bind.copy()
             matrices[:, :3] *= self.folded_scales[nodes][:, None, None]
             mesh_world = self.worlds[index] if self.worlds else None
-            binding = self._bind_joints(
+            self._skins[index] = self._bind_joints(
                 matrices, joints.tolist(), skin.where, mesh_world
             )
-            self._skins[index] = binding
         return self._skins[index]
 
     def bind_node(self, node: int) -> tuple[FloatArray, int]:
@@ -86,20 +85,16 @@ class SkinBinder:
     ) -> tuple[FloatArray, list[int]]:
         """Return the ``geom_bind`` of a skin, and rig joints that have its binds."""
         magnitudes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
-        is_singular = (
-            np.abs(np.linalg.det(matrices[:, :3, :3] / magnitudes[:, None, None]))
-            < 1e-12
-        )
+        determinants = np.linalg.det(matrices[:, :3, :3] / magnitudes[:, None, None])
+        is_singular = np.abs(determinants) < 1e-12
         if is_singular.any():
             if where:
                 message = f"{int(is_singular.sum())} inverse bind matrices are "
                 message += "singular: using the identity"
-                path = str(self.file.path)
-                location = f"{where}/inverseBindMatrices"
-                notice = Fault(
-                    "GLT114", message, path, where=location, severity=Severity.NOTE
-                )
-                self.notices.append(notice)
+                path, note = str(self.file.path), Severity.NOTE
+                where = f"{where}/inverseBindMatrices"
+                fault = Fault("GLT114", message, path, severity=note, where=where)
+                self.notices.append(fault)
             matrices = np.where(is_singular[:, None, None], np.eye(4), matrices)
         bind_matrices = np.asarray(np.linalg.inv(matrices), np.float64)
         if mesh_world is None:
@@ -107,13 +102,12 @@ class SkinBinder:
         else:
             geometry = self._rigid_geometry(mesh_world @ bind_matrices) @ mesh_world
         binds = geometry @ bind_matrices
-        shared_indices = [k for k, joint in enumerate(joints) if joint in self._bind]
-        if shared_indices:
+        shared = next(
+            (k for k, joint in enumerate(joints) if joint in self._bind), None
+        )
+        if shared is not None:
             # Align with the previous skins at the first common joint.
-            first_shared = shared_indices[0]
-            alignment = self._bind[joints[first_shared]] @ np.linalg.inv(
-                binds[first_shared]
-            )
+            alignment = self._bind[joints[shared]] @ np.linalg.inv(binds[shared])
             geometry, binds = alignment @ geometry, alignment @ binds
         bound_joints = []
         for joint, bind in zip(joints, binds, strict=True):
@@ -149,15 +143,11 @@ class SkinBinder:
     def build_rig(self, meshes: tuple[Mesh, ...], shapes: tuple[Shape, ...]) -> Rig:
         """Return the rig with bind pose, meshes and shapes."""
         rig, names = self._rig, self.joint_names()
-        joints = list(rig.joints)
-        for name, (parent, _) in zip(names[len(joints) :], self._helpers, strict=True):
-            joints.append(Joint(name, parent))
-        rig = replace(rig, joints=tuple(joints))
-        bind_worlds = dict(self._bind)
-        bind_worlds |= {
-            len(self._rig.joints) + i: bind_world
-            for i, (_, bind_world) in enumerate(self._helpers)
-        }
+        added = zip(names[len(rig.joints) :], self._helpers, strict=True)
+        helper_joints = [Joint(name, parent) for name, (parent, _) in added]
+        rig = replace(rig, joints=(*rig.joints, *helper_joints))
+        helpers = enumerate(self._helpers, len(self._rig.joints))
+        bind_worlds = self._bind | {j: bind_world for j, (_, bind_world) in helpers}
         bind = _bind_poses(rig, bind_worlds)
         return replace(rig, bind=bind, meshes=meshes, shapes=shapes)
 
@@ -186,14 +176,12 @@ def _bind_poses(rig: Rig, bind_worlds: dict[int, FloatArray]) -> dict[str, Pose]
             world[j] = rest[j] if parent < 0 else world[parent] @ rest[j]
     parent_worlds = np.where((parents < 0)[:, None, None], np.eye(4), world[parents])
     inverse_rotations = parent_worlds[:, :3, :3].swapaxes(1, 2)
-    positions = (
-        inverse_rotations @ (world[:, :3, 3] - parent_worlds[:, :3, 3])[:, :, None]
-    )[:, :, 0]
+    offsets = world[:, :3, 3] - parent_worlds[:, :3, 3]
+    positions = (inverse_rotations @ offsets[:, :, None])[:, :, 0]
     rotations = so3.from_matrix(inverse_rotations @ world[:, :3, :3])
     extent = float(np.abs(rest_world(rig).positions).max(initial=0.0)) or 1.0
-    is_off_rest = (
-        np.abs(positions - rig.rest_translations).max(axis=1) > REST_TOLERANCE * extent
-    )
+    distances = np.abs(positions - rig.rest_translations).max(axis=1)
+    is_off_rest = distances > REST_TOLERANCE * extent
     is_off_rest |= so3.angle_between(rotations, rig.rest_rotations) > REST_TOLERANCE
     is_stretched = np.abs(stretches - np.eye(3)).max(axis=(1, 2)) > 1e-12
     poses: dict[str, Pose] = {}

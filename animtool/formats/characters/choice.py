@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
-from animtool.core.names import nearest
+from animtool.core.names import nearest, numbered_names
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import (
     NodeTree,
@@ -12,8 +12,8 @@ from animtool.formats.characters.nodes import (
     sort_parents_first,
 )
 
-# Path that selects the complete file.
-FILE_PATH = "/"
+# Path that selects all nodes of a file.
+WHOLE_FILE_PATH = "/"
 MAX_LISTED_CHARACTERS = 8
 
 
@@ -44,33 +44,30 @@ def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
         lower, upper = sorted((group_of(roots[a]), group_of(roots[b])))
         parent_group[upper] = lower
 
-    skin_nodes: set[int] = set()
     for skin in file.skins:
         for joint in skin.joints[1:]:
             join(skin.joints[0], joint)
-    for i, file_node in enumerate(file.nodes):
-        if file_node.skin >= 0:
-            join(i, file.skins[file_node.skin].joints[0])
-    for skin in file.skins:
-        skin_nodes.update(skin.joints[:1])
-    groups = sorted({group_of(roots[joint]) for joint in skin_nodes})
+    for i, tree_node in enumerate(file.nodes):
+        if tree_node.skin >= 0:
+            join(i, file.skins[tree_node.skin].joints[0])
+    first_joints = [joint for skin in file.skins for joint in skin.joints[:1]]
+    groups = sorted({group_of(roots[joint]) for joint in first_joints})
     if len(groups) < 2:
-        return (CharacterNodes(FILE_PATH, tuple(order)),)
+        return (CharacterNodes(WHOLE_FILE_PATH, tuple(order)),)
     members: dict[int, list[int]] = {root: [] for root in groups}
     for node in order:
         node_group = group_of(roots[node])
         if node_group in members:
             members[node_group].append(node)
+    paths = _character_paths(file, members)
     return tuple(
-        CharacterNodes(p, tuple(n))
-        for p, n in zip(_character_paths(file, members), members.values(), strict=True)
+        CharacterNodes(path, tuple(nodes))
+        for path, nodes in zip(paths, members.values(), strict=True)
     )
 
 
 def _character_paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
     """Return unique paths of characters, from the names of their root nodes."""
-    from animtool.core.names import numbered_names
-
     names = []
     joints = {joint for skin in file.skins for joint in skin.joints}
     for root, nodes in members.items():
@@ -82,7 +79,7 @@ def _character_paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]
 
 
 def choose_character(
-    file: NodeTree, prim_path: str | None, unknown_code: str, several_code: str
+    file: NodeTree, prim_path: str | None, unknown_code: str, skipped_code: str
 ) -> tuple[CharacterNodes, list[Fault]]:
     """Return the character to read, and a note about the characters not read.
 
@@ -91,7 +88,7 @@ def choose_character(
         prim_path: Path or name of the character, or the name of a node in it; ``/`` is
             the complete file. None is the first character of the default scene.
         unknown_code: Code of the error for an unknown character.
-        several_code: Code of the note about other characters.
+        skipped_code: Code of the note about characters that are not read.
     """
     where = str(file.path)
     if not file.nodes:
@@ -99,18 +96,22 @@ def choose_character(
         raise FormatError(Fault(unknown_code, message, where))
     candidates = find_characters(file)
     if prim_path is None:
-        best_candidate = candidates[0]
+        chosen = candidates[0]
         if len(candidates) > 1 and file.default_scene >= 0:
             scene_roots = set(file.scenes[file.default_scene])
-            best_candidate = next(
-                (c for c in candidates if scene_roots & set(c.nodes)),
-                best_candidate,
-            )
-        return best_candidate, _skipped_characters_note(
-            candidates, best_candidate, where, several_code
-        )
-    if prim_path.strip() == FILE_PATH:
-        return CharacterNodes(FILE_PATH, tuple(sort_parents_first(file.nodes))), []
+            in_scene = (c for c in candidates if scene_roots & set(c.nodes))
+            chosen = next(in_scene, chosen)
+        other_paths = [c.path for c in candidates if c is not chosen]
+        if not other_paths:
+            return chosen, []
+        message = f"reading {chosen.path} of {counted(len(candidates), 'character')}: "
+        message += f"others are {listed(other_paths, MAX_LISTED_CHARACTERS)}"
+        hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
+        return chosen, [Fault(skipped_code, message, where, (), hint, Severity.NOTE)]
+    if prim_path.strip() == WHOLE_FILE_PATH:
+        return CharacterNodes(
+            WHOLE_FILE_PATH, tuple(sort_parents_first(file.nodes))
+        ), []
     name = prim_path.strip("/")
     for candidate in candidates:
         if candidate.path.strip("/") == name and len(candidates) > 1:
@@ -120,21 +121,5 @@ def choose_character(
             return candidate, []
     paths = [candidate.path for candidate in candidates]
     message = f"unknown character or node {name!r}"
-    raise FormatError(
-        Fault(unknown_code, message, where, (), nearest(prim_path, paths))
-    )
-
-
-def _skipped_characters_note(
-    candidates: tuple[CharacterNodes, ...],
-    best: CharacterNodes,
-    where: str,
-    several_code: str,
-) -> list[Fault]:
-    other_paths = [candidate.path for candidate in candidates if candidate is not best]
-    if not other_paths:
-        return []
-    message = f"reading {best.path} of {counted(len(candidates), 'character')}: "
-    message += f"others are {listed(other_paths, MAX_LISTED_CHARACTERS)}"
-    hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
-    return [Fault(several_code, message, where, (), hint, Severity.NOTE)]
+    hint = nearest(prim_path, paths)
+    raise FormatError(Fault(unknown_code, message, where, (), hint))

@@ -17,7 +17,7 @@ _CONTROL_PATTERN = re.compile(f"[{CONTROL}]")
 def joint_names(
     nodes: list[Node], node_indices: list[int]
 ) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return unique joint names, and those that differ from the file's.
+    """Return unique joint names, and pairs of file name and name that differ.
 
     Characters that text files cannot contain are replaced.
     """
@@ -40,11 +40,9 @@ def renamed_joints_notice(
     """Return a note about joints whose names differ from the file's."""
     if not renamed_joints:
         return []
-    renaming_list = listed(
-        [f"{excerpt(a)} is {b!r}" for a, b in renamed_joints], MAX_LISTED_JOINTS
-    )
+    changes = [f"{excerpt(a)} is {b!r}" for a, b in renamed_joints]
     message = f"{counted(len(renamed_joints), 'joint')} renamed to make names unique: "
-    message += f"{renaming_list}"
+    message += listed(changes, MAX_LISTED_JOINTS)
     return [Fault(code, message, path, severity=Severity.NOTE)]
 
 
@@ -69,8 +67,8 @@ def shape_names(shapes: Iterable[tuple[str, str, str]]) -> list[str]:
     Each of ``shapes`` is the name in the file, a default name, and the mesh's name.
     """
     used_names: dict[str, None] = {}
-    for text, default, mesh in shapes:
-        name = replace_unprintable(text) or default
+    for file_name, default, mesh in shapes:
+        name = replace_unprintable(file_name) or default
         name = f"{mesh}_{name}" if name in used_names else name
         unique_name, number = name, 2
         while unique_name in used_names:

@@ -1,4 +1,4 @@
-"""Builds the stream of a character's take: choice of the take, samples and keys."""
+"""Chooses a character's take, and builds its stream from samples and keys."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class TakeMessages:
     static_message: str  # message for a character without a take
     unknown_code: str  # code of the error for an unknown take
     no_take_code: str  # code of the note about a file without takes
-    several_code: str  # code of the note about takes that are not read
+    skipped_code: str  # code of the note about takes that are not read
 
 
 def choose_take(
@@ -60,22 +60,16 @@ def choose_take(
         fault = Fault(messages.unknown_code, message, path, (), nearest(take, names))
         raise FormatError(fault)
     if not candidates:
-        return -1, [
-            Fault(
-                messages.no_take_code,
-                messages.static_message,
-                path,
-                severity=Severity.NOTE,
-            )
-        ]
+        code, message = messages.no_take_code, messages.static_message
+        return -1, [Fault(code, message, path, severity=Severity.NOTE)]
     index = default_index if default_index in candidates else candidates[0]
     if len(candidates) == 1:
         return index, []
-    count = counted(len(candidates), messages.noun)
-    message = f"reading {messages.noun} {names[index]!r} of {count}"
-    listed_names = listed(names, MAX_LISTED_TAKES)
-    hint = f"read another with {argument('source.take')}: {listed_names}"
-    return index, [Fault(messages.several_code, message, path, (), hint, Severity.NOTE)]
+    message = f"reading {messages.noun} {names[index]!r} of "
+    message += counted(len(candidates), messages.noun)
+    hint = f"read another with {argument('source.take')}: "
+    hint += listed(names, MAX_LISTED_TAKES)
+    return index, [Fault(messages.skipped_code, message, path, (), hint, Severity.NOTE)]
 
 
 def sampled_stream(

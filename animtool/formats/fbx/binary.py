@@ -39,20 +39,13 @@ MIN_BATCH_VALUES = 12
 def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
     """Return the version and the root of a binary FBX."""
     if len(content) < HEADER_BYTES:
-        _raise_fault(
-            notes,
-            len(content),
-            f"the file has {len(content)} bytes: the header is cut off",
-        )
+        message = f"the file has {len(content)} bytes: the header is cut off"
+        notes.fail("FBX002", f"byte {len(content)}", message, "export the file again")
     if content[22]:
         message = "the file has big-endian numbers, which are not supported"
         notes.fail("FBX003", "byte 22", message, "export the file again")
     (version,) = struct.unpack_from("<I", content, 23)
     return version, _RecordReader(content, version, notes).read_root()
-
-
-def _raise_fault(notes: FileNotices, where: int, message: str) -> NoReturn:
-    notes.fail("FBX002", f"byte {where}", message, "export the file again")
 
 
 class _RecordReader:
@@ -65,6 +58,10 @@ class _RecordReader:
         self.element_count = 0
         self.array_bytes = 0
 
+    def _fail(self, offset: int, message: str) -> NoReturn:
+        hint = "export the file again"
+        self.notes.fail("FBX002", f"byte {offset}", message, hint)
+
     def read_root(self) -> Element:
         root = Element("", [], "byte 0")
         self._read_children(root, HEADER_BYTES, len(self.content), 0)
@@ -74,26 +71,18 @@ class _RecordReader:
         self, parent: Element, offset: int, end: int, depth: int
     ) -> None:
         while offset + self.record_header.size <= end:
-            record_end, value_count, values_bytes, name_length = (
-                self.record_header.unpack_from(self.content, offset)
-            )
-            if not record_end:
+            header = self.record_header.unpack_from(self.content, offset)
+            if not header[0]:
                 return
-            offset = self._read_record(
-                parent,
-                offset,
-                (record_end, value_count, values_bytes, name_length),
-                end,
-                depth,
-            )
+            offset = self._read_record(parent, offset, header, end, depth)
         if depth == 0 or offset > end:
-            _raise_fault(self.notes, offset, "the records of the file have no end")
+            self._fail(offset, "the records of the file have no end")
 
     def _read_record(
         self,
         parent: Element,
         offset: int,
-        header: tuple[int, int, int, int],
+        header: tuple[int, ...],
         end: int,
         depth: int,
     ) -> int:
@@ -105,27 +94,25 @@ class _RecordReader:
             if record_end > len(self.content):
                 message = f"the file ends at byte {len(self.content)}, but a record "
                 message += f"goes on to byte {record_end}: it is cut off or damaged"
-            _raise_fault(self.notes, offset, message)
+            self._fail(offset, message)
         if values_bytes > record_end - values_start or value_count > values_bytes:
             message = f"{value_count} values of {values_bytes} bytes do not fit in "
             message += "their record"
-            _raise_fault(self.notes, offset, message)
+            self._fail(offset, message)
         self.element_count += 1
         if self.element_count > MAX_ELEMENTS or depth > MAX_DEPTH:
             message = f"more than {MAX_ELEMENTS} elements, or {MAX_DEPTH} levels"
             self.notes.fail("FBX013", f"byte {offset}", message)
-        name = self.content[values_start - name_length : values_start].decode(
-            "utf-8", "replace"
+        raw_name = self.content[values_start - name_length : values_start]
+        name, values_end = (
+            raw_name.decode("utf-8", "replace"),
+            values_start + values_bytes,
         )
-        values = self._read_values(
-            values_start, value_count, values_start + values_bytes
-        )
+        values = self._read_values(values_start, value_count, values_end)
         element = Element(name, values, f"byte {offset}")
         parent.children.append(element)
-        if values_start + values_bytes < record_end:
-            self._read_children(
-                element, values_start + values_bytes, record_end, depth + 1
-            )
+        if values_end < record_end:
+            self._read_children(element, values_end, record_end, depth + 1)
         return record_end
 
     def _read_values(self, offset: int, count: int, end: int) -> list[Any]:
@@ -135,34 +122,31 @@ class _RecordReader:
         values: list[Any] = []
         for _ in range(count):
             if offset >= end:
-                _raise_fault(self.notes, offset, "values are missing")
+                self._fail(offset, "values are missing")
             type_code = chr(self.content[offset])
             scalar = _SCALAR_TYPES.get(type_code)
             if scalar is not None:
                 if offset + 1 + scalar.size > end:
-                    _raise_fault(self.notes, offset, "a value is cut off")
+                    self._fail(offset, "a value is cut off")
                 values.append(scalar.unpack_from(self.content, offset + 1)[0])
                 offset += 1 + scalar.size
             elif type_code in "SR":
                 size = self._read_length(offset + 1, end)
                 if size > end - offset - 5:
-                    _raise_fault(self.notes, offset, f"text of {size} bytes is cut off")
+                    self._fail(offset, f"text of {size} bytes is cut off")
                 data = self.content[offset + 5 : offset + 5 + size]
-                values.append(
-                    data.decode("utf-8", "replace") if type_code == "S" else data
-                )
+                is_text = type_code == "S"
+                values.append(data.decode("utf-8", "replace") if is_text else data)
                 offset += 5 + size
             elif type_code in _ARRAY_TYPES:
                 value, offset = self._read_array(type_code, offset, end)
                 values.append(value)
             else:
-                _raise_fault(
-                    self.notes, offset, f"unknown value type {excerpt(repr(type_code))}"
-                )
+                self._fail(offset, f"unknown value type {excerpt(repr(type_code))}")
         return values
 
     def _read_value_batch(self, offset: int, count: int, end: int) -> Any:
-        """Read a long run of numbers of one type as an array; None for other values."""
+        """Return many numbers of one type as an array; None for other values."""
         is_batch = count >= MIN_BATCH_VALUES and offset < end
         type_code = chr(self.content[offset]) if is_batch else ""
         if type_code not in _BATCH_TYPES:
@@ -176,7 +160,7 @@ class _RecordReader:
 
     def _read_length(self, offset: int, end: int) -> int:
         if offset + 4 > end:
-            _raise_fault(self.notes, offset, "a length is cut off")
+            self._fail(offset, "a length is cut off")
         return int(struct.unpack_from("<I", self.content, offset)[0])
 
     def _read_array(self, type_code: str, offset: int, end: int) -> tuple[Any, int]:
@@ -186,16 +170,14 @@ class _RecordReader:
         data_offset, dtype = offset + 13, np.dtype(_ARRAY_TYPES[type_code])
         byte_count = value_count * dtype.itemsize
         if compression not in {0, 1}:
-            _raise_fault(self.notes, offset, f"unknown array encoding {compression}")
+            self._fail(offset, f"unknown array encoding {compression}")
         stored_size = compressed_size if compression else byte_count
         if stored_size > end - data_offset:
-            _raise_fault(
-                self.notes, offset, f"an array of {stored_size} bytes is cut off"
-            )
+            self._fail(offset, f"an array of {stored_size} bytes is cut off")
         if compression and byte_count > compressed_size * MAX_INFLATION_RATIO:
             message = f"{compressed_size} bytes cannot hold an array of {byte_count} "
             message += "bytes"
-            _raise_fault(self.notes, offset, message)
+            self._fail(offset, message)
         self.array_bytes += byte_count
         if self.array_bytes > MAX_ARRAY_BYTES:
             message = f"arrays of more than {MAX_ARRAY_BYTES / 1e6:.0f} MB"
@@ -211,9 +193,9 @@ class _RecordReader:
         try:
             array_bytes = decompressor.decompress(data, size) if size else b""
         except zlib.error as error:
-            _raise_fault(self.notes, offset, f"an array cannot be inflated: {error}")
+            self._fail(offset, f"an array cannot be inflated: {error}")
         if len(array_bytes) != size:
             message = f"an array inflates to {len(array_bytes)} bytes, but states "
             message += f"{size}"
-            _raise_fault(self.notes, offset, message)
+            self._fail(offset, message)
         return array_bytes

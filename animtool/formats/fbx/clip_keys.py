@@ -10,7 +10,7 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted
-from animtool.formats.fbx.joined import JoinedKeys, join_keys
+from animtool.formats.fbx.joined_keys import JoinedKeys, join_keys
 from animtool.formats.fbx.layers import (
     OUTER_ROTATIONS,
     PIVOT_PROPERTIES,
@@ -20,7 +20,7 @@ from animtool.formats.fbx.layers import (
     PropertyTrack,
 )
 from animtool.formats.fbx.models import INHERIT, Model
-from animtool.formats.fbx.poses import RowKind
+from animtool.formats.fbx.poses import TransformPart
 from animtool.formats.fbx.rig import FbxRig
 from animtool.formats.fbx.sampling import FRAME_TOLERANCE, FbxFrames, FbxSampler
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
@@ -72,9 +72,9 @@ class _ClipBuilder:
         # Largest errors between keys of translations, rotations and scales.
         self.max_errors = [0.0, 0.0, 0.0]
         self.sampled_joints: list[set[int]] = [set(), set(), set()]
-        defaults = np.ones((len(fbx_rig.rig.joints), 3))
         rig = fbx_rig.rig
-        self.defaults = (rig.rest_translations, rig.rest_rotations, defaults)
+        unit_scales = np.ones((len(rig.joints), 3))
+        self.defaults = (rig.rest_translations, rig.rest_rotations, unit_scales)
 
     def component_channels(self, component: int) -> list[ClipChannel]:
         """Return the channels of translations (0), rotations (1) or scales (2)."""
@@ -84,9 +84,8 @@ class _ClipBuilder:
         for j in range(len(rest)):
             if j in animated_joints:
                 exact_channels = self._exact_channels(component, j)
-                if exact_channels:
-                    channels += exact_channels
-                else:
+                channels += exact_channels
+                if not exact_channels:
                     self.sampled_joints[component].add(j)
             elif np.abs(rest[j] - self.defaults[component][j]).max() > REST_TOLERANCE:
                 target = self._channel_target(j, component)
@@ -97,27 +96,26 @@ class _ClipBuilder:
         """Return the channels of blend shapes."""
         channels = []
         animated_shapes = set(self.sampler.animated_shapes.tolist())
-        for row, shape in enumerate(self.fbx_rig.rig.shapes):
+        for k, shape in enumerate(self.fbx_rig.rig.shapes):
             target = f"shape/{shape.name}"
-            if row not in animated_shapes:
-                value = self.sampler.rest_values[3][row]
+            if k not in animated_shapes:
+                value = self.sampler.rest_values[3][k]
                 if value.any():
                     channels.append(self._static_channel(target, value))
                 continue
-            channel, full_percent = self.fbx_rig.shape_channels[row]
-            track = self.sampler.weight_track(row)
+            channel, full_percent = self.fbx_rig.shape_channels[k]
+            track = self.sampler.weight_track(k)
             assert track is not None
             keys = join_keys(track, np.array([channel.percent]))
             if keys is None:
                 ticks = self._sample_times()
-                values = self.sampler.weight(row, ticks)[:, None]
+                values = self.sampler.weight(k, ticks)[:, None]
                 self.sampled_count += 1
-                arguments = target, ticks, values, Interp.LINEAR
-                channels.append(self._sampled_key_channel(*arguments))
+                built = self._sampled_key_channel(target, ticks, values, Interp.LINEAR)
             else:
                 factor = np.eye(1) / full_percent
                 built = self._build_channel(target, keys, factor, np.zeros(1))
-                channels.append(built)
+            channels.append(built)
         return channels
 
     def _channel_target(self, j: int, component: int) -> str:
@@ -125,7 +123,7 @@ class _ClipBuilder:
 
     def _exact_channels(self, component: int, j: int) -> list[ClipChannel]:
         """Return channels with the file's keys; empty if clips cannot store those."""
-        model = self.models[self.fbx_rig.joint_rows[j].model]
+        model = self.models[self.fbx_rig.joint_sources[j].model]
         track = self._find_track(model, (TRANSLATION, ROTATION, SCALING)[component])
         keys = None if track is None else join_keys(track, model.base_values[component])
         if keys is None:
@@ -151,7 +149,10 @@ class _ClipBuilder:
         self, j: int, model: Model, keys: JoinedKeys
     ) -> list[ClipChannel]:
         inherits_scale = model.scale_inheritance == INHERIT or model.parent < 0
-        if not inherits_scale or self.fbx_rig.joint_rows[j].kind is not RowKind.FULL:
+        if (
+            not inherits_scale
+            or self.fbx_rig.joint_sources[j].part is not TransformPart.FULL
+        ):
             return []
         target = self._channel_target(j, 2)
         return [self._build_channel(target, keys, np.eye(3), np.zeros(3))]
@@ -167,7 +168,7 @@ class _ClipBuilder:
         if not (scaling_offset.any() or scaling_pivot.any() or rotation_pivot.any()):
             return np.asarray(rotation_offset)
         names = ROTATION, SCALING, *OUTER_ROTATIONS
-        if any(self._find_track(model, name) for name in names):
+        if any(self._find_track(model, name) is not None for name in names):
             return None
         translations, *_ = model.local_transforms(None, np.zeros(1, np.int64))
         return np.asarray(translations[0] - model.base_values[0])
@@ -180,7 +181,7 @@ class _ClipBuilder:
             return []
         if np.abs(model.inverse_post_rotation[:3]).max() > REST_TOLERANCE:
             return []
-        is_inner = self.fbx_rig.joint_rows[j].kind is RowKind.INNER
+        is_inner = self.fbx_rig.joint_sources[j].part is TransformPart.INNER
         is_root = model.parent < 0 and not is_inner
         pre_rotation = model.pre_rotation
         if is_root:
@@ -206,11 +207,10 @@ class _ClipBuilder:
     ) -> ClipChannel:
         """Return a channel with key values transformed by a matrix and an offset."""
         per_second = float(self.frames.fps)
-        handles = []
-        for handle_rows in (keys.ins, keys.outs):
-            times = handle_rows[:, :1] * per_second
-            values = handle_rows[:, 1:] @ linear.T
-            handles.append(np.concatenate([times, values], axis=1))
+        ins, outs = (
+            np.concatenate([rows[:, :1] * per_second, rows[:, 1:] @ linear.T], axis=1)
+            for rows in (keys.ins, keys.outs)
+        )
         count = len(keys.ticks)
         return ClipChannel(
             target,
@@ -218,8 +218,8 @@ class _ClipBuilder:
             keys.values @ linear.T + offset,
             keys.interps,
             ((Tangent.FREE, Tangent.FREE),) * count,
-            handles[0],
-            handles[1],
+            ins,
+            outs,
             np.zeros((count, 3)),
             euler=euler_order,
             pre=keys.pre,
@@ -229,9 +229,10 @@ class _ClipBuilder:
     def _key_frames(self, ticks: IntArray) -> FloatArray:
         """Return key times [frames], snapped to frames that are within two ticks."""
         per_tick = float(self.frames.fps) / TICKS_PER_SECOND
-        codes = ticks * per_tick
-        frames = np.round(codes)
-        return np.where(np.abs(codes - frames) <= 2.0 * per_tick, frames, codes)
+        frame_numbers = ticks * per_tick
+        frames = np.round(frame_numbers)
+        is_on_frame = np.abs(frame_numbers - frames) <= 2.0 * per_tick
+        return np.where(is_on_frame, frames, frame_numbers)
 
     def _static_channel(self, target: str, value: FloatArray) -> ClipChannel:
         interp = Interp.SLERP if len(value) == 4 else Interp.LINEAR
@@ -243,21 +244,22 @@ class _ClipBuilder:
     ) -> ClipChannel:
         key_count, component_count = values.shape
         tangents = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
+        handles = np.zeros((key_count, 1 + component_count))
         return ClipChannel(
             target,
             self._key_frames(ticks),
             values,
             (interp,) * key_count,
             (tangents,) * key_count,
-            np.zeros((key_count, 1 + component_count)),
-            np.zeros((key_count, 1 + component_count)),
+            handles,
+            handles.copy(),
             np.zeros((key_count, 3)),
         )
 
     def _sample_times(self) -> IntArray:
         """Return the times of all frames and of keys between frames [ticks]."""
-        codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
-        ticks = self.frames.ticks(codes)
+        frame_numbers = np.arange(self.frames.count, dtype=np.float64)
+        ticks = self.frames.ticks(frame_numbers + self.frames.first)
         take = self.sampler.take
         key_times = np.zeros(0, np.int64) if take is None else take.key_times()
         key_times = key_times[(key_times > ticks[0]) & (key_times < ticks[-1])]

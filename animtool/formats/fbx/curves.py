@@ -54,10 +54,8 @@ class FbxCurve:
             return False
         is_cubic = self.modes[:-1] == CUBIC
         has_slope = (self.out_slopes[:-1] != 0) | (self.in_slopes[:-1] != 0)
-        is_sloped_outside = (
-            "K" in {self.pre.mode, self.post.mode} and len(self.times) > 1
-        )
-        return not (is_cubic & has_slope).any() and not is_sloped_outside
+        keeps_slope = "K" in {self.pre.mode, self.post.mode} and len(self.times) > 1
+        return not (is_cubic & has_slope).any() and not keeps_slope
 
     def evaluate(self, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F,)`` [ticks]."""
@@ -77,15 +75,12 @@ class FbxCurve:
         first, last = int(self.times[0]), int(self.times[-1])
         duration = last - first
         distance = ticks - last if is_post else first - ticks
+        end_value, end = self.values[-1 if is_post else 0], last if is_post else first
         if extrapolation.mode == "K":
             slope = self.in_slopes[-2] if is_post else self.out_slopes[0]
-            end_value = self.values[-1 if is_post else 0]
-            return np.asarray(
-                end_value
-                + slope * (ticks - (last if is_post else first)) / TICKS_PER_SECOND
-            )
+            return np.asarray(end_value + slope * (ticks - end) / TICKS_PER_SECOND)
         if extrapolation.count == 0:
-            return np.full(len(ticks), self.values[-1 if is_post else 0])
+            return np.full(len(ticks), end_value)
         repeat_index, remainder = np.divmod(distance, duration)
         if extrapolation.count > 0:
             is_exhausted = repeat_index >= extrapolation.count
@@ -98,10 +93,8 @@ class FbxCurve:
             np.where(is_backward, last - remainder, first + remainder)
         )
         if extrapolation.mode == "A":
-            step = self.values[-1] - self.values[0]
-            repeated_values = repeated_values + (repeat_index + 1) * (
-                step if is_post else -step
-            )
+            step = (self.values[-1] - self.values[0]) * (1 if is_post else -1)
+            repeated_values = repeated_values + (repeat_index + 1) * step
         return repeated_values
 
     def _interpolate(self, ticks: IntArray) -> FloatArray:

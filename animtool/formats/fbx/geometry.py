@@ -52,7 +52,7 @@ class ShapeChannel:
 
 @dataclass(slots=True, eq=False)
 class FbxGeometry:
-    """A mesh of one or several nodes."""
+    """A mesh that one or several nodes show."""
 
     name: str  # name in the file, often empty
     points: FloatArray  # control points ``(V, 3)``
@@ -64,14 +64,12 @@ class FbxGeometry:
 
 def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
     """Return the mesh of each node that has one, by node id."""
+    mesh_models = []
     if file.version < FIRST_NUMBERED_VERSION:
-        mesh_objects = [m for m in file.of_kind("Model") if m.element.find("Vertices")]
-        mesh_models = [(mesh_object, mesh_object) for mesh_object in mesh_objects]
-        # Instances share the mesh of another object.
-        mesh_objects = file.of_kind("Geometry", "Mesh")
-    else:
-        mesh_models, mesh_objects = [], file.of_kind("Geometry", "Mesh")
-    for mesh_object in mesh_objects:
+        # Models have their own mesh, but instances share the mesh of another object.
+        models = file.objects_of_kind("Model")
+        mesh_models = [(m, m) for m in models if m.element.find("Vertices")]
+    for mesh_object in file.objects_of_kind("Geometry", "Mesh"):
         mesh_models += [(mesh_object, m) for m in file.targets(mesh_object.id, "Model")]
     meshes_by_object: dict[ObjectId, FbxGeometry | None] = {}
     meshes: dict[ObjectId, FbxGeometry] = {}
@@ -165,8 +163,8 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
 
 def _has_weights(file: FbxFile, skin: Object) -> bool:
     clusters = file.sources(skin.id, "Deformer", "Cluster")
-    indices = [read_integers(i.element, "Indexes", file.notes) for i in clusters]
-    return any(row is not None and len(row) for row in indices)
+    all_indices = [read_integers(c.element, "Indexes", file.notes) for c in clusters]
+    return any(indices is not None and len(indices) for indices in all_indices)
 
 
 def _read_cluster(
@@ -197,12 +195,10 @@ def _read_cluster(
     if (weights < -1e-6).any():
         message = f"cluster {source.name!r} has negative weights"
         notes.fail("FBX008", element.where, message)
-    bone = bones[0].id
-    transform, link = (
-        _read_matrix(file, element, key) for key in ("Transform", "TransformLink")
-    )
+    transform = _read_matrix(file, element, "Transform")
+    link = _read_matrix(file, element, "TransformLink")
     weights = np.maximum(weights, 0.0)
-    return Cluster(bone, transform, link, indices, weights, element.where)
+    return Cluster(bones[0].id, transform, link, indices, weights, element.where)
 
 
 def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
@@ -299,9 +295,11 @@ def _read_shape_channel(
             percent = float(percents[0])
     targets = []
     for shape, full_weight in zip(shapes, full_weights.tolist(), strict=False):
-        arguments = shape.element, shape.name, point_count, point_percents
-        targets.append((full_weight, _shape_offsets(file, *arguments)))
-    targets.sort(key=lambda entry: entry[0])
+        offsets = _shape_offsets(
+            file, shape.element, shape.name, point_count, point_percents
+        )
+        targets.append((full_weight, offsets))
+    targets.sort(key=lambda target: target[0])
     return ShapeChannel(source.id, source.name, percent, targets)
 
 

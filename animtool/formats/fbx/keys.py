@@ -59,8 +59,8 @@ def read_curve(
     if (
         values is None
         or flags is None
+        or not attribute_data
         or reference_counts is None
-        or attribute_data is None
     ):
         return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
     attribute_bits = _attribute_bits(attribute_data, notes)
@@ -86,17 +86,15 @@ def read_curve(
         ((0x1000000, packed_weights & 0xFFFF), (0x2000000, packed_weights >> 16))
     ):
         is_weighted = is_cubic & ~is_tcb & (flags & flag != 0)
-        weights[is_weighted, column] = np.minimum(
-            stored_weights[is_weighted] * WEIGHT_UNIT, 1.0
-        )
+        weight_values = stored_weights[is_weighted] * WEIGHT_UNIT
+        weights[is_weighted, column] = np.minimum(weight_values, 1.0)
     modes = np.where(is_cubic, CUBIC, np.where(is_stepped, CONSTANT, LINEAR))
     modes[is_stepped & (flags & NEXT_VALUE != 0)] = NEXT
     out_slopes, in_slopes = compute_key_slopes(
         times / TICKS_PER_SECOND, values, flags, key_data, weights
     )
-    return validate_curve(
-        FbxCurve(times, values, modes, out_slopes, in_slopes, weights), element, notes
-    )
+    curve = FbxCurve(times, values, modes, out_slopes, in_slopes, weights)
+    return validate_curve(curve, element, notes)
 
 
 def _attribute_bits(data: Element, notes: FileNotices) -> Any:
@@ -112,16 +110,14 @@ def _attribute_bits(data: Element, notes: FileNotices) -> Any:
 
 
 def validate_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
-    """Return a curve with its extrapolation; raise for invalid numbers."""
+    """Return a curve with its extrapolation; raise for invalid numbers (FBX006)."""
     times = curve.times
     check_times(times, element, notes)
     for slopes in (curve.out_slopes, curve.in_slopes):
         if not np.isfinite(slopes).all():
             notes.fail("FBX006", element.where, "a slope of a key is not finite")
-    pre, post = (
-        _read_extrapolation(element, f"{name}-Extrapolation", notes)
-        for name in ("Pre", "Post")
-    )
+    pre = _read_extrapolation(element, "Pre-Extrapolation", notes)
+    post = _read_extrapolation(element, "Post-Extrapolation", notes)
     out_slopes, in_slopes = curve.out_slopes, curve.in_slopes
     if not (curve.modes == CUBIC).any() and "K" not in {pre.mode, post.mode}:
         # Slopes of linear segments are not used.
@@ -159,11 +155,9 @@ def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
 def _read_extrapolation(
     element: Element, name: str, notes: FileNotices
 ) -> FbxExtrapolation:
-    extrapolation_element = element.find(name)
-    type_element = (
-        None if extrapolation_element is None else extrapolation_element.find("Type")
-    )
-    if extrapolation_element is None or type_element is None or not type_element.values:
+    entry = element.find(name)
+    type_element = None if entry is None else entry.find("Type")
+    if entry is None or type_element is None or not type_element.values:
         return FbxExtrapolation()
     mode = type_element.values[0]
     if isinstance(mode, int) and 0 <= mode < 256:
@@ -171,6 +165,6 @@ def _read_extrapolation(
     if mode not in tuple("CRAMK"):
         message = f"{name} {mode!r} is not known"
         notes.fail("FBX006", type_element.where, message)
-    repeats = extrapolation_element.find("Repetition")
+    repeats = entry.find("Repetition")
     count = -1.0 if repeats is None else read_number(repeats, 0, notes)
     return FbxExtrapolation(str(mode), int(max(-1.0, min(count, 1e9))))

@@ -1,4 +1,4 @@
-"""Blends animation layers of a property, additive or override.
+"""Evaluates animated properties, and blends their layers, additive or override.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimLayer`: blend mode, rotation and
 scale accumulation mode. Rotations that accumulate by layer are composed in XYZ order,
@@ -23,6 +23,8 @@ DEFORM_PERCENT = "DeformPercent"
 # the rotations before and after.
 PIVOT_PROPERTIES = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
 OUTER_ROTATIONS = ("PreRotation", "PostRotation")
+# Order XYZ as a product: X rotates first, so its factor is last.
+XYZ = "ZYX"
 # Weights above this are 1 [1].
 FULL_WEIGHT = 0.99999
 
@@ -31,7 +33,6 @@ FULL_WEIGHT = 0.99999
 class Layer:
     """An animation layer of a take."""
 
-    name: str  # name in the file
     weight: float = 1.0  # weight without a curve [1]
     # Weight over time [%]; None uses the constant weight.
     weight_curve: FbxCurve | None = None
@@ -43,9 +44,8 @@ class Layer:
     def weights(self, ticks: IntArray) -> FloatArray:
         """Return the weight of the layer at times ``(F,)`` [1]."""
         if self.weight_curve is None:
-            return np.full(
-                len(ticks), 1.0 if self.weight > FULL_WEIGHT else self.weight
-            )
+            weight = 1.0 if self.weight > FULL_WEIGHT else self.weight
+            return np.full(len(ticks), weight)
         weights = np.clip(self.weight_curve.evaluate(ticks) / 100.0, 0.0, 1.0)
         return np.where(weights > FULL_WEIGHT, 1.0, weights)
 
@@ -60,25 +60,22 @@ class LayerValues:
     curves: list[FbxCurve | None]
 
     def evaluate(self, ticks: IntArray) -> FloatArray:
-        """Return the values at times ``(F, width)``."""
+        """Return the values at times ``(F, D)``."""
         values = np.tile(np.array(self.defaults, np.float64), (len(ticks), 1))
         for component, curve in enumerate(self.curves):
             if curve is not None:
                 values[:, component] = curve.evaluate(ticks)
         return values
 
-    def constant_value(self) -> FloatArray | None:
-        """Return the property's values if they never change, else None."""
-        if any(curve is not None and not curve.is_static() for curve in self.curves):
-            return None
-        return np.asarray(self.evaluate(np.zeros(1, np.int64))[0])
+    def is_static(self) -> bool:
+        """Return whether no curve changes."""
+        return all(curve is None or curve.is_static() for curve in self.curves)
 
 
 @dataclass(slots=True, eq=False)
 class PropertyTrack:
-    """An animated property with its layers."""
+    """An animated property of D components, with its layers."""
 
-    object_id: int | str  # Id of the object
     name: str  # name such as ``Lcl Rotation``
     layers: list[LayerValues] = field(default_factory=list)  # layers from bottom to top
 
@@ -86,32 +83,33 @@ class PropertyTrack:
         """Return the curves of all layers."""
         return [c for v in self.layers for c in v.curves if c is not None]
 
-    def constant_value(self, base: FloatArray) -> FloatArray | None:
-        """Return the property's values if they never change, else None."""
-        for layer_values in self.layers:
-            is_blended = (
-                layer_values.layer.mode != OVERRIDE and not layer_values.is_first
+    def is_static(self) -> bool:
+        """Return whether the value never changes."""
+        return all(
+            values.is_static()
+            and (
+                values.layer.weight_curve is None
+                or values.is_first
+                or values.layer.mode == OVERRIDE
             )
-            if layer_values.constant_value() is None or (
-                is_blended and layer_values.layer.weight_curve is not None
-            ):
-                return None
-        return np.asarray(self.evaluate(base, np.zeros(1, np.int64))[0])
+            for values in self.layers
+        )
 
     def evaluate(self, base: FloatArray, ticks: IntArray) -> FloatArray:
-        """Return the values at times ``(F, width)``.
+        """Return the values at times ``(F, D)``.
 
-        ``base`` is the value without animation ``(width,)``.
+        ``base`` is the value without animation ``(D,)``.
         """
         blended_values = np.tile(base, (len(ticks), 1))
         for layer_values in self.layers:
             values = layer_values.evaluate(ticks)
-            if layer_values.is_first or layer_values.layer.mode == OVERRIDE:
+            layer = layer_values.layer
+            if layer_values.is_first or layer.mode == OVERRIDE:
                 blended_values = values
             else:
-                weights = layer_values.layer.weights(ticks)[:, None]
+                weights = layer.weights(ticks)[:, None]
                 blended_values = self._blend_layer(
-                    layer_values.layer, blended_values, values, weights
+                    layer, blended_values, values, weights
                 )
         return blended_values
 
@@ -123,19 +121,16 @@ class PropertyTrack:
             rotations_below, rotations_above = (
                 rotations_from_angles(angles, XYZ) for angles in (below, above)
             )
+            start = rotations_below
             if is_additive:
-                identity = np.broadcast_to([0.0, 0.0, 0.0, 1.0], rotations_above.shape)
-                rotations = so3.multiply(
-                    rotations_below, so3.slerp(identity, rotations_above, weights[:, 0])
-                )
-            else:
-                rotations = so3.slerp(rotations_below, rotations_above, weights[:, 0])
+                start = np.broadcast_to([0.0, 0.0, 0.0, 1.0], rotations_above.shape)
+            rotations = so3.slerp(start, rotations_above, weights[:, 0])
+            if is_additive:
+                rotations = so3.multiply(rotations_below, rotations)
             return principal_angles(rotations)
         if self.name == SCALING and layer.accumulates_scales:
-            scale_factor = _scale_power(above, weights)
-            return scale_factor * (
-                below if is_additive else _scale_power(below, 1.0 - weights)
-            )
+            base = below if is_additive else _scale_power(below, 1.0 - weights)
+            return _scale_power(above, weights) * base
         if is_additive:
             return below + weights * above
         return below + weights * (above - below)
@@ -145,10 +140,6 @@ def _scale_power(scales: FloatArray, weights: FloatArray) -> FloatArray:
     """Return scales raised to a weight, signs kept; weight 0 gives 1."""
     sign = np.where((scales < 0) & (weights > 0), -1.0, 1.0)
     return np.asarray(np.abs(scales) ** weights * sign)
-
-
-# Order XYZ as a product: X rotates first, so its factor is last.
-XYZ = "ZYX"
 
 
 def rotations_from_angles(angles: FloatArray, order: str) -> FloatArray:

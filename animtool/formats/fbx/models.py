@@ -38,7 +38,7 @@ _ROTATION_ORDERS = ("ZYX", "YZX", "XZY", "ZXY", "YXZ", "XYZ")
 COMPONENTWISE, INHERIT, IGNORE = range(3)
 MAX_MODELS = 100_000
 _ZERO_VECTOR = (0.0, 0.0, 0.0)
-_TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
+TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
 
 
 @dataclass(slots=True, eq=False)
@@ -77,24 +77,18 @@ class Model:
                 find_track(take, self.object.id, name) for name in OUTER_ROTATIONS
             )
             if pre_track is not None:
-                pre = rotations_from_angles(
-                    pre_track.evaluate(self.outer_angles[0], ticks), XYZ
-                )
+                angles = pre_track.evaluate(self.outer_angles[0], ticks)
+                pre = rotations_from_angles(angles, XYZ)
             if post_track is not None:
-                post = so3.conjugate(
-                    rotations_from_angles(
-                        post_track.evaluate(self.outer_angles[1], ticks), XYZ
-                    )
-                )
+                angles = post_track.evaluate(self.outer_angles[1], ticks)
+                post = so3.conjugate(rotations_from_angles(angles, XYZ))
         rotations = rotations_from_angles(values[:, 1], self.rotation_order)
         rotations = so3.multiply(so3.multiply(pre, rotations), post)
         scales = values[:, 2]
-        rotation_offset, rotation_pivot, scaling_offset, scaling_pivot = _pivot_values(
-            self, take, ticks
-        )
-        pivot_offset = (
-            scaling_offset + scaling_pivot - rotation_pivot - scales * scaling_pivot
-        )
+        pivots = _pivot_values(self, take, ticks)
+        rotation_offset, rotation_pivot, scaling_offset, scaling_pivot = pivots
+        pivot_offset = scaling_offset + scaling_pivot - rotation_pivot
+        pivot_offset = pivot_offset - scales * scaling_pivot
         translations = values[:, 0] + rotation_offset + rotation_pivot
         if pivot_offset.any():
             translations = translations + so3.rotate(rotations, pivot_offset)
@@ -105,7 +99,7 @@ def read_models(file: FbxFile) -> list[Model]:
     """Return the nodes of a file, parents before children."""
     objects = [
         node_object
-        for node_object in file.of_kind("Model")
+        for node_object in file.objects_of_kind("Model")
         if node_object.id not in ROOT_IDS and not _is_default_camera(file, node_object)
     ]
     if len(objects) > MAX_MODELS:
@@ -154,13 +148,9 @@ def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
     def read_triple(name: str, default: tuple[float, ...] = _ZERO_VECTOR) -> FloatArray:
         return np.array(read_vector(node, name, default, notes))
 
-    base_values = np.stack(
-        [
-            read_triple(TRANSLATION),
-            read_triple(ROTATION),
-            read_triple(SCALING, (1.0,) * 3),
-        ]
-    )
+    unit_scale = (1.0, 1.0, 1.0)
+    translation, rotation = read_triple(TRANSLATION), read_triple(ROTATION)
+    base_values = np.stack([translation, rotation, read_triple(SCALING, unit_scale)])
     is_active = bool(read_scalar(node, "RotationActive", 0, notes))
     order_index, pre, post = 0, _ZERO_VECTOR, _ZERO_VECTOR
     if is_active:
@@ -180,9 +170,8 @@ def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
         notes.fail("FBX004", node.element.where, message)
     geometric_transform = np.eye(4)
     rotation = rotations_from_angles(read_triple("GeometricRotation")[None], XYZ)[0]
-    geometric_transform[:3, :3] = so3.to_matrix(rotation) * read_triple(
-        "GeometricScaling", (1.0,) * 3
-    )
+    scale = read_triple("GeometricScaling", unit_scale)
+    geometric_transform[:3, :3] = so3.to_matrix(rotation) * scale
     geometric_transform[:3, 3] = read_triple("GeometricTranslation")
     return Model(
         node,
@@ -204,7 +193,7 @@ def _transform_values(
 ) -> FloatArray:
     """Return translation, rotation [deg] and scale at times ``(F, 3, 3)``."""
     values = np.repeat(model.base_values[None], len(ticks), axis=0)
-    for k, name in enumerate(_TRANSFORM_PROPERTIES):
+    for k, name in enumerate(TRANSFORM_PROPERTIES):
         track = find_track(take, model.object.id, name)
         if track is not None:
             values[:, k] = track.evaluate(model.base_values[k], ticks)
@@ -225,11 +214,8 @@ def _pivot_values(
 
 def has_pivots(model: Model, take: AnimTake | None) -> bool:
     """Return whether a node has a pivot or pivot offset, saved or in a take."""
-    if model.pivots.any():
-        return True
-    return any(
-        find_track(take, model.object.id, name) is not None for name in PIVOT_PROPERTIES
-    )
+    tracks = (find_track(take, model.object.id, name) for name in PIVOT_PROPERTIES)
+    return bool(model.pivots.any()) or any(track is not None for track in tracks)
 
 
 def find_animated_components(
@@ -237,20 +223,12 @@ def find_animated_components(
 ) -> tuple[bool, bool, bool]:
     """Return whether translation, rotation and scale change in a take."""
 
-    def is_animated(name: str, base: FloatArray) -> bool:
+    def is_animated(name: str) -> bool:
         track = find_track(take, model.object.id, name)
-        return track is not None and track.constant_value(base) is None
+        return track is not None and not track.is_static()
 
-    is_changing = [
-        is_animated(name, model.base_values[k])
-        for k, name in enumerate(_TRANSFORM_PROPERTIES)
-    ]
-    is_changing[0] |= any(
-        is_animated(name, model.pivots[k]) for k, name in enumerate(PIVOT_PROPERTIES)
-    )
+    translation, rotation, scale = map(is_animated, TRANSFORM_PROPERTIES)
+    translation |= any(map(is_animated, PIVOT_PROPERTIES))
     if model.has_outer_rotations:
-        is_changing[1] |= any(
-            is_animated(name, model.outer_angles[k])
-            for k, name in enumerate(OUTER_ROTATIONS)
-        )
-    return is_changing[0], is_changing[1], is_changing[2]
+        rotation |= any(map(is_animated, OUTER_ROTATIONS))
+    return translation, rotation, scale

@@ -30,7 +30,7 @@ ROOT_IDS = (0, "Model::Scene", "Model::RootNode")
 
 @dataclass(slots=True, eq=False)
 class Object:
-    """An object: a model, a geometry, a deformer, a curve."""
+    """An object of a file, such as a model, a geometry, a deformer or a curve."""
 
     id: ObjectId  # number, or kind and name in files before 7000
     kind: str  # name of the element, such as ``Model``
@@ -64,7 +64,7 @@ class FbxFile:
     def sources(
         self, object_id: ObjectId, kind: str, subtype: str | None = None
     ) -> list[Object]:
-        """Return objects of a kind connected to an object as sources."""
+        """Return objects of a kind that are connected to an object."""
         objects = [self.objects.get(c) for c, _ in self.incoming.get(object_id, ())]
         return [c for c in objects if c is not None and _is_of_kind(c, kind, subtype)]
 
@@ -73,7 +73,7 @@ class FbxFile:
         objects = [self.objects.get(c) for c, _ in self.outgoing.get(object_id, ())]
         return [c for c in objects if c is not None and c.kind == kind]
 
-    def of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
+    def objects_of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
         """Return all objects of a kind, in file order."""
         return [c for c in self.objects.values() if _is_of_kind(c, kind, subtype)]
 
@@ -85,19 +85,19 @@ def _is_of_kind(candidate: Object, kind: str, subtype: str | None) -> bool:
 def read_vector(
     owner: Object, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
-    """Return a vector property, cut to the length of the default; else the default."""
+    """Return the first numbers of a property, as many as the default has; else that."""
     values = owner.values(name)[: len(default)]
     if len(values) < len(default):
         return default
     if not all(isinstance(v, int | float) and abs(v) <= FLOAT32_MAX for v in values):
         message = f"{name} of {owner.name!r} must be numbers, not "
-        message += f"{excerpt(str(values))}"
+        message += excerpt(str(values))
         notes.fail("FBX005", owner.element.where, message)
     return tuple(float(value) for value in values)
 
 
 def read_scalar(owner: Object, name: str, default: float, notes: FileNotices) -> float:
-    """Return a scalar property, else its default."""
+    """Return a scalar property, or the default without one."""
     return read_vector(owner, name, (default,), notes)[0]
 
 
@@ -146,14 +146,10 @@ def open_objects(path: Path | str) -> FbxFile:
 def _find_version(root: Element, version: int) -> int:
     """Return the version; old files state it in an element."""
     header = root.find("FBXHeaderExtension")
-    version_element = None if header is None else header.find("FBXVersion")
-    if (
-        version_element is not None
-        and version_element.values
-        and isinstance(version_element.values[0], int)
-    ):
-        return version_element.values[0] if version < FIRST_OBJECT_VERSION else version
-    return version
+    element = None if header is None else header.find("FBXVersion")
+    stated = element.values[0] if element and element.values else None
+    is_old = version < FIRST_OBJECT_VERSION
+    return stated if isinstance(stated, int) and is_old else version
 
 
 def split_name(text: str) -> tuple[str, str]:
@@ -196,13 +192,9 @@ def _read_properties(element: Element) -> dict[str, list[Any]]:
         ("Properties60", "Property", 3),
     ):
         for properties in element.find_all(group):
-            for property_element in properties.find_all(name):
-                if property_element.values and isinstance(
-                    property_element.values[0], str
-                ):
-                    entries[property_element.values[0]] = property_element.values[
-                        value_index:
-                    ]
+            for values in (child.values for child in properties.find_all(name)):
+                if values and isinstance(values[0], str):
+                    entries[values[0]] = values[value_index:]
     return entries
 
 

@@ -50,10 +50,8 @@ def read_channel_curve(
         return None
     version = element.find("KeyVer")
     key_version = None if version is None or not version.values else version.values[0]
-    keys = _KeyCursor(
-        key, notes, key_version if isinstance(key_version, int) else layout
-    )
-    rows = []
+    layout = key_version if isinstance(key_version, int) else layout
+    keys, rows = _KeyCursor(key, notes, layout), []
     while keys.has_more():
         rows.append(_read_key(keys))
     if keys.approximated_kinds:
@@ -75,9 +73,8 @@ def read_channel_curve(
     step_modes = np.where(flags & NEXT_VALUE != 0, NEXT, CONSTANT)
     modes = np.where(flags & STEPPED != 0, step_modes, LINEAR)
     modes[flags & CURVED != 0] = CUBIC
-    return validate_curve(
-        FbxCurve(times, values, modes, out_slopes, in_slopes, weights), element, notes
-    )
+    curve = FbxCurve(times, values, modes, out_slopes, in_slopes, weights)
+    return validate_curve(curve, element, notes)
 
 
 class _KeyCursor:
@@ -133,11 +130,11 @@ def _read_key(keys: _KeyCursor) -> tuple[int, float, int, float, float, float, f
         return time, value, flags, 0.0, 0.0, ONE_THIRD, ONE_THIRD
     if mode != "U":
         keys.fail(f"interpolation {mode!r} of a key is not read")
-    flags, out_slopes, in_slopes, weight_list_count = _read_tangent(keys)
+    flags, out_slope, in_slope, weight_list_count = _read_tangent(keys)
     weights = [ONE_THIRD, ONE_THIRD]
     for _ in range(weight_list_count):
         _set_weights(keys, weights)
-    return time, value, flags, out_slopes, in_slopes, weights[0], weights[1]
+    return time, value, flags, out_slope, in_slope, weights[0], weights[1]
 
 
 # Undocumented tangent kinds: number of values, and number of weight lists in older
@@ -154,9 +151,9 @@ def _read_tangent(keys: _KeyCursor) -> tuple[int, float, float, int]:
     """Return flags and slopes of a cubic key, and the count of weight lists."""
     kind = keys.next_letter()
     if kind in {"s", "b"}:
-        out_slopes, in_slopes = keys.next_number(), keys.next_number()
+        out_slope, in_slope = keys.next_number(), keys.next_number()
         weight_list_count = 0 if keys.layout == UNWEIGHTED_LAYOUT else 1
-        return CURVED | USER, out_slopes, in_slopes, weight_list_count
+        return CURVED | USER, out_slope, in_slope, weight_list_count
     auto_flags = CURVED | PROGRESSIVE | TIME_INDEPENDENT
     is_6100 = keys.layout >= WEIGHTED_LAYOUT
     if kind == "a":

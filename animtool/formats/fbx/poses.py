@@ -1,4 +1,4 @@
-"""Local transforms of joints, evaluated from FBX nodes.
+"""Evaluates the local transforms of joints from FBX nodes.
 
 A node is a joint. If it ignores a non-uniform scale of its parent, or applies it along
 its own axes, one rotation and scale cannot represent its transform: an extra joint
@@ -35,8 +35,8 @@ MIN_SCALE = 1e-9
 _REST_TICKS = np.zeros(1, np.int64)
 
 
-class RowKind(Enum):
-    """Part of a node's transform that a joint has."""
+class TransformPart(Enum):
+    """The part of a node's transform that a joint has."""
 
     FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
@@ -44,11 +44,11 @@ class RowKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class JointRow:
-    """Node of a joint, and the part of the node's transform that the joint has."""
+class JointSource:
+    """The node of a joint, and the part of its transform that the joint has."""
 
-    model: int
-    kind: RowKind
+    model: int  # index of the node
+    part: TransformPart
 
 
 class NodeTransforms:
@@ -59,7 +59,7 @@ class NodeTransforms:
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
         self._axes_rotation = so3.from_matrix(self.basis)
-        self._ignored_scales = {
+        self._partly_ignored_scales = {
             model.parent for model in self.models if model.scale_inheritance != INHERIT
         }
         self._local_cache: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
@@ -71,7 +71,9 @@ class NodeTransforms:
                 self.take, self.ticks
             )
             # Children that ignore this scale divide by it.
-            scales = _replace_zeros(scales) if i in self._ignored_scales else scales
+            scales = (
+                _replace_zeros(scales) if i in self._partly_ignored_scales else scales
+            )
             self._local_cache[i] = translations, rotations, scales
         return self._local_cache[i]
 
@@ -105,28 +107,28 @@ class NodeTransforms:
         return np.asarray(world)
 
     def joint_transforms(
-        self, row: JointRow
+        self, source: JointSource
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a joint, in file units."""
-        model = self.models[row.model]
-        translations, rotations, scales = self.local_transforms(row.model)
+        model = self.models[source.model]
+        translations, rotations, scales = self.local_transforms(source.model)
         if model.parent < 0:
             if not np.array_equal(self.basis, np.eye(3)):
                 translations = translations @ self.basis.T
                 rotations = so3.multiply(self._axes_rotation, rotations)
             return translations, rotations, scales
-        if row.kind is RowKind.FULL:
+        if source.part is TransformPart.FULL:
             if model.scale_inheritance == IGNORE:
-                scales = self.local_scale(row.model) * _inverse_scales(
+                scales = self.local_scale(source.model) * _inverse_scales(
                     self.local_scale(model.parent)
                 )
             return translations, rotations, scales
         parent_scale = self.local_scale(model.parent)
-        if row.kind is RowKind.OUTER:
+        if source.part is TransformPart.OUTER:
             identities = np.zeros_like(rotations)
             identities[:, 3] = 1.0
             return translations, identities, _inverse_scales(parent_scale)
-        return np.zeros_like(translations), rotations, self.local_scale(row.model)
+        return np.zeros_like(translations), rotations, self.local_scale(source.model)
 
 
 def _inverse_scales(scales: FloatArray) -> FloatArray:
@@ -142,7 +144,6 @@ class AnimatedComponents:
     """Finds which joint transforms a take animates."""
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
-        """Start with the nodes of a file and one of its takes."""
         self.models, self.take = models, take
         self.animated = [find_animated_components(model, take) for model in models]
 
@@ -150,28 +151,28 @@ class AnimatedComponents:
         """Return whether a node's scale, including inherited scale, is animated."""
         return any(self.animated[node][2] for node in scale_ancestors(self.models, i))
 
-    def animated_components(self, row: JointRow) -> tuple[bool, bool, bool]:
+    def animated_components(self, source: JointSource) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
-        model = self.models[row.model]
-        has_translation, has_rotation, has_scale = self.animated[row.model]
+        model = self.models[source.model]
+        has_translation, has_rotation, has_scale = self.animated[source.model]
         if (has_rotation or has_scale) and has_pivots(model, self.take):
             has_translation = True
         has_parent = model.parent >= 0
         has_animated_parent_scale = has_parent and self.has_animated_scale(model.parent)
-        if row.kind is RowKind.OUTER:
+        if source.part is TransformPart.OUTER:
             return has_translation, False, has_animated_parent_scale
-        if row.kind is RowKind.INNER:
-            return False, has_rotation, self.has_animated_scale(row.model)
+        if source.part is TransformPart.INNER:
+            return False, has_rotation, self.has_animated_scale(source.model)
         has_relative_scale = model.scale_inheritance == IGNORE and (
-            has_animated_parent_scale or self.has_animated_scale(row.model)
+            has_animated_parent_scale or self.has_animated_scale(source.model)
         )
         return has_translation, has_rotation, has_scale or has_relative_scale
 
 
-def build_joint_rows(scene: FbxScene, nodes: Sequence[int]) -> list[JointRow]:
-    """Return the joints that represent nodes, in node order."""
+def list_joint_sources(scene: FbxScene, nodes: Sequence[int]) -> list[JointSource]:
+    """Return the sources of the joints that represent nodes, in node order."""
     is_non_uniform: dict[int, bool] = {}
-    rows = []
+    sources = []
     for i in nodes:
         model = scene.models[i]
         parent = model.parent
@@ -179,10 +180,11 @@ def build_joint_rows(scene: FbxScene, nodes: Sequence[int]) -> list[JointRow]:
             if parent not in is_non_uniform:
                 is_non_uniform[parent] = _has_non_uniform_scale(scene, parent)
             if is_non_uniform[parent]:
-                rows += [JointRow(i, RowKind.OUTER), JointRow(i, RowKind.INNER)]
+                parts = TransformPart.OUTER, TransformPart.INNER
+                sources += [JointSource(i, part) for part in parts]
                 continue
-        rows.append(JointRow(i, RowKind.FULL))
-    return rows
+        sources.append(JointSource(i, TransformPart.FULL))
+    return sources
 
 
 def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
@@ -211,11 +213,13 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
 
 
 def find_uniform_scales(
-    scene: FbxScene, rows: Sequence[JointRow]
+    scene: FbxScene, sources: Sequence[JointSource]
 ) -> tuple[FloatArray, BoolArray]:
     """Return saved scales ``(J, 3)``, and which are uniform and static."""
     rest = NodeTransforms(scene, None, _REST_TICKS)
-    scales = np.array([rest.joint_transforms(row)[2][0] for row in rows]).reshape(-1, 3)
+    scales = np.array(
+        [rest.joint_transforms(source)[2][0] for source in sources]
+    ).reshape(-1, 3)
     min_scales, max_scales = scales.min(axis=1), scales.max(axis=1)
     is_uniform = (min_scales > 0) & (
         max_scales - min_scales <= SCALE_TOLERANCE * np.abs(max_scales)
@@ -224,19 +228,21 @@ def find_uniform_scales(
         animation = AnimatedComponents(scene.models, take)
         start = np.array([take.start_ticks], np.int64)
         take_transforms = NodeTransforms(scene, take, start)
-        for j, row in enumerate(rows):
-            if not is_uniform[j] or not _has_scale_tracks(scene.models, row, take):
+        for j, source in enumerate(sources):
+            if not is_uniform[j] or not _has_scale_tracks(scene.models, source, take):
                 continue
-            start_scale = take_transforms.joint_transforms(row)[2][0]
+            start_scale = take_transforms.joint_transforms(source)[2][0]
             difference = np.abs(start_scale - scales[j]).max()
-            is_static = not animation.animated_components(row)[2]
+            is_static = not animation.animated_components(source)[2]
             is_uniform[j] = is_static and difference <= SCALE_TOLERANCE * max_scales[j]
     return scales, np.asarray(is_uniform)
 
 
-def _has_scale_tracks(models: Sequence[Model], row: JointRow, take: AnimTake) -> bool:
+def _has_scale_tracks(
+    models: Sequence[Model], source: JointSource, take: AnimTake
+) -> bool:
     """Return whether a take animates a joint's scale."""
-    chain, model = scale_ancestors(models, row.model), models[row.model]
+    chain, model = scale_ancestors(models, source.model), models[source.model]
     if model.parent >= 0 and model.scale_inheritance != INHERIT:
         chain += scale_ancestors(models, model.parent)
     return any((models[i].object.id, SCALING) in take.tracks for i in chain)

@@ -33,7 +33,7 @@ TAKE_MESSAGES = TakeMessages(
     "has no animation of the character: it keeps its saved pose",
     unknown_code="FBX015",
     no_take_code="FBX116",
-    several_code="FBX122",
+    skipped_code="FBX122",
 )
 
 
@@ -71,9 +71,8 @@ def read_fbx(
     candidates = [
         i for i, c in enumerate(scene.takes) if animates_rig(fbx_rig, c, scene)
     ]
-    default_take = scene.default_take
     index, take_notes = choose_take(
-        TAKE_MESSAGES, str(path), names, take, candidates, default_take
+        TAKE_MESSAGES, str(path), names, take, candidates, scene.default_take
     )
     anim_take = None if index < 0 else scene.takes[index]
     sampler = FbxSampler(scene, fbx_rig, anim_take)

@@ -21,15 +21,16 @@ from animtool.formats.characters.names import (
     shape_names,
 )
 from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, build_skin_table
-from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
+from animtool.formats.fbx.models import TRANSFORM_PROPERTIES
 from animtool.formats.fbx.poses import (
-    JointRow,
+    JointSource,
     NodeTransforms,
-    RowKind,
-    build_joint_rows,
+    TransformPart,
     find_uniform_scales,
+    list_joint_sources,
 )
 from animtool.formats.fbx.scene import FbxScene
+from animtool.formats.fbx.takes import find_track
 from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
@@ -42,11 +43,11 @@ WEIGHT_TOLERANCE = 1e-5
 
 @dataclass(slots=True, eq=False)
 class FbxRig:
-    """A rig with the nodes and channels that its joints and shapes come from."""
+    """A rig, and the nodes and channels of its joints and shapes."""
 
     rig: Rig  # J joints
-    # Node of each joint; trailing helper joints of meshes are omitted.
-    joint_rows: list[JointRow]
+    # Source of each joint, without the helper joints of meshes at the end.
+    joint_sources: list[JointSource]
     joint_of_node: IntArray  # joint of each node; -1 for nodes that are not joints
     # By node, the uniform scale that is folded into lengths below it [1].
     folded_scales: FloatArray
@@ -81,39 +82,39 @@ def build_rig(
     unit = scene.settings.meters if meters is None else meters
     joint_nodes = [n for n in character.nodes if not _is_skinned_mesh_only(scene, n)]
     joint_nodes = joint_nodes or list(character.nodes)
-    rows = build_joint_rows(scene, joint_nodes)
-    scales, is_folded = find_uniform_scales(scene, rows)
+    sources = list_joint_sources(scene, joint_nodes)
+    scales, is_folded = find_uniform_scales(scene, sources)
     joints = np.full(len(scene.models), -1, np.int64)
     folded_scales = np.ones(len(scene.models))
-    parents, factors = [], np.ones(len(rows))
-    for j, row in enumerate(rows):
-        parent = scene.models[row.model].parent
+    parents, factors = [], np.ones(len(sources))
+    for j, source in enumerate(sources):
+        parent = scene.models[source.model].parent
         scale_above = 1.0 if parent < 0 else float(folded_scales[parent])
         factors[j] = scale_above * unit
-        is_inner = row.kind is RowKind.INNER
+        is_inner = source.part is TransformPart.INNER
         parents.append(j - 1 if is_inner else -1 if parent < 0 else int(joints[parent]))
-        if row.kind is not RowKind.OUTER:
-            joints[row.model] = j
+        if source.part is not TransformPart.OUTER:
+            joints[source.model] = j
             scale = float(scales[j].mean()) if is_folded[j] else 1.0
-            folded_scales[row.model] = scale_above * scale
-    names, notices = _joint_names(scene, rows)
+            folded_scales[source.model] = scale_above * scale
+    names, notices = _joint_names(scene, sources)
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     rig_joints = []
-    for j, row in enumerate(rows):
-        translations, rotations, _ = rest.joint_transforms(row)
+    for j, source in enumerate(sources):
+        translations, rotations, _ = rest.joint_transforms(source)
         x, y, z = (translations[0] * factors[j]).tolist()
         a, b, c, w = rotations[0].tolist()
         joint = Joint(
             names[j], parents[j], translation=(x, y, z), rotation=(a, b, c, w)
         )
-        original = scene.models[row.model].name
-        if original != names[j] and row.kind is not RowKind.OUTER:
+        original = scene.models[source.model].name
+        if original != names[j] and source.part is not TransformPart.OUTER:
             joint = replace(joint, source_name=original)
         rig_joints.append(joint)
     scales = np.where(is_folded[:, None], 1.0, scales)
     rig = Rig(name, tuple(rig_joints), unit, scene.settings.up)
     fbx_rig = FbxRig(
-        rig, rows, joints, folded_scales, factors, is_folded, scales, [], {}, notices
+        rig, sources, joints, folded_scales, factors, is_folded, scales, [], {}, notices
     )
     _add_shapes_and_meshes(scene, character, fbx_rig)
     fbx_rig.notices += _moved_meshes_notice(scene, character)
@@ -129,13 +130,12 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
         if index < 0:
             continue
         object_id = scene.models[node].object.id
-        is_animated = any(
-            track.constant_value(scene.models[node].base_values[k]) is None
+        tracks = [
+            find_track(take, object_id, name)
             for take in scene.takes
-            for k, name in enumerate((TRANSLATION, ROTATION, SCALING))
-            for track in (take.tracks.get((object_id, name)),)
-            if track is not None
-        )
+            for name in TRANSFORM_PROPERTIES
+        ]
+        is_animated = any(track and not track.is_static() for track in tracks)
         bind = scene.mesh_bind_worlds[index]
         magnitude = float(np.abs(bind[:3]).max())
         difference = np.abs(rest.world_matrices(node)[0] - bind).max()
@@ -159,20 +159,24 @@ def _is_skinned_mesh_only(scene: FbxScene, node: int) -> bool:
 
 
 def _joint_names(
-    scene: FbxScene, rows: Sequence[JointRow]
+    scene: FbxScene, sources: Sequence[JointSource]
 ) -> tuple[list[str], list[Fault]]:
-    inner_nodes = [row.model for row in rows if row.kind is not RowKind.OUTER]
+    inner_nodes = [
+        source.model for source in sources if source.part is not TransformPart.OUTER
+    ]
     nodes = [scene.nodes[node] for node in inner_nodes]
     inner_names, renamed_joints = joint_names(nodes, inner_nodes)
     names_by_model = dict(zip(inner_nodes, inner_names, strict=True))
     outer_names = [
-        f"{names_by_model[r.model]}_unscaled" for r in rows if r.kind is RowKind.OUTER
+        f"{names_by_model[s.model]}_unscaled"
+        for s in sources
+        if s.part is TransformPart.OUTER
     ]
     added_names = numbered_names([*inner_names, *outer_names])[len(inner_names) :]
-    remaining_names = iter(added_names)
+    unused_names = iter(added_names)
     names = [
-        next(remaining_names) if r.kind is RowKind.OUTER else names_by_model[r.model]
-        for r in rows
+        next(unused_names) if s.part is TransformPart.OUTER else names_by_model[s.model]
+        for s in sources
     ]
     path = str(scene.path)
     notices = renamed_joints_notice("FBX113", renamed_joints, path)
@@ -214,13 +218,15 @@ def _add_shapes_and_meshes(
         fbx_rig.folded_scales,
         scene.bind_worlds(),
     )
-    named_meshes = fbx_rig.mesh_names.items()
-    meshes = tuple(_build_mesh(scene, n, name, binder) for n, name in named_meshes)
+    meshes = tuple(
+        _build_mesh(scene, node, name, binder)
+        for node, name in fbx_rig.mesh_names.items()
+    )
     fbx_rig.rig = binder.build_rig(meshes, tuple(shapes))
     fbx_rig.notices += binder.notices
-    scales = np.ones((len(fbx_rig.rig.joints), 3))
-    scales[: len(fbx_rig.remaining_scales)] = fbx_rig.remaining_scales
-    fbx_rig.remaining_scales = scales
+    helper_count = len(fbx_rig.rig.joints) - len(fbx_rig.remaining_scales)
+    scales = [fbx_rig.remaining_scales, np.ones((helper_count, 3))]
+    fbx_rig.remaining_scales = np.concatenate(scales)
 
 
 def _full_percent(channel: ShapeChannel) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -45,30 +46,30 @@ class FbxFrames:
     first: int
     count: int
 
-    def ticks(self, codes: FloatArray) -> IntArray:
+    def ticks(self, frame_numbers: FloatArray) -> IntArray:
         """Return the times of frame numbers [ticks]."""
         # One product of two floats keeps frames as exact as their ticks.
         per_frame = float(Fraction(TICKS_PER_SECOND) / self.fps)
-        return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(
-            np.int64
-        )
+        return np.rint(
+            np.clip(frame_numbers * per_frame, -MAX_TICKS, MAX_TICKS)
+        ).astype(np.int64)
 
 
 class FbxSampler:
     """Samples a take's motion on a rig at arbitrary times."""
 
     def __init__(self, scene: FbxScene, fbx_rig: FbxRig, take: AnimTake | None) -> None:
-        """Prepare to sample a take on a rig; None samples the saved pose."""
+        """Prepare to sample a take, or the saved pose without one, on a rig."""
         self.scene, self.fbx_rig, self.take = scene, fbx_rig, take
         animation = AnimatedComponents(scene.models, take)
         flags = np.array(
-            [animation.animated_components(row) for row in fbx_rig.joint_rows]
+            [animation.animated_components(source) for source in fbx_rig.joint_sources]
         ).reshape(-1, 3)
         flags[:, 2] &= ~fbx_rig.is_folded
         self.animated_joints = [np.flatnonzero(flags[:, k]) for k in range(3)]
-        rows = range(len(fbx_rig.shape_channels))
+        shapes = range(len(fbx_rig.shape_channels))
         self.animated_shapes = np.array(
-            [row for row in rows if self._is_animated(row)], np.int64
+            [shape for shape in shapes if self._is_animated(shape)], np.int64
         )
         begin = 0 if take is None else take.start_ticks
         self.rest_values = self._static_values(np.array([begin], np.int64))
@@ -82,20 +83,19 @@ class FbxSampler:
         translations, rotations, scales = (len(j) for j in self.animated_joints)
         return 3 * translations + 4 * rotations + 3 * scales + len(self.animated_shapes)
 
-    def weight_track(self, row: int) -> PropertyTrack | None:
+    def weight_track(self, shape_index: int) -> PropertyTrack | None:
         """Return the track of a shape's weight; None if not animated."""
-        channel = self.fbx_rig.shape_channels[row][0]
+        channel = self.fbx_rig.shape_channels[shape_index][0]
         return find_track(self.take, channel.id, DEFORM_PERCENT)
 
-    def _is_animated(self, row: int) -> bool:
-        track = self.weight_track(row)
-        base = np.array([self.fbx_rig.shape_channels[row][0].percent])
-        return track is not None and track.constant_value(base) is None
+    def _is_animated(self, shape_index: int) -> bool:
+        track = self.weight_track(shape_index)
+        return track is not None and not track.is_static()
 
-    def weight(self, row: int, ticks: IntArray) -> FloatArray:
+    def weight(self, shape_index: int, ticks: IntArray) -> FloatArray:
         """Return the weight of a shape at times ``(F,)`` [1]."""
-        channel, full_percent = self.fbx_rig.shape_channels[row]
-        base, track = np.array([channel.percent]), self.weight_track(row)
+        channel, full_percent = self.fbx_rig.shape_channels[shape_index]
+        base, track = np.array([channel.percent]), self.weight_track(shape_index)
         if track is None:
             return np.full(len(ticks), channel.percent / full_percent)
         return np.asarray(track.evaluate(base, ticks)[:, 0] / full_percent)
@@ -107,8 +107,8 @@ class FbxSampler:
         translations = np.zeros((joint_count, 3))
         rotations = np.tile([0.0, 0.0, 0.0, 1.0], (joint_count, 1))
         scales = np.ones((joint_count, 3))
-        for j, row in enumerate(fbx_rig.joint_rows):
-            local = transforms.joint_transforms(row)
+        for j, source in enumerate(fbx_rig.joint_sources):
+            local = transforms.joint_transforms(source)
             translations[j] = local[0][0] * fbx_rig.translation_factors[j]
             rotations[j] = local[1][0]
             scales[j] = 1.0 if fbx_rig.is_folded[j] else local[2][0]
@@ -125,7 +125,9 @@ class FbxSampler:
         ]
         for component, joints in enumerate(self.animated_joints):
             for k, j in enumerate(joints.tolist()):
-                samples = transforms.joint_transforms(fbx_rig.joint_rows[j])[component]
+                samples = transforms.joint_transforms(fbx_rig.joint_sources[j])[
+                    component
+                ]
                 if component == 0:
                     samples = samples * fbx_rig.translation_factors[j]
                 elif component == 1:
@@ -137,13 +139,10 @@ class FbxSampler:
         ]
         weights = None
         if fbx_rig.shape_channels:
-            rows = [self.weight(row, ticks) for row in self.animated_shapes.tolist()]
-            shape_weights = (
-                np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
-            )
-            weights = Channel(
-                self.rest_values[3], self.animated_shapes, shape_weights[:, :, None]
-            )
+            shape_weights = np.zeros((len(ticks), len(self.animated_shapes), 1))
+            for k, shape in enumerate(self.animated_shapes.tolist()):
+                shape_weights[:, k, 0] = self.weight(shape, ticks)
+            weights = Channel(self.rest_values[3], self.animated_shapes, shape_weights)
         scales = channels[2] if self.is_scaled else None
         return Motion(channels[0], channels[1], scales, weights)
 
@@ -171,14 +170,9 @@ def find_frame_range(
         begin, end = int(keys[0]), int(keys[-1])
     # Frames contain the range: from the frame at or before its start to the frame at or
     # after its end.
-    first_frame = _nearest_frame(begin, rate)
-    first_frame -= (
-        _is_off_frame(begin, rate) and first_frame * TICKS_PER_SECOND > begin * rate
-    )
-    last_frame = _nearest_frame(end, rate)
-    last_frame += (
-        _is_off_frame(end, rate) and last_frame * TICKS_PER_SECOND < end * rate
-    )
+    first, last = (ticks * rate / TICKS_PER_SECOND for ticks in (begin, end))
+    first_frame = round(first) if _is_on_frame(first) else math.floor(first)
+    last_frame = round(last) if _is_on_frame(last) else math.ceil(last)
     last_frame = max(first_frame, last_frame)
     count = last_frame - first_frame + 1
     values = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
@@ -200,26 +194,25 @@ def off_frame_keys_notice(
 ) -> list[Fault]:
     """Return a notice with the interpolation error of joints at keys between frames."""
     take = sampler.take
-    keys = np.zeros(0, np.int64) if take is None else take.key_times()
-    if take is None or not len(keys):
+    if take is None:
         return []
+    keys = take.key_times()
     codes = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
     off_frame_keys = np.flatnonzero(np.abs(codes - np.round(codes)) > FRAME_TOLERANCE)
     if not len(off_frame_keys):
         return []
-    measured_frames = off_frame_keys[
-        :: max(1, len(off_frame_keys) // MAX_MEASURED_KEYS)
-    ]
-    frame_before = np.floor(codes[measured_frames])
+    stride = max(1, len(off_frame_keys) // MAX_MEASURED_KEYS)
+    measured_keys = off_frame_keys[::stride]
+    frame_before = np.floor(codes[measured_keys])
     positions = [
         forward_kinematics(fbx_rig.rig, *sampler.sample(ticks).dense()).positions
         for ticks in (
             frames.ticks(frame_before),
             frames.ticks(frame_before + 1.0),
-            keys[measured_frames],
+            keys[measured_keys],
         )
     ]
-    fraction = (codes[measured_frames] - frame_before)[:, None, None]
+    fraction = (codes[measured_keys] - frame_before)[:, None, None]
     interpolated = positions[0] + fraction * (positions[1] - positions[0])
     distances = np.linalg.norm(positions[2] - interpolated, axis=2)
     worst_joint = int(distances.max(axis=0).argmax())
@@ -244,9 +237,8 @@ def keys_outside_notice(
     keys = np.unique(np.concatenate([curve.times for curve in animated_curves]))
     codes = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
     last = frames.first + frames.count - 1
-    is_outside = (codes < frames.first - FRAME_TOLERANCE) | (
-        codes > last + FRAME_TOLERANCE
-    )
+    is_outside = codes < frames.first - FRAME_TOLERANCE
+    is_outside |= codes > last + FRAME_TOLERANCE
     outside_count = int(is_outside.sum())
     if not outside_count:
         return []
@@ -261,27 +253,22 @@ def keys_outside_notice(
     return [Fault("FBX123", message, path, (), hint, severity, where=take.where)]
 
 
-def _nearest_frame(ticks: int, rate: Fraction) -> int:
-    return round(ticks * rate / TICKS_PER_SECOND)
-
-
-def _is_off_frame(ticks: int, rate: Fraction) -> bool:
-    frames = ticks * rate / TICKS_PER_SECOND
-    return abs(frames - round(frames)) > Fraction(1, 1000)
+def _is_on_frame(frame: Fraction) -> bool:
+    return abs(frame - round(frame)) <= Fraction(1, 1000)
 
 
 def build_stream(fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> TakeStream:
     """Return a take as a stream, sampled block by block."""
     clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
 
-    def sample(codes: FloatArray) -> Motion:
-        return sampler.sample(frames.ticks(codes))
+    def sample(frame_numbers: FloatArray) -> Motion:
+        return sampler.sample(frames.ticks(frame_numbers))
 
     return sampled_stream(fbx_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
 def animates_rig(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:
     """Return whether a take has tracks of the rig's nodes or shapes."""
-    ids = {scene.models[row.model].object.id for row in fbx_rig.joint_rows}
+    ids = {scene.models[source.model].object.id for source in fbx_rig.joint_sources}
     ids |= {channel.id for channel, _ in fbx_rig.shape_channels}
     return any(object_id in ids for object_id, _ in take.tracks)

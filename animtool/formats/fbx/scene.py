@@ -1,4 +1,4 @@
-"""Opens an FBX scene: nodes, meshes, takes and skins."""
+"""Reads the scene of an FBX file: nodes, meshes, skins and takes."""
 
 from __future__ import annotations
 
@@ -67,17 +67,15 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     meshes = {node_indices[i]: m for i, m in geometry.items() if i in node_indices}
     takes = read_takes(file)
     skins, mesh_bind_worlds = _skin_entries(meshes, node_indices)
-    nodes = _build_nodes(models, meshes)
-    _add_driver_notice(file)
-    default_index = find_default_take(file, takes)
+    _warn_of_constraints(file)
     return FbxScene(
         file,
         settings,
         models,
         meshes,
         takes,
-        default_index,
-        nodes,
+        find_default_take(file, takes),
+        _build_nodes(models, meshes),
         tuple(skins),
         mesh_bind_worlds,
         [],
@@ -98,13 +96,9 @@ def _skin_entries(
         if has_unweighted_points(mesh):
             joints.append(node)
             matrices.append(np.eye(4))
-        first_cluster = mesh.clusters[0]
-        skins.append(
-            SkinEntry(None, tuple(joints), -1, np.stack(matrices), first_cluster.where)
-        )
-        mesh_bind_worlds.append(
-            first_cluster.world_from_bone @ first_cluster.bone_from_mesh
-        )
+        where, inverse_bind = mesh.clusters[0].where, np.stack(matrices)
+        skins.append(SkinEntry(None, tuple(joints), -1, inverse_bind, where))
+        mesh_bind_worlds.append(mesh.clusters[0].world_from_bone @ matrices[0])
     return skins, mesh_bind_worlds
 
 
@@ -159,11 +153,12 @@ def _ignored_labels(file: FbxFile) -> tuple[str, ...]:
     return tuple(sorted(labels))
 
 
-def _add_driver_notice(file: FbxFile) -> None:
-    """Add a note about constraints and drivers, which are not evaluated."""
-    drivers = file.of_kind("Constraint")
-    if drivers:
-        names = listed([repr(driver.name) for driver in drivers], MAX_LISTED_OBJECTS)
-        message = f"constraints are not evaluated: {names}"
+def _warn_of_constraints(file: FbxFile) -> None:
+    """Warn about constraints, which are not evaluated (FBX107)."""
+    constraints = file.objects_of_kind("Constraint")
+    if constraints:
+        names = [repr(constraint.name) for constraint in constraints]
+        message = "constraints are not evaluated: "
+        message += listed(names, MAX_LISTED_OBJECTS)
         hint = "driven nodes follow their curves only; bake them before exporting"
-        file.notes.warn("FBX107", drivers[0].element.where, message, hint)
+        file.notes.warn("FBX107", constraints[0].element.where, message, hint)

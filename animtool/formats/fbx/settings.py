@@ -78,7 +78,7 @@ def has_new_ticks(file: FbxFile) -> bool:
     tick_definition = element.values[0]
     if tick_definition not in {_NEW_DEFINITION, _OLD_DEFINITION}:
         message = f"unknown TCDefinition {excerpt(str(tick_definition))}: using "
-        message += f"{_OLD_DEFINITION}"
+        message += str(_OLD_DEFINITION)
         file.notes.warn("FBX106", element.where, message)
     return bool(tick_definition == _NEW_DEFINITION)
 
@@ -145,11 +145,7 @@ def _read_old_rate(file: FbxFile) -> Fraction:
     for name in ("Version5", "Settings", "FrameRate"):
         element = None if element is None else element.find(name)
     try:
-        rate = (
-            parse_rate(str(element.values[0])) if element and element.values else None
-        )
+        rate = parse_rate(str(element.values[0])) if element and element.values else 0
     except (ValueError, ArithmeticError):
-        rate = None
-    if rate is None or not Fraction(1, 100) <= rate <= 100_000:
-        return Fraction(24)
-    return rate
+        rate = 0
+    return Fraction(rate if Fraction(1, 100) <= rate <= 100_000 else 24)

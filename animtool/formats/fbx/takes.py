@@ -41,41 +41,31 @@ from animtool.formats.fbx.old_keys import (
 from animtool.formats.fbx.settings import convert_new_ticks, has_new_ticks
 
 # Component names of each animatable property, as in curve nodes.
-_VECTOR_PROPERTIES = (
-    TRANSLATION,
-    ROTATION,
-    SCALING,
-    *PIVOT_PROPERTIES,
-    *OUTER_ROTATIONS,
-)
+_OTHER_PROPERTIES = (*PIVOT_PROPERTIES, *OUTER_ROTATIONS)
 COMPONENTS: dict[str, tuple[str, ...]] = dict.fromkeys(
-    _VECTOR_PROPERTIES, ("d|X", "d|Y", "d|Z")
+    (TRANSLATION, ROTATION, SCALING, *_OTHER_PROPERTIES), ("d|X", "d|Y", "d|Z")
 )
 COMPONENTS[DEFORM_PERCENT] = ("d|DeformPercent",)
+# Properties by the names of their channels in files before 7000.
 _CHANNEL_PROPERTIES = {"T": TRANSLATION, "R": ROTATION, "S": SCALING}
-_CHANNEL_PROPERTIES |= {name: name for name in (*PIVOT_PROPERTIES, *OUTER_ROTATIONS)}
+_CHANNEL_PROPERTIES |= {name: name for name in _OTHER_PROPERTIES}
 _CHANNEL_DEFAULTS = dict.fromkeys(COMPONENTS, 0.0) | {SCALING: 1.0}
 # Properties that affect the pose; their animation is not supported.
 _STATIC_PROPERTIES = {
-    "RotationOrder",
-    "RotationActive",
-    "InheritType",
-    "GeometricTranslation",
+    *("RotationOrder", "RotationActive", "InheritType", "GeometricTranslation"),
+    *("GeometricRotation", "GeometricScaling"),
 }
-_STATIC_PROPERTIES |= {"GeometricRotation", "GeometricScaling"}
 MAX_LAYERS = 1000
 
 
 @dataclass(slots=True, eq=False)
 class AnimTake:
-    """A take with its tracks."""
+    """A take: the animated properties of objects over a span of time."""
 
     name: str  # name in the file
     where: str  # location of the take's element in the file
     start_ticks: int  # start of the take's span [tick]
     end_ticks: int  # end of the take's span [tick]
-    # Names of the take's layers, from bottom to top.
-    layers: list[str] = field(default_factory=list)
     # Tracks by object id and property name.
     tracks: dict[tuple[ObjectId, str], PropertyTrack] = field(default_factory=dict)
     has_animated_visibility: bool = False  # whether visibility is animated
@@ -103,18 +93,17 @@ def read_takes(file: FbxFile) -> list[AnimTake]:
     if file.version < FIRST_NUMBERED_VERSION:
         return _read_old_takes(file)
     reader = _StackReader(file)
-    return [reader.read_take(stack) for stack in file.of_kind("AnimationStack")]
+    return [reader.read_take(stack) for stack in file.objects_of_kind("AnimationStack")]
 
 
 def find_default_take(file: FbxFile, takes: list[AnimTake]) -> int:
     """Return the index of the default take; -1 if there are no takes."""
-    name = ""
-    for documents in file.root.find_all("Documents"):
-        for document in documents.find_all("Document"):
-            for properties in document.find_all("Properties70"):
-                for property_element in properties.find_all("P"):
-                    if property_element.text(0) == "ActiveAnimStackName":
-                        name = property_element.text(4)
+    name, elements = "", [file.root]
+    for tag in ("Documents", "Document", "Properties70", "P"):
+        elements = [child for parent in elements for child in parent.find_all(tag)]
+    for property_element in elements:
+        if property_element.text(0) == "ActiveAnimStackName":
+            name = property_element.text(4)
     for takes_element in file.root.find_all("Takes"):
         current = takes_element.find("Current")
         name = current.text(0) if current is not None else name
@@ -128,7 +117,7 @@ def find_default_take(file: FbxFile, takes: list[AnimTake]) -> int:
 
 
 class _StackReader:
-    """Reads animation stacks as takes; reads each curve once."""
+    """Reads animation stacks as takes, each curve once."""
 
     def __init__(self, file: FbxFile) -> None:
         self.file = file
@@ -150,7 +139,6 @@ class _StackReader:
         if not active:
             active = [a for a in layers if not read_scalar(a, "Mute", 0, file.notes)]
         for i, layer in enumerate(layers):
-            take.layers.append(layer.name)
             if layer in active:
                 self._add_layer(take, layer, is_first=i == 0)
         return take
@@ -172,7 +160,7 @@ class _StackReader:
                 if property_name not in COMPONENTS or target not in file.objects:
                     continue
                 key = target, property_name
-                track = take.tracks.setdefault(key, PropertyTrack(*key))
+                track = take.tracks.setdefault(key, PropertyTrack(property_name))
                 if track.layers and track.layers[-1].layer is layer:
                     continue  # a layer affects a property once
                 values = self._layer_values(node, property_name, layer, is_first)
@@ -197,23 +185,21 @@ class _StackReader:
         curves: dict[str, FbxCurve | None] = {}
         for source, component in self.file.incoming.get(node.id, ()):
             curve_object = self.file.objects.get(source)
-            if curve_object is None or component in curves:
+            if curve_object is None or curve_object.kind != "AnimationCurve":
                 continue
-            if curve_object.kind != "AnimationCurve":
+            if component in curves:
                 continue
             if source not in self._curves:
-                element, has_new_ticks = curve_object.element, self._has_new_ticks
-                curve = read_curve(
-                    element, self.file.notes, has_new_ticks=has_new_ticks
-                )
+                element, notes = curve_object.element, self.file.notes
+                curve = read_curve(element, notes, has_new_ticks=self._has_new_ticks)
                 if curve is not None:
                     # Most curves of a take have the same keys; equal times are stored
                     # once.
-                    key = curve.times.tobytes()
-                    times = self._times.setdefault(key, curve.times)
+                    times = curve.times
+                    times = self._times.setdefault(times.tobytes(), times)
                     curve = replace(curve, times=times)
                     # The element's arrays are no longer needed.
-                    curve_object.element.children.clear()
+                    element.children.clear()
                 self._curves[source] = curve
             curves[component] = self._curves[source]
         return curves
@@ -241,7 +227,6 @@ class _StackReader:
                 curve = next(iter(self._node_curves(node).values()), None)
                 weight = read_scalar(node, "d|Weight", weight, notes)
         return Layer(
-            layer_object.name,
             min(max(weight / 100.0, 0.0), 1.0),
             curve,
             mode,
@@ -258,7 +243,7 @@ def _read_old_takes(file: FbxFile) -> list[AnimTake]:
     old_takes = []
     for takes in file.root.find_all("Takes"):
         for element in takes.find_all("Take"):
-            take = AnimTake(element.text(0), element.where, 0, 0, ["BaseLayer"])
+            take = AnimTake(element.text(0), element.where, 0, 0)
             span = element.find("LocalTime")
             if span is not None and len(span.values) > 1:
                 take.start_ticks, take.end_ticks = (
@@ -336,5 +321,5 @@ def _read_old_track(
         if default is not None:
             defaults[k] = read_number(default, 0, file.notes)
         curves[k] = read_channel_curve(axis_channel, file.notes, layout)
-    values = LayerValues(Layer("BaseLayer"), True, defaults, curves)
-    take.tracks.setdefault((object_id, name), PropertyTrack(object_id, name, [values]))
+    values = LayerValues(Layer(), True, defaults, curves)
+    take.tracks.setdefault((object_id, name), PropertyTrack(name, [values]))

@@ -1,4 +1,4 @@
-"""Computes the slopes of automatic and TCB tangents.
+"""Computes the slopes of keys with automatic and TCB tangents.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimCurveDef` (tangent modes);
 Kochanek and Bartels, *Interpolating splines with local tension, continuity, and bias
@@ -44,23 +44,16 @@ def compute_key_slopes(
     chords = _chord_slopes(seconds, values)
     out_slopes, in_slopes = key_data[:, 0].copy(), key_data[:, 1].copy()
     is_straight = (flags & (STEPPED | CURVED)) == 0
-    out_slopes[is_straight] = in_slopes[is_straight] = np.append(chords, 0.0)[
-        is_straight
-    ]
+    straight_slopes = np.append(chords, 0.0)[is_straight]
+    out_slopes[is_straight] = in_slopes[is_straight] = straight_slopes
     out_slopes[flags & STEPPED != 0] = in_slopes[flags & STEPPED != 0] = 0.0
     in_slopes[is_tcb] = 0.0
     slopes_before = np.concatenate([[0.0], in_slopes[:-1]])
+    slopes = slopes_before, out_slopes
     if is_auto.any():
-        _set_auto_slopes(
-            seconds,
-            values,
-            flags,
-            weights,
-            chords,
-            (is_auto, slopes_before, out_slopes),
-        )
+        _set_auto_slopes(is_auto, slopes, seconds, values, flags, weights, chords)
     if is_tcb.any():
-        _set_tcb_slopes(chords, key_data, (is_tcb, slopes_before, out_slopes))
+        _set_tcb_slopes(is_tcb, slopes, chords, key_data)
     # The last key has no segment after it.
     return out_slopes, np.append(slopes_before[1:], in_slopes[-1:])
 
@@ -72,33 +65,32 @@ def _chord_slopes(seconds: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _set_auto_slopes(
+    is_auto: BoolArray,
+    slopes: tuple[FloatArray, FloatArray],
     seconds: FloatArray,
     values: FloatArray,
     flags: IntArray,
     weights: FloatArray,
     chords: FloatArray,
-    slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
-    """Set the slopes of keys with automatic tangents, in place.
+    """Set the slopes before and after keys with automatic tangents, in place.
 
     The file states a bias towards a neighbour instead of a slope for these keys.
     """
-    is_auto, slopes_before, out_slopes = slopes
+    slopes_before, out_slopes = slopes
     if len(seconds) < 2:
         slopes_before[is_auto] = out_slopes[is_auto] = 0.0
         return
     for k, chord in ((0, chords[0]), (-1, chords[-1])):
         if is_auto[k]:
             bias = float(out_slopes[k] if k == 0 else -slopes_before[k])
-            slopes_before[k] = out_slopes[k] = _end_slope(
-                int(flags[k]), float(chord), bias
-            )
+            end_slope = _end_slope(int(flags[k]), float(chord), bias)
+            slopes_before[k] = out_slopes[k] = end_slope
     inner_keys = np.flatnonzero(is_auto[1:-1]) + 1
     if not len(inner_keys):
         return
-    is_broken = (
-        np.abs(slopes_before[inner_keys] + out_slopes[inner_keys]) > SLOPE_TOLERANCE
-    )
+    slope_sums = slopes_before[inner_keys] + out_slopes[inner_keys]
+    is_broken = np.abs(slope_sums) > SLOPE_TOLERANCE
     bias_out = out_slopes[inner_keys].copy()
     bias_in = np.where(is_broken, -slopes_before[inner_keys], bias_out)
     inner_slopes = [
@@ -163,12 +155,13 @@ def _inner_slopes(
 
 
 def _set_tcb_slopes(
+    is_tcb: BoolArray,
+    slopes: tuple[FloatArray, FloatArray],
     chords: FloatArray,
     key_data: FloatArray,
-    slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
-    """Set the slopes of keys from tension, continuity and bias."""
-    is_tcb, slopes_before, out_slopes = slopes
+    """Set the slopes at keys from tension, continuity and bias, in place."""
+    slopes_before, out_slopes = slopes
     tension, continuity, bias = key_data[is_tcb].T
     chord_before = np.concatenate([[0.0], chords])[is_tcb]
     chord_after = np.concatenate([chords, [0.0]])[is_tcb]

@@ -48,7 +48,7 @@ def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
 
 
 class _TextParser:
-    """Parses elements in one pass."""
+    """Parses the elements of a file in one pass."""
 
     def __init__(self, content: bytes, notes: FileNotices) -> None:
         self.content, self.notes = content, notes
@@ -76,12 +76,12 @@ class _TextParser:
         while offset < size:
             token = _TOKEN.match(self.content, offset)
             if token is None:
-                rest = self.content[offset:]
-                if rest[:1] == b'"':
+                start = self.content[offset : offset + 12]
+                if start[:1] == b'"':
                     # A text without a closing quote goes on to the end.
                     self.fail(offset, "the file ends in the middle of a text")
-                excerpt_text = rest[:12].decode("utf-8", "replace")
-                self.fail(offset, f"unexpected {excerpt(excerpt_text)}")
+                unexpected_text = excerpt(start.decode("utf-8", "replace"))
+                self.fail(offset, f"unexpected {unexpected_text}")
             self._handle_token(token, offset)
             offset = token.end()
         if len(self.stack) > 1:
@@ -116,9 +116,8 @@ class _TextParser:
                 self.fail(offset, "a brace without a name before it")
             self.stack.append(self.current)
             if len(self.stack) > MAX_DEPTH:
-                self.notes.fail(
-                    "FBX013", self.line_label(offset), f"more than {MAX_DEPTH} levels"
-                )
+                message = f"more than {MAX_DEPTH} levels"
+                self.notes.fail("FBX013", self.line_label(offset), message)
             self.current = None
         elif character == b"}":
             if len(self.stack) == 1:
@@ -148,8 +147,8 @@ class _TextParser:
                 return
         except (ValueError, OverflowError):
             pass
-        excerpt_text = text[:40].decode("utf-8", "replace")
-        self.fail(offset, f"{excerpt(excerpt_text)} is not a list of numbers")
+        start = excerpt(text[:40].decode("utf-8", "replace"))
+        self.fail(offset, f"{start} is not a list of numbers")
 
 
 def _add_numbers(element: Element, text: bytes, texts: list[bytes]) -> None:
@@ -175,11 +174,9 @@ def _elements_with_arrays(root: Element) -> list[Element]:
 def _join_arrays(element: Element) -> None:
     """Join arrays and numbers to one array; mixed values become a list."""
     values = element.values
-    number_types = (np.ndarray, int, float)
-    if all(isinstance(value, number_types) for value in values):
+    if all(isinstance(value, np.ndarray | int | float) for value in values):
         try:
-            arrays = [np.atleast_1d(np.asarray(value)) for value in values]
-            array = np.concatenate(arrays)
+            array = np.concatenate([np.atleast_1d(value) for value in values])
         except (OverflowError, TypeError):
             return
         if array.dtype.kind in "if":
@@ -192,7 +189,6 @@ def _join_arrays(element: Element) -> None:
 
 
 def _parse_number(text: bytes) -> int | float:
-    text = text.strip()
     if b"." not in text and b"e" not in text and b"E" not in text:
         return int(text)
     return float(text)

@@ -33,7 +33,7 @@ TAKE_MESSAGES = TakeMessages(
     "has no animation: the rig is read at rest",
     unknown_code="GLT015",
     no_take_code="GLT116",
-    several_code="GLT121",
+    skipped_code="GLT121",
 )
 
 

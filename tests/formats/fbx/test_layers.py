@@ -23,17 +23,17 @@ def over(name: str, layer: Layer, low: float, high: float) -> float:
     """Return what a layer makes of a value below it."""
     curves = [None] * 3
     layers = [
-        LayerValues(Layer("base"), True, [low] * 3, curves),
+        LayerValues(Layer(), True, [low] * 3, curves),
         LayerValues(layer, False, [high] * 3, curves),
     ]
-    return float(PropertyTrack(1, name, layers).evaluate(np.zeros(3), TICKS)[0, 0])
+    return float(PropertyTrack(name, layers).evaluate(np.zeros(3), TICKS)[0, 0])
 
 
 @pytest.mark.parametrize(
     ("mode", "expected"), [(ADDITIVE, 3.0), (OVERRIDE, 4.0), (PASSTHROUGH, 2.5)]
 )
 def test_a_layer_at_half_weight(mode: int, expected: float) -> None:
-    assert over(TRANSLATION, Layer("more", 0.5, mode=mode), 1.0, 4.0) == expected
+    assert over(TRANSLATION, Layer(0.5, mode=mode), 1.0, 4.0) == expected
 
 
 @pytest.mark.parametrize(
@@ -49,9 +49,9 @@ def test_a_layer_at_half_weight(mode: int, expected: float) -> None:
 def test_scales_by_product(
     mode: int, weight: float, high: float, expected: float
 ) -> None:
-    layer = Layer("more", weight, mode=mode, accumulates_scales=True)
+    layer = Layer(weight, mode=mode, accumulates_scales=True)
     assert over(SCALING, layer, 3.0, high) == pytest.approx(expected)
 
 
 def test_a_nearly_whole_weight_is_whole() -> None:
-    assert over(TRANSLATION, Layer("more", 0.999995, mode=PASSTHROUGH), 1.0, 4.0) == 4.0
+    assert over(TRANSLATION, Layer(0.999995, mode=PASSTHROUGH), 1.0, 4.0) == 4.0

@@ -1,4 +1,4 @@
-"""Joins the curves of a property's components to keys of all components."""
+"""Joins the curves of a property's components to keys that have all components."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _EXTRAPOLATIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedKeys:
-    """Keys of a property of D components."""
+    """K keys of a property of D components."""
 
     ticks: IntArray  # times ``(K,)``
     values: FloatArray  # ``(K, D)``
@@ -114,7 +114,7 @@ def _convert_extrapolation(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SegmentedCurve:
-    """A curve split into N segments, whose N + 1 times include all keys."""
+    """A curve split into N segments between N + 1 times that include all keys."""
 
     is_cubic: BoolArray  # ``(N,)``
     is_stepped: BoolArray
@@ -130,17 +130,11 @@ def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     key_index = np.searchsorted(curve.times, starts, "right") - 1
     is_in_range = (key_index >= 0) & (key_index < len(curve.times) - 1)
     key_index = np.clip(key_index, 0, max(len(curve.times) - 2, 0))
-    no_slopes = np.zeros(len(starts))
     if len(curve.times) < 2:
-        all_true, all_false = np.ones(len(starts), bool), np.zeros(len(starts), bool)
+        slopes, is_none = np.zeros(len(starts)), np.zeros(len(starts), bool)
+        weights = np.full((len(starts), 2), ONE_THIRD)
         return _SegmentedCurve(
-            all_false,
-            all_false,
-            all_true,
-            all_false,
-            np.full((len(starts), 2), ONE_THIRD),
-            no_slopes,
-            no_slopes,
+            is_none, is_none, ~is_none, is_none, weights, slopes, slopes
         )
     key_ticks, next_ticks = curve.times[key_index], curve.times[key_index + 1]
     modes = curve.modes[key_index]
