@@ -14,7 +14,7 @@ from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.document import Gltf, open_gltf
 from animtool.formats.gltf.rig import GltfRig, build_rig
 from animtool.formats.gltf.sampling import build_sampler
-from animtool.formats.gltf.surfaces import mesh_names, vertex_offset
+from animtool.formats.gltf.surfaces import mesh_names, shared_vertices
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward_kinematics
 from animtool.rig.skeleton import Rig
@@ -129,5 +129,12 @@ def _state(
         if name not in posed:
             own = mesh.weights(weights)
             posed[name] = deform(mesh.mesh, own, world).points[0]
-        at = vertex_offset(character.gltf, node, primitive) + vertex
+        at = _vertex_offset(character.gltf, node, primitive) + vertex
         apart.add("point", (posed[name][at] - point) / size)
+
+
+def _vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
+    """Return the offset of a primitive's vertices in the mesh of a node."""
+    key = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive].vertex_key
+    vertex_sets = shared_vertices(gltf, node)
+    return next(v.first_vertex for v in vertex_sets if v.primitive.vertex_key == key)

@@ -98,8 +98,8 @@ class Accessors:
 
     container: Container
     folder: Path
-    notes: FileNotices
-    unused: UnusedIndices  # what is never read
+    unused_indices: UnusedIndices  # indices of what is never read
+    notes: FileNotices = field(init=False)
     buffers: Buffers = field(init=False)
     views: list[BufferView | None] = field(default_factory=list)
     entries: list[Accessor | None] = field(default_factory=list)
@@ -110,25 +110,22 @@ class Accessors:
     def __post_init__(self) -> None:
         """Check all lengths; no buffer is opened."""
         root = self.container.root
-        self.buffers = Buffers(self.container, self.folder, self.notes)
+        self.notes = root.notes
+        self.buffers = Buffers(self.container, self.folder)
         for i in range(len(self.buffers)):
-            if i not in self.unused.buffers:
+            if i not in self.unused_indices.buffers:
                 self.buffers.check(i)
         for i, item in enumerate(root.children("bufferViews")):
-            self.views.append(self._read_view(item, i in self.unused.views))
+            self.views.append(self._read_view(item, i in self.unused_indices.views))
         for i, item in enumerate(root.children("accessors")):
-            is_unused = i in self.unused.accessors
+            is_unused = i in self.unused_indices.accessors
             self.entries.append(None if is_unused else self._read_accessor(item))
 
     def get(self, index: int) -> Accessor:
-        """Return the accessor at an index, which must not be an ignored one."""
+        """Return the accessor at an index, which must be one that is read."""
         accessor = self.entries[index]
         assert accessor is not None
         return accessor
-
-    def declares_extension(self, name: str) -> bool:
-        """Return whether the file lists an extension as used."""
-        return name in self.container.root.values.get("extensionsUsed", ())
 
     def has_data(self, index: int) -> bool:
         """Return whether the file has bytes for any element of an accessor.
@@ -196,14 +193,14 @@ class Accessors:
         index_view = self._require_view(sparse.index_view, f"{where}/indices")
         value_view = self._require_view(sparse.value_view, f"{where}/values")
         dtype = COMPONENT_TYPES[accessor.component_type]
-        count, offset = sparse.count, sparse.index_offset
-        rows = self._elements(index_view, offset, (count, 1), sparse.index_type)
+        shape, offset = (sparse.count, 1), sparse.index_offset
+        rows = self._elements(index_view, offset, shape, sparse.index_type)
         indices = rows[:, 0].astype(np.int64)
         if (np.diff(indices) <= 0).any() or indices[-1] >= accessor.count:
             message = f"sparse indices must ascend, below {accessor.count}"
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
-        shape = count, accessor.width
+        shape = sparse.count, accessor.width
         values[indices] = self._elements(value_view, sparse.value_offset, shape, dtype)
         return values
 
@@ -248,17 +245,16 @@ class Accessors:
         return BufferView(item, buffer, offset, length, stride)
 
     def _read_accessor(self, item: JsonItem) -> Accessor | None:
-        component_type = item.number("componentType")
+        component_type = item.integer("componentType")
         if component_type is None:
             item.fail_missing("componentType")
         count, element_type = item.size("count", minimum=1), item.text("type")
         if element_type is None:
             item.fail_missing("type")
-        is_valid = {
-            "componentType": component_type in COMPONENT_TYPES,
-            "type": element_type in ELEMENT_WIDTHS,
-        }
-        for key, is_known in is_valid.items():
+        for key, is_known in (
+            ("componentType", component_type in COMPONENT_TYPES),
+            ("type", element_type in ELEMENT_WIDTHS),
+        ):
             if not is_known:
                 message = f"unknown {key} {item.values[key]!r}: ignored"
                 self.notes.warn("GLT106", item.pointer_to(key), message)
@@ -278,7 +274,7 @@ class Accessors:
             item.flag("normalized"),
             self._read_sparse(item, count),
         )
-        _warn_about_invalid_bounds(accessor)
+        _check_bound_lengths(accessor)
         self._check_inside(accessor)
         return accessor
 
@@ -313,14 +309,13 @@ class Accessors:
         sparse = accessor.sparse
         if sparse is None:
             return
-        index_bytes = sparse.index_type.itemsize
-        value_bytes = accessor.width * dtype.itemsize
-        for key, view_index, offset, element_bytes in (
-            ("indices", sparse.index_view, sparse.index_offset, index_bytes),
-            ("values", sparse.value_view, sparse.value_offset, value_bytes),
+        index_bytes = sparse.count * sparse.index_type.itemsize
+        value_bytes = sparse.count * accessor.width * dtype.itemsize
+        for key, view_index, end in (
+            ("indices", sparse.index_view, sparse.index_offset + index_bytes),
+            ("values", sparse.value_view, sparse.value_offset + value_bytes),
         ):
             sparse_view = self.views[view_index]
-            end = offset + sparse.count * element_bytes
             if sparse_view is not None and end > sparse_view.length:
                 where = f"{accessor.where}/sparse/{key}"
                 self._fail_beyond_view(where, end, sparse_view)
@@ -336,8 +331,11 @@ class Accessors:
         sparse_count = sparse.size("count", minimum=1)
         if sparse_count > count:
             sparse.fail("count", f"{sparse_count} sparse elements of {count}", "GLT008")
-        indices, values = sparse.required("indices"), sparse.required("values")
-        component = indices.number("componentType")
+        indices, values = (
+            sparse.required_child("indices"),
+            sparse.required_child("values"),
+        )
+        component = indices.integer("componentType")
         if component not in {5121, 5123, 5125}:
             indices.fail("componentType", "sparse indices must be unsigned integers")
         views = len(self.views)
@@ -351,15 +349,15 @@ class Accessors:
         )
 
 
-def _warn_about_invalid_bounds(accessor: Accessor) -> None:
+def _check_bound_lengths(accessor: Accessor) -> None:
     """Warn about min or max without one number per component."""
     item = accessor.item
     for key in ("min", "max"):
         if key not in item.values:
             continue
-        bound_values = item.values[key]
-        is_list = isinstance(bound_values, list) and len(bound_values) == accessor.width
-        if not is_list or not {*map(type, bound_values)} <= {int, float}:
+        bounds = item.values[key]
+        is_list = isinstance(bounds, list) and len(bounds) == accessor.width
+        if not is_list or not {*map(type, bounds)} <= {int, float}:
             message = f"{key} is not {accessor.width} numbers: it is ignored"
             item.notes.warn("GLT102", item.pointer_to(key), message)
 

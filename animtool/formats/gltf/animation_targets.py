@@ -52,7 +52,7 @@ def read_channel_target(
     ignored_targets: dict[str, None],
 ) -> ChannelTarget | None:
     """Return the target of a channel; None if the channel is ignored."""
-    target = channel.required("target")
+    target = channel.required_child("target")
     path = target.text("path")
     if path is None:
         target.fail_missing("path")
@@ -79,7 +79,7 @@ def _build_node_target(
 ) -> ChannelTarget | None:
     if path is TargetPath.WEIGHTS:
         mesh = nodes[node].mesh
-        target_count = meshes[mesh].targets if mesh >= 0 else 0
+        target_count = meshes[mesh].target_count if mesh >= 0 else 0
         if weight_index >= target_count or not target_count:
             message = f"node {node} has {target_count} morph targets: the channel is "
             message += "ignored"
@@ -131,7 +131,7 @@ def _read_pointer_target(
         mesh = int(match[1][:9])
         if mesh >= len(meshes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
-        target_count = meshes[mesh].targets
+        target_count = meshes[mesh].target_count
         weight_index = -1 if match[2] is None else int(match[2][:9])
         if target_count and weight_index < target_count:
             return ChannelTarget(

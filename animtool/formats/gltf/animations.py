@@ -51,9 +51,9 @@ class GltfTrack:
     times: FloatArray  # key times, ascending ``(K,)`` [s]
     values: FloatArray  # ``(K, W)``; in the stored type if floats
     # Slopes into each key of cubic splines ``(K, W)`` [1/s].
-    ins: FloatArray | None = None
+    in_slopes: FloatArray | None = None
     # Slopes out of each key of cubic splines ``(K, W)`` [1/s].
-    outs: FloatArray | None = None
+    out_slopes: FloatArray | None = None
 
     def sample(self, times: FloatArray) -> FloatArray:
         """Return values at times ``(F, W)``, constant outside the keys.
@@ -87,16 +87,14 @@ def interpolate_tracks(
         values = np.where(fraction < 1.0, start_values, end_values)
         return _normalize_rotations(values, path)
     if first.interpolation is SamplerInterpolation.CUBIC:
-        track_outs = [track.outs[segment] for track in tracks if track.outs is not None]
-        track_ins = [t.ins[segment + 1] for t in tracks if t.ins is not None]
-        out_slopes = np.stack(track_outs, axis=1)
-        in_slopes = np.stack(track_ins, axis=1)
-        return _normalize_rotations(
-            _hermite(
-                start_values, out_slopes, in_slopes, end_values, fraction, duration
-            ),
-            path,
+        all_out_slopes = [t.out_slopes for t in tracks if t.out_slopes is not None]
+        all_in_slopes = [t.in_slopes for t in tracks if t.in_slopes is not None]
+        out_slopes = np.stack([slopes[segment] for slopes in all_out_slopes], axis=1)
+        in_slopes = np.stack([slopes[segment + 1] for slopes in all_in_slopes], axis=1)
+        values = _hermite(
+            start_values, out_slopes, in_slopes, end_values, fraction, duration
         )
+        return _normalize_rotations(values, path)
     if path is TargetPath.ROTATION:
         return so3.slerp(
             _normalize_rotations(start_values, path),
@@ -158,21 +156,21 @@ class Animation:
 
 
 class _SamplerReader:
-    """Reads the samplers of an animation; checks each input once."""
+    """Reads the samplers of an animation, and each input once."""
 
     def __init__(self, item: JsonItem, accessors: Accessors) -> None:
         self.items = item.children("samplers")
         self.accessors = accessors
         self.accessor_pairs = [self._read_accessor_pair(s) for s in self.items]
-        self.checked_inputs: set[int] = set()
+        self._times: dict[int, tuple[FloatArray, bool]] = {}
 
     def _read_accessor_pair(self, item: JsonItem) -> tuple[int, int]:
-        ends = []
+        indices = []
         for key in ("input", "output"):
             index = item.required_index(key, len(self.accessors.entries), "accessor")
             self.accessors.warn_about_stride(index, item.pointer_to(key))
-            ends.append(index)
-        return ends[0], ends[1]
+            indices.append(index)
+        return indices[0], indices[1]
 
     def interpolation(self, index: int) -> SamplerInterpolation:
         """Return the interpolation of a sampler."""
@@ -183,20 +181,23 @@ class _SamplerReader:
         except ValueError:
             item.fail("interpolation", f"unknown interpolation {excerpt(name)}")
 
-    def times(self, index: int) -> FloatArray:
-        """Return the key times of a sampler; check them against stated bounds."""
+    def times(self, index: int) -> tuple[FloatArray, bool]:
+        """Return the key times of a sampler, and whether they ascend.
+
+        Warn about stated bounds that differ from the times.
+        """
         item, accessor = self.items[index], self.accessor_pairs[index][0]
-        entry = self.accessors.entries[accessor]
-        if entry is None or not entry.has_type("SCALAR", FLOAT_COMPONENT):
-            item.fail("input", "times must be float scalars", "GLT011")
-        times = self.accessors.floats(accessor)[:, 0]
-        if accessor not in self.checked_inputs:
-            self.checked_inputs.add(accessor)
-            stated_bounds = {"min", "max"} & entry.item.values.keys()
-            if self.accessors.has_data(accessor) or not stated_bounds:
+        if accessor not in self._times:
+            entry = self.accessors.entries[accessor]
+            if entry is None or not entry.has_type("SCALAR", FLOAT_COMPONENT):
+                item.fail("input", "times must be float scalars", "GLT011")
+            times = self.accessors.floats(accessor)[:, 0]
+            has_bounds = not entry.item.values.keys().isdisjoint({"min", "max"})
+            if self.accessors.has_data(accessor) or not has_bounds:
                 where = item.pointer_to("input")
                 check_bounds(entry.item, times[:, None], required_by=where)
-        return times
+            self._times[accessor] = times, bool((np.diff(times) > 0).all())
+        return self._times[accessor]
 
 
 def read_animations(
@@ -224,7 +225,6 @@ def _read_animation(
     samplers = _SamplerReader(item, accessors)
     tracks: list[GltfTrack] = []
     pointers_by_target: dict[tuple[int, int, str, int], str] = {}
-    times_by_accessor: dict[int, tuple[FloatArray, bool]] = {}
     ignored_targets: dict[str, None] = {}
     for channel in item.children("channels"):
         target = read_channel_target(channel, nodes, meshes, ignored_targets)
@@ -237,7 +237,7 @@ def _read_animation(
             where = f"{pointers_by_target[target_key]}/target"
             channel.notes.fail("GLT012", where, message)
         pointers_by_target[target_key] = channel.pointer
-        tracks.append(_read_track(channel, target, samplers, index, times_by_accessor))
+        tracks.append(_read_track(channel, target, samplers, index))
     if ignored_targets:
         names = ", ".join(ignored_targets)
         message = f"channels of unsupported targets are ignored: {names}"
@@ -252,31 +252,18 @@ def _read_animation(
 
 
 def _read_track(
-    channel: JsonItem,
-    target: ChannelTarget,
-    samplers: _SamplerReader,
-    index: int,
-    times_by_accessor: dict[int, tuple[FloatArray, bool]],
+    channel: JsonItem, target: ChannelTarget, samplers: _SamplerReader, index: int
 ) -> GltfTrack:
-    """Return the keys of a channel, checked and repaired.
-
-    ``times_by_accessor`` has times by accessor, and whether they ascend.
-    """
+    """Return the keys of a channel, checked and repaired."""
     item = samplers.items[index]
     notes = item.notes
     interpolation = samplers.interpolation(index)
-    input_accessor = samplers.accessor_pairs[index][0]
-    if input_accessor not in times_by_accessor:
-        key_times = samplers.times(index)
-        ascends = bool((np.diff(key_times) > 0).all())
-        times_by_accessor[input_accessor] = key_times, ascends
-    times, is_ascending = times_by_accessor[input_accessor]
+    times, is_ascending = samplers.times(index)
     values = _read_values(channel, target, samplers, index)
     is_cubic = interpolation is SamplerInterpolation.CUBIC
-    value_count = values.size
     expected_count = len(times) * target.width * (3 if is_cubic else 1)
-    if value_count != expected_count:
-        message = f"{value_count} numbers for {len(times)} keys of {target.width}"
+    if values.size != expected_count:
+        message = f"{values.size} numbers for {len(times)} keys of {target.width}"
         if is_cubic:
             message += ", with a tangent before and after each"
         notes.fail("GLT011", channel.pointer_to("sampler"), message)
@@ -284,6 +271,7 @@ def _read_track(
     if target.path is TargetPath.ROTATION:
         _check_unit_length(rows[:, 1 if is_cubic else 0], channel, samplers, index)
     if not is_ascending:
+        input_accessor = samplers.accessor_pairs[index][0]
         has_times = samplers.accessors.has_data(input_accessor)
         times, rows = _sort_keys(times, rows, item, has_times=has_times)
     if is_cubic and len(times) == 1:

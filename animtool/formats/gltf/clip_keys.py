@@ -1,219 +1,189 @@
-"""Converts keys of clips and glTF sources to glTF samplers."""
+"""Builds clips with the keys of glTF animations."""
 
 from __future__ import annotations
-
-from fractions import Fraction
 
 import numpy as np
 
 from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
-from animtool.core.record import dataclass
+from animtool.core.errors import Fault, Severity, counted
 from animtool.formats.gltf.animation_targets import TargetPath
-from animtool.formats.gltf.sampling import NativeKeys
+from animtool.formats.gltf.animations import GltfTrack, SamplerInterpolation
+from animtool.formats.gltf.rig import GltfRig
+from animtool.formats.gltf.sampling import KEY_TIME_TOLERANCE, GltfSampler, RigTrack
+from animtool.formats.gltf.timing import GltfFrames
 from animtool.maths import so3
-from animtool.maths.curves import Extrapolation, Interp
+from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
-from animtool.motion.take import Take
-from animtool.rig.joints import KEYED_PARTS, split_part
 
-# Tolerance of a handle's time from a third of its segment [1].
-HANDLE_TOLERANCE = 1e-6
-_PATHS_BY_PART = {
-    "local_translation": "translation",
-    "local_rotation": "rotation",
-    "scale": "scale",
+_CHANNEL_PARTS = {
+    TargetPath.TRANSLATION: "local_translation",
+    TargetPath.ROTATION: "local_rotation",
+    TargetPath.SCALE: "scale",
 }
-# Clip channels that are added to others; their sum cannot be stored as keys.
-_ADDITIVE_PARTS = {
-    "translation": "translation",
-    "slide": "translation",
-    "rotation": "rotation",
-    "angle": "rotation",
-}
+# Clips cannot store cubic splines of quaternions: slerp keys are added until the error
+# is below this [rad].
+SLERP_TOLERANCE = 1e-4
+# Maximum number of times a segment between keys is halved.
+MAX_HALVINGS = 10
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SamplerKeys:
-    """Keys of a property as a sampler stores them."""
-
-    times: FloatArray  # ``(K,)`` [s]
-    values: FloatArray  # ``(K, W)``
-    interpolation: str = "LINEAR"
-    ins: FloatArray | None = None  # slopes into the keys ``(K, W)`` [1/s]
-    outs: FloatArray | None = None  # slopes out of the keys ``(K, W)`` [1/s]
-
-    def accessor_rows(self, *, scalars: bool = False) -> FloatArray:
-        """Return rows of the output accessor; ``scalars`` gives one number each."""
-        values = self.values
-        if self.ins is not None and self.outs is not None:
-            values = np.stack([self.ins, self.values, self.outs], axis=1)
-        width = self.values.shape[1]
-        value_rows = values.reshape(-1, width)
-        return value_rows.reshape(-1, 1) if scalars else value_rows
-
-
-def convert_clip_keys(
-    clip: Clip, take: Take, start: Fraction
-) -> dict[tuple[int, str], SamplerKeys]:
-    """Return clip keys that glTF can store, by row and path.
+def build_clip(
+    name: str, gltf_rig: GltfRig, sampler: GltfSampler, frames: GltfFrames
+) -> tuple[Clip, list[Fault]]:
+    """Return a clip with a glTF animation's keys, and notices.
 
     Args:
-        clip: The clip.
-        take: The take sampled from the clip.
-        start: Time code of time 0.
+        name: Name of the clip.
+        gltf_rig: The rig.
+        sampler: The animation.
+        frames: Frames of the animation.
     """
-    all_keys: dict[tuple[int, str], SamplerKeys] = {}
-    additive_keys: set[tuple[int, str]] = set()
-    shapes = [shape.name for shape in take.rig.shapes]
-    for channel in clip.channels:
-        group, _, name = channel.target.partition("/")
-        if group == "shape":
-            target_key = (shapes.index(name), "weight")
-        elif group == "joint":
-            joint, part = split_part(name, KEYED_PARTS)
-            if part in _ADDITIVE_PARTS:
-                additive_keys.add((take.rig.index(joint), _ADDITIVE_PARTS[part]))
-            if part not in _PATHS_BY_PART:
+    channels: list[ClipChannel] = []
+    spline_count = added_key_count = 0
+    for path, rest in sampler.rest_values.items():
+        tracks = {entry.row: entry for entry in sampler.tracks[path]}
+        default_values = _default_rows(path, gltf_rig)
+        for row in range(len(rest)):
+            target = _clip_target(path, row, gltf_rig)
+            if row not in tracks:
+                if np.abs(rest[row] - default_values[row]).max() > 0:
+                    channels.append(_static_channel(target, rest[row], path, frames))
                 continue
-            target_key = (take.rig.index(joint), _PATHS_BY_PART[part])
-        else:
-            continue
-        keys = _convert_channel(channel, clip, start)
-        if keys is not None:
-            all_keys[target_key] = keys
-    return {t: k for t, k in all_keys.items() if t not in additive_keys}
-
-
-_NAMES_BY_PATH = {
-    TargetPath.TRANSLATION: "translation",
-    TargetPath.ROTATION: "rotation",
-    TargetPath.SCALE: "scale",
-    TargetPath.WEIGHTS: "weight",
-}
-
-
-def convert_native_keys(
-    native: NativeKeys, start: Fraction
-) -> dict[tuple[int, str], SamplerKeys]:
-    """Return the keys of a glTF source, unchanged if possible.
-
-    Rotations are normalized, except those of cubic splines, which would change.
-
-    ``start`` is the time code of time 0.
-    """
-    frames = native.frames
-    time_offset = float(frames.start - start) / float(frames.fps)
-    all_keys: dict[tuple[int, str], SamplerKeys] = {}
-    shifted_times: dict[int, FloatArray] = {}
-    for path, tracks in native.sampler.tracks.items():
-        for row_track in tracks:
-            track = row_track.track
-            key_times = shifted_times.setdefault(
-                id(track.times), track.times + time_offset
-            )
-            if key_times[0] < 0:
-                continue
-            slopes = [
-                None if slope is None else slope * row_track.factor
-                for slope in (track.ins, track.outs)
-            ]
-            values = track.values
-            if row_track.factor != 1.0:
-                values = values * row_track.factor
-            interpolation = str(track.interpolation)
-            if path is TargetPath.ROTATION and slopes[0] is None:
-                values = so3.normalize(values)
-            all_keys[row_track.row, _NAMES_BY_PATH[path]] = SamplerKeys(
-                key_times, values, interpolation, *slopes
-            )
-    return all_keys
-
-
-def _convert_channel(
-    channel: ClipChannel, clip: Clip, start: Fraction
-) -> SamplerKeys | None:
-    """Return the keys of a channel; None if glTF has no equivalent curve."""
-    allowed = {Extrapolation.HOLD}
-    if {channel.pre, channel.post} - allowed or channel.euler or not len(channel.times):
-        return None
-    seconds = (channel.times - float(start)) / float(clip.fps)
-    if seconds[0] < 0:
-        return None
-    interps = set(channel.interps[:-1]) or {Interp.LINEAR}
-    linear_interp = Interp.SLERP if channel.values.shape[1] == 4 else Interp.LINEAR
-    if interps == {linear_interp}:
-        return SamplerKeys(seconds, channel.values)
-    if interps == {Interp.STEP}:
-        return SamplerKeys(seconds, channel.values, "STEP")
-    if interps == {Interp.BEZIER} and channel.values.shape[1] != 4:
-        return _convert_cubic_keys(channel, seconds)
-    return None
-
-
-def _convert_cubic_keys(
-    channel: ClipChannel, seconds: FloatArray
-) -> SamplerKeys | None:
-    """Convert Bézier keys with handles at thirds to cubic splines; else None."""
-    durations = np.diff(channel.times)
-    outs, ins = channel.outs[:-1], channel.ins[1:]
-    is_free = all(
-        t[1] is Tangent.FREE and a[0] is Tangent.FREE
-        for t, a in zip(channel.tangents[:-1], channel.tangents[1:], strict=True)
+            channel, extra_keys = _track_channel(target, tracks[row], path, frames)
+            channels.append(channel)
+            spline_count = spline_count + (extra_keys > 0)
+            added_key_count = added_key_count + extra_keys
+    last_frame = frames.first + frames.count - 1
+    clip = Clip(name, frames.fps, frames.first, last_frame, tuple(channels))
+    if not spline_count:
+        return clip, []
+    message = (
+        f"{counted(spline_count, 'rotation')} with cubic splines, which clips do not "
+        f"have: {counted(added_key_count, 'key')} added between those of the file keep "
+        f"them within {np.degrees(SLERP_TOLERANCE):.2g} degrees"
     )
-    deviation = max(
-        float(np.abs(outs[:, 0] - durations / 3).max(initial=0.0)),
-        float(np.abs(-ins[:, 0] - durations / 3).max(initial=0.0)),
-    )
-    if not is_free or deviation > HANDLE_TOLERANCE * float(durations.max(initial=1.0)):
-        return None
-    third_duration = (np.diff(seconds) / 3)[:, None]
-    in_slopes = np.zeros(channel.values.shape)
-    out_slopes = np.zeros(channel.values.shape)
-    out_slopes[:-1] = outs[:, 1:] / third_duration
-    in_slopes[1:] = -ins[:, 1:] / third_duration
-    return SamplerKeys(seconds, channel.values, "CUBICSPLINE", in_slopes, out_slopes)
+    return clip, [Fault("GLT118", message, severity=Severity.NOTE)]
 
 
-def reduce_keys(keys: SamplerKeys, tolerance: float) -> SamplerKeys:
-    """Return keys that reproduce all others within a tolerance.
+def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
+    """Return the default values of a rig's channels, which need no keys."""
+    rig = gltf_rig.rig
+    if path is TargetPath.TRANSLATION:
+        return rig.rest_translations
+    if path is TargetPath.ROTATION:
+        return rig.rest_rotations
+    if path is TargetPath.SCALE:
+        return np.ones((len(rig.joints), 3))
+    return np.zeros((len(rig.shapes), 1))
 
-    Each step adds the sample with the largest error, until none exceeds the tolerance
-    (Ramer, 1972; Douglas and Peucker, 1973). For rotations the tolerance is an angle
-    [rad].
 
-    >>> line = SamplerKeys(np.arange(5.0), np.arange(5.0)[:, None])
-    >>> reduce_keys(line, 1e-3).times.tolist()
-    [0.0, 4.0]
-    """
-    times, values = keys.times, keys.values
-    is_key = np.zeros(len(times), np.bool_)
-    is_key[[0, -1]] = True
-    spans = [(0, len(times) - 1)]
-    while spans:
-        first, last = spans.pop()
-        if last - first < 2:
-            continue
-        inside = slice(first + 1, last)
-        fraction = (times[inside] - times[first]) / (times[last] - times[first])
-        errors = _segment_distances(
-            values[first], values[last], fraction, values[inside]
+def _clip_target(path: TargetPath, row: int, gltf_rig: GltfRig) -> str:
+    if path is TargetPath.WEIGHTS:
+        return f"shape/{gltf_rig.rig.shapes[row].name}"
+    return f"joint/{gltf_rig.rig.names[row]}.{_CHANNEL_PARTS[path]}"
+
+
+def _clip_channel(
+    target: str,
+    times: FloatArray,
+    values: FloatArray,
+    interp: Interp,
+    slopes: tuple[FloatArray, FloatArray] | None = None,
+) -> ClipChannel:
+    """Return a channel; slopes [1/frame] become handles at thirds."""
+    key_count, width = values.shape
+    ins, outs = np.zeros((key_count, 1 + width)), np.zeros((key_count, 1 + width))
+    tangent = Tangent.AUTO_CLAMPED
+    if slopes is not None:
+        tangent = Tangent.FREE
+        handle_times = np.diff(times)[:, None] / 3
+        outs[:-1] = np.concatenate(
+            [handle_times, handle_times * slopes[1][:-1]], axis=1
         )
-        worst_index = int(errors.argmax())
-        if errors[worst_index] > tolerance:
-            middle = first + 1 + worst_index
-            is_key[middle] = True
-            spans += [(first, middle), (middle, last)]
-    return SamplerKeys(times[is_key], values[is_key])
+        ins[1:] = np.concatenate([-handle_times, -handle_times * slopes[0][1:]], axis=1)
+    return ClipChannel(
+        target,
+        times,
+        values,
+        (interp,) * key_count,
+        ((tangent, tangent),) * key_count,
+        ins,
+        outs,
+        np.zeros((key_count, 3)),
+    )
 
 
-def _segment_distances(
-    start: FloatArray, end: FloatArray, fraction: FloatArray, values: FloatArray
-) -> FloatArray:
-    """Return the distance of samples from the segment between two samples."""
-    if values.shape[1] == 4:
-        interpolated = so3.slerp(start[None], end[None], fraction)
-        return so3.angle_between(interpolated, values)
-    interpolated = start + fraction[:, None] * (end - start)
-    return np.asarray(np.abs(values - interpolated).max(axis=1))
+def _static_channel(
+    target: str, value: FloatArray, path: TargetPath, frames: GltfFrames
+) -> ClipChannel:
+    interp = Interp.SLERP if path is TargetPath.ROTATION else Interp.LINEAR
+    times = np.array([float(frames.first)])
+    return _clip_channel(target, times, value[None].copy(), interp)
+
+
+def _track_channel(
+    target: str, rig_track: RigTrack, path: TargetPath, frames: GltfFrames
+) -> tuple[ClipChannel, int]:
+    """Return a track as a clip channel, and the number of added keys."""
+    track = rig_track.track
+    times = key_times_in_frames(track.times, frames)
+    values = track.values.astype(np.float64) * rig_track.factor
+    is_stepped = track.interpolation is SamplerInterpolation.STEP
+    if path is TargetPath.ROTATION:
+        if track.interpolation is SamplerInterpolation.CUBIC:
+            return _slerp_keys(target, track, frames)
+        values = so3.align_signs(so3.normalize(values))
+        interp = Interp.STEP if is_stepped else Interp.SLERP
+        return _clip_channel(target, times, values, interp), 0
+    if track.in_slopes is not None and track.out_slopes is not None:
+        scale = rig_track.factor / float(frames.fps)
+        slopes = (track.in_slopes * scale, track.out_slopes * scale)
+        return _clip_channel(target, times, values, Interp.BEZIER, slopes), 0
+    return _clip_channel(
+        target, times, values, Interp.STEP if is_stepped else Interp.LINEAR
+    ), 0
+
+
+def key_times_in_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
+    """Return key times [frames], snapped to a frame within float32 rounding."""
+    exact = seconds * float(frames.fps)
+    nearest_frames = np.round(exact)
+    is_on_frame = np.abs(nearest_frames - exact) <= KEY_TIME_TOLERANCE * np.abs(exact)
+    return np.asarray(
+        np.where(is_on_frame, nearest_frames, exact) + float(frames.start)
+    )
+
+
+def _slerp_keys(
+    target: str, track: GltfTrack, frames: GltfFrames
+) -> tuple[ClipChannel, int]:
+    """Approximate a cubic rotation by slerp keys; return also the number added."""
+    times = [track.times]
+    starts, ends = track.times[:-1], track.times[1:]
+    for _ in range(MAX_HALVINGS):
+        if not len(starts):
+            break
+        middles = (starts + ends) / 2
+        middle_values = so3.slerp(track.sample(starts), track.sample(ends), 0.5)
+        quarter_values = so3.slerp(track.sample(starts), track.sample(ends), 0.25)
+        errors = np.maximum(
+            so3.angle_between(middle_values, track.sample(middles)),
+            so3.angle_between(
+                quarter_values, track.sample(starts + (ends - starts) / 4)
+            ),
+        )
+        needs_split = errors > SLERP_TOLERANCE
+        starts = starts[needs_split]
+        ends = ends[needs_split]
+        middles = middles[needs_split]
+        times.append(middles)
+        starts = np.concatenate([starts, middles])
+        ends = np.concatenate([middles, ends])
+    all_times = np.unique(np.concatenate(times))
+    values = so3.align_signs(track.sample(all_times))
+    channel = _clip_channel(
+        target, key_times_in_frames(all_times, frames), values, Interp.SLERP
+    )
+    return channel, len(all_times) - len(track.times)

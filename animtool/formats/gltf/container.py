@@ -1,4 +1,4 @@
-"""Reads the JSON and binary chunk of a .gltf or .glb file."""
+"""Reads the JSON of a .gltf or .glb file, its binary chunk and its buffers."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ HEADER_BYTES, CHUNK_HEADER_BYTES = 12, 8
 _BOM = b"\xef\xbb\xbf"
 # Limit of JSON; larger files take minutes to parse.
 MAX_JSON_BYTES = 200_000_000
+_DATA_URI = re.compile(r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +51,8 @@ def read_container(path: Path, notes: FileNotices) -> Container:
     return Container(root, binary, is_glb, len(content), may_have_extensions)
 
 
-def _byte_label(offset: int) -> str:
-    return f"byte {offset}"
-
-
 def _raise_fault(notes: FileNotices, offset: int, message: str) -> NoReturn:
-    notes.fail("GLT002", _byte_label(offset), message, "export the file again")
+    notes.fail("GLT002", f"byte {offset}", message, "export the file again")
 
 
 def _check_header(content: memoryview, notes: FileNotices) -> int:
@@ -66,11 +63,11 @@ def _check_header(content: memoryview, notes: FileNotices) -> int:
     if bytes(content[:4]) != MAGIC:
         is_json = bytes(content[:1]) == b"{"
         hint = "rename it to .gltf" if is_json else "export the file again"
-        notes.fail("GLT002", _byte_label(0), "a GLB starts with the letters glTF", hint)
+        notes.fail("GLT002", "byte 0", "a GLB starts with the letters glTF", hint)
     version, length = struct.unpack_from("<II", content, 4)
     if version != 2:
         message = f"version {version} of GLB is not supported, only 2"
-        notes.fail("GLT003", _byte_label(4), message, "export glTF 2.0")
+        notes.fail("GLT003", "byte 4", message, "export glTF 2.0")
     if length < HEADER_BYTES + CHUNK_HEADER_BYTES:
         message = f"the length {length} is shorter than the header and one chunk"
         _raise_fault(notes, 8, message)
@@ -79,7 +76,7 @@ def _check_header(content: memoryview, notes: FileNotices) -> int:
         _raise_fault(notes, 8, message)
     if length < len(content):
         message = f"{len(content) - length} bytes after the end are ignored"
-        notes.warn("GLT101", _byte_label(length), message)
+        notes.warn("GLT101", f"byte {length}", message)
     return int(length)
 
 
@@ -106,14 +103,14 @@ def _read_chunks(
             _raise_fault(notes, offset, "two chunks of a type that may occur once")
         if chunk_bytes % 4:
             message = f"a chunk has {chunk_bytes} bytes, not a multiple of 4"
-            notes.warn("GLT101", _byte_label(offset), message)
+            notes.warn("GLT101", f"byte {offset}", message)
         start = offset + CHUNK_HEADER_BYTES
         if (
             chunk_type == BIN_CHUNK
             and offset != HEADER_BYTES + CHUNK_HEADER_BYTES + len(chunks[JSON_CHUNK])
         ):
             message = "the binary chunk is not the second one: it is read all the same"
-            notes.warn("GLT101", _byte_label(offset), message)
+            notes.warn("GLT101", f"byte {offset}", message)
         if chunk_type in {JSON_CHUNK, BIN_CHUNK}:
             chunks[chunk_type] = content[start : start + chunk_bytes]
         offset = start + chunk_bytes
@@ -123,11 +120,8 @@ def _read_chunks(
 def _parse_json(text: bytes, notes: FileNotices) -> JsonItem:
     """Return the parsed JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
-        notes.fail(
-            "GLT013",
-            "",
-            f"the JSON has {len(text) / 1000000.0:.0f} MB; the limit is 200",
-        )
+        message = f"the JSON has {len(text) / 1e6:.0f} MB; the limit is 200"
+        notes.fail("GLT013", "", message)
     if text.startswith(_BOM):
         notes.warn("GLT101", "", "a byte order mark before the JSON is ignored")
         text = text[len(_BOM) :]
@@ -141,7 +135,7 @@ def _parse_json(text: bytes, notes: FileNotices) -> JsonItem:
 
 
 def _json_reason(error: Exception) -> str:
-    """Return why a JSON text is invalid, and a hint."""
+    """Return why a JSON text is invalid, and what to do."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     if not isinstance(error, json.JSONDecodeError):
@@ -157,14 +151,12 @@ def _refuse_constant(name: str) -> Any:
     raise ValueError(f"{name} is no JSON")
 
 
-_DATA_URI = re.compile(r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?")
-
-
 class Buffers:
     """The buffers of a file; bytes are read on demand."""
 
-    def __init__(self, container: Container, folder: Path, notes: FileNotices) -> None:
-        self.container, self.folder, self.notes = container, folder, notes
+    def __init__(self, container: Container, folder: Path) -> None:
+        self.container, self.folder = container, folder
+        self.notes = container.root.notes
         self.items = container.root.children("buffers")
         self._opened: dict[int, memoryview] = {}
 
@@ -202,7 +194,7 @@ class Buffers:
                 self.notes.fail("GLT007", buffer.pointer, message)
             content = binary
         elif uri.startswith("data:"):
-            content = memoryview(decode_data(uri, buffer))
+            content = memoryview(_decode_data(uri, buffer))
         else:
             content = memoryview(self._read_file(uri, buffer))
         if len(content) < length:
@@ -215,9 +207,8 @@ class Buffers:
         try:
             return read_input(path)
         except FormatError as error:
-            self.notes.fail(
-                "GLT007", buffer.pointer_to("uri"), str(error.faults[0].message)
-            )
+            message = str(error.faults[0].message)
+            self.notes.fail("GLT007", buffer.pointer_to("uri"), message)
 
     def _find_file(self, uri: str, buffer: JsonItem) -> Path:
         """Return the path of a URI's file; raise if it is not a file."""
@@ -275,7 +266,7 @@ class Buffers:
             self._find_file(uri, buffer)
 
 
-def decode_data(uri: str, item: JsonItem) -> bytes:
+def _decode_data(uri: str, item: JsonItem) -> bytes:
     """Return the bytes of a data URI of any media type."""
     media_type, comma, text = uri.partition(",")
     where = item.pointer_to("uri")

@@ -1,4 +1,4 @@
-"""Opens a glTF scene: nodes, meshes, skins and animations."""
+"""Reads a glTF file: nodes, meshes, skins, animations and humanoid bones."""
 
 from __future__ import annotations
 
@@ -52,11 +52,15 @@ APPEARANCE_EXTENSIONS = frozenset(
         "VRM",
     }
 )
-UNPACK_COMMANDS = {
-    "EXT_meshopt_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
-    "KHR_meshopt_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
-    "KHR_draco_mesh_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
-}
+# Extensions that pack the data of meshes, and the command that unpacks a file.
+PACKED_EXTENSIONS = frozenset(
+    {
+        "EXT_meshopt_compression",
+        "KHR_meshopt_compression",
+        "KHR_draco_mesh_compression",
+    }
+)
+UNPACK_COMMAND = "npx @gltf-transform/cli copy {0} unpacked.glb"
 _IGNORED_LISTS = ("materials", "textures", "images", "samplers", "cameras")
 
 
@@ -84,18 +88,16 @@ def open_gltf(path: Path | str) -> Gltf:
     notes = FileNotices(str(path))
     container = read_container(path, notes)
     root = container.root
-    _check_asset(root, notes)
-    _check_extensions(container, notes, path)
+    _check_asset(root)
+    _check_extensions(container, path)
     unused_indices = find_unused_indices(root.values)
-    accessors = Accessors(container, path.parent, notes, unused_indices)
-    entry_counts = [_entry_count(root, key) for key in ("meshes", "skins")]
-    nodes = read_nodes(root, notes, *entry_counts)
-    scenes, default_scene = read_scenes(root, notes, nodes)
+    accessors = Accessors(container, path.parent, unused_indices)
+    nodes = read_nodes(root, _entry_count(root, "meshes"), _entry_count(root, "skins"))
+    scenes, default_scene = read_scenes(root, nodes)
     meshes = read_meshes(root, accessors)
     skins = read_skins(root, accessors, len(nodes))
     _check_weights(nodes, meshes, notes)
     animations = read_animations(root, accessors, nodes, meshes)
-    ignored_contents = _find_ignored_contents(container)
     gltf = Gltf(
         path,
         nodes,
@@ -107,7 +109,7 @@ def open_gltf(path: Path | str) -> Gltf:
         accessors,
         root,
         notes,
-        ignored_contents,
+        _find_ignored_contents(container),
     )
     _check_skins(gltf)
     return gltf
@@ -118,8 +120,8 @@ def _entry_count(root: JsonItem, key: str) -> int:
     return len(entries) if isinstance(entries, list) else 0
 
 
-def _check_asset(root: JsonItem, notes: FileNotices) -> None:
-    asset = root.required("asset")
+def _check_asset(root: JsonItem) -> None:
+    notes, asset = root.notes, root.required_child("asset")
     version = asset.text("version")
     if version is None:
         asset.fail_missing("version")
@@ -132,9 +134,9 @@ def _check_asset(root: JsonItem, notes: FileNotices) -> None:
         notes.fail("GLT003", asset.pointer_to("minVersion"), message)
 
 
-def _check_extensions(container: Container, notes: FileNotices, path: Path) -> None:
+def _check_extensions(container: Container, path: Path) -> None:
     """Raise for unsupported required extensions that affect motion."""
-    root = container.root
+    root, notes = container.root, container.root.notes
     declared_names = root.read_list("extensionsUsed")
     for key, names in (
         ("extensionsUsed", declared_names),
@@ -144,7 +146,7 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
             if name in names[:i]:
                 message = f"{excerpt(str(name))} is listed twice"
                 notes.warn("GLT106", f"{root.pointer_to(key)}/{i}", message)
-    _check_extension_lists(root, declared_names, notes)
+    _check_extension_lists(root, declared_names)
     for i, name in enumerate(root.read_list("extensionsRequired")):
         where = f"{root.pointer_to('extensionsRequired')}/{i}"
         if not isinstance(name, str):
@@ -152,8 +154,8 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
         if _can_read_without(name):
             continue
         hint = "export the file without it"
-        if name in UNPACK_COMMANDS:
-            hint = f"unpack it with {UNPACK_COMMANDS[name].format(path.name)}"
+        if name in PACKED_EXTENSIONS:
+            hint = f"unpack it with {UNPACK_COMMAND.format(path.name)}"
         message = f"the file needs the extension {name}, which is not supported"
         notes.fail("GLT004", where, message, hint)
     used_extensions = _used_extensions(root) if container.may_have_extensions else {}
@@ -164,9 +166,9 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
             notes.warn("GLT106", where, message)
 
 
-def _check_extension_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
-    """Warn where extensionsUsed and extensionsRequired contradict each other."""
-    required = root.read_list("extensionsRequired")
+def _check_extension_lists(root: JsonItem, used: list[Any]) -> None:
+    """Warn if extensionsUsed and extensionsRequired contradict each other."""
+    required, notes = root.read_list("extensionsRequired"), root.notes
     for i, name in enumerate(used):
         where = f"{root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
@@ -177,9 +179,8 @@ def _check_extension_lists(root: JsonItem, used: list[Any], notes: FileNotices) 
     for i, name in enumerate(required):
         if isinstance(name, str) and name not in used:
             message = f"{excerpt(name)} is required, but not listed as used"
-            notes.warn(
-                "GLT106", f"{root.pointer_to('extensionsRequired')}/{i}", message
-            )
+            where = f"{root.pointer_to('extensionsRequired')}/{i}"
+            notes.warn("GLT106", where, message)
 
 
 def _find_ignored_contents(container: Container) -> tuple[str, ...]:
@@ -224,7 +225,7 @@ def _check_weights(
 ) -> None:
     for i, node in enumerate(nodes):
         if node.weights is not None:
-            target_count = meshes[node.mesh].targets
+            target_count = meshes[node.mesh].target_count
             if len(node.weights) != target_count:
                 message = f"{len(node.weights)} weights for {target_count} targets"
                 notes.fail("GLT011", f"/nodes/{i}/weights", message)
@@ -241,7 +242,7 @@ def _check_skins(gltf: Gltf) -> None:
             _require_mesh_data(gltf.accessors, primitive)
             if primitive.joints and node.skin >= 0:
                 joint_count = len(gltf.skins[node.skin].joints)
-                read_skin_weights(primitive, joint_count, gltf.accessors, gltf.notes)
+                read_skin_weights(primitive, joint_count, gltf.accessors)
     roots = find_root_nodes(gltf.nodes)
     _check_scenes(gltf, roots)
     for skin in gltf.skins:
@@ -288,7 +289,7 @@ def _is_ancestor(gltf: Gltf, ancestor: int, node: int) -> bool:
 
 
 def humanoid_bones(gltf: Gltf) -> list[tuple[str, int]]:
-    """Return the humanoid bones of a VRM 1.0 or 0.x with their nodes."""
+    """Return the humanoid bones of a VRM 1.0 or 0.x, each with its node."""
     extensions = gltf.root.values.get("extensions")
     if not isinstance(extensions, dict):
         return []

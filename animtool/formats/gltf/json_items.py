@@ -58,7 +58,7 @@ class JsonItem:
         message = f"the required property {key!r} is missing"
         self.notes.fail("GLT005", self.pointer or "/", message)
 
-    def number(self, key: str) -> int | None:
+    def integer(self, key: str) -> int | None:
         """Return an integer property, also if written as 1.0; None if missing."""
         if key not in self.values:
             return None
@@ -69,7 +69,7 @@ class JsonItem:
 
     def size(self, key: str, default: int | None = None, minimum: int = 0) -> int:
         """Return a count, offset or length, checked against a minimum."""
-        value = self.number(key)
+        value = self.integer(key)
         if value is None:
             if default is None:
                 self.fail_missing(key)
@@ -79,8 +79,8 @@ class JsonItem:
         return value
 
     def index(self, key: str, count: int, noun: str) -> int:
-        """Return an index into a list of the file; -1 if missing."""
-        value = self.number(key)
+        """Return an index into a list of ``count`` entries; -1 if missing."""
+        value = self.integer(key)
         if value is None:
             return -1
         if not 0 <= value < count:
@@ -90,12 +90,12 @@ class JsonItem:
         return value
 
     def required_index(self, key: str, count: int, noun: str) -> int:
-        """Return an index into a list of the file; raise if missing."""
+        """Return an index into a list of ``count`` entries; raise if missing."""
         index = self.index(key, count, noun)
         return index if index >= 0 else self.fail_missing(key)
 
     def indices(self, key: str, count: int, noun: str) -> list[int]:
-        """Return a list of indices; empty if missing."""
+        """Return indices into a list of ``count`` entries; empty if missing."""
         entries = self.read_list(key)
         for i, value in enumerate(entries):
             if not _is_integer(value):
@@ -156,7 +156,7 @@ class JsonItem:
             self.fail(key, f"{key} must be an object, not {excerpt(repr(value))}")
         return JsonItem(value, self.pointer_to(key), self.notes)
 
-    def required(self, key: str) -> JsonItem:
+    def required_child(self, key: str) -> JsonItem:
         """Return a child object; raise if missing."""
         return self.child(key) or self.fail_missing(key)
 

@@ -1,4 +1,4 @@
-"""Reads and checks glTF meshes, morph targets and skins."""
+"""Reads and checks the meshes, morph targets and skins of a glTF."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from animtool.formats.gltf.accessors import (
     Accessors,
 )
 from animtool.formats.gltf.json_items import JsonItem, animtool_extras, is_number
-from animtool.formats.gltf.unused import is_known_attribute, is_supported_attribute
+from animtool.formats.gltf.unused import (
+    is_known_attribute,
+    is_supported_attribute,
+)
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
 I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
@@ -72,7 +75,7 @@ class MeshEntry:
     original_name: str | None = None  # written by animtool if the node's name differs
 
     @property
-    def targets(self) -> int:
+    def target_count(self) -> int:
         """Number of morph targets."""
         return max((len(primitive.targets) for primitive in self.primitives), default=0)
 
@@ -115,13 +118,13 @@ def _read_mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
 
 
 def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
-    attributes = item.required("attributes")
+    attributes = item.required_child("attributes")
     accessor_indices = _read_attributes(attributes, len(accessors.entries))
     vertex_count = _check_vertices(attributes, accessor_indices, accessors)
     set_indices = _skin_set_indices(attributes, accessor_indices)
     children = item.children("targets")
     targets = [_read_morph_target(t, vertex_count, accessors) for t in children]
-    mode = item.number("mode")
+    mode = item.integer("mode")
     if mode is not None and not 0 <= mode <= FAN:
         message = f"mode {mode} is unknown: the primitive has no faces"
         item.notes.warn("GLT106", item.pointer_to("mode"), message)
@@ -176,16 +179,17 @@ def _read_morph_target(
         for name in ("POSITION", "NORMAL")
         if name in target.values
     }
+    types = "VEC3", QUANTIZED_TYPES
     for name, index in accessor_indices.items():
-        types = "VEC3", QUANTIZED_TYPES
         accessor = _require_accessor(target, name, index, accessors, *types)
         if accessor.count != vertex_count:
             message = f"{accessor.count} rows for {vertex_count} vertices"
             target.notes.fail("GLT011", target.pointer_to(name), message)
         if accessors.has_data(index):
             check_bounds(accessor.item, accessors.numbers(index))
-    get = accessor_indices.get
-    return MorphTarget(get("POSITION", -1), get("NORMAL", -1))
+    return MorphTarget(
+        accessor_indices.get("POSITION", -1), accessor_indices.get("NORMAL", -1)
+    )
 
 
 def _check_morph_attributes(target: JsonItem) -> None:
@@ -217,7 +221,8 @@ def _require_accessor(
         item.notes.fail("GLT011", item.pointer_to(key), f"{key} cannot be {type_text}")
     is_integer = accessor.component_type != FLOAT_COMPONENT
     is_quantized = component_types is QUANTIZED_TYPES and is_integer
-    if is_quantized and not accessors.declares_extension(QUANTIZATION):
+    declared_extensions = accessors.container.root.values.get("extensionsUsed", ())
+    if is_quantized and QUANTIZATION not in declared_extensions:
         message = f"{key} are integers, and {QUANTIZATION} is not declared"
         item.notes.warn("GLT106", item.pointer_to(key), message)
     if accessors.has_data(index):
@@ -285,7 +290,7 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
     ``required_by`` is the pointer of an attribute that requires bounds; empty for none.
     """
     stated_bounds = [item.values.get(key) for key in ("min", "max")]
-    if not any(stated_value is not None for stated_value in stated_bounds):
+    if stated_bounds == [None, None]:
         if required_by:
             message = "min and max are missing: computed from the data"
             item.notes.warn("GLT102", required_by, message)
@@ -344,7 +349,7 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEnt
             message = f"the last row of matrix {joint} is not 0 0 0 1"
             item.notes.fail("GLT010", where, message)
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
-    skeleton = item.number("skeleton")
+    skeleton = item.integer("skeleton")
     if skeleton is not None and not 0 <= skeleton < node_count:
         message = f"node {skeleton} does not exist: the hint is ignored"
         item.notes.warn("GLT106", item.pointer_to("skeleton"), message)
@@ -355,7 +360,7 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEnt
 
 
 def read_skin_weights(
-    primitive: Primitive, joint_count: int, accessors: Accessors, notes: FileNotices
+    primitive: Primitive, joint_count: int, accessors: Accessors
 ) -> tuple[IntArray, FloatArray]:
     """Return joint indices and weights of vertices ``(V, I)``; weights sum to 1.
 
@@ -364,6 +369,7 @@ def read_skin_weights(
     index_sets = [accessors.numbers(a).astype(np.int64) for a in primitive.joints]
     indices = np.concatenate(index_sets, axis=1)
     weights = np.concatenate([accessors.floats(a) for a in primitive.weights], axis=1)
+    notes = accessors.notes
     _check_duplicate_joints(primitive, indices, weights, notes)
     out_of_range = indices >= joint_count
     if out_of_range.any():
@@ -381,10 +387,9 @@ def read_skin_weights(
     where = f"{primitive.where}/attributes/WEIGHTS_0"
     has_data = all(accessors.has_data(accessor) for accessor in primitive.weights)
     if has_data and sum_errors.max(initial=0.0) > WEIGHT_SUM_TOLERANCE:
-        message = (
-            f"weights of a vertex have the sum {weight_sums[sum_errors.argmax()]:.6g}"
-        )
-        notes.warn("GLT104", where, f"{message}: they are normalised")
+        weight_sum = weight_sums[sum_errors.argmax()]
+        message = f"weights of a vertex have the sum {weight_sum:.6g}: they are "
+        notes.warn("GLT104", where, f"{message}normalised")
     is_unweighted = weight_sums == 0.0
     if is_unweighted.any():
         if has_data:

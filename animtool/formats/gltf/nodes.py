@@ -8,44 +8,46 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.formats.characters.nodes import Node
-from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.json_items import JsonItem, animtool_extras
 from animtool.maths import so3
+from animtool.rig.parts import Vector
+from animtool.rig.skeleton import Quaternion
 
 # Tolerance of a quaternion's length, as in the reference validator, and of a matrix
 # decomposed to translation, rotation and scale [1].
 UNIT_TOLERANCE, SHEAR_TOLERANCE = 7.69e-3, 1e-4
 VISIBILITY = "KHR_node_visibility"
 MAX_NODES = 200_000
+_TRANSFORM_KEYS = {"matrix", "translation", "rotation", "scale"}
+_NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0), False
+_TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
 
 
-def read_nodes(
-    root: JsonItem, notes: FileNotices, mesh_count: int, skin_count: int
-) -> tuple[Node, ...]:
+def read_nodes(root: JsonItem, mesh_count: int, skin_count: int) -> tuple[Node, ...]:
     """Return the nodes in file order."""
     items = root.children("nodes")
     if len(items) > MAX_NODES:
-        notes.fail("GLT013", "/nodes", f"{len(items)} nodes; the limit is {MAX_NODES}")
+        message = f"{len(items)} nodes; the limit is {MAX_NODES}"
+        root.notes.fail("GLT013", "/nodes", message)
     child_lists = [item.indices("children", len(items), "node") for item in items]
-    parents = _parent_indices(items, child_lists, notes)
+    parents = _parent_indices(items, child_lists)
     return tuple(
-        _read_node(item, parents[i], child_lists[i], mesh_count, skin_count, notes)
-        for i, item in enumerate(items)
+        _read_node(item, parent, children, mesh_count, skin_count)
+        for item, parent, children in zip(items, parents, child_lists, strict=True)
     )
 
 
-def _parent_indices(
-    items: list[JsonItem], child_lists: list[list[int]], notes: FileNotices
-) -> list[int]:
+def _parent_indices(items: list[JsonItem], child_lists: list[list[int]]) -> list[int]:
     parents = [-1] * len(items)
     for i, children in enumerate(child_lists):
         for k, child in enumerate(children):
             if child == i:
                 message = "the node is its own child"
-                notes.fail("GLT009", items[i].pointer, message)
+                items[i].notes.fail("GLT009", items[i].pointer, message)
             if parents[child] >= 0:
                 message = f"node {child} has two parents, {parents[child]} and {i}"
-                notes.fail("GLT009", f"{items[i].pointer}/children/{k}", message)
+                where = f"{items[i].pointer}/children/{k}"
+                items[i].notes.fail("GLT009", where, message)
             parents[child] = i
     is_checked = [False] * len(items)
     for i in range(len(items)):
@@ -53,9 +55,8 @@ def _parent_indices(
         ancestor = i
         while ancestor >= 0 and not is_checked[ancestor]:
             if ancestor in visited:
-                notes.fail(
-                    "GLT009", items[ancestor].pointer, "the node is its own ancestor"
-                )
+                item, message = items[ancestor], "the node is its own ancestor"
+                item.notes.fail("GLT009", item.pointer, message)
             visited[ancestor] = None
             ancestor = parents[ancestor]
         for node in visited:
@@ -69,7 +70,6 @@ def _read_node(
     children: list[int],
     mesh_count: int,
     skin_count: int,
-    notes: FileNotices,
 ) -> Node:
     mesh = item.index("mesh", mesh_count, "mesh")
     skin = item.index("skin", skin_count, "skin")
@@ -78,13 +78,11 @@ def _read_node(
         for key, is_stated in (("skin", skin >= 0), ("weights", weights is not None)):
             if is_stated:
                 message = f"{key} of a node without a mesh is ignored"
-                notes.warn("GLT106", item.pointer_to(key), message)
+                item.notes.warn("GLT106", item.pointer_to(key), message)
         skin, weights = -1, None
-    translation, rotation, scale, has_matrix = _read_transform(item, notes)
+    translation, rotation, scale, has_matrix = _read_transform(item)
     visibility = item.extension(VISIBILITY)
-    is_visible = (
-        visibility is None or visibility.values.get("visible", True) is not False
-    )
+    is_visible = not visibility or visibility.values.get("visible") is not False
     return Node(
         item.text("name"),
         parent,
@@ -102,58 +100,41 @@ def _read_node(
 
 
 def _read_transform(
-    item: JsonItem, notes: FileNotices
-) -> tuple[
-    tuple[float, float, float],
-    tuple[float, float, float, float],
-    tuple[float, float, float],
-    bool,
-]:
+    item: JsonItem,
+) -> tuple[Vector, Quaternion, Vector, bool]:
     if not _TRANSFORM_KEYS & item.values.keys():
         return _NO_TRANSFORM
     matrix = item.floats("matrix", 16)
     components = [item.floats(*component) for component in _TRS_PROPERTIES]
     if matrix is not None:
-        for key, component in zip(
-            ("translation", "rotation", "scale"), components, strict=True
-        ):
+        for (key, _), component in zip(_TRS_PROPERTIES, components, strict=True):
             if component is not None:
                 message = f"{key} next to a matrix is ignored"
-                notes.warn("GLT106", item.pointer_to(key), message)
-        return (*_decompose(np.array(matrix), item, notes), True)
+                item.notes.warn("GLT106", item.pointer_to(key), message)
+        return (*_decompose(np.array(matrix), item), True)
     translation, rotation, scale = (
         default if component is None else component
-        for component, default in zip(
-            components, ([0.0] * 3, [0.0, 0, 0, 1.0], [1.0] * 3), strict=True
-        )
+        for component, default in zip(components, _NO_TRANSFORM[:3], strict=True)
     )
     length = math.hypot(*rotation)
     if length == 0.0:
-        notes.fail("GLT010", item.pointer_to("rotation"), "a rotation has length 0")
+        message = "a rotation has length 0"
+        item.notes.fail("GLT010", item.pointer_to("rotation"), message)
     if abs(length - 1.0) > UNIT_TOLERANCE:
         message = f"the rotation has length {length:.6g}: it is normalised"
-        notes.warn("GLT103", item.pointer_to("rotation"), message)
+        item.notes.warn("GLT103", item.pointer_to("rotation"), message)
     x, y, z = translation
     a, b, c, w = (value / length for value in rotation)
     u, v, s = scale
     return (x, y, z), (a, b, c, w), (u, v, s), False
 
 
-_TRANSFORM_KEYS = {"matrix", "translation", "rotation", "scale"}
-_NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0), False
-_TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
-
-
 def _decompose(
-    columns: FloatArray, item: JsonItem, notes: FileNotices
-) -> tuple[
-    tuple[float, float, float],
-    tuple[float, float, float, float],
-    tuple[float, float, float],
-]:
+    columns: FloatArray, item: JsonItem
+) -> tuple[Vector, Quaternion, Vector]:
     """Return translation, rotation and scale of a matrix; shear is dropped."""
     matrix = columns.reshape(4, 4).T
-    where = item.pointer_to("matrix")
+    notes, where = item.notes, item.pointer_to("matrix")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR_TOLERANCE:
         notes.fail("GLT010", where, "the last row of the matrix is not 0 0 0 1")
     linear = matrix[:3, :3]
@@ -173,9 +154,7 @@ def _decompose(
     return (x, y, z), (a, b, c, w), (u, v, s)
 
 
-def read_scenes(
-    root: JsonItem, notes: FileNotices, nodes: tuple[Node, ...]
-) -> tuple[list[list[int]], int]:
+def read_scenes(root: JsonItem, nodes: tuple[Node, ...]) -> tuple[list[list[int]], int]:
     """Return the root nodes of each scene, and the default scene or -1."""
     scenes = []
     for item in root.children("scenes"):
@@ -183,10 +162,10 @@ def read_scenes(
         for k, node in enumerate(scene_nodes):
             if nodes[node].parent >= 0:
                 message = f"node {node} has a parent; it appears once in the tree"
-                notes.warn("GLT106", f"{item.pointer_to('nodes')}/{k}", message)
+                item.notes.warn("GLT106", f"{item.pointer_to('nodes')}/{k}", message)
             if node in scene_nodes[:k]:
                 message = f"node {node} is listed twice; it is in the tree once"
-                notes.warn("GLT106", f"{item.pointer_to('nodes')}/{k}", message)
+                item.notes.warn("GLT106", f"{item.pointer_to('nodes')}/{k}", message)
         scenes.append(scene_nodes)
     default = root.index("scene", len(scenes), "scene")
     return scenes, (0 if default < 0 and scenes else default)

@@ -12,8 +12,8 @@ from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation
+from animtool.formats.gltf.clip_keys import build_clip
 from animtool.formats.gltf.document import Gltf, open_gltf
-from animtool.formats.gltf.keys import build_clip
 from animtool.formats.gltf.rig import build_rig, scale_notice
 from animtool.formats.gltf.sampling import (
     NativeKeys,

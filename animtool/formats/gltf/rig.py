@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import field
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.quantities import CONTROL
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.formats.characters.binding import SkinBinder
@@ -22,12 +20,11 @@ from animtool.formats.gltf.surfaces import build_meshes
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_LISTED_JOINTS = 6
-_CONTROL = re.compile(f"[{CONTROL}]")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfRig:
-    """A rig with the nodes that its joints and shapes come from."""
+    """A rig, and the nodes of its joints and shapes."""
 
     rig: Rig  # J joints
     # Joint of each node of the file; -1 for nodes that are not joints.
@@ -135,13 +132,13 @@ def find_folded_nodes(gltf: Gltf) -> BoolArray:
     for animation in gltf.animations:
         for track in animation.tracks:
             if track.path is TargetPath.SCALE and is_uniform[track.node]:
-                scale = scales[track.node]
+                scale, slopes = scales[track.node], (track.in_slopes, track.out_slopes)
                 difference = np.abs(track.values - scale).max()
-                slopes = [s for s in (track.ins, track.outs) if s is not None]
-                has_slope = any(np.abs(s).max() > SCALE_TOLERANCE for s in slopes)
-                is_uniform[track.node] = (
-                    not has_slope and difference <= SCALE_TOLERANCE * scale.max()
+                has_slope = any(
+                    s is not None and np.abs(s).max() > SCALE_TOLERANCE for s in slopes
                 )
+                is_same = difference <= SCALE_TOLERANCE * scale.max()
+                is_uniform[track.node] = is_same and not has_slope
     return np.asarray(is_uniform)
 
 
@@ -153,14 +150,13 @@ def _folded_scales(
     for node in character.nodes:
         gltf_node = gltf.nodes[node]
         parent_scale = 1.0 if gltf_node.parent < 0 else folded_scales[gltf_node.parent]
-        folded_scales[node] = parent_scale * (
-            float(np.mean(gltf_node.scale)) if is_folded[node] else 1.0
-        )
+        scale = float(np.mean(gltf_node.scale)) if is_folded[node] else 1.0
+        folded_scales[node] = parent_scale * scale
     return folded_scales
 
 
 def scale_notice(gltf_rig: GltfRig, where: str) -> list[Fault]:
-    """Return a notice of joint scales that a rig cannot store."""
+    """Return a warning about joint scales that a rig cannot store."""
     rig = gltf_rig.rig
     has_scale = np.abs(gltf_rig.remaining_scales - 1.0).max(axis=1) > 1e-4
     names = [rig.names[j] for j in np.flatnonzero(has_scale).tolist()]

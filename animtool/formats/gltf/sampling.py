@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from fractions import Fraction
 
 import numpy as np
@@ -30,21 +30,21 @@ BLOCK_FRAMES, CHUNK_FRAMES = 16384, 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AnimatedRow:
-    """The channel row that a track animates."""
+class RigTrack:
+    """A track of a file, and the joint or shape of the rig that it animates."""
 
-    row: int
+    row: int  # index of the joint or shape
     track: GltfTrack
     factor: float = 1.0  # factor from the track's values to the rig's
 
 
 @dataclass(slots=True, eq=False)
 class GltfSampler:
-    """Sampler of an animation's rig motion at arbitrary times."""
+    """Samples an animation as motion of a rig at arbitrary times."""
 
     # Static values of each channel ``(rows, width)``.
     rest_values: dict[TargetPath, FloatArray]
-    tracks: dict[TargetPath, list[AnimatedRow]]
+    tracks: dict[TargetPath, list[RigTrack]]
     has_scale: bool  # whether any joint has a scale
     _segments_by_keys: dict[int, tuple[IntArray | slice, FloatArray]] = field(
         default_factory=dict
@@ -69,23 +69,23 @@ class GltfSampler:
         )
 
     def _channel(self, path: TargetPath, times: FloatArray) -> Channel:
-        rest, row_tracks = self.rest_values[path], self.tracks[path]
-        rows = np.array([row_track.row for row_track in row_tracks], np.int64)
-        if path is TargetPath.ROTATION and row_tracks:
-            keys_by_row = [self._consecutive_keys(r.track, times) for r in row_tracks]
+        rest, rig_tracks = self.rest_values[path], self.tracks[path]
+        rows = np.array([rig_track.row for rig_track in rig_tracks], np.int64)
+        if path is TargetPath.ROTATION and rig_tracks:
+            keys_by_row = [self._consecutive_keys(r.track, times) for r in rig_tracks]
             channel_keys = [r for r in keys_by_row if r is not None]
             if len(channel_keys) == len(keys_by_row):
                 values = _kernels.unpack_rotations(channel_keys, None)
                 return Channel(rest, rows, values)
-        values = np.empty((len(times), len(row_tracks), rest.shape[1]))
-        groups = _group_tracks(row_tracks)
-        factors = np.array([row_track.factor for row_track in row_tracks])[:, None]
+        values = np.empty((len(times), len(rig_tracks), rest.shape[1]))
+        groups = _group_tracks(rig_tracks)
+        factors = np.array([rig_track.factor for rig_track in rig_tracks])[:, None]
         has_scale = bool((factors != 1.0).any())
         # A chunk stays in the processor's cache.
-        for first in range(0, len(times) if row_tracks else 0, CHUNK_FRAMES):
+        for first in range(0, len(times) if rig_tracks else 0, CHUNK_FRAMES):
             chunk = slice(first, min(first + CHUNK_FRAMES, len(times)))
             for columns in groups:
-                tracks = [row_tracks[k].track for k in columns]
+                tracks = [rig_tracks[k].track for k in columns]
                 values[chunk, columns] = self._track_values(tracks, times, chunk)
             if has_scale:
                 values[chunk] *= factors
@@ -97,9 +97,9 @@ class GltfSampler:
     def _cached_segments(
         self, keys: FloatArray, times: FloatArray
     ) -> tuple[IntArray | slice, FloatArray]:
-        """Return `find_segments`, cached for tracks with the same keys."""
+        """Return `_find_segments`, cached for tracks with the same keys."""
         if id(keys) not in self._segments_by_keys:
-            self._segments_by_keys[id(keys)] = find_segments(keys, times)
+            self._segments_by_keys[id(keys)] = _find_segments(keys, times)
         return self._segments_by_keys[id(keys)]
 
     def _consecutive_keys(
@@ -128,18 +128,19 @@ class GltfSampler:
             return np.stack([track.sample(times[chunk]) for track in tracks], axis=1)
         key_indices, fractions = self._cached_segments(keys, times)
         if isinstance(key_indices, slice):
-            at = slice(key_indices.start + chunk.start, key_indices.start + chunk.stop)
-            return np.stack([track.values[at] for track in tracks], axis=1)
+            first_key = key_indices.start
+            keys_of_chunk = slice(first_key + chunk.start, first_key + chunk.stop)
+            return np.stack([track.values[keys_of_chunk] for track in tracks], axis=1)
         if fractions is _ON_KEYS:
             return np.stack([t.values[key_indices[chunk]] for t in tracks], axis=1)
         return interpolate_tracks(tracks, key_indices[chunk], fractions[chunk])
 
 
-def _group_tracks(row_tracks: list[AnimatedRow]) -> list[list[int]]:
+def _group_tracks(rig_tracks: list[RigTrack]) -> list[list[int]]:
     """Group columns of tracks with common key times and interpolation."""
     groups: dict[tuple[int, str], list[int]] = {}
-    for k, row_track in enumerate(row_tracks):
-        key = id(row_track.track.times), str(row_track.track.interpolation)
+    for k, rig_track in enumerate(rig_tracks):
+        key = id(rig_track.track.times), str(rig_track.track.interpolation)
         groups.setdefault(key, []).append(k)
     return list(groups.values())
 
@@ -156,7 +157,7 @@ class NativeKeys:
 _ON_KEYS = np.zeros(0)
 
 
-def find_segments(
+def _find_segments(
     keys: FloatArray, times: FloatArray
 ) -> tuple[IntArray | slice, FloatArray]:
     """Return the index of the key before each time, and times snapped to nearby keys.
@@ -169,8 +170,8 @@ def find_segments(
     key_indices = np.clip(key_indices, 0, last_key)
     next_keys = np.minimum(key_indices + 1, last_key)
     tolerance = KEY_TIME_TOLERANCE * np.abs(times)
-    to_next = np.abs(keys[next_keys] - times) <= tolerance
-    key_indices = np.where(to_next, next_keys, key_indices)
+    is_near_next = np.abs(keys[next_keys] - times) <= tolerance
+    key_indices = np.where(is_near_next, next_keys, key_indices)
     is_on_key = np.abs(keys[key_indices] - times) <= tolerance
     is_on_key |= (times <= keys[0]) | (times >= keys[-1])
     if is_on_key.all():
@@ -195,8 +196,7 @@ def _align_signs(rotations: FloatArray, previous: FloatArray | None) -> None:
     positive.
     """
     dots = np.einsum("fjc,fjc->fj", rotations[1:], rotations[:-1])
-    scalar_parts = rotations[0, :, 3]
-    signs = scalar_parts
+    signs = rotations[0, :, 3]
     if previous is not None:
         signs = np.einsum("jc,jc->j", rotations[0], previous)
     if signs.min(initial=0.0) < 0 or dots.min(initial=0.0) < 0:
@@ -212,19 +212,19 @@ def build_sampler(
         TargetPath.TRANSLATION: rig.rest_translations.copy(),
         TargetPath.ROTATION: rig.rest_rotations.copy(),
         TargetPath.SCALE: gltf_rig.remaining_scales.copy(),
-        TargetPath.WEIGHTS: rest_weights(gltf, gltf_rig),
+        TargetPath.WEIGHTS: _rest_weights(gltf, gltf_rig),
     }
-    tracks: dict[TargetPath, list[AnimatedRow]] = {path: [] for path in rest}
+    tracks: dict[TargetPath, list[RigTrack]] = {path: [] for path in rest}
     gltf_tracks = animation.tracks if animation else ()
-    for path, row_track in _animated_rows(gltf, gltf_rig, gltf_tracks):
-        track = row_track.track
+    for path, rig_track in _rig_tracks(gltf, gltf_rig, gltf_tracks):
+        track = rig_track.track
         if _is_constant(track):
-            value = track.sample(track.times[:1])[0] * row_track.factor
-            rest[path][row_track.row] = value
+            value = track.sample(track.times[:1])[0] * rig_track.factor
+            rest[path][rig_track.row] = value
         else:
-            tracks[path].append(row_track)
+            tracks[path].append(rig_track)
     for channel_tracks in tracks.values():
-        channel_tracks.sort(key=lambda row_track: row_track.row)
+        channel_tracks.sort(key=lambda rig_track: rig_track.row)
     has_scale = bool(tracks[TargetPath.SCALE] or (rest[TargetPath.SCALE] != 1.0).any())
     return GltfSampler(rest, tracks, has_scale)
 
@@ -234,12 +234,15 @@ def _is_constant(track: GltfTrack) -> bool:
     if len(track.times) == 1:
         return True
     values = track.values
-    if any(slope is not None and slope.any() for slope in (track.ins, track.outs)):
+    if any(
+        slope is not None and slope.any()
+        for slope in (track.in_slopes, track.out_slopes)
+    ):
         return False
     return bool((values[-1] == values[0]).all() and (values == values[:1]).all())
 
 
-def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
+def _rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
     """Return the shape weights of the rest pose ``(S, 1)``."""
     weights = np.zeros((len(gltf_rig.shape_sources), 1))
     for row, (node, target) in enumerate(gltf_rig.shape_sources):
@@ -250,16 +253,16 @@ def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
     return weights
 
 
-def _animated_rows(
+def _rig_tracks(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
-) -> list[tuple[TargetPath, AnimatedRow]]:
-    """Return the channel rows that tracks animate."""
+) -> list[tuple[TargetPath, RigTrack]]:
+    """Return the tracks of a rig's joints and shapes, with their paths."""
     is_folded = find_folded_nodes(gltf)
-    animated_rows: list[tuple[TargetPath, AnimatedRow]] = []
-    mesh_tracks: list[GltfTrack] = []
+    rig_tracks: list[tuple[TargetPath, RigTrack]] = []
+    weight_tracks: list[GltfTrack] = []
     for track in tracks:
         if track.path is TargetPath.WEIGHTS:
-            mesh_tracks.append(track)
+            weight_tracks.append(track)
             continue
         joint = int(gltf_rig.joint_of_node[track.node])
         if joint < 0 or track.path is TargetPath.VISIBLE:
@@ -271,15 +274,14 @@ def _animated_rows(
             parent = gltf.nodes[track.node].parent
             factor = 1.0 if parent < 0 else float(gltf_rig.folded_scales[parent])
             factor *= gltf_rig.rig.meters_per_unit
-        animated_rows.append((track.path, AnimatedRow(joint, track, factor)))
-    animated_rows += _weight_rows(gltf, gltf_rig, mesh_tracks)
-    return animated_rows
+        rig_tracks.append((track.path, RigTrack(joint, track, factor)))
+    return rig_tracks + _weight_tracks(gltf, gltf_rig, weight_tracks)
 
 
-def _weight_rows(
+def _weight_tracks(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
-) -> list[tuple[TargetPath, AnimatedRow]]:
-    """Return animated shapes; tracks of nodes override those of meshes."""
+) -> list[tuple[TargetPath, RigTrack]]:
+    """Return the tracks of shapes; tracks of nodes override those of meshes."""
     track_by_row: dict[int, GltfTrack] = {}
     for track in sorted(tracks, key=lambda t: (t.node < 0, t.weight_index < 0)):
         for row, (node, target) in enumerate(gltf_rig.shape_sources):
@@ -289,7 +291,7 @@ def _weight_rows(
                 moves_node = track.mesh == entry.mesh and entry.weights is None
             if moves_node and track.weight_index in {-1, target}:
                 track_by_row.setdefault(row, _weight_track(track, target))
-    return [(TargetPath.WEIGHTS, AnimatedRow(r, t)) for r, t in track_by_row.items()]
+    return [(TargetPath.WEIGHTS, RigTrack(r, t)) for r, t in track_by_row.items()]
 
 
 def _weight_track(track: GltfTrack, target: int) -> GltfTrack:
@@ -297,16 +299,12 @@ def _weight_track(track: GltfTrack, target: int) -> GltfTrack:
     if track.weight_index >= 0 or track.values.shape[1] == 1:
         return track
     column = slice(target, target + 1)
-    return GltfTrack(
-        track.node,
-        track.mesh,
-        track.path,
-        target,
-        track.interpolation,
-        track.times,
-        track.values[:, column],
-        None if track.ins is None else track.ins[:, column],
-        None if track.outs is None else track.outs[:, column],
+    return replace(
+        track,
+        weight_index=target,
+        values=track.values[:, column],
+        in_slopes=None if track.in_slopes is None else track.in_slopes[:, column],
+        out_slopes=None if track.out_slopes is None else track.out_slopes[:, column],
     )
 
 

@@ -27,8 +27,8 @@ ShapeKey = tuple[int, int]  # node and morph target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SharedVertices:
-    """A vertex set shared by primitives, with the index of its first vertex."""
+class SharedVertices:
+    """Vertices that several primitives of a mesh may share."""
 
     primitive: Primitive
     first_vertex: int  # index of the first shared vertex in the mesh
@@ -42,7 +42,9 @@ def build_meshes(
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     names = mesh_names(gltf, nodes)
     shape_keys = [
-        (n, t) for n in nodes for t in range(gltf.meshes[gltf.nodes[n].mesh].targets)
+        (n, t)
+        for n in nodes
+        for t in range(gltf.meshes[gltf.nodes[n].mesh].target_count)
     ]
     remaining_names = iter(_shape_names(gltf, shape_keys, names))
     meshes: list[Mesh] = []
@@ -52,7 +54,7 @@ def build_meshes(
         mesh = _build_mesh(gltf, node, names[node], binder)
         if mesh is None:
             empty_meshes.append(names[node])
-            target_count = gltf.meshes[gltf.nodes[node].mesh].targets
+            target_count = gltf.meshes[gltf.nodes[node].mesh].target_count
             shapes += [Shape(next(remaining_names)) for _ in range(target_count)]
             continue
         meshes.append(mesh)
@@ -78,45 +80,35 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
 
 
 def _shape_names(
-    gltf: Gltf, keys: Sequence[ShapeKey], name_of_mesh: dict[int, str]
+    gltf: Gltf, keys: Sequence[ShapeKey], mesh_names: dict[int, str]
 ) -> list[str]:
     """Return unique shape names, prefixed with the mesh if ambiguous."""
-    name_options = []
+    options = []
     for node, target in keys:
-        names = gltf.meshes[gltf.nodes[node].mesh].target_names
-        target_name = names[target] if names else ""
-        name_options.append(
-            (target_name, f"{name_of_mesh[node]}_{target}", name_of_mesh[node])
+        names, mesh_name = (
+            gltf.meshes[gltf.nodes[node].mesh].target_names,
+            mesh_names[node],
         )
-    return shape_names(name_options)
+        target_name = names[target] if names else ""
+        options.append((target_name, f"{mesh_name}_{target}", mesh_name))
+    return shape_names(options)
 
 
-def _shared_vertices(gltf: Gltf, node: int) -> list[_SharedVertices]:
+def shared_vertices(gltf: Gltf, node: int) -> list[SharedVertices]:
     """Return the distinct vertex sets of a mesh's primitives."""
-    vertex_sets: dict[object, _SharedVertices] = {}
+    vertex_sets: dict[object, SharedVertices] = {}
     first = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0 and primitive.vertex_key not in vertex_sets:
             count = gltf.accessors.get(primitive.position).count
-            vertex_sets[primitive.vertex_key] = _SharedVertices(primitive, first, count)
+            vertex_sets[primitive.vertex_key] = SharedVertices(primitive, first, count)
             first += count
     return list(vertex_sets.values())
 
 
-def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
-    """Return the offset of a primitive's vertices in a node's mesh."""
-    target_primitive = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
-    vertex_sets = _shared_vertices(gltf, node)
-    return next(
-        vertices.first_vertex
-        for vertices in vertex_sets
-        if vertices.primitive.vertex_key == target_primitive.vertex_key
-    )
-
-
 def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | None:
     """Return the mesh of a node; None without faces."""
-    vertex_sets = _shared_vertices(gltf, node)
+    vertex_sets = shared_vertices(gltf, node)
     starts = {v.primitive.vertex_key: v.first_vertex for v in vertex_sets}
     faces = []
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
@@ -142,7 +134,7 @@ def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | 
 
 
 def _vertex_normals(
-    gltf: Gltf, vertex_sets: list[_SharedVertices]
+    gltf: Gltf, vertex_sets: list[SharedVertices]
 ) -> LoadedArray | None:
     if any(vertices.primitive.normal < 0 for vertices in vertex_sets):
         return None
@@ -152,14 +144,14 @@ def _vertex_normals(
 
 
 def _build_skin(
-    gltf: Gltf, node: int, vertex_sets: list[_SharedVertices], binder: SkinBinder
+    gltf: Gltf, node: int, vertex_sets: list[SharedVertices], binder: SkinBinder
 ) -> tuple[Skin, FloatArray]:
-    """Return the skin of a mesh: its joints, or the node that carries it."""
+    """Return the skin of a mesh, bound to its joints or else to its node."""
     index = gltf.nodes[node].skin
     if index >= 0 and all(vertices.primitive.joints for vertices in vertex_sets):
         geometry, joints = binder.bind_skin(index)
         skin_rows = [
-            read_skin_weights(v.primitive, len(joints), gltf.accessors, gltf.notes)
+            read_skin_weights(v.primitive, len(joints), gltf.accessors)
             for v in vertex_sets
         ]
         width = max(indices.shape[1] for indices, _ in skin_rows)
@@ -217,9 +209,9 @@ def _morph_offsets(
     gltf: Gltf, node: int
 ) -> Iterator[tuple[LoadedArray, LoadedArray | None]]:
     """Yield point and normal offsets of each morph target."""
-    vertex_sets = _shared_vertices(gltf, node)
+    vertex_sets = shared_vertices(gltf, node)
     has_normals = all(vertices.primitive.normal >= 0 for vertices in vertex_sets)
-    for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
+    for target in range(gltf.meshes[gltf.nodes[node].mesh].target_count):
         targets = [vertices.primitive.targets[target] for vertices in vertex_sets]
         deltas, normals = (
             np.concatenate(

@@ -12,13 +12,13 @@ from animtool.clip.reduction.points import SHELL_DISTANCE, joint_bounds
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
-from animtool.formats.gltf.clip_keys import (
+from animtool.formats.gltf.glb import GlbBuilder
+from animtool.formats.gltf.sampler_keys import (
     SamplerKeys,
     convert_clip_keys,
     convert_native_keys,
     reduce_keys,
 )
-from animtool.formats.gltf.glb import GlbBuilder
 from animtool.formats.gltf.sampling import NativeKeys
 from animtool.formats.gltf.write_rig import RigIndices
 from animtool.motion.motion import Channel
@@ -27,6 +27,8 @@ from animtool.rig.skeleton import Rig
 
 # A static value this close to that of the node needs no channel.
 STATIC_TOLERANCE = 1e-9
+WEIGHT_TOLERANCE = 1e-3  # of reduced weights [1]
+_CHUNK_FRAMES = 256
 
 
 @dataclass(slots=True)
@@ -39,17 +41,15 @@ class _AnimationBuilder:
     # Node, path and keys of each animated property.
     tracks: list[tuple[int, str, SamplerKeys]] = field(default_factory=list)
     # By the id of times: the times, which keeps the id unique, and their accessor.
-    inputs: dict[int, tuple[FloatArray, int]] = field(default_factory=dict)
+    time_accessors: dict[int, tuple[FloatArray, int]] = field(default_factory=dict)
 
-    def input(self, times: FloatArray) -> int:
-        """Return the accessor of key times; equal times are stored once."""
-        if id(times) not in self.inputs:
+    def add_times(self, times: FloatArray) -> int:
+        """Return the accessor of key times, which are stored once."""
+        if id(times) not in self.time_accessors:
             rows = times.astype(np.float32)[:, None]
-            self.inputs[id(times)] = (
-                times,
-                self.builder.add_accessor(rows, with_bounds=True),
-            )
-        return self.inputs[id(times)][1]
+            accessor = self.builder.add_accessor(rows, with_bounds=True)
+            self.time_accessors[id(times)] = times, accessor
+        return self.time_accessors[id(times)][1]
 
     def lasts_until(self, end: float) -> bool:
         """Return whether keys last until a time [s]; extend a static track to it."""
@@ -69,7 +69,7 @@ class _AnimationBuilder:
             rows = keys.accessor_rows(scalars=path == "weights")
             rows = rows.astype(np.float32, copy=False)
             sampler: dict[str, Any] = {
-                "input": self.input(keys.times),
+                "input": self.add_times(keys.times),
                 "output": self.builder.add_accessor(rows),
             }
             if keys.interpolation != "LINEAR":
@@ -210,17 +210,14 @@ def _joints_first(values: FloatArray, dtype: type[np.floating[Any]]) -> Any:
     return table.view(dtype).reshape(joints, frames, width)
 
 
-_CHUNK_FRAMES = 256
-
-
 def _joint_keys(
     path: str, values: FloatArray, rest: FloatArray, seconds: FloatArray
 ) -> SamplerKeys | None:
     """Return the keys of a joint's samples; None if equal to the node's value."""
     first_value = values[0]
-    if len(values) > 1 and (values[-1] != first_value).any():
-        return SamplerKeys(seconds, values)
-    if len(values) > 1 and (values != values[:1]).any():
+    # Most animated joints differ in the last frame, which is compared first.
+    is_last_different = len(values) > 1 and (values[-1] != first_value).any()
+    if is_last_different or (len(values) > 1 and (values != first_value).any()):
         return SamplerKeys(seconds, values)
     difference = np.abs(first_value - rest).max()
     if path == "rotation":
@@ -278,7 +275,7 @@ def _write_weights(
         if tolerance is not None:
             keys = reduce_keys(keys, WEIGHT_TOLERANCE)
         track_keys = _combine_weights(
-            [source_keys.get((row, "weight")) for row in shape_rows], values
+            [source_keys.get((row, "weights")) for row in shape_rows], values
         )
         animation.tracks.append((node, "weights", track_keys or keys))
     unwritten_names = [
@@ -292,19 +289,11 @@ def _write_weights(
     return [Fault("GLT117", message, severity=Severity.NOTE)]
 
 
-WEIGHT_TOLERANCE = 1e-3
-
-
-def _have_same_times(first: SamplerKeys, second: SamplerKeys) -> bool:
-    is_equal = first.interpolation == second.interpolation
-    return is_equal and np.array_equal(first.times, second.times)
-
-
-def _static_keys(like: SamplerKeys, value: float) -> SamplerKeys:
-    """Return keys of one value at another track's times."""
-    values = np.full((len(like.times), 1), value)
-    slopes = None if like.ins is None else np.zeros_like(values)
-    return SamplerKeys(like.times, values, like.interpolation, slopes, slopes)
+def _static_keys(other: SamplerKeys, value: float) -> SamplerKeys:
+    """Return keys of one value at the times of other keys."""
+    values = np.full((len(other.times), 1), value)
+    slopes = None if other.in_slopes is None else np.zeros_like(values)
+    return SamplerKeys(other.times, values, other.interpolation, slopes, slopes)
 
 
 def _merge_weights(tracks: list[SamplerKeys]) -> SamplerKeys | None:
@@ -343,7 +332,12 @@ def _combine_weights(
         if keys is None and not is_static[k]:
             return None
         all_keys.append(keys or _static_keys(first_track, float(samples[0, k])))
-    if not all(_have_same_times(track, first_track) for track in all_keys):
+    has_same_times = all(
+        keys.interpolation == first_track.interpolation
+        and np.array_equal(keys.times, first_track.times)
+        for keys in all_keys
+    )
+    if not has_same_times:
         return _merge_weights(all_keys)
 
     def columns(name: str) -> FloatArray | None:
@@ -356,6 +350,6 @@ def _combine_weights(
         first_track.times,
         values,
         first_track.interpolation,
-        columns("ins"),
-        columns("outs"),
+        columns("in_slopes"),
+        columns("out_slopes"),
     )

@@ -65,7 +65,7 @@ def write_rig(
     roots = _ensure_common_root(builder, rig, roots)
     builder.json["scene"] = 0
     builder.json["scenes"] = [{"name": rig.name, "nodes": roots}]
-    rig_indices.notices += _lost_contents_notice(rig, writer.lost, rig_indices)
+    rig_indices.notices += _lost_contents_notice(rig, writer.lost_contents, rig_indices)
     return rig_indices
 
 
@@ -74,8 +74,7 @@ def _ensure_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list
 
     If there are several, a node outside the rig is inserted above them.
     """
-    roots_of_joints = [rig.upwards(j)[-1] for j in range(len(rig.joints))]
-    root_joints = np.array(roots_of_joints, np.int64)
+    root_joints = np.array([rig.upwards(j)[-1] for j in range(len(rig.joints))], int)
     skins = [skin["joints"] for skin in builder.json.get("skins", ())]
     if all(len(np.unique(root_joints[joints])) == 1 for joints in skins):
         return roots
@@ -111,13 +110,15 @@ class _SurfaceWriter:
     bind: FloatArray  # matrices of the joints ``(J, 4, 4)``
     weights: dict[str, float]  # shape weights at rest
     rig_indices: RigIndices
-    # Names by what glTF cannot store of them.
-    lost: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    # Names of meshes and shapes by the content that glTF cannot store.
+    lost_contents: dict[str, list[str]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
 
     def write(self, surface: Surface) -> int:
         """Write a mesh, and return the index of its node."""
-        carrier, local = self._carrier_joint(surface)
-        skin = surface.skin if carrier < 0 else None
+        node_index, local = self._rigid_joint(surface)
+        skin = surface.skin if node_index < 0 else None
         if skin is None:
             surface = _to_node_frame(surface, local)
         attributes = self._write_attributes(surface.points, surface.normals)
@@ -126,33 +127,34 @@ class _SurfaceWriter:
             self._write_influences(skin, attributes)
             if skin.method != "linear":
                 content = "dual quaternion skinning (written as linear)"
-                self.lost[content].append(surface.name)
+                self.lost_contents[content].append(surface.name)
         faces = triangulate(surface.counts, surface.indices)
         fits_16_bits = len(surface.points) < 65535
         indices = faces.reshape(-1, 1).astype(np.uint16 if fits_16_bits else np.uint32)
         primitive["indices"] = self._add(indices, target=ELEMENT_ARRAY_BUFFER)
         if len(surface.counts) and surface.counts.max() > 3:
             content = "faces of more than three points (written as triangles)"
-            self.lost[content].append(surface.name)
+            self.lost_contents[content].append(surface.name)
         mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
         if surface.shapes:
             self._write_targets(surface, primitive, mesh)
         nodes = self.builder.json["nodes"]
-        if carrier >= 0 and nodes[carrier]["name"] != surface.name:
+        if node_index >= 0 and nodes[node_index]["name"] != surface.name:
             mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
         index = self.builder.add("meshes", mesh)
-        if carrier >= 0:
-            nodes[carrier]["mesh"] = index
+        if node_index >= 0:
+            nodes[node_index]["mesh"] = index
         else:
             node: dict[str, Any] = {"name": surface.name, "mesh": index}
             if skin is not None:
                 node["skin"] = self._write_skin(surface, skin)
-            carrier = self.builder.add("nodes", node)
+            node_index = self.builder.add("nodes", node)
         names = [shape.name for shape in surface.shapes]
-        self.rig_indices.shapes |= {name: (carrier, k) for k, name in enumerate(names)}
+        shape_indices = {name: (node_index, k) for k, name in enumerate(names)}
+        self.rig_indices.shapes |= shape_indices
         if names:
-            self.rig_indices.targets[carrier] = names
-        return carrier
+            self.rig_indices.targets[node_index] = names
+        return node_index
 
     def _add(
         self, values: Any, *, target: int = ARRAY_BUFFER, bounds: bool = False
@@ -160,8 +162,8 @@ class _SurfaceWriter:
         """Return the index of a new accessor."""
         return self.builder.add_accessor(values, target=target, with_bounds=bounds)
 
-    def _carrier_joint(self, surface: Surface) -> tuple[int, FloatArray]:
-        """Return the joint that moves a mesh rigidly (-1: none), and the mesh's bind.
+    def _rigid_joint(self, surface: Surface) -> tuple[int, FloatArray]:
+        """Return the joint that moves a mesh rigidly, -1 for none, and the mesh's bind.
 
         The bind is the transform from the points to the joint, or to the world without
         a joint. A node has one mesh: a second mesh at the same joint is skinned.
@@ -234,7 +236,7 @@ class _SurfaceWriter:
                 target["NORMAL"] = self._add(normal_offsets.astype(np.float32))
             targets.append(target)
             if shape.inbetweens:
-                self.lost["in-between shapes"].append(shape.name)
+                self.lost_contents["in-between shapes"].append(shape.name)
         primitive["targets"] = targets
         names = [shape.name for shape in surface.shapes]
         mesh["weights"] = [self.weights.get(name, 0.0) for name in names]
@@ -292,7 +294,7 @@ def pad_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
 def _lost_contents_notice(
     rig: Rig, lost_contents: dict[str, list[str]], rig_indices: RigIndices
 ) -> list[Fault]:
-    """Return a notice about rig contents that glTF cannot store, if any."""
+    """Return a note about rig contents that glTF cannot store."""
     corrective_names = [shape.name for shape in rig.shapes if len(shape.combine) > 1]
     unwritten = [s.name for s in rig.shapes if s.name not in rig_indices.shapes]
     lost_contents["products of shapes (each gets its own weight)"] += corrective_names

@@ -13,7 +13,7 @@ from animtool.clip.clip import Clip
 from animtool.clip.keyed_curve import KeyedCurve
 from animtool.clip.sample import sample_channels
 from animtool.formats.fbx.read import read_fbx
-from animtool.formats.gltf.clip_keys import convert_clip_keys
+from animtool.formats.gltf.sampler_keys import convert_clip_keys
 from animtool.maths.curves import Interp
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward_kinematics
