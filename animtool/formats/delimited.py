@@ -47,7 +47,7 @@ def decode_text(text: bytes) -> str:
 
 
 def find_separator(line: bytes, default: bytes = b" ") -> bytes:
-    """Return the cell separator of a line: the default, else the first it contains.
+    """Return the separator of cells in a line: the default if the line contains it.
 
     >>> find_separator(b"a;b c"), find_separator(b"a b,c", b",")
     (b';', b',')
@@ -112,7 +112,7 @@ class TextRows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the maximum number of decimals in a column; 15 with an exponent."""
+        """Return the most decimals in a column; a number with an exponent has 15."""
         max_decimals = 0
         for text in self.texts:
             prefix = text[: MAX_CELL_BYTES * (column + 1)]
@@ -126,7 +126,7 @@ class TextRows:
     def values(
         self, column_count: int, build_error: Callable[[str, int], AnimtoolError]
     ) -> FloatArray:
-        """Parse the numbers ``(R, width)``; NaN where a row is too short.
+        """Parse the numbers ``(R, column_count)``; short rows are padded with NaN.
 
         ``build_error`` builds an error from a message and a line number, for a cell
         that is not a number, or a row with more than ``column_count`` numbers.

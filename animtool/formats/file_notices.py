@@ -35,7 +35,7 @@ class FileNotices:
         hint: str | None = None,
         severity: Severity = Severity.WARNING,
     ) -> None:
-        """Record a warning once, and at most `MAX_WARNINGS` per code."""
+        """Record a warning or note once, and at most `MAX_WARNINGS` per code."""
         if (code, where, message) in self.reported:
             return
         self.reported.add((code, where, message))

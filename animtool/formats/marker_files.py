@@ -1,4 +1,4 @@
-"""Marker files by suffix: reading through the table of readers, and writing."""
+"""Opens and writes marker files of all formats, by suffix."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.motion.markers import Markers
 
 
 def is_marker_file(path: Path) -> bool:
-    """Return whether a path has a suffix of marker files.
+    """Return whether a path is a file of markers, by its suffix or contents.
 
     >>> is_marker_file(Path("take.npz#unlabelled_mm")), is_marker_file(Path("a.bvh"))
     (True, False)
@@ -31,7 +31,7 @@ def is_marker_file(path: Path) -> bool:
 
 
 def file_of(path: Path) -> Path:
-    """Return a path without the ``#array`` it may end in."""
+    """Return the file of a path that may end in ``#array``."""
     return Path(split_reference(str(path), "")[0])
 
 

@@ -42,7 +42,7 @@ class TimeSteps:
 
 
 def rounding_error(decimals: int) -> float:
-    """Return the rounding error of numbers with a number of decimals."""
+    """Return the largest rounding error of numbers with a number of decimals."""
     return float(0.5 * 10.0**-decimals)
 
 
@@ -66,7 +66,7 @@ def median_step(times: FloatArray) -> float:
 def fit_frames_with_gaps(
     times: FloatArray, step: float, rounding: float
 ) -> TimeSteps | None:
-    """Return times fitted to frames of about ``step``; frames may lack a row.
+    """Return times fitted to frames of about ``step`` [s], some of which have no row.
 
     Returns None if two rows are in one frame, or there are too many frames.
 
@@ -105,7 +105,7 @@ def find_steps(
     stated_rate: float | None,
     rounding: float,
 ) -> TimeSteps:
-    """Fit times to frames by counted frames, a stated rate, or their typical step."""
+    """Return times fitted to counted frames, a stated rate, or their typical step."""
     row_frames = np.arange(len(times))
     candidates = (
         [row_frames] if counted_frames is None else [counted_frames, row_frames]

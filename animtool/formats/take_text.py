@@ -18,7 +18,7 @@ CHUNK_ROWS = 4096
 
 @dataclass(frozen=True, slots=True)
 class TakeText:
-    """Header and row parts of a file."""
+    """A text file in parts: header and rows."""
 
     header: Iterable[str]  # lines above the rows
     rows: Iterator[bytes]  # formatted on demand

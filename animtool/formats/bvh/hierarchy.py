@@ -1,4 +1,4 @@
-"""Parses the HIERARCHY block of a BVH file, and the frame count and time."""
+"""Parses the header of a BVH file: the HIERARCHY block, frame count and frame time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _WORD_PATTERN = re.compile(r"[{}]|[^\s{}]+")
 
 @dataclass(slots=True)
 class BvhJoint:
-    """A joint as stated in the file, in file units."""
+    """A joint as the file states it, in file units."""
 
     name: str
     parent: int
@@ -252,7 +252,7 @@ class _HierarchyParser:
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
-    """Return the header above the rows of numbers, and notices about it."""
+    """Return the header of a BVH file, and notices about it."""
     hierarchy = _HierarchyParser(lines)
     hierarchy.parse()
     text = _read_field(lines, "frames")

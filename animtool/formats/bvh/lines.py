@@ -61,7 +61,7 @@ class HeaderLines:
 
     @property
     def unread(self) -> bytes:
-        """Bytes read from the file but not yet returned as lines."""
+        """Bytes that were read from the file but not returned as lines yet."""
         return self._data[self._offset :]
 
     def _check_text(self) -> None:
@@ -179,7 +179,7 @@ class RowReader:
         self._add_notices()
 
     def _parse_rows(self) -> Iterator[tuple[FloatArray, IntArray]]:
-        """Yield rows and their line numbers."""
+        """Yield rows ``(F, C)`` and their line numbers ``(F,)``."""
         source = self.source
         with open_input(source.path, None) as file:
             if file.state != source.file_state:

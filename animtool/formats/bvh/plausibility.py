@@ -85,7 +85,7 @@ class ChannelRanges:
 
     @property
     def travel(self) -> float:
-        """Diagonal of the bounding box of the first joint's path [m]."""
+        """Diagonal of the bounding box of the path of the first joint [m]."""
         return float(np.linalg.norm(self.max_values[-3:] - self.min_values[-3:]))
 
 

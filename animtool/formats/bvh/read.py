@@ -127,7 +127,7 @@ _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
 def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fault]:
-    """Return a note if the size of a skeleton suggests another unit."""
+    """Return a notice if the size of a skeleton suggests another unit (RIG217)."""
     meters = rest_size(rig)
     smallest, largest = LIKELY_METERS
     if len(rig.joints) < MIN_JOINTS or smallest <= meters <= largest:
@@ -140,7 +140,7 @@ def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fa
 
 
 def _unit_hint(extent: float) -> str:
-    """Return the unit in which a person or an animal has an extent.
+    """Return a hint about the unit in which an extent is that of a person or an animal.
 
     >>> _unit_hint(22.5)
     'in decimetres it would be 2.2 m: export it in cm, at 10 times the size'

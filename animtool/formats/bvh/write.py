@@ -100,7 +100,7 @@ def build_bvh_text(take: Take) -> TakeText:
 
 
 def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
-    """Return joint indices depth-first, as in a BVH hierarchy."""
+    """Return joint indices depth-first, the order of a BVH hierarchy."""
     order, stack = [], rig.roots[::-1]
     while stack:
         j = stack.pop()
@@ -147,7 +147,7 @@ def _rotation_channels(
 def _order_channels(
     joint: Joint, positions: tuple[str, ...], rotations: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return channels in the declared order of a joint, else positions first."""
+    """Return channels in the order that the joint declares, else positions first."""
     declared_names, needed_names = joint.channels or (), positions + rotations
     is_unchanged = set(needed_names) == set(declared_names)
     return declared_names if is_unchanged else needed_names

@@ -50,7 +50,7 @@ class Layout:
 
     @property
     def numbers_per_frame(self) -> int:
-        """Count of numbers per frame."""
+        """Number of stored numbers per frame."""
         return 4 * self.point_count + self.analog_count
 
     @property
@@ -378,7 +378,7 @@ def _is_noise(layout: Layout, evidence: Evidence) -> bool:
 
 
 def _interpretation_key(layout: Layout) -> tuple[int, ...]:
-    """Return the layout values that determine which number is which coordinate."""
+    """Return the layout values by which numbers are assigned to coordinates."""
     return (
         layout.data_offset,
         layout.number_bytes,

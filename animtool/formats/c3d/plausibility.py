@@ -20,7 +20,7 @@ MAX_WORD = 32768.0
 
 
 def measure_evidence(layout: Layout, data: bytes, processor: Processor) -> Evidence:
-    """Measure how much a layout's numbers look like positions, in sampled frames."""
+    """Measure whether a layout's numbers look like positions, in sampled frames."""
     if layout.point_count == 0:
         return Evidence(0.0, math.nan)
     span_frames = min(SPAN_FRAMES, layout.frame_count)

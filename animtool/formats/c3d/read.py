@@ -1,4 +1,4 @@
-"""C3D reader: marker trajectories of a file."""
+"""Reads marker trajectories from C3D files."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ def _first_frame(sections: Sections, frames: int) -> int:
 
 
 def _point_scale(sections: Sections) -> float:
-    """Return the scale of integers; negative means floats."""
+    """Return the scale of stored integers; a negative scale means floats."""
     parameter_scale = sections.number("POINT", "SCALE")
     scale = sections.header.scale if parameter_scale is None else parameter_scale
     return scale if np.isfinite(scale) and scale != 0 else -1.0
@@ -287,7 +287,7 @@ def _check_scale(file: CaptureFile, sections: Sections, layout: Layout) -> None:
 def _frame_rate(
     file: CaptureFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
-    """Return the stated frame rate; parameters come before the header."""
+    """Return the frame rate of the parameters, or of the header without one."""
     header_rate, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
     if not parameter_rate or not np.isfinite(parameter_rate):
         return header_rate

@@ -29,11 +29,11 @@ MIN_RATE, MAX_RATE = 0.5, 1e5
 
 
 class MalformedError(ValueError):
-    """The bytes are not a C3D file; the message explains why."""
+    """Raised for bytes that are not a C3D file; the message explains why."""
 
 
 class Processor(IntEnum):
-    """Byte order and float format of the stated processor."""
+    """The processor of a file, which determines byte order and float format."""
 
     INTEL = 84
     DEC = 85
@@ -194,7 +194,7 @@ def _is_plausible_header(header: Header, size: int) -> bool:
 
 
 def _read_parameters(sections: Sections, data: bytes, offset: int) -> None:
-    """Follow the chain of groups and parameters until it ends or breaks."""
+    """Read groups and parameters until their chain ends or is broken."""
     names: dict[int, str] = {}
     parameters: list[tuple[int, str, Any]] = []
     for _ in range(MAX_PARAMETERS):

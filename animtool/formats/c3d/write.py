@@ -115,7 +115,7 @@ def _residual_scale(markers: Markers) -> float:
 
 
 def _build_parameters(markers: Markers, data_block: int) -> bytes:
-    """Return the parameter section without its first four bytes."""
+    """Return the bytes of the parameter section after its first four bytes."""
     frames, marker_count = markers.positions.shape[:2]
     first, last = _frame_range(markers.clock)
     clamped_frames = min(frames, MAX_COUNT)

@@ -83,7 +83,7 @@ class SkinBinder:
         where: str,
         mesh_world: FloatArray | None = None,
     ) -> tuple[FloatArray, list[int]]:
-        """Return the ``geom_bind`` of a skin, and rig joints that have its binds."""
+        """Return the ``geom_bind`` of a skin, and rig joints with its transforms."""
         magnitudes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
         determinants = np.linalg.det(matrices[:, :3, :3] / magnitudes[:, None, None])
         is_singular = np.abs(determinants) < 1e-12
@@ -153,7 +153,7 @@ class SkinBinder:
 
 
 def _bind_poses(rig: Rig, bind_worlds: dict[int, FloatArray]) -> dict[str, Pose]:
-    """Return the bind poses that differ from rest, from world bind transforms."""
+    """Return bind poses that differ from rest, computed from world bind transforms."""
     if not bind_worlds:
         return {}
     count, parents = len(rig.joints), rig.parents

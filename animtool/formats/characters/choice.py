@@ -1,4 +1,4 @@
-"""Finds the characters of a file: one per skeleton if there are several."""
+"""Finds the characters of a file, and chooses one of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.formats.characters.nodes import (
 )
 
 # Path that selects all nodes of a file.
-WHOLE_FILE_PATH = "/"
+ROOT_PATH = "/"
 MAX_LISTED_CHARACTERS = 8
 
 
@@ -53,7 +53,7 @@ def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
     first_joints = [joint for skin in file.skins for joint in skin.joints[:1]]
     groups = sorted({group_of(roots[joint]) for joint in first_joints})
     if len(groups) < 2:
-        return (CharacterNodes(WHOLE_FILE_PATH, tuple(order)),)
+        return (CharacterNodes(ROOT_PATH, tuple(order)),)
     members: dict[int, list[int]] = {root: [] for root in groups}
     for node in order:
         node_group = group_of(roots[node])
@@ -108,10 +108,8 @@ def choose_character(
         message += f"others are {listed(other_paths, MAX_LISTED_CHARACTERS)}"
         hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
         return chosen, [Fault(skipped_code, message, where, (), hint, Severity.NOTE)]
-    if prim_path.strip() == WHOLE_FILE_PATH:
-        return CharacterNodes(
-            WHOLE_FILE_PATH, tuple(sort_parents_first(file.nodes))
-        ), []
+    if prim_path.strip() == ROOT_PATH:
+        return CharacterNodes(ROOT_PATH, tuple(sort_parents_first(file.nodes))), []
     name = prim_path.strip("/")
     for candidate in candidates:
         if candidate.path.strip("/") == name and len(candidates) > 1:

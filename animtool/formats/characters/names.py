@@ -17,7 +17,7 @@ _CONTROL_PATTERN = re.compile(f"[{CONTROL}]")
 def joint_names(
     nodes: list[Node], node_indices: list[int]
 ) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return unique joint names, and pairs of file name and name that differ.
+    """Return unique joint names, and pairs of old and new names that differ.
 
     Characters that text files cannot contain are replaced.
     """

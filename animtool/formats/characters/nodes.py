@@ -1,4 +1,4 @@
-"""Nodes and skins of a file, and the order and roots of its node tree."""
+"""Nodes and skins of a glTF or FBX file, and the order and roots of its node tree."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class NodeTree(Protocol):
 
 
 def find_root_nodes(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the root node of each node; a root node is its own root."""
+    """Return the root of each node; a root is its own root."""
     roots = list(range(len(nodes)))
     for node in sort_parents_first(nodes):
         parent = nodes[node].parent

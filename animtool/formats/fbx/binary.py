@@ -49,7 +49,7 @@ def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
 
 
 class _RecordReader:
-    """Reads records; checks every length before it reads."""
+    """Reads records, and checks every length before it reads."""
 
     def __init__(self, content: bytes, version: int, notes: FileNotices) -> None:
         self.content, self.notes = content, notes

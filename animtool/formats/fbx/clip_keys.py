@@ -122,7 +122,7 @@ class _ClipBuilder:
         return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGET_SUFFIXES[component]}"
 
     def _exact_channels(self, component: int, j: int) -> list[ClipChannel]:
-        """Return channels with the file's keys; empty if clips cannot store those."""
+        """Return channels with the file's keys; empty if clips cannot store them."""
         model = self.models[self.fbx_rig.joint_sources[j].model]
         track = self._find_track(model, (TRANSLATION, ROTATION, SCALING)[component])
         keys = None if track is None else join_keys(track, model.base_values[component])

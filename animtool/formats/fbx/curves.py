@@ -134,7 +134,7 @@ class FbxCurve:
 
 
 def solve_bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the Bézier parameter ``(F,)`` of time fractions of a segment.
+    """Return the Bézier parameters ``(F,)`` at fractions of a segment's duration.
 
     Uses Newton's method, with bisection if a step leaves the bounds.
     """

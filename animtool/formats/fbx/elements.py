@@ -1,4 +1,4 @@
-"""The element tree of an FBX, shared by binary and text files."""
+"""The element tree of an FBX file, binary or text, and its numbers."""
 
 from __future__ import annotations
 

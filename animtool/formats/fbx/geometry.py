@@ -29,7 +29,7 @@ MAX_TABLE_CELLS = 100_000_000
 
 @dataclass(slots=True, eq=False)
 class Cluster:
-    """Skin weights of one bone on a mesh."""
+    """The influence of one bone on a mesh: points and weights."""
 
     bone: ObjectId  # Id of the bone's node
     bone_from_mesh: FloatArray  # transform at bind time ``(4, 4)``
@@ -202,7 +202,7 @@ def _read_cluster(
 
 
 def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
-    """Return a column-vector matrix; files store row-vector ones."""
+    """Return a matrix for column vectors; files store it for row vectors."""
     numbers = read_floats(element, name, file.notes, 16)
     if numbers is None:
         return np.eye(4)
@@ -304,7 +304,7 @@ def _read_shape_channel(
 
 
 def _has_weights_per_point(file: FbxFile) -> bool:
-    """Return whether Blender wrote the file, whose full weights are per point."""
+    """Return whether full weights are per point, as Blender writes them."""
     header = file.root.find("FBXHeaderExtension")
     creators = [c for e in (file.root, header) if e for c in e.find_all("Creator")]
     return any(c.text(0).lower().startswith(_BLENDER_EXPORTER) for c in creators)

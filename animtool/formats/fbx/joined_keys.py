@@ -47,7 +47,7 @@ class JoinedKeys:
 
 
 def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
-    """Join the curves of a property's components; None if the result is inexact.
+    """Return keys of all components of a property; None if they would be inexact.
 
     A key of one component splits the segments of the others without changing values.
 
@@ -190,7 +190,7 @@ def _evaluate_slope(
 def _segment_interpolations(
     curves: Sequence[_SegmentedCurve], count: int
 ) -> list[Interp] | None:
-    """Return the interpolation of each segment; None if components differ."""
+    """Return the interpolation of each segment; None if it differs by component."""
     is_cubic = np.logical_or.reduce([c.is_cubic & ~c.is_flat for c in curves])
     is_moving = np.logical_or.reduce([~c.is_flat & ~c.is_stepped for c in curves])
     is_stepped = np.logical_or.reduce([c.is_stepped & ~c.is_flat for c in curves])
@@ -206,7 +206,7 @@ def _segment_interpolations(
 
 
 def _common_weights(curves: Sequence[_SegmentedCurve]) -> FloatArray | None:
-    """Return the tangent weights of all components; None if they differ."""
+    """Return the handle weights of each segment; None if they differ by component."""
     weights = np.full(curves[0].weights.shape, ONE_THIRD)
     is_fixed = np.zeros(len(weights), bool)
     for curve in curves:

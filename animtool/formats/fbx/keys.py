@@ -135,14 +135,14 @@ def validate_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> Fbx
 
 
 def _compact_rows(rows: Any) -> Any:
-    """Return an array of equal rows as a view of one row, to save memory."""
+    """Return a view of one row if all rows are equal, to save memory."""
     if len(rows) > 1 and (rows == rows[:1]).all():
         return np.broadcast_to(rows[0].copy(), rows.shape)
     return rows
 
 
 def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
-    """Raise for key times that descend or are out of range."""
+    """Raise if key times descend or are out of range."""
     if len(times) > MAX_KEYS:
         notes.fail("FBX013", element.where, f"{len(times)} keys in one curve")
     # The smallest integer has no negative counterpart.

@@ -1,4 +1,4 @@
-"""Converts FBX versions 5000 to 5999 to the layout of 6100: objects, connections.
+"""Converts FBX 5000 to 5999 to the layout of 6100, with objects and connections.
 
 A model contains its children by name, its transform as default values of channels, and
 its skin as links.

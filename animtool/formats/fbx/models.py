@@ -203,7 +203,7 @@ def _transform_values(
 def _pivot_values(
     model: Model, take: AnimTake | None, ticks: IntArray
 ) -> list[FloatArray]:
-    """Return rotation offset and pivot, then scaling offset and pivot, over time."""
+    """Return offset and pivot of rotation, then of scaling, at times ``(F,)``."""
     pivots = list(model.pivots)
     for k, name in enumerate(PIVOT_PROPERTIES):
         track = find_track(take, model.object.id, name)
@@ -213,7 +213,7 @@ def _pivot_values(
 
 
 def has_pivots(model: Model, take: AnimTake | None) -> bool:
-    """Return whether a node has a pivot or pivot offset, saved or in a take."""
+    """Return whether a node has a pivot or pivot offset, static or in a take."""
     tracks = (find_track(take, model.object.id, name) for name in PIVOT_PROPERTIES)
     return bool(model.pivots.any()) or any(track is not None for track in tracks)
 

@@ -64,12 +64,12 @@ class FbxFile:
     def sources(
         self, object_id: ObjectId, kind: str, subtype: str | None = None
     ) -> list[Object]:
-        """Return objects of a kind that are connected to an object."""
+        """Return the objects of a kind that are connected to an object as sources."""
         objects = [self.objects.get(c) for c, _ in self.incoming.get(object_id, ())]
         return [c for c in objects if c is not None and _is_of_kind(c, kind, subtype)]
 
     def targets(self, object_id: ObjectId, kind: str) -> list[Object]:
-        """Return objects of a kind that an object is connected to."""
+        """Return the objects of a kind that an object is connected to as a source."""
         objects = [self.objects.get(c) for c, _ in self.outgoing.get(object_id, ())]
         return [c for c in objects if c is not None and c.kind == kind]
 
@@ -85,7 +85,7 @@ def _is_of_kind(candidate: Object, kind: str, subtype: str | None) -> bool:
 def read_vector(
     owner: Object, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
-    """Return the first numbers of a property, as many as the default has; else that."""
+    """Return as many numbers of a property as the default has, else the default."""
     values = owner.values(name)[: len(default)]
     if len(values) < len(default):
         return default
@@ -144,7 +144,7 @@ def open_objects(path: Path | str) -> FbxFile:
 
 
 def _find_version(root: Element, version: int) -> int:
-    """Return the version; old files state it in an element."""
+    """Return the version of a file; old files state it in an element."""
     header = root.find("FBXHeaderExtension")
     element = None if header is None else header.find("FBXVersion")
     stated = element.values[0] if element and element.values else None

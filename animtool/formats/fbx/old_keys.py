@@ -41,7 +41,7 @@ DEFAULT_5000_LAYOUT = 4004
 def read_channel_curve(
     element: Element, notes: FileNotices, layout: int
 ) -> FbxCurve | None:
-    """Return the curve of a take's channel (before FBX 7000).
+    """Return the curve of a channel of a take (before FBX 7000).
 
     ``layout`` is the key layout if the channel states none.
     """
@@ -148,7 +148,7 @@ _UNDOCUMENTED_TANGENTS = {
 
 
 def _read_tangent(keys: _KeyCursor) -> tuple[int, float, float, int]:
-    """Return flags and slopes of a cubic key, and the count of weight lists."""
+    """Return flags and slopes of a cubic key, and the number of its weight lists."""
     kind = keys.next_letter()
     if kind in {"s", "b"}:
         out_slope, in_slope = keys.next_number(), keys.next_number()

@@ -122,7 +122,7 @@ def build_rig(
 
 
 def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
-    """Return a note about skinned meshes whose node moved after binding."""
+    """Return a warning about skinned meshes whose nodes were moved after binding."""
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     names = []
     for node in character.nodes:
@@ -151,7 +151,7 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
 
 
 def _is_skinned_mesh_only(scene: FbxScene, node: int) -> bool:
-    """Return whether a node has a skinned mesh but no children, and is not a joint."""
+    """Return whether a node is not a joint but has a skinned mesh and no children."""
     entry = scene.nodes[node]
     if entry.skin < 0 or entry.children:
         return False
@@ -288,7 +288,7 @@ def _build_skin(
 
 
 def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:
-    """Return a notice about joint scales that a rig cannot store."""
+    """Return a warning about joint scales that a rig cannot store."""
     rig = fbx_rig.rig
     has_scale = np.abs(fbx_rig.remaining_scales - 1.0).max(axis=1) > 1e-4
     names = Counter(rig.names[j] for j in np.flatnonzero(has_scale).tolist())

@@ -153,7 +153,7 @@ def find_frame_range(
     requested_fps: Fraction | None,
     values_per_frame: int,
 ) -> FbxFrames:
-    """Return the frame range of a take: the stated one, else that of its keys.
+    """Return the stated frame range of a take, else that of its keys.
 
     Args:
         scene: The file.
@@ -192,7 +192,7 @@ def find_frame_range(
 def off_frame_keys_notice(
     scene: FbxScene, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames
 ) -> list[Fault]:
-    """Return a notice with the interpolation error of joints at keys between frames."""
+    """Return a note about keys between frames, with the error of joints there."""
     take = sampler.take
     if take is None:
         return []
@@ -229,7 +229,7 @@ def off_frame_keys_notice(
 def keys_outside_notice(
     scene: FbxScene, take: AnimTake | None, frames: FbxFrames
 ) -> list[Fault]:
-    """Return a notice about keys outside the range of a take; a warning if all are."""
+    """Return a note about keys outside the range of a take, or a warning if all are."""
     curves = [] if take is None else take.curves()
     animated_curves = [curve for curve in curves if not curve.is_static()]
     if take is None or not animated_curves:

@@ -1,4 +1,4 @@
-"""Reads FBX takes: animation stacks, or takes of files before 7000."""
+"""Reads the takes of an FBX, which are animation stacks from version 7000 on."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def compute_key_slopes(
     key_data: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the slopes after each key and before the next ``(K,)`` [1/s].
+    """Return the slopes after each key, and before the next one ``(K,)`` [1/s].
 
     Args:
         seconds: Times of the keys, ascending ``(K,)``.

@@ -139,7 +139,7 @@ class _TextParser:
         self.stack[-1].children.append(self.current)
 
     def _add_number_list(self, element: Element, text: bytes, offset: int) -> None:
-        """Parse comma-separated numbers, long lists as arrays, and add the values."""
+        """Add comma-separated numbers to an element; long lists are added as arrays."""
         texts = [number_text.strip() for number_text in text.split(b",")]
         try:
             if max(map(len, texts)) <= MAX_NUMBER_BYTES:
@@ -172,7 +172,7 @@ def _elements_with_arrays(root: Element) -> list[Element]:
 
 
 def _join_arrays(element: Element) -> None:
-    """Join arrays and numbers to one array; mixed values become a list."""
+    """Join the values of an element to one array, or to a list if there are texts."""
     values = element.values
     if all(isinstance(value, np.ndarray | int | float) for value in values):
         try:

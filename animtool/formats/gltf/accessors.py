@@ -1,4 +1,4 @@
-"""Reads glTF views and accessors; checks every length before it reads."""
+"""Reads the views and accessors of a glTF, and checks every length before it reads."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class BufferView:
 
 @dataclass(frozen=True, slots=True)
 class SparseValues:
-    """Elements of an accessor that replace those in its view."""
+    """Sparse elements of an accessor, which replace those in its view."""
 
     count: int
     index_view: int
@@ -158,7 +158,7 @@ class Accessors:
         return values
 
     def floats(self, index: int) -> npt.NDArray[np.float64]:
-        """Return an accessor's numbers as floats, normalised if stated."""
+        """Return an accessor's numbers as floats, normalised if so stated."""
         accessor = self.get(index)
         values = self.numbers(index).astype(np.float64)
         if accessor.normalized and accessor.component_type != FLOAT_COMPONENT:
@@ -212,7 +212,7 @@ class Accessors:
         dtype: np.dtype[Any],
         stride: int = 0,
     ) -> AnyArray:
-        """Return elements ``shape`` of a view, at a stride in bytes or packed."""
+        """Return elements of a view as ``shape``, at a stride [byte] or packed."""
         content, start = self.buffers.buffer_bytes(view.buffer), view.offset + offset
         count, width = shape
         element_bytes = width * dtype.itemsize
@@ -279,7 +279,7 @@ class Accessors:
         return accessor
 
     def warn_about_stride(self, index: int, where: str) -> None:
-        """Warn about a byteStride in a view that is not for vertices."""
+        """Warn if the view of an accessor without vertices has a byteStride."""
         accessor = self.entries[index]
         if accessor is None or accessor.view < 0:
             return
@@ -290,7 +290,7 @@ class Accessors:
             self.notes.warn("GLT105", where, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
-        """Raise for an accessor that exceeds its view."""
+        """Raise if an accessor is larger than its view."""
         dtype = COMPONENT_TYPES[accessor.component_type]
         if accessor.view >= 0 and (view := self.views[accessor.view]) is not None:
             # Matrix columns of 1- or 2-byte components start at multiples of 4 bytes.
@@ -350,7 +350,7 @@ class Accessors:
 
 
 def _check_bound_lengths(accessor: Accessor) -> None:
-    """Warn about min or max without one number per component."""
+    """Warn if min or max do not have one number per component."""
     item = accessor.item
     for key in ("min", "max"):
         if key not in item.values:
@@ -372,7 +372,7 @@ def _element_bytes(element_type: str, dtype: np.dtype[Any]) -> int:
 
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:
-    """Raise for numbers that are not finite."""
+    """Raise if a number is not finite."""
     numbers = values.reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):
         # If the sum of squares is finite, all numbers are.

@@ -113,7 +113,7 @@ def _hermite(
     fraction: FloatArray,
     duration: FloatArray,
 ) -> FloatArray:
-    """Return values of cubic Hermite segments with slopes per second."""
+    """Return values of cubic Hermite segments, from slopes [1/s]."""
     t = fraction
     t2, t3 = t * t, t * t * t
     return np.asarray(
@@ -139,7 +139,7 @@ def _normalize_rotations(values: FloatArray, path: TargetPath) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:
-    """An animation: the tracks of a clip."""
+    """An animation of the file: a clip with its tracks."""
 
     name: str | None
     tracks: tuple[GltfTrack, ...]

@@ -1,4 +1,4 @@
-"""Builds clips with the keys of glTF animations."""
+"""Converts a glTF animation to a clip with the file's keys."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def build_clip(
 
 
 def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
-    """Return the default values of a rig's channels, which need no keys."""
+    """Return the values of a rig's channels without keys."""
     rig = gltf_rig.rig
     if path is TargetPath.TRANSLATION:
         return rig.rest_translations
@@ -92,7 +92,7 @@ def _clip_channel(
     interp: Interp,
     slopes: tuple[FloatArray, FloatArray] | None = None,
 ) -> ClipChannel:
-    """Return a channel; slopes [1/frame] become handles at thirds."""
+    """Return a channel whose slopes [1/frame] become handles at thirds of segments."""
     key_count, width = values.shape
     ins, outs = np.zeros((key_count, 1 + width)), np.zeros((key_count, 1 + width))
     tangent = Tangent.AUTO_CLAMPED
@@ -126,7 +126,7 @@ def _static_channel(
 def _track_channel(
     target: str, rig_track: RigTrack, path: TargetPath, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
-    """Return a track as a clip channel, and the number of added keys."""
+    """Return the clip channel of a track, and the number of keys added to it."""
     track = rig_track.track
     times = key_times_in_frames(track.times, frames)
     values = track.values.astype(np.float64) * rig_track.factor
@@ -159,7 +159,7 @@ def key_times_in_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
 def _slerp_keys(
     target: str, track: GltfTrack, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
-    """Approximate a cubic rotation by slerp keys; return also the number added."""
+    """Return a cubic rotation as slerp keys, and the number of added keys."""
     times = [track.times]
     starts, ends = track.times[:-1], track.times[1:]
     for _ in range(MAX_HALVINGS):

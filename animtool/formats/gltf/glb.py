@@ -86,7 +86,7 @@ class GlbBuilder:
         return index
 
     def glb_chunks(self) -> Iterator[bytes | memoryview]:
-        """Yield the bytes of the GLB in chunks."""
+        """Return the bytes of the GLB in chunks."""
         if self._binary_bytes:
             self.json["buffers"] = [{"byteLength": self._binary_bytes}]
         text = json.dumps(
@@ -103,7 +103,7 @@ class GlbBuilder:
         return self._yield_binary(text, length)
 
     def gltf_chunks(self) -> Iterator[bytes]:
-        """Yield the bytes of a .gltf with a data URI for the numbers."""
+        """Return the bytes of a .gltf in chunks, with the numbers as a data URI."""
         if self._binary_bytes:
             data = base64.b64encode(b"".join(self._chunks)).decode()
             uri = f"data:application/octet-stream;base64,{data}"

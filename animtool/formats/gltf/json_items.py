@@ -137,7 +137,7 @@ class JsonItem:
         return value
 
     def read_list(self, key: str) -> list[Any]:
-        """Return a list property; empty if missing. Warn about an empty list."""
+        """Return a list property, empty if missing; warn about an empty list."""
         if key not in self.values:
             return []
         value = self.values[key]

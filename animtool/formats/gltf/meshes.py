@@ -144,7 +144,7 @@ def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
 
 
 def _read_attributes(attributes: JsonItem, accessor_count: int) -> dict[str, int]:
-    """Return the accessors of attributes that are read; warn of unknown ones."""
+    """Return the accessors of attributes that are read; warn about unknown ones."""
     accessor_indices: dict[str, int] = {}
     for name in attributes.values:
         if is_supported_attribute(name):
@@ -285,7 +285,7 @@ def _check_indices(
 
 
 def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
-    """Warn about min and max that differ from the data.
+    """Warn if min and max differ from the data.
 
     ``required_by`` is the pointer of an attribute that requires bounds; empty for none.
     """

@@ -155,7 +155,7 @@ def _decompose(
 
 
 def read_scenes(root: JsonItem, nodes: tuple[Node, ...]) -> tuple[list[list[int]], int]:
-    """Return the root nodes of each scene, and the default scene or -1."""
+    """Return the root nodes of each scene, and the default scene, -1 without one."""
     scenes = []
     for item in root.children("scenes"):
         scene_nodes = item.indices("nodes", len(nodes), "node")

@@ -46,7 +46,7 @@ def read_gltf(
     prim_path: str | None = None,
     take: str | None = None,
 ) -> TakeStream:
-    """Open an animation of a glTF on the character it animates, meshes included.
+    """Open an animation of a glTF file and its character, including meshes.
 
     Time 0 is frame 0. Outside the keys a track keeps the first or last value.
 
@@ -113,7 +113,7 @@ def take_names(path: Path) -> list[str]:
 
 
 def _ignored_contents_notice(gltf: Gltf, animation: Animation | None) -> list[Fault]:
-    """Return a notice that lists contents that takes cannot store, if any."""
+    """Return a note about contents that takes cannot store."""
     contents = [listed(gltf.ignored_contents)] if gltf.ignored_contents else []
     tracks = () if animation is None else animation.tracks
     if any(track.path is TargetPath.VISIBLE for track in tracks):

@@ -44,7 +44,7 @@ def build_rig(
     meters_per_unit: float = 1.0,
     up: UpAxis = UpAxis.Y,
 ) -> GltfRig:
-    """Return the rig of a character.
+    """Return the rig of a character, in the rest pose of the file.
 
     Every node is a joint, except nodes of skinned meshes without children, whose
     transform has no effect. A uniform static scale is folded into the lengths below it;
@@ -100,7 +100,7 @@ def build_rig(
 
 
 def _is_skinned_mesh_only(gltf: Gltf, node: int) -> bool:
-    """Return whether a node has a skinned mesh but no children, and is not a joint."""
+    """Return whether a node is not a joint but has a skinned mesh and no children."""
     gltf_node = gltf.nodes[node]
     if gltf_node.skin < 0 or gltf_node.children or gltf_node.mesh < 0:
         return False
@@ -110,7 +110,7 @@ def _is_skinned_mesh_only(gltf: Gltf, node: int) -> bool:
 
 
 def _is_inserted_root(gltf: Gltf, node: int) -> bool:
-    """Return whether a node is the identity node that animtool inserts above roots."""
+    """Return whether a node is the one that animtool inserts above several roots."""
     gltf_node = gltf.nodes[node]
     if not gltf_node.is_inserted or gltf_node.parent >= 0:
         return False

@@ -125,8 +125,8 @@ def _convert_channel(
     channel: ClipChannel, clip: Clip, start: Fraction
 ) -> SamplerKeys | None:
     """Return the keys of a channel; None if glTF has no equivalent curve."""
-    is_held = {channel.pre, channel.post} == {Extrapolation.HOLD}
-    if not is_held or channel.euler or not len(channel.times):
+    is_constant = {channel.pre, channel.post} == {Extrapolation.HOLD}
+    if not is_constant or channel.euler or not len(channel.times):
         return None
     seconds = (channel.times - float(start)) / float(clip.fps)
     if seconds[0] < 0:

@@ -137,7 +137,7 @@ class GltfSampler:
 
 
 def _group_tracks(rig_tracks: list[RigTrack]) -> list[list[int]]:
-    """Group columns of tracks with common key times and interpolation."""
+    """Return groups of the indices of tracks with equal key times and interpolation."""
     groups: dict[tuple[int, str], list[int]] = {}
     for k, rig_track in enumerate(rig_tracks):
         key = id(rig_track.track.times), str(rig_track.track.interpolation)
@@ -147,7 +147,7 @@ def _group_tracks(rig_tracks: list[RigTrack]) -> list[list[int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NativeKeys:
-    """Tracks and frames of an animation, and the time of the last key [s]."""
+    """The keys of an animation as stored in the file, for writing them again."""
 
     sampler: GltfSampler
     frames: GltfFrames

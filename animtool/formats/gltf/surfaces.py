@@ -38,7 +38,7 @@ class SharedVertices:
 def build_meshes(
     gltf: Gltf, character: CharacterNodes, binder: SkinBinder
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
-    """Return meshes, shapes, the node and morph target of each shape, and notices."""
+    """Return meshes, shapes, node and morph target of each shape, and notices."""
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     names = mesh_names(gltf, nodes)
     shape_keys = [

@@ -134,7 +134,7 @@ def _frame_tolerance(time: float, rate: Fraction) -> float:
 
 
 def _frame_distances(times: FloatArray, rate: Fraction) -> FloatArray:
-    """Return how far keys are from the nearest frame, less float rounding [frame]."""
+    """Return distances of keys from the nearest frame, less rounding [frame]."""
     frames = times * float(rate)
     return np.asarray(
         np.abs(frames - np.round(frames)) - TIME_PRECISION * np.abs(frames)

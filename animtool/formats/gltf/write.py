@@ -19,7 +19,7 @@ from animtool.motion.take_files import TakeFiles, WriteOptions
 
 
 def build_gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
-    """Return a rig and its takes as glTF: skin, shapes, named animations.
+    """Return a rig and its takes as a glTF file with skins, shapes and animations.
 
     Args:
         take: The first take; its rig has the meshes.

@@ -52,7 +52,7 @@ class _AnimationBuilder:
         return self.time_accessors[id(times)][1]
 
     def lasts_until(self, end: float) -> bool:
-        """Return whether keys last until a time [s]; extend a static track to it."""
+        """Return whether keys last until a time [s]; else extend a static track to it."""
         if any(keys.times[-1] >= end for *_, keys in self.tracks):
             return True
         for k, (node, path, keys) in enumerate(self.tracks):

@@ -36,7 +36,7 @@ class RigIndices:
 def write_rig(
     builder: GlbBuilder, rig: Rig, scales: FloatArray, weights: dict[str, float]
 ) -> RigIndices:
-    """Write a rig with Y up, in metres.
+    """Write a rig with Y up, in metres; return the indices of its contents.
 
     Args:
         builder: Builder of the file.
@@ -70,7 +70,7 @@ def write_rig(
 
 
 def _ensure_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
-    """Return the scene's root nodes; joints of a skin need a common root.
+    """Return the root nodes of the scene, with a common root for the joints of a skin.
 
     If there are several, a node outside the rig is inserted above them.
     """

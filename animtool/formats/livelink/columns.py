@@ -1,4 +1,4 @@
-"""Reads the columns of a Live Link Face recording."""
+"""Reads the rows and columns of a Live Link Face recording."""
 
 from __future__ import annotations
 

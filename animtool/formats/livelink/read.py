@@ -256,7 +256,7 @@ def _warn_of_unmatched_names(
     joints: dict[str, int],
     has_rig_option: bool,
 ) -> None:
-    """Warn about names only in the recording or only in the rig."""
+    """Warn about names that only the recording or only the rig has."""
     file = recording.file
     if has_rig_option and links.lost:
         zero_shapes = {

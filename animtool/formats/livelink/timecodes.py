@@ -1,4 +1,4 @@
-"""Finds the frame of each row of a recording from its timecode."""
+"""Finds the frame of each row of a recording from its time code."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TIMECODE = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 @dataclass(frozen=True, slots=True)
 class RecordingFrames:
-    """Frame rate, and the frame of each row."""
+    """The frame rate of a recording, and the frame of each row."""
 
     label_rate: Fraction  # labels per second, exact
     step: int  # labels per frame
@@ -167,7 +167,7 @@ def _check_stated_rate(
 def _fit_timecode_rate(
     file: CaptureFile, fields: IntArray, is_drop_frame: bool
 ) -> Fraction:
-    """Return the timecode rate [1/s] that fits the time codes best."""
+    """Return the label rate [1/s] that fits the time codes best."""
     max_label = int(fields[:, 3].max())
     seconds = fields[:, :3] @ [3600, 60, 1]
     candidates = [n for n in TIMECODE_RATES if n > max_label] or [max_label + 1]
@@ -241,7 +241,7 @@ def _frames_of_labels(times: IntArray, fractions: FloatArray) -> tuple[int, IntA
 
 
 def _is_step_multiple(exact: FloatArray, step: int) -> BoolArray:
-    """Return which rows are a whole number of steps after the previous row."""
+    """Return which rows are a multiple of a step after the previous row."""
     step_counts = exact / step
     return np.asarray(
         np.abs(step_counts - np.round(step_counts)) * step <= MAX_CLOCK_JITTER

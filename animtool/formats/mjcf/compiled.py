@@ -140,7 +140,7 @@ def convert_quaternion(wxyz: FloatArray) -> Quaternion:
 def _build_link(
     model: Any, body: int, equalities: JointEqualities, reduced: ReducedModel
 ) -> Link:
-    """Return the link of a body; joints pivot at positions in the body frame."""
+    """Return the link of a body, whose joints may pivot at positions in its frame."""
     position = np.array(model.body_pos[body])
     rotation = np.array(convert_quaternion(model.body_quat[body]))
     name = model.body(body).name
@@ -212,7 +212,7 @@ def _build_joint(
 
 
 def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
-    """Return a body's colliding primitive shapes, and the surfaces of visible ones."""
+    """Return the colliding primitives of a body, and the surfaces of visible ones."""
     colliding_geoms, visible = [], []
     first_geom = int(model.body_geomadr[body])
     for geom in range(first_geom, first_geom + int(model.body_geomnum[body])):

@@ -57,7 +57,7 @@ class JointEqualities:
     def _add(
         self, model: Any, follower: int, constraints: dict[int, tuple[int, list[float]]]
     ) -> None:
-        """Add a joint as mimic or driver; resolve chains of linear leaders."""
+        """Add a joint as mimic or driver, after resolving chains of linear leaders."""
         leader, polynomial = constraints[follower]
         offset, gain = _linear_part(model, follower, leader, polynomial)
         is_nonlinear = leader >= 0 and any(polynomial[2:])

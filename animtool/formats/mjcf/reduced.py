@@ -131,7 +131,7 @@ class _Reduction:
         self.bodies.append(body)
 
     def write(self, element: XmlElement, section: str, classes: str, body: str) -> None:
-        """Add an element with its supported children, or record that it is left out."""
+        """Add an element with its supported children, or record that it is ignored."""
         tag = element.tag
         supported_children = [
             c

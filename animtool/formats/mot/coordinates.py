@@ -74,7 +74,7 @@ def coordinates_by_name(rig: Rig) -> dict[str, Coordinate]:
 
 
 def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
-    """Return names that `coordinates_by_name` has, short ones if unambiguous."""
+    """Return the column names of coordinates, short ones if they are unambiguous."""
     accepted = coordinates_by_name(rig)
     return [
         short if accepted[short := _short_name(rig, c)] == c else _dotted_name(rig, c)
@@ -96,7 +96,7 @@ def _short_name(rig: Rig, coordinate: Coordinate) -> str:
 
 
 def parse_coordinate_name(column: str) -> str | None:
-    """Return the coordinate name of a column; None for states that are not values.
+    """Return the coordinate name of a column; None for states other than values.
 
     >>> parse_coordinate_name("/jointset/knee_r/knee_angle_r/value")
     'knee_angle_r'

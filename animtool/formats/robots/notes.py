@@ -1,4 +1,4 @@
-"""Collects faults and notices of a robot file with lines and names."""
+"""Collects faults and notices of a robot file, and parses its numbers."""
 
 from __future__ import annotations
 

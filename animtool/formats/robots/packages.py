@@ -19,7 +19,7 @@ PACKAGE_FILE = "package.xml"
 
 
 class OutsideError(ValueError):
-    """A file name points outside the project; the file was not opened."""
+    """Raised for a file outside the project, which was not opened."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class RobotJoint:
-    """A rig joint: all or part of a joint of the file."""
+    """A joint of the rig, which represents all or part of a joint of the file."""
 
     name: str  # name of the joint in the file; empty without one
     type: JointType  # joint type

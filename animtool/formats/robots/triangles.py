@@ -1,4 +1,4 @@
-"""Triangulates primitive shapes with flat sides."""
+"""Triangulates boxes, cylinders, spheres and capsules."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def merge_surfaces(surfaces: list[Triangles]) -> Triangles:
 
 
 def triangulate_shape(solid: SimpleShape) -> Triangles:
-    """Return the surface of a shape, placed on its link.
+    """Return the surface of a shape in the frame of its link.
 
     >>> box = triangulate_shape(SimpleShape("box", (1.0, 2.0, 3.0)))
     >>> len(box.points), len(box.faces), box.points.max(axis=0).tolist()
@@ -72,7 +72,7 @@ def _cylinder_faces(radius: float, length: float) -> Triangles:
 
 
 def _side_faces(lower: int, upper: int) -> IntArray:
-    """Return the triangles between two rings, counterclockwise seen from outside."""
+    """Return the triangles between two rings, counterclockwise as seen from outside."""
     k = np.arange(CIRCLE_CORNERS)
     next_corner = (k + 1) % CIRCLE_CORNERS
     lower_triangles = np.stack(

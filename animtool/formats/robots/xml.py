@@ -1,4 +1,4 @@
-"""Parses XML to a tree with line numbers; no entities, no external files."""
+"""Parses XML to a tree with line numbers, without entities and external files."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class XmlCodes:
 
 
 class _InvalidXmlError(Exception):
-    """Raised by handlers for an invalid file: a code, a message and a hint."""
+    """Raised by handlers for an invalid file, with a code, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:
         self.code, self.message, self.hint = code, message, hint

@@ -87,7 +87,7 @@ def read_header(file: CaptureFile, lines: list[bytes]) -> TrcHeader:
 
 
 def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
-    """Return the values below the header's keys."""
+    """Return the header values by key in lower case."""
     separator = find_separator(keys_line)
     keys = [k for c in split_cells(keys_line, separator) for k in c.split() or [""]]
     values = split_cells(values_line, find_row_separator(values_line, separator))
@@ -104,7 +104,7 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
 def _read_marker_names(
     file: CaptureFile, line: bytes, separator: bytes, line_number: int
 ) -> list[str]:
-    """Return the marker names of a header line; each names one or three columns."""
+    """Return the marker names of a header line, each for one or three columns."""
     if separator == b" " and (line_separator := find_separator(line)) != b" ":
         separator = line_separator
     if separator == b" ":

@@ -235,7 +235,7 @@ def _first_frame_and_time(
     rate: Fraction,
     rounding: float,
 ) -> tuple[int, float | None]:
-    """Return the first frame and its time [s], which is None if frame 1 is time 0.
+    """Return the first frame and its time [s]; the time is None if frame 1 is time 0.
 
     Warns if Frame# and Time disagree.
     """

@@ -124,7 +124,7 @@ def find_single_child(
 def require_text(
     element: XmlElement, name: str, where: str | None, notes: XmlNotes, hint: str = ""
 ) -> str:
-    """Return a required attribute; empty if missing, with a fault."""
+    """Return a required attribute; record a fault and return "" if it is missing."""
     text = element.attributes.get(name, "")
     if not text.strip():
         problem = "is empty" if name in element.attributes else "is missing"

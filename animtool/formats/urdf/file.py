@@ -302,7 +302,7 @@ def _read_link(
 
 
 def _read_visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
-    """Yield a link's visual; skip an invalid one with a notice."""
+    """Yield the visual of an element; record an invalid one as ignored."""
     visual_notes = XmlNotes(notes.path, notes.number_code)
     meshes = [m for g in element.all("geometry") for m in g.all("mesh")]
     visual: Visual | None = None

@@ -166,7 +166,7 @@ def _parse_stl(content: bytes) -> Triangles:
 
 
 def _separate_triangles(points: FloatArray) -> Triangles:
-    """Return triangles that share no points, so that they are shaded flat."""
+    """Return triangles without common points, so that they are shaded flat."""
     return Triangles(points, np.arange(len(points), dtype=np.int64).reshape(-1, 3))
 
 
