@@ -99,8 +99,8 @@ class _HierarchyParser:
             continue
         keyword, _, remaining_text = (line or "").strip().partition(" ")
         if keyword.upper() != "HIERARCHY":
-            excess = f", not {excerpt(line.strip())}" if line else ""
-            self.lines.fail("BVH001", f"a BVH file starts with HIERARCHY{excess}")
+            start_text = f", not {excerpt(line.strip())}" if line else ""
+            self.lines.fail("BVH001", f"a BVH file starts with HIERARCHY{start_text}")
         return remaining_text
 
     def _parse_statement(self, keyword: str, words: list[str]) -> None:
@@ -327,8 +327,10 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
         message += f"{rate_label(rate.fps)}"
     elif rate.ambiguous_rates:
         code, severity = "BVH107", Severity.NOTE
-        rivals = listed(rate.ambiguous_rates, 6)
-        message = f"Frame Time {text} is rounded: {rivals} fps would be printed the "
+        other_rates = listed(rate.ambiguous_rates, 6)
+        message = (
+            f"Frame Time {text} is rounded: {other_rates} fps would be printed the "
+        )
         message += f"same; using {rate_label(rate.fps)}"
     else:
         return []

@@ -148,8 +148,8 @@ def _unit_hint(extent: float) -> str:
     for smallest, largest in (PERSON_METERS, LIKELY_METERS):
         for unit in LengthUnit:
             if smallest <= extent * unit.meters <= largest:
-                choice = argument("source.unit", unit)
-                return f"with {choice} it would be {extent * unit.meters:.2g} m"
+                option_text = argument("source.unit", unit)
+                return f"with {option_text} it would be {extent * unit.meters:.2g} m"
         # No option has decimetres, in which MakeHuman exports.
         if smallest <= extent * DECIMETRE <= largest:
             hint = f"in decimetres it would be {extent * DECIMETRE:.2g} m"
@@ -277,13 +277,13 @@ def _read_blocks(
             Channel(rig.rest_rotations, rotation_joints, rotations),
         )
     notices.extend(reader.notices)
-    max_per_slot = np.zeros(3 * len(position_joints))
-    max_per_slot[layout.position_slots] = max_positions
+    max_positions_by_slot = np.zeros(3 * len(position_joints))
+    max_positions_by_slot[layout.position_slots] = max_positions
     has_channel = np.zeros(3 * len(position_joints), np.bool_)
     has_channel[layout.position_slots] = True
     path = str(source.path)
     notices += _collapsed_bones_notice(
-        rig, position_joints, max_per_slot, has_channel, path
+        rig, position_joints, max_positions_by_slot, has_channel, path
     )
     notices += radians_warning(ranges, rig, path)
 

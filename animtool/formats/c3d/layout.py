@@ -27,7 +27,7 @@ MAX_OUTLIER_FRACTION, MAX_SMOOTH_ROUGHNESS, NOISE_ROUGHNESS = 0.1, 0.25, 0.5
 # Cost difference that decides for a layout.
 DECISIVE_COST_GAP = 0.2
 # Maximum number of layouts whose values are examined.
-MAX_JUDGED_LAYOUTS = 16
+MAX_EXAMINED_LAYOUTS = 16
 # Stated values with less weight are hints.
 MIN_DECISIVE_WEIGHT = 0.5
 
@@ -124,7 +124,7 @@ def choose_layout(
         key = _sort_key(candidate)[1:]
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
-    candidates = sorted(cheapest.values(), key=_sort_key)[:MAX_JUDGED_LAYOUTS]
+    candidates = sorted(cheapest.values(), key=_sort_key)[:MAX_EXAMINED_LAYOUTS]
     if truncated_layout is not None and truncated_layout.cost < MIN_DECISIVE_WEIGHT:
         # All stated values agree but the file is too small: it is truncated, unless
         # other stated values match its size exactly.
@@ -165,15 +165,15 @@ def find_contradictions(
         value, stated = getattr(layout, name), getattr(fields, name)
         is_supported = any(v.value == value for v in stated)
         # A saturated count does not contradict a larger count that is also stated.
-        opposing = [
+        contradicting = [
             v
             for v in stated
             if v.weight >= MIN_DECISIVE_WEIGHT
             and v.value != value
             and (v.cost(value) >= MIN_DECISIVE_WEIGHT or not is_supported)
         ]
-        if opposing:
-            contradictions.append((name, value, opposing))
+        if contradicting:
+            contradictions.append((name, value, contradicting))
     return contradictions
 
 
@@ -190,20 +190,28 @@ def _combinations(fields: FieldValues, size: int, padding: int) -> Iterable[Layo
     ``size`` is the file size, ``padding`` the number of zeros at the end [byte].
     """
     widths = _costed_values(fields.number_bytes, (2, 4))
-    for (begin, begin_cost), (width, width_cost) in itertools.product(
+    for (offset, offset_cost), (width, width_cost) in itertools.product(
         _costed_values(fields.data_offset), widths
     ):
         contradicts_width = width_cost >= MIN_DECISIVE_WEIGHT and _values_agree(
             fields.number_bytes
         )
-        capacity = ((size - begin) // width, (size - begin - padding) // width)
+        capacity = ((size - offset) // width, (size - offset - padding) // width)
         for points, analog, frames, count_cost, is_solved in _count_combinations(
             fields, *capacity
         ):
-            cost = begin_cost + width_cost + count_cost
+            cost = offset_cost + width_cost + count_cost
             needs_evidence = contradicts_width or is_solved
             yield Layout(
-                begin, width, points, analog, frames, 0, cost, needs_evidence, is_solved
+                offset,
+                width,
+                points,
+                analog,
+                frames,
+                0,
+                cost,
+                needs_evidence,
+                is_solved,
             )
 
 
@@ -336,8 +344,10 @@ def _choose_by_evidence(
     all_evidence = [measure_evidence(layout) for layout in candidates]
     min_outlier_fraction = min(evidence.outlier_fraction for evidence in all_evidence)
     # NaN is not measured.
-    measured = [one.roughness for one in all_evidence if one.roughness >= 0]
-    min_roughness = min(measured, default=0.0)
+    roughnesses = [
+        evidence.roughness for evidence in all_evidence if evidence.roughness >= 0
+    ]
+    min_roughness = min(roughnesses, default=0.0)
     scored_layouts = []
     for layout, evidence in zip(candidates, all_evidence, strict=True):
         if layout.is_solved and layout.trailing_bytes:

@@ -156,7 +156,7 @@ def read_c3d(
         positions = positions[..., order] * signs
     else:
         up_axis = UpAxis(file_up[1])
-    visible = np.isfinite(positions[..., 0])
+    is_visible = np.isfinite(positions[..., 0])
     residual_scale = abs(_point_scale(sections)) * length_unit.meters
     first_frame = _first_frame(sections, layout.frame_count)
     clock = Clock(rate, Fraction(first_frame), Fraction(1), layout.frame_count)
@@ -165,9 +165,9 @@ def read_c3d(
         clock,
         positions,
         up_axis,
-        _camera_counts(words, visible),
-        _residuals(words, visible, residual_scale),
-        _filled_positions(sections, words, visible, columns),
+        _camera_counts(words, is_visible),
+        _residuals(words, is_visible, residual_scale),
+        _filled_positions(sections, words, is_visible, columns),
         tuple(file.notices),
     )
 
@@ -333,8 +333,8 @@ def _marker_names(
         message = f"names {len(labels)} of {counted(point_count, 'point')}"
         file.warn("C3D102", f"{message}; the others are unlabelled points")
     labels = [*labels[:point_count], *[""] * (point_count - len(labels))]
-    outputs = [sections.texts("POINT", name) for name in MODEL_OUTPUT_PARAMETERS]
-    model_labels = {label for names in outputs for label in names if label}
+    output_labels = [sections.texts("POINT", name) for name in MODEL_OUTPUT_PARAMETERS]
+    model_labels = {label for names in output_labels for label in names if label}
     columns = np.array([i for i, name in enumerate(labels) if name not in model_labels])
     if len(columns) < point_count:
         skipped_labels = [name for name in labels if name in model_labels]
@@ -345,25 +345,29 @@ def _marker_names(
     return file.unique_names([labels[i] for i in columns.tolist()], subject), columns
 
 
-def _camera_counts(words: IntArray, visible: BoolArray) -> IntArray | None:
+def _camera_counts(words: IntArray, is_visible: BoolArray) -> IntArray | None:
     """Return the number of cameras, at most 7, of each position; None if not stated."""
-    mask = np.where(visible, (words >> 8) & 0x7F, 0)
-    if not mask.any():
+    camera_mask = np.where(is_visible, (words >> 8) & 0x7F, 0)
+    if not camera_mask.any():
         return None
-    return sum(((mask >> bit) & 1 for bit in range(7)), np.zeros_like(mask))
+    return sum(
+        ((camera_mask >> bit) & 1 for bit in range(7)), np.zeros_like(camera_mask)
+    )
 
 
-def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray | None:
+def _residuals(
+    words: IntArray, is_visible: BoolArray, scale: float
+) -> FloatArray | None:
     """Return residuals [m] ``(F, M)``; NaN for positions that were not measured."""
     residual_steps = words & 0xFF
-    is_measured = visible & (residual_steps > 0)
+    is_measured = is_visible & (residual_steps > 0)
     if not is_measured.any():
         return None
     return np.where(is_measured, residual_steps * scale, np.nan)
 
 
 def _filled_positions(
-    sections: Sections, words: IntArray, visible: BoolArray, columns: IntArray
+    sections: Sections, words: IntArray, is_visible: BoolArray, columns: IntArray
 ) -> BoolArray | None:
     """Return the positions that were filled, not measured ``(F, M)``; None if none.
 
@@ -372,25 +376,25 @@ def _filled_positions(
     """
     animtool_group = sections.groups.get(ANIMTOOL_GROUP)
     if animtool_group is not None:
-        return _read_filled_group(sections, visible, columns)
-    if not (visible & (words > 0)).any():
+        return _read_filled_group(sections, is_visible, columns)
+    if not (is_visible & (words > 0)).any():
         return None
-    is_filled = visible & (words == 0)
+    is_filled = is_visible & (words == 0)
     return is_filled if is_filled.any() else None
 
 
 def _read_filled_group(
-    sections: Sections, visible: BoolArray, marker_columns: IntArray
+    sections: Sections, is_visible: BoolArray, marker_columns: IntArray
 ) -> BoolArray | None:
-    is_filled = np.zeros(visible.shape, bool)
+    is_filled = np.zeros(is_visible.shape, bool)
     columns = {point: column for column, point in enumerate(marker_columns.tolist())}
     for value in sections.continued_values(ANIMTOOL_GROUP, "FILLED"):
         if not isinstance(value, np.ndarray) or not value.size:
             break
         for marker, first, last in value.ravel()[: value.size // 3 * 3].reshape(-1, 3):
             if np.isfinite([marker, first, last]).all() and marker in columns:
-                begin = int(min(max(first, 0), len(visible)))
-                end = int(min(max(last + 1, 0), len(visible)))
+                begin = int(min(max(first, 0), len(is_visible)))
+                end = int(min(max(last + 1, 0), len(is_visible)))
                 is_filled[begin:end, columns[int(marker)]] = True
-    is_filled &= visible
+    is_filled &= is_visible
     return is_filled if is_filled.any() else None

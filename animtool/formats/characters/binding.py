@@ -41,17 +41,17 @@ class SkinBinder:
         rig: Rig,
         joints: IntArray,
         folded_scales: FloatArray,
-        worlds: Sequence[FloatArray] = (),
+        mesh_worlds: Sequence[FloatArray] = (),
     ) -> None:
         """Start with a rig without meshes, and the node data of its joints.
 
         ``worlds`` are the world transforms of each skin's mesh at bind time ``(4, 4)``.
         """
-        self.file, self.worlds = file, worlds
+        self.file, self.mesh_worlds = file, mesh_worlds
         self.joints, self.folded_scales = joints, folded_scales
         self.notices: list[Fault] = []
         self._rig = rig
-        self._bind: dict[int, FloatArray] = {}  # by joint, in file units
+        self._bind_worlds: dict[int, FloatArray] = {}  # by joint, in file units
         self._helpers: list[tuple[int, FloatArray]] = []
         self._skins: dict[int, tuple[FloatArray, list[int]]] = {}
 
@@ -63,7 +63,7 @@ class SkinBinder:
             joints = self.joints[nodes]
             matrices = skin.inverse_bind.copy()
             matrices[:, :3] *= self.folded_scales[nodes][:, None, None]
-            mesh_world = self.worlds[index] if self.worlds else None
+            mesh_world = self.mesh_worlds[index] if self.mesh_worlds else None
             self._skins[index] = self._bind_joints(
                 matrices, joints.tolist(), skin.where, mesh_world
             )
@@ -102,16 +102,16 @@ class SkinBinder:
         else:
             geometry = self._rigid_geometry(mesh_world @ bind_matrices) @ mesh_world
         binds = geometry @ bind_matrices
-        shared = next(
-            (k for k, joint in enumerate(joints) if joint in self._bind), None
+        common = next(
+            (k for k, joint in enumerate(joints) if joint in self._bind_worlds), None
         )
-        if shared is not None:
+        if common is not None:
             # Align with the previous skins at the first common joint.
-            alignment = self._bind[joints[shared]] @ np.linalg.inv(binds[shared])
+            alignment = self._bind_worlds[joints[common]] @ np.linalg.inv(binds[common])
             geometry, binds = alignment @ geometry, alignment @ binds
         bound_joints = []
         for joint, bind in zip(joints, binds, strict=True):
-            joint_bind = self._bind.setdefault(joint, bind)
+            joint_bind = self._bind_worlds.setdefault(joint, bind)
             magnitude = max(1e-300, float(np.abs(joint_bind).max()))
             if np.abs(joint_bind - bind).max() <= BIND_TOLERANCE * magnitude:
                 bound_joints.append(joint)
@@ -143,11 +143,13 @@ class SkinBinder:
     def build_rig(self, meshes: tuple[Mesh, ...], shapes: tuple[Shape, ...]) -> Rig:
         """Return the rig with bind pose, meshes and shapes."""
         rig, names = self._rig, self.joint_names()
-        added = zip(names[len(rig.joints) :], self._helpers, strict=True)
-        helper_joints = [Joint(name, parent) for name, (parent, _) in added]
+        named_helpers = zip(names[len(rig.joints) :], self._helpers, strict=True)
+        helper_joints = [Joint(name, parent) for name, (parent, _) in named_helpers]
         rig = replace(rig, joints=(*rig.joints, *helper_joints))
         helpers = enumerate(self._helpers, len(self._rig.joints))
-        bind_worlds = self._bind | {j: bind_world for j, (_, bind_world) in helpers}
+        bind_worlds = self._bind_worlds | {
+            j: bind_world for j, (_, bind_world) in helpers
+        }
         bind = _bind_poses(rig, bind_worlds)
         return replace(rig, bind=bind, meshes=meshes, shapes=shapes)
 

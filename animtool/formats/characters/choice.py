@@ -96,18 +96,18 @@ def choose_character(
         raise FormatError(Fault(unknown_code, message, where))
     candidates = find_characters(file)
     if prim_path is None:
-        chosen = candidates[0]
+        choice = candidates[0]
         if len(candidates) > 1 and file.default_scene >= 0:
             scene_roots = set(file.scenes[file.default_scene])
-            in_scene = (c for c in candidates if scene_roots & set(c.nodes))
-            chosen = next(in_scene, chosen)
-        other_paths = [c.path for c in candidates if c is not chosen]
+            scene_choices = (c for c in candidates if scene_roots & set(c.nodes))
+            choice = next(scene_choices, choice)
+        other_paths = [c.path for c in candidates if c is not choice]
         if not other_paths:
-            return chosen, []
-        message = f"reading {chosen.path} of {counted(len(candidates), 'character')}: "
+            return choice, []
+        message = f"reading {choice.path} of {counted(len(candidates), 'character')}: "
         message += f"others are {listed(other_paths, MAX_LISTED_CHARACTERS)}"
         hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
-        return chosen, [Fault(skipped_code, message, where, (), hint, Severity.NOTE)]
+        return choice, [Fault(skipped_code, message, where, (), hint, Severity.NOTE)]
     if prim_path.strip() == ROOT_PATH:
         return CharacterNodes(ROOT_PATH, tuple(sort_parents_first(file.nodes))), []
     name = prim_path.strip("/")

@@ -74,7 +74,7 @@ class _ClipBuilder:
         self.sampled_joints: list[set[int]] = [set(), set(), set()]
         rig = fbx_rig.rig
         unit_scales = np.ones((len(rig.joints), 3))
-        self.defaults = (rig.rest_translations, rig.rest_rotations, unit_scales)
+        self.default_values = (rig.rest_translations, rig.rest_rotations, unit_scales)
 
     def component_channels(self, component: int) -> list[ClipChannel]:
         """Return the channels of translations (0), rotations (1) or scales (2)."""
@@ -87,7 +87,10 @@ class _ClipBuilder:
                 channels += exact_channels
                 if not exact_channels:
                     self.sampled_joints[component].add(j)
-            elif np.abs(rest[j] - self.defaults[component][j]).max() > REST_TOLERANCE:
+            elif (
+                np.abs(rest[j] - self.default_values[component][j]).max()
+                > REST_TOLERANCE
+            ):
                 target = self._channel_target(j, component)
                 channels.append(self._static_channel(target, rest[j]))
         return channels + self._sampled_channels(component)
@@ -188,7 +191,7 @@ class _ClipBuilder:
             pre_rotation = so3.multiply(self.axes_rotation, pre_rotation)
         pre_rotation = so3.normalize(pre_rotation)
         channels = []
-        if so3.angle_between(pre_rotation, self.defaults[1][j]) > REST_TOLERANCE:
+        if so3.angle_between(pre_rotation, self.default_values[1][j]) > REST_TOLERANCE:
             target = self._channel_target(j, 1)
             channels.append(self._static_channel(target, pre_rotation))
         order = model.rotation_order
@@ -276,10 +279,10 @@ class _ClipBuilder:
         if not sampled_joints:
             return []
         ticks = self._sample_times()
-        middles = (ticks[1:] + ticks[:-1]) // 2
+        middle_ticks = (ticks[1:] + ticks[:-1]) // 2
         columns = self.sampler.animated_joints[component].tolist()
         values = self._sampled_values(component, ticks)
-        middle_values = self._sampled_values(component, middles)
+        middle_values = self._sampled_values(component, middle_ticks)
         channels = []
         for column, j in enumerate(columns):
             if j not in sampled_joints:

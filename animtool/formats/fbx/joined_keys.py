@@ -131,10 +131,10 @@ def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     is_in_range = (key_index >= 0) & (key_index < len(curve.times) - 1)
     key_index = np.clip(key_index, 0, max(len(curve.times) - 2, 0))
     if len(curve.times) < 2:
-        slopes, is_none = np.zeros(len(starts)), np.zeros(len(starts), bool)
+        slopes, no_segments = np.zeros(len(starts)), np.zeros(len(starts), bool)
         weights = np.full((len(starts), 2), ONE_THIRD)
         return _SegmentedCurve(
-            is_none, is_none, ~is_none, is_none, weights, slopes, slopes
+            no_segments, no_segments, ~no_segments, no_segments, weights, slopes, slopes
         )
     key_ticks, next_ticks = curve.times[key_index], curve.times[key_index + 1]
     modes = curve.modes[key_index]
@@ -208,15 +208,17 @@ def _segment_interpolations(
 def _common_weights(curves: Sequence[_SegmentedCurve]) -> FloatArray | None:
     """Return the handle weights of each segment; None if they differ by component."""
     weights = np.full(curves[0].weights.shape, ONE_THIRD)
-    is_fixed = np.zeros(len(weights), bool)
+    has_weights = np.zeros(len(weights), bool)
     for curve in curves:
         is_cubic = curve.is_cubic & ~curve.is_flat
-        is_third = np.abs(curve.weights - ONE_THIRD).max(axis=1) <= WEIGHT_TOLERANCE
-        if not (is_third | ~curve.is_split | ~is_cubic).all():
+        has_third_weights = (
+            np.abs(curve.weights - ONE_THIRD).max(axis=1) <= WEIGHT_TOLERANCE
+        )
+        if not (has_third_weights | ~curve.is_split | ~is_cubic).all():
             return None
         is_different = np.abs(curve.weights - weights).max(axis=1) > WEIGHT_TOLERANCE
-        if (is_fixed & is_cubic & is_different).any():
+        if (has_weights & is_cubic & is_different).any():
             return None
         weights = np.where(is_cubic[:, None], curve.weights, weights)
-        is_fixed |= is_cubic
+        has_weights |= is_cubic
     return None if np.isnan(weights).any() else weights

@@ -65,9 +65,13 @@ def read_curve(
         return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
     attribute_bits = _attribute_bits(attribute_data, notes)
     has_valid_counts = (reference_counts >= 0) & (reference_counts <= count)
-    fits = len(flags) == len(reference_counts) and attribute_bits.size == 4 * len(flags)
-    fits = fits and has_valid_counts.all() and int(reference_counts.sum()) == count
-    if not fits:
+    is_valid = len(flags) == len(reference_counts) and attribute_bits.size == 4 * len(
+        flags
+    )
+    is_valid = (
+        is_valid and has_valid_counts.all() and int(reference_counts.sum()) == count
+    )
+    if not is_valid:
         message = f"the attributes of {count} keys do not fit them"
         notes.fail("FBX006", element.where, message)
     flags = np.repeat(flags, reference_counts)

@@ -114,26 +114,26 @@ class PropertyTrack:
         return blended_values
 
     def _blend_layer(
-        self, layer: Layer, below: FloatArray, above: FloatArray, weights: FloatArray
+        self, layer: Layer, lower: FloatArray, upper: FloatArray, weights: FloatArray
     ) -> FloatArray:
         is_additive = layer.mode == ADDITIVE
         if self.name == ROTATION and layer.accumulates_rotations:
-            rotations_below, rotations_above = (
-                rotations_from_angles(angles, XYZ) for angles in (below, above)
+            lower_rotations, upper_rotations = (
+                rotations_from_angles(angles, XYZ) for angles in (lower, upper)
             )
-            start = rotations_below
+            start = lower_rotations
             if is_additive:
-                start = np.broadcast_to([0.0, 0.0, 0.0, 1.0], rotations_above.shape)
-            rotations = so3.slerp(start, rotations_above, weights[:, 0])
+                start = np.broadcast_to([0.0, 0.0, 0.0, 1.0], upper_rotations.shape)
+            rotations = so3.slerp(start, upper_rotations, weights[:, 0])
             if is_additive:
-                rotations = so3.multiply(rotations_below, rotations)
+                rotations = so3.multiply(lower_rotations, rotations)
             return principal_angles(rotations)
         if self.name == SCALING and layer.accumulates_scales:
-            base = below if is_additive else _scale_power(below, 1.0 - weights)
-            return _scale_power(above, weights) * base
+            base = lower if is_additive else _scale_power(lower, 1.0 - weights)
+            return _scale_power(upper, weights) * base
         if is_additive:
-            return below + weights * above
-        return below + weights * (above - below)
+            return lower + weights * upper
+        return lower + weights * (upper - lower)
 
 
 def _scale_power(scales: FloatArray, weights: FloatArray) -> FloatArray:

@@ -145,16 +145,20 @@ class AnimatedComponents:
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
         self.models, self.take = models, take
-        self.animated = [find_animated_components(model, take) for model in models]
+        self.components_by_node = [
+            find_animated_components(model, take) for model in models
+        ]
 
     def has_animated_scale(self, i: int) -> bool:
         """Return whether a node's scale, including inherited scale, is animated."""
-        return any(self.animated[node][2] for node in scale_ancestors(self.models, i))
+        return any(
+            self.components_by_node[node][2] for node in scale_ancestors(self.models, i)
+        )
 
     def animated_components(self, source: JointSource) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
         model = self.models[source.model]
-        has_translation, has_rotation, has_scale = self.animated[source.model]
+        has_translation, has_rotation, has_scale = self.components_by_node[source.model]
         if (has_rotation or has_scale) and has_pivots(model, self.take):
             has_translation = True
         has_parent = model.parent >= 0

@@ -107,9 +107,9 @@ def build_rig(
         joint = Joint(
             names[j], parents[j], translation=(x, y, z), rotation=(a, b, c, w)
         )
-        original = scene.models[source.model].name
-        if original != names[j] and source.part is not TransformPart.OUTER:
-            joint = replace(joint, source_name=original)
+        file_name = scene.models[source.model].name
+        if file_name != names[j] and source.part is not TransformPart.OUTER:
+            joint = replace(joint, source_name=file_name)
         rig_joints.append(joint)
     scales = np.where(is_folded[:, None], 1.0, scales)
     rig = Rig(name, tuple(rig_joints), unit, scene.settings.up)
@@ -208,9 +208,9 @@ def _add_shapes_and_meshes(
     fbx_rig.shape_channels += [(c, _full_percent(c)) for _, c in channels]
     shapes = []
     for name, (node, channel) in zip(names, channels, strict=True):
-        geometric = scene.models[node].geometric_transform
+        geometric_transform = scene.models[node].geometric_transform
         mesh_name = fbx_rig.mesh_names[node]
-        shapes.append(_build_shape(name, mesh_name, channel, geometric))
+        shapes.append(_build_shape(name, mesh_name, channel, geometric_transform))
     binder = SkinBinder(
         scene,
         fbx_rig.rig,
@@ -236,9 +236,9 @@ def _full_percent(channel: ShapeChannel) -> float:
 
 
 def _build_shape(
-    name: str, mesh: str, channel: ShapeChannel, geometric: FloatArray
+    name: str, mesh: str, channel: ShapeChannel, geometric_transform: FloatArray
 ) -> Shape:
-    rotation, full_percent = geometric[:3, :3].T, _full_percent(channel)
+    rotation, full_percent = geometric_transform[:3, :3].T, _full_percent(channel)
     inbetweens = [
         Inbetween(weight_percent / full_percent, LoadedArray(offsets @ rotation))
         for weight_percent, offsets in channel.targets[:-1]
@@ -249,8 +249,11 @@ def _build_shape(
 
 
 def _build_mesh(scene: FbxScene, node: int, name: str, binder: SkinBinder) -> Mesh:
-    mesh, geometric = scene.meshes[node], scene.models[node].geometric_transform
-    points = mesh.points @ geometric[:3, :3].T + geometric[:3, 3]
+    mesh, geometric_transform = (
+        scene.meshes[node],
+        scene.models[node].geometric_transform,
+    )
+    points = mesh.points @ geometric_transform[:3, :3].T + geometric_transform[:3, 3]
     skin, geometry = _build_skin(scene, node, mesh, binder)
     bind = tuple(geometry.ravel().tolist())
     return Mesh(

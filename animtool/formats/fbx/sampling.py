@@ -71,8 +71,8 @@ class FbxSampler:
         self.animated_shapes = np.array(
             [shape for shape in shapes if self._is_animated(shape)], np.int64
         )
-        begin = 0 if take is None else take.start_ticks
-        self.rest_values = self._static_values(np.array([begin], np.int64))
+        start_ticks = 0 if take is None else take.start_ticks
+        self.rest_values = self._static_values(np.array([start_ticks], np.int64))
         self.is_scaled = bool(
             len(self.animated_joints[2]) or (self.rest_values[2] != 1.0).any()
         )
@@ -165,12 +165,12 @@ def find_frame_range(
     if take is None:
         return FbxFrames(rate, 0, 1)
     keys = take.key_times()
-    begin, end = take.start_ticks, take.end_ticks
-    if end <= begin and len(keys):
-        begin, end = int(keys[0]), int(keys[-1])
+    start_ticks, end = take.start_ticks, take.end_ticks
+    if end <= start_ticks and len(keys):
+        start_ticks, end = int(keys[0]), int(keys[-1])
     # Frames contain the range: from the frame at or before its start to the frame at or
     # after its end.
-    first, last = (ticks * rate / TICKS_PER_SECOND for ticks in (begin, end))
+    first, last = (ticks * rate / TICKS_PER_SECOND for ticks in (start_ticks, end))
     first_frame = round(first) if _is_on_frame(first) else math.floor(first)
     last_frame = round(last) if _is_on_frame(last) else math.ceil(last)
     last_frame = max(first_frame, last_frame)
@@ -178,7 +178,7 @@ def find_frame_range(
     values = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
     if count > MAX_FRAMES or values > MAX_TAKE_VALUES:
         message = (
-            f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
+            f"take {take.name!r}: {(end - start_ticks) / TICKS_PER_SECOND:.6g} s at "
             f"{rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
             "above the limit"
         )
@@ -197,13 +197,15 @@ def off_frame_keys_notice(
     if take is None:
         return []
     keys = take.key_times()
-    codes = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
-    off_frame_keys = np.flatnonzero(np.abs(codes - np.round(codes)) > FRAME_TOLERANCE)
+    frame_numbers = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
+    off_frame_keys = np.flatnonzero(
+        np.abs(frame_numbers - np.round(frame_numbers)) > FRAME_TOLERANCE
+    )
     if not len(off_frame_keys):
         return []
     stride = max(1, len(off_frame_keys) // MAX_MEASURED_KEYS)
     measured_keys = off_frame_keys[::stride]
-    frame_before = np.floor(codes[measured_keys])
+    frame_before = np.floor(frame_numbers[measured_keys])
     positions = [
         forward_kinematics(fbx_rig.rig, *sampler.sample(ticks).dense()).positions
         for ticks in (
@@ -212,7 +214,7 @@ def off_frame_keys_notice(
             keys[measured_keys],
         )
     ]
-    fraction = (codes[measured_keys] - frame_before)[:, None, None]
+    fraction = (frame_numbers[measured_keys] - frame_before)[:, None, None]
     interpolated = positions[0] + fraction * (positions[1] - positions[0])
     distances = np.linalg.norm(positions[2] - interpolated, axis=2)
     worst_joint = int(distances.max(axis=0).argmax())
@@ -235,17 +237,17 @@ def keys_outside_notice(
     if take is None or not animated_curves:
         return []
     keys = np.unique(np.concatenate([curve.times for curve in animated_curves]))
-    codes = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
+    frame_numbers = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
     last = frames.first + frames.count - 1
-    is_outside = codes < frames.first - FRAME_TOLERANCE
-    is_outside |= codes > last + FRAME_TOLERANCE
+    is_outside = frame_numbers < frames.first - FRAME_TOLERANCE
+    is_outside |= frame_numbers > last + FRAME_TOLERANCE
     outside_count = int(is_outside.sum())
     if not outside_count:
         return []
     message = (
         f"{outside_count} of {len(keys)} key times of take {take.name!r}, "
-        f"{codes[0]:.6g} to {codes[-1]:.6g}, lie outside its frames {frames.first} to "
-        f"{last}, which are read"
+        f"{frame_numbers[0]:.6g} to {frame_numbers[-1]:.6g}, lie outside its frames "
+        f"{frames.first} to {last}, which are read"
     )
     hint = "if they belong to it, make the take longer in the program that wrote it"
     severity = Severity.WARNING if outside_count == len(keys) else Severity.NOTE

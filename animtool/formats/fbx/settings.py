@@ -60,12 +60,12 @@ def read_settings(file: FbxFile, up: UpAxis | None) -> FbxSettings:
     ``up`` is the up axis of the file; None is the stated axis.
     """
     notes, settings = file.notes, file.settings
-    factor = read_scalar(settings, "UnitScaleFactor", 1.0, notes)
-    if not 1e-9 <= factor <= 1e12:
-        message = f"UnitScaleFactor is {factor:g}, and must be positive"
+    unit_factor = read_scalar(settings, "UnitScaleFactor", 1.0, notes)
+    if not 1e-9 <= unit_factor <= 1e12:
+        message = f"UnitScaleFactor is {unit_factor:g}, and must be positive"
         notes.fail("FBX005", settings.element.where, message)
     up_and_basis = (up, np.eye(3)) if up is not None else _read_axes(file)
-    return FbxSettings(factor / 100.0, *up_and_basis, _read_rate(file))
+    return FbxSettings(unit_factor / 100.0, *up_and_basis, _read_rate(file))
 
 
 def has_new_ticks(file: FbxFile) -> bool:

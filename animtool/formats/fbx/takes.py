@@ -135,11 +135,13 @@ class _StackReader:
         if len(layers) > MAX_LAYERS:
             message = f"{len(layers)} layers of {stack.name!r}"
             file.notes.fail("FBX013", stack.element.where, message)
-        active = [a for a in layers if read_scalar(a, "Solo", 0, file.notes)]
-        if not active:
-            active = [a for a in layers if not read_scalar(a, "Mute", 0, file.notes)]
+        active_layers = [a for a in layers if read_scalar(a, "Solo", 0, file.notes)]
+        if not active_layers:
+            active_layers = [
+                a for a in layers if not read_scalar(a, "Mute", 0, file.notes)
+            ]
         for i, layer in enumerate(layers):
-            if layer in active:
+            if layer in active_layers:
                 self._add_layer(take, layer, is_first=i == 0)
         return take
 

@@ -311,15 +311,15 @@ def _read_values(
     # Non-finite rotations are detected by their length; slopes have none.
     is_cubic = samplers.interpolation(index) is SamplerInterpolation.CUBIC
     must_be_finite = is_cubic or target.path is not TargetPath.ROTATION
-    stored = accessors.numbers(accessor, finite=must_be_finite)
+    stored_values = accessors.numbers(accessor, finite=must_be_finite)
     if entry.component_type == FLOAT_COMPONENT:
-        return stored
+        return stored_values
     if target.path is TargetPath.VISIBLE:
-        return (stored != 0).astype(np.float64)
+        return (stored_values != 0).astype(np.float64)
     numbers = accessors.floats(accessor)
     if not entry.normalized:
         # Integers of these paths are normalized even if the accessor does not state it.
-        limit = np.iinfo(stored.dtype).max
+        limit = np.iinfo(stored_values.dtype).max
         numbers = np.maximum(numbers / limit, -1.0)
     return numbers
 

@@ -148,11 +148,13 @@ def _track_channel(
 
 def key_times_in_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
     """Return key times [frames], snapped to a frame within float32 rounding."""
-    exact = seconds * float(frames.fps)
-    nearest_frames = np.round(exact)
-    is_on_frame = np.abs(nearest_frames - exact) <= KEY_TIME_TOLERANCE * np.abs(exact)
+    frame_numbers = seconds * float(frames.fps)
+    nearest_frames = np.round(frame_numbers)
+    is_on_frame = np.abs(nearest_frames - frame_numbers) <= KEY_TIME_TOLERANCE * np.abs(
+        frame_numbers
+    )
     return np.asarray(
-        np.where(is_on_frame, nearest_frames, exact) + float(frames.start)
+        np.where(is_on_frame, nearest_frames, frame_numbers) + float(frames.start)
     )
 
 

@@ -166,18 +166,18 @@ def _check_extensions(container: Container, path: Path) -> None:
             notes.warn("GLT106", where, message)
 
 
-def _check_extension_lists(root: JsonItem, used: list[Any]) -> None:
+def _check_extension_lists(root: JsonItem, used_names: list[Any]) -> None:
     """Warn if extensionsUsed and extensionsRequired contradict each other."""
-    required, notes = root.read_list("extensionsRequired"), root.notes
-    for i, name in enumerate(used):
+    required_names, notes = root.read_list("extensionsRequired"), root.notes
+    for i, name in enumerate(used_names):
         where = f"{root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
             message = f"{excerpt(repr(name))} is not an extension name: ignored"
             notes.warn("GLT106", where, message)
-        elif name in REQUIRED_EXTENSIONS and name not in required:
+        elif name in REQUIRED_EXTENSIONS and name not in required_names:
             notes.warn("GLT106", where, f"{name} is used, but not required")
-    for i, name in enumerate(required):
-        if isinstance(name, str) and name not in used:
+    for i, name in enumerate(required_names):
+        if isinstance(name, str) and name not in used_names:
             message = f"{excerpt(name)} is required, but not listed as used"
             where = f"{root.pointer_to('extensionsRequired')}/{i}"
             notes.warn("GLT106", where, message)

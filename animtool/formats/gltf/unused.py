@@ -41,16 +41,16 @@ def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
                         if is_supported_attribute(str(name))
                         else unread_accessors
                     ).add(int(index))
-    used = {*read_accessors, *_used_elsewhere(root)}
-    accessors = frozenset(unread_accessors - used)
+    used_accessors = {*read_accessors, *_other_accessors(root)}
+    accessors = frozenset(unread_accessors - used_accessors)
     images = set(_image_views(root))
-    entries = list(enumerate(_dicts(root.get("accessors"))))
+    entries = list(enumerate(_objects(root.get("accessors"))))
     used_views = {
         v for i, e in entries if i not in accessors for v in _accessor_views(e)
     }
     unused_views = {v for i, e in entries if i in accessors for v in _accessor_views(e)}
     views = frozenset((images | unused_views) - used_views)
-    buffer_views = list(enumerate(_dicts(root.get("bufferViews"))))
+    buffer_views = list(enumerate(_objects(root.get("bufferViews"))))
     used_buffers = {
         _valid_index(view.get("buffer")) for i, view in buffer_views if i not in views
     }
@@ -82,7 +82,7 @@ def is_known_attribute(attribute: str) -> bool:
     ) is not None or is_supported_attribute(attribute)
 
 
-def _dicts(value: Any) -> Iterator[dict[str, Any]]:
+def _objects(value: Any) -> Iterator[dict[str, Any]]:
     """Yield the objects of a JSON list, and {} for entries that are not objects."""
     for entry in value if isinstance(value, list) else ():
         yield entry if isinstance(entry, dict) else {}
@@ -93,30 +93,30 @@ def _valid_index(value: Any) -> int:
 
 
 def _all_primitives(root: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for mesh in _dicts(root.get("meshes")):
-        yield from _dicts(mesh.get("primitives"))
+    for mesh in _objects(root.get("meshes")):
+        yield from _objects(mesh.get("primitives"))
 
 
 def _primitive_accessors(primitive: dict[str, Any]) -> Iterator[dict[str, Any]]:
     attributes = primitive.get("attributes")
     if isinstance(attributes, dict):
         yield attributes
-    yield from _dicts(primitive.get("targets"))
+    yield from _objects(primitive.get("targets"))
 
 
-def _used_elsewhere(root: dict[str, Any]) -> Iterator[int]:
+def _other_accessors(root: dict[str, Any]) -> Iterator[int]:
     for primitive in _all_primitives(root):
         yield _valid_index(primitive.get("indices"))
-    for skin in _dicts(root.get("skins")):
+    for skin in _objects(root.get("skins")):
         yield _valid_index(skin.get("inverseBindMatrices"))
-    for animation in _dicts(root.get("animations")):
-        for sampler in _dicts(animation.get("samplers")):
+    for animation in _objects(root.get("animations")):
+        for sampler in _objects(animation.get("samplers")):
             yield _valid_index(sampler.get("input"))
             yield _valid_index(sampler.get("output"))
 
 
 def _image_views(root: dict[str, Any]) -> Iterator[int]:
-    for image in _dicts(root.get("images")):
+    for image in _objects(root.get("images")):
         if "bufferView" in image:
             yield _valid_index(image["bufferView"])
 

@@ -52,7 +52,7 @@ class _AnimationBuilder:
         return self.time_accessors[id(times)][1]
 
     def lasts_until(self, end: float) -> bool:
-        """Return whether keys last until a time [s]; else extend a static track to it."""
+        """Return whether keys last until a time [s]; else extend a static track."""
         if any(keys.times[-1] >= end for *_, keys in self.tracks):
             return True
         for k, (node, path, keys) in enumerate(self.tracks):
@@ -168,8 +168,11 @@ def _add_static_key(
     """Add a static key for the first joint property without keys."""
     rig = take.rig
     keyed_paths = {(node, path) for node, path, _ in animation.tracks}
-    rests = {"translation": rig.rest_translations, "rotation": rig.rest_rotations}
-    for path, rest in rests.items():
+    rest_values_by_path = {
+        "translation": rig.rest_translations,
+        "rotation": rig.rest_rotations,
+    }
+    for path, rest in rest_values_by_path.items():
         for node, row in zip(rig_indices.joints, rest, strict=True):
             if (node, path) not in keyed_paths:
                 animation.tracks.append((node, path, _single_key(row, times)))
@@ -260,11 +263,11 @@ def _write_weights(
     if weights is None:
         return []
     names = [shape.name for shape in take.rig.shapes]
-    dense = weights.dense()[:, :, 0]
+    dense_weights = weights.dense()[:, :, 0]
     document = animation.builder.json
     for node, shapes in rig_indices.targets.items():
         shape_rows = [names.index(shape) for shape in shapes]
-        values = dense[:, shape_rows]
+        values = dense_weights[:, shape_rows]
         mesh = document["meshes"][document["nodes"][node]["mesh"]]
         if (values == values[:1]).all():
             if np.abs(values[0] - mesh["weights"]).max() > STATIC_TOLERANCE:

@@ -249,38 +249,49 @@ def _record_differences(
     """Record differences between rig and model, and joints without actuators."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
 
-    def add(code: str, joints: list[int], message: str, hint: str) -> None:
+    def add_note(code: str, joints: list[int], message: str, hint: str) -> None:
         if joints:
             labels = [excerpt(names[j]) if names[j] else "one unnamed" for j in joints]
             message = message.format(counted(len(joints), "joint"))
             message += f": {listed(labels, MAX_LISTED_JOINTS)}"
             notes.add(code, None, message, hint, severity=Severity.NOTE)
 
-    scalar = [j for j in range(model.njnt) if model.jnt_type[j] in {SLIDE, HINGE}]
-    joints_with_ref = [j for j in scalar if model.qpos0[model.jnt_qposadr[j]] != 0]
+    scalar_joints = [
+        j for j in range(model.njnt) if model.jnt_type[j] in {SLIDE, HINGE}
+    ]
+    joints_with_ref = [
+        j for j in scalar_joints if model.qpos0[model.jnt_qposadr[j]] != 0
+    ]
     hint = "coordinates are MuJoCo's qpos, and the rest pose has them at 0"
     message = "the file draws {} at another value (ref) than 0"
-    add("MJC109", joints_with_ref, message, hint)
+    add_note("MJC109", joints_with_ref, message, hint)
     joints_without_zero = [
         j
-        for j in scalar
+        for j in scalar_joints
         if model.jnt_limited[j]
         and j not in joints_with_ref
         and not model.jnt_range[j, 0] <= 0 <= model.jnt_range[j, 1]
     ]
     hint = "the rest pose is still at 0; a take uses the nearest limit"
-    add("MJC109", joints_without_zero, "0 is outside the limits of {}", hint)
+    add_note("MJC109", joints_without_zero, "0 is outside the limits of {}", hint)
     limited = np.flatnonzero(model.jnt_limited).tolist()
-    balls = [j for j in limited if model.jnt_type[j] == BALL]
-    widest = max((math.degrees(model.jnt_range[j, 1]) for j in balls), default=0.0)
+    ball_joints = [j for j in limited if model.jnt_type[j] == BALL]
+    widest = max(
+        (math.degrees(model.jnt_range[j, 1]) for j in ball_joints), default=0.0
+    )
     message = "the limits of {} are ignored, " + f"up to {widest:.4g}° each way"
     hint = "a rig limits swing and twist; a rig file over this one may state them"
-    add("MJC104", balls, message, hint)
+    add_note("MJC104", ball_joints, message, hint)
     if reduced.has_only_joint_actuators:
         constrained_joints = {*equalities.mimics, *equalities.drivers}
-        free = [j for j in scalar if j not in constrained_joints]
-        idle = [j for j in free if names[j] not in reduced.actuated_joints]
-        add("MJC105", idle, "no actuator drives {}", "in a rig they move as others do")
+        others = [j for j in scalar_joints if j not in constrained_joints]
+        idle_joints = [j for j in others if names[j] not in reduced.actuated_joints]
+        add_note(
+            "MJC105",
+            idle_joints,
+            "no actuator drives {}",
+            "in a rig they move as others do",
+        )
     if reduced.bodies_of_unknown_mass:
         bodies = sorted(reduced.bodies_of_unknown_mass)
         message = "masses computed from meshes are ignored: "

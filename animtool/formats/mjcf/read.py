@@ -133,7 +133,7 @@ def _read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders
         message = f"no MJCF: its root element is <{root.tag[:60]}>"
         notes.add("MJC004", root, message, hint)
         notes.check()
-    folders = PackageFolders.of(path, _XML_CODES)
+    folders = PackageFolders.from_file(path, _XML_CODES)
     _IncludeResolver(path, folders, notes).run(root)
     notes.check()
     return root, folders

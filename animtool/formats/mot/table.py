@@ -122,17 +122,21 @@ def read_table(path: Path) -> MotionTable:
 def read_header(file: CaptureFile, lines: list[bytes]) -> MotHeader:
     """Return the header (MOF001) and column names (MOF002, MOF004)."""
     contents = [line.strip(BLANK_CHARACTERS) for line in lines[:MAX_HEADER_LINES]]
-    end = next((i for i, c in enumerate(contents) if c.lower() == b"endheader"), None)
-    if end is None:
+    header_end = next(
+        (i for i, c in enumerate(contents) if c.lower() == b"endheader"), None
+    )
+    if header_end is None:
         message = "has no line 'endheader', which ends the header of OpenSim's files"
         raise file.error("MOF001", message)
-    following = range(end + 1, len(lines))
-    names_line = next((i for i in following if lines[i].strip(BLANK_CHARACTERS)), None)
+    lines_below = range(header_end + 1, len(lines))
+    names_line = next(
+        (i for i in lines_below if lines[i].strip(BLANK_CHARACTERS)), None
+    )
     if names_line is None:
-        raise file.error("MOF002", "ends after its header", line=end + 1)
+        raise file.error("MOF002", "ends after its header", line=header_end + 1)
     separator = find_separator(lines[names_line])
     names = _column_names(file, lines[names_line], separator, names_line + 1)
-    counts, in_degrees, texts = _parse_header(lines[:end])
+    counts, in_degrees, texts = _parse_header(lines[:header_end])
     return MotHeader(
         names,
         counts,

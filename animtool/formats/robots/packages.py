@@ -31,7 +31,7 @@ class PackageFolders:
     packages: dict[str, Path]  # folders of the packages that contain the file, by name
 
     @staticmethod
-    def of(path: Path, codes: XmlCodes) -> PackageFolders:
+    def from_file(path: Path, codes: XmlCodes) -> PackageFolders:
         """Return the folders of a file.
 
         The package that contains a file is part of its project: the parent folder with

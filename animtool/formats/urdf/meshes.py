@@ -37,7 +37,7 @@ def find_mesh_files(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
     meshes = [(link, mesh) for link in file.links.values() for mesh in link.meshes]
     if not meshes:
         return {}
-    folders = PackageFolders.of(path, CODES)
+    folders = PackageFolders.from_file(path, CODES)
     files: dict[str, Path] = {}
     missing_files: dict[str, None] = {}
     outside_files: set[tuple[str, str]] = set()
@@ -72,13 +72,15 @@ def read_surfaces(
     file: UrdfFile, files: dict[str, Path], notes: XmlNotes
 ) -> dict[str, list[Triangles]]:
     """Return visible surfaces by link name; record meshes that cannot be read."""
-    cache: dict[Path, Triangles | None] = {}
+    meshes_by_path: dict[Path, Triangles | None] = {}
     unreadable_files: dict[str, None] = {}
     surfaces: dict[str, list[Triangles]] = {}
     total = 0
     for link in file.links.values():
         for visual in link.visuals:
-            surface = _read_surface(visual, files, cache, unreadable_files, notes)
+            surface = _read_surface(
+                visual, files, meshes_by_path, unreadable_files, notes
+            )
             if surface is None:
                 continue
             total += len(surface.faces)
@@ -97,7 +99,7 @@ def read_surfaces(
 def _read_surface(
     visual: Visual,
     files: dict[str, Path],
-    cache: dict[Path, Triangles | None],
+    meshes_by_path: dict[Path, Triangles | None],
     unreadable_files: dict[str, None],
     notes: XmlNotes,
 ) -> Triangles | None:
@@ -111,13 +113,13 @@ def _read_surface(
     if path.suffix.lower() not in SUFFIXES:
         notes.ignore([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
         return None
-    if path not in cache:
+    if path not in meshes_by_path:
         try:
-            cache[path] = read_mesh(path)
+            meshes_by_path[path] = read_mesh(path)
         except ValueError as error:
-            cache[path] = None
+            meshes_by_path[path] = None
             unreadable_files[f"{excerpt(name, 60)}: {error}"] = None
-    mesh = cache[path]
+    mesh = meshes_by_path[path]
     if mesh is None:
         return None
     position = np.array(visual.solid.position)

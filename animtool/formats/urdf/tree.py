@@ -113,8 +113,8 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
             add_joint_fault(notes, "URD015", joint, message, hint)
     if notes.faults:
         return {}
-    resolved: dict[str, Mimic] = {}
-    reported: set[str] = set()
+    resolved_mimics: dict[str, Mimic] = {}
+    reported_joints: set[str] = set()
     for joint in file.joints.values():
         mimic, names = joint.mimic, [joint.name]
         if mimic is None:
@@ -127,14 +127,14 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
             offset = mimic.gain * leader_mimic.offset + mimic.offset
             mimic = Mimic(leader_mimic.joint, gain, offset)
         else:
-            resolved[joint.name] = mimic
+            resolved_mimics[joint.name] = mimic
             continue
         cycle = names[names.index(mimic.joint) :]
         cycle = cycle if len(cycle) > 1 else [mimic.joint, mimic.joint]
-        if not reported.intersection(cycle):
+        if not reported_joints.intersection(cycle):
             message = f"joints mimic each other: {cycle_text(cycle)}"
             add_joint_fault(
                 notes, "URD015", file.joints[cycle[0]], message, "one must move itself"
             )
-        reported.update(cycle)
-    return resolved
+        reported_joints.update(cycle)
+    return resolved_mimics
