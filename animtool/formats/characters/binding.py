@@ -21,7 +21,7 @@ from animtool.core.names import numbered_names
 from animtool.formats.characters.nodes import NodeTree
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
-from animtool.rig.parts import Mesh, Shape
+from animtool.rig.parts import LoadedArray, Mesh, Shape, Skin
 from animtool.rig.skeleton import Joint, Pose, Rig
 
 # Tolerance of equal bind matrices, relative to their largest number [1].
@@ -69,12 +69,29 @@ class SkinBinder:
             )
         return self._skins[index]
 
-    def bind_node(self, node: int) -> tuple[FloatArray, int]:
-        """Return the ``geom_bind`` of a mesh attached to a node, and its rig joint."""
+    def bind_node(self, node: int, point_count: int) -> tuple[Skin, FloatArray]:
+        """Return the skin of a mesh that follows a node, and its ``geom_bind``."""
         matrix = np.eye(4)
         matrix[:3] *= self.folded_scales[node]
         geometry, joints = self._bind_joints(matrix[None], [int(self.joints[node])], "")
-        return geometry, joints[0]
+        indices, weights = np.zeros((point_count, 1)), np.ones((point_count, 1))
+        return self.build_skin("linear", joints, indices, weights), geometry
+
+    def build_skin(
+        self,
+        method: str,
+        joints: list[int],
+        indices: FloatArray | IntArray,
+        weights: FloatArray,
+    ) -> Skin:
+        """Return a skin of rig joints, with point weights ``(V, I)``."""
+        names = self.joint_names()
+        return Skin(
+            method,
+            tuple(names[joint] for joint in joints),
+            LoadedArray(indices.astype(np.float64)),
+            LoadedArray(weights),
+        )
 
     def _bind_joints(
         self,

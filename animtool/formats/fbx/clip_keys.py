@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 import numpy as np
 
 from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted
 from animtool.formats.fbx.joined_keys import JoinedKeys, join_keys
 from animtool.formats.fbx.layers import (
@@ -22,7 +21,7 @@ from animtool.formats.fbx.layers import (
 from animtool.formats.fbx.models import INHERIT, Model
 from animtool.formats.fbx.poses import TransformPart
 from animtool.formats.fbx.rig import FbxRig
-from animtool.formats.fbx.sampling import FRAME_TOLERANCE, FbxFrames, FbxSampler
+from animtool.formats.fbx.sampling import FRAME_TOLERANCE, FbxSampler, clock_ticks
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.formats.fbx.takes import find_track
 from animtool.maths import euler, so3
@@ -35,7 +34,7 @@ REST_TOLERANCE = 1e-12
 
 
 def build_clip(
-    name: str, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames
+    name: str, fbx_rig: FbxRig, sampler: FbxSampler, clock: Clock
 ) -> tuple[Clip, list[Fault]]:
     """Return a clip of a take, and notices about channels that are sampled.
 
@@ -46,26 +45,25 @@ def build_clip(
         name: Name of the clip.
         fbx_rig: The rig.
         sampler: The take on the rig.
-        frames: Frames of the take.
+        clock: Frames of the take.
     """
-    builder = _ClipBuilder(fbx_rig, sampler, frames)
+    builder = _ClipBuilder(fbx_rig, sampler, clock)
     channels: list[ClipChannel] = []
     for component in range(3):
         channels += builder.component_channels(component)
     channels += builder.shape_channels()
-    first_frame = Fraction(frames.first)
-    last_frame = first_frame + frames.count - 1
-    clip = Clip(name, frames.fps, first_frame, last_frame, tuple(channels))
+    last_frame = clock.start + clock.count - 1
+    clip = Clip(name, clock.fps, clock.start, last_frame, tuple(channels))
     return clip, builder.sampling_notices()
 
 
 class _ClipBuilder:
     """Builds a clip's channels from curves or samples."""
 
-    def __init__(self, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> None:
+    def __init__(self, fbx_rig: FbxRig, sampler: FbxSampler, clock: Clock) -> None:
         self.fbx_rig = fbx_rig
         self.sampler = sampler
-        self.frames = frames
+        self.clock = clock
         self.models = sampler.scene.models
         self.axes_rotation = so3.from_matrix(sampler.scene.settings.basis)
         self.sampled_count = 0
@@ -209,7 +207,7 @@ class _ClipBuilder:
         euler_order: str = "",
     ) -> ClipChannel:
         """Return a channel with key values transformed by a matrix and an offset."""
-        per_second = float(self.frames.fps)
+        per_second = float(self.clock.fps)
         ins, outs = (
             np.concatenate([rows[:, :1] * per_second, rows[:, 1:] @ linear.T], axis=1)
             for rows in (keys.ins, keys.outs)
@@ -231,7 +229,7 @@ class _ClipBuilder:
 
     def _key_frames(self, ticks: IntArray) -> FloatArray:
         """Return key times [frames], snapped to frames that are within two ticks."""
-        per_tick = float(self.frames.fps) / TICKS_PER_SECOND
+        per_tick = float(self.clock.fps) / TICKS_PER_SECOND
         frame_numbers = ticks * per_tick
         frames = np.round(frame_numbers)
         is_on_frame = np.abs(frame_numbers - frames) <= 2.0 * per_tick
@@ -239,7 +237,7 @@ class _ClipBuilder:
 
     def _static_channel(self, target: str, value: FloatArray) -> ClipChannel:
         interp = Interp.SLERP if len(value) == 4 else Interp.LINEAR
-        ticks = self.frames.ticks(np.array([float(self.frames.first)]))
+        ticks = clock_ticks(self.clock, self.clock.times[:1])
         return self._sampled_key_channel(target, ticks, value[None].copy(), interp)
 
     def _sampled_key_channel(
@@ -261,15 +259,14 @@ class _ClipBuilder:
 
     def _sample_times(self) -> IntArray:
         """Return the times of all frames and of keys between frames [ticks]."""
-        frame_numbers = np.arange(self.frames.count, dtype=np.float64)
-        ticks = self.frames.ticks(frame_numbers + self.frames.first)
+        ticks = clock_ticks(self.clock, self.clock.times)
         take = self.sampler.take
         key_times = np.zeros(0, np.int64) if take is None else take.key_times()
         key_times = key_times[(key_times > ticks[0]) & (key_times < ticks[-1])]
         frame_after = np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1)
         neighbours = np.stack([ticks[frame_after], ticks[frame_after - 1]])
         frame_distance = np.abs(neighbours - key_times).min(axis=0)
-        tolerance = FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.frames.fps)
+        tolerance = FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.clock.fps)
         key_times = key_times[frame_distance > tolerance]
         return ticks if len(key_times) > len(ticks) else np.union1d(ticks, key_times)
 

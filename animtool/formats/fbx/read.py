@@ -76,23 +76,23 @@ def read_fbx(
     )
     anim_take = None if index < 0 else scene.takes[index]
     sampler = FbxSampler(scene, fbx_rig, anim_take)
-    frames = find_frame_range(scene, anim_take, rate, sampler.values_per_frame)
-    stream = build_stream(fbx_rig, sampler, frames)
+    clock = find_frame_range(scene, anim_take, rate, sampler.values_per_frame)
+    stream = build_stream(fbx_rig, sampler, clock)
     stream.notices[:] = [
         *scene.file.notes.notices,
         *notices,
         *fbx_rig.notices,
         *take_notes,
     ]
-    stream.notices += off_frame_keys_notice(scene, fbx_rig, sampler, frames)
-    stream.notices += keys_outside_notice(scene, anim_take, frames)
+    stream.notices += off_frame_keys_notice(scene, fbx_rig, sampler, clock)
+    stream.notices += keys_outside_notice(scene, anim_take, clock)
     stream.notices += _ignored_contents_notice(scene, anim_take)
     return finish_stream(
         stream,
         "FBX",
         names,
         index,
-        lambda name: build_clip(name, fbx_rig, sampler, frames),
+        lambda name: build_clip(name, fbx_rig, sampler, clock),
     )
 
 

@@ -20,7 +20,7 @@ from animtool.formats.characters.names import (
     replace_unprintable,
     shape_names,
 )
-from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, build_skin_table
+from animtool.formats.fbx.geometry import ShapeChannel, build_skin_table
 from animtool.formats.fbx.models import TRANSFORM_PROPERTIES
 from animtool.formats.fbx.poses import (
     JointSource,
@@ -31,7 +31,7 @@ from animtool.formats.fbx.poses import (
 )
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.takes import find_track
-from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
+from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_LISTED_MESHES = 6
@@ -254,7 +254,12 @@ def _build_mesh(scene: FbxScene, node: int, name: str, binder: SkinBinder) -> Me
         scene.models[node].geometric_transform,
     )
     points = mesh.points @ geometric_transform[:3, :3].T + geometric_transform[:3, 3]
-    skin, geometry = _build_skin(scene, node, mesh, binder)
+    index = scene.nodes[node].skin
+    if index >= 0:
+        geometry, joints = binder.bind_skin(index)
+        skin = binder.build_skin(mesh.method, joints, *build_skin_table(mesh))
+    else:
+        skin, geometry = binder.bind_node(node, len(points))
     bind = tuple(geometry.ravel().tolist())
     return Mesh(
         name,
@@ -265,29 +270,6 @@ def _build_mesh(scene: FbxScene, node: int, name: str, binder: SkinBinder) -> Me
         skin,
         Subdivision.NONE,
     )
-
-
-def _build_skin(
-    scene: FbxScene, node: int, mesh: FbxGeometry, binder: SkinBinder
-) -> tuple[Skin, FloatArray]:
-    """Return the skin of a mesh, bound to its bones or to its node."""
-    index = scene.nodes[node].skin
-    if index >= 0:
-        geometry, joints = binder.bind_skin(index)
-        indices, weights = build_skin_table(mesh)
-    else:
-        geometry, joint = binder.bind_node(node)
-        joints = [joint]
-        shape = len(mesh.points), 1
-        indices, weights = np.zeros(shape, np.int64), np.ones(shape)
-    names = binder.joint_names()
-    skin = Skin(
-        mesh.method if index >= 0 else "linear",
-        tuple(names[joint] for joint in joints),
-        LoadedArray(indices.astype(np.float64)),
-        LoadedArray(weights),
-    )
-    return skin, geometry
 
 
 def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:

@@ -12,7 +12,6 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import rate_label
-from animtool.core.record import dataclass
 from animtool.formats.characters.stream import sampled_stream
 from animtool.formats.fbx.layers import DEFORM_PERCENT, PropertyTrack
 from animtool.formats.fbx.poses import AnimatedComponents, NodeTransforms
@@ -38,21 +37,12 @@ FRAME_TOLERANCE = 1e-3
 MAX_MEASURED_KEYS = 256
 
 
-@dataclass(frozen=True, slots=True)
-class FbxFrames:
-    """The frame range and rate of a take: frame 0 is at time 0."""
-
-    fps: Fraction
-    first: int
-    count: int
-
-    def ticks(self, frame_numbers: FloatArray) -> IntArray:
-        """Return the times of frame numbers [ticks]."""
-        # One product of two floats keeps frames as exact as their ticks.
-        per_frame = float(Fraction(TICKS_PER_SECOND) / self.fps)
-        return np.rint(
-            np.clip(frame_numbers * per_frame, -MAX_TICKS, MAX_TICKS)
-        ).astype(np.int64)
+def clock_ticks(clock: Clock, frame_numbers: FloatArray) -> IntArray:
+    """Return the times of frame numbers [ticks]; frame 0 is at time 0."""
+    # One product of two floats keeps frames as exact as their ticks.
+    per_frame = float(Fraction(TICKS_PER_SECOND) / clock.fps)
+    ticks = np.clip(frame_numbers * per_frame, -MAX_TICKS, MAX_TICKS)
+    return np.rint(ticks).astype(np.int64)
 
 
 class FbxSampler:
@@ -152,7 +142,7 @@ def find_frame_range(
     take: AnimTake | None,
     requested_fps: Fraction | None,
     values_per_frame: int,
-) -> FbxFrames:
+) -> Clock:
     """Return the stated frame range of a take, else that of its keys.
 
     Args:
@@ -163,7 +153,7 @@ def find_frame_range(
     """
     rate = requested_fps or scene.settings.fps
     if take is None:
-        return FbxFrames(rate, 0, 1)
+        return Clock(rate, Fraction(0), Fraction(1), 1)
     keys = take.key_times()
     start_ticks, end = take.start_ticks, take.end_ticks
     if end <= start_ticks and len(keys):
@@ -186,18 +176,18 @@ def find_frame_range(
         raise FormatError(
             Fault("FBX013", message, str(scene.path), (), hint, where=take.where)
         )
-    return FbxFrames(rate, first_frame, count)
+    return Clock(rate, Fraction(first_frame), Fraction(1), count)
 
 
 def off_frame_keys_notice(
-    scene: FbxScene, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames
+    scene: FbxScene, fbx_rig: FbxRig, sampler: FbxSampler, clock: Clock
 ) -> list[Fault]:
     """Return a note about keys between frames, with the error of joints there."""
     take = sampler.take
     if take is None:
         return []
     keys = take.key_times()
-    frame_numbers = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
+    frame_numbers = keys / float(Fraction(TICKS_PER_SECOND) / clock.fps)
     off_frame_keys = np.flatnonzero(
         np.abs(frame_numbers - np.round(frame_numbers)) > FRAME_TOLERANCE
     )
@@ -209,8 +199,8 @@ def off_frame_keys_notice(
     positions = [
         forward_kinematics(fbx_rig.rig, *sampler.sample(ticks).dense()).positions
         for ticks in (
-            frames.ticks(frame_before),
-            frames.ticks(frame_before + 1.0),
+            clock_ticks(clock, frame_before),
+            clock_ticks(clock, frame_before + 1.0),
             keys[measured_keys],
         )
     ]
@@ -220,7 +210,7 @@ def off_frame_keys_notice(
     worst_joint = int(distances.max(axis=0).argmax())
     message = (
         f"{len(off_frame_keys)} of {len(keys)} key times fall between the frames at "
-        f"{rate_label(frames.fps)}: joints are up to {distances.max() * 1e3:.3g} mm "
+        f"{rate_label(clock.fps)}: joints are up to {distances.max() * 1e3:.3g} mm "
         f"off there (joint {fbx_rig.rig.names[worst_joint]!r})"
     )
     hint = f"set another rate with {argument('source.fps')}"
@@ -229,7 +219,7 @@ def off_frame_keys_notice(
 
 
 def keys_outside_notice(
-    scene: FbxScene, take: AnimTake | None, frames: FbxFrames
+    scene: FbxScene, take: AnimTake | None, clock: Clock
 ) -> list[Fault]:
     """Return a note about keys outside the range of a take, or a warning if all are."""
     curves = [] if take is None else take.curves()
@@ -237,9 +227,9 @@ def keys_outside_notice(
     if take is None or not animated_curves:
         return []
     keys = np.unique(np.concatenate([curve.times for curve in animated_curves]))
-    frame_numbers = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
-    last = frames.first + frames.count - 1
-    is_outside = frame_numbers < frames.first - FRAME_TOLERANCE
+    frame_numbers = keys / float(Fraction(TICKS_PER_SECOND) / clock.fps)
+    first, last = int(clock.start), int(clock.start) + clock.count - 1
+    is_outside = frame_numbers < first - FRAME_TOLERANCE
     is_outside |= frame_numbers > last + FRAME_TOLERANCE
     outside_count = int(is_outside.sum())
     if not outside_count:
@@ -247,7 +237,7 @@ def keys_outside_notice(
     message = (
         f"{outside_count} of {len(keys)} key times of take {take.name!r}, "
         f"{frame_numbers[0]:.6g} to {frame_numbers[-1]:.6g}, lie outside its frames "
-        f"{frames.first} to {last}, which are read"
+        f"{first} to {last}, which are read"
     )
     hint = "if they belong to it, make the take longer in the program that wrote it"
     severity = Severity.WARNING if outside_count == len(keys) else Severity.NOTE
@@ -259,12 +249,11 @@ def _is_on_frame(frame: Fraction) -> bool:
     return abs(frame - round(frame)) <= Fraction(1, 1000)
 
 
-def build_stream(fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> TakeStream:
+def build_stream(fbx_rig: FbxRig, sampler: FbxSampler, clock: Clock) -> TakeStream:
     """Return a take as a stream, sampled block by block."""
-    clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
 
     def sample(frame_numbers: FloatArray) -> Motion:
-        return sampler.sample(frames.ticks(frame_numbers))
+        return sampler.sample(clock_ticks(clock, frame_numbers))
 
     return sampled_stream(fbx_rig.rig, clock, sample, BLOCK_FRAMES)
 

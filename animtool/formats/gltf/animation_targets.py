@@ -32,6 +32,11 @@ _PATH_WIDTHS = {
     TargetPath.SCALE: 3,
     TargetPath.VISIBLE: 1,
 }
+_NODE_POINTER = re.compile(
+    r"/nodes/(\d+)/(translation|rotation|scale|weights"
+    rf"|extensions/{VISIBILITY}/visible)(?:/(\d+))?$"
+)
+_MESH_POINTER = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,20 +90,18 @@ def _build_node_target(
             message += "ignored"
             target.notes.warn("GLT106", target.pointer, message)
             return None
-        return ChannelTarget(
-            node, -1, path, weight_index, target_count if weight_index < 0 else 1
-        )
+        return _weights_target(node, -1, target_count, weight_index)
     if nodes[node].has_matrix and path is not TargetPath.VISIBLE:
         message = f"the matrix of node {node}, which is animated, is decomposed"
         target.notes.warn("GLT106", target.pointer, message)
     return ChannelTarget(node, -1, path, -1, _PATH_WIDTHS[path])
 
 
-_NODE_POINTER = re.compile(
-    r"/nodes/(\d+)/(translation|rotation|scale|weights"
-    rf"|extensions/{VISIBILITY}/visible)(?:/(\d+))?$"
-)
-_MESH_POINTER = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
+def _weights_target(
+    node: int, mesh: int, target_count: int, weight_index: int
+) -> ChannelTarget:
+    width = target_count if weight_index < 0 else 1
+    return ChannelTarget(node, mesh, TargetPath.WEIGHTS, weight_index, width)
 
 
 def _read_pointer_target(
@@ -134,12 +137,6 @@ def _read_pointer_target(
         target_count = meshes[mesh].target_count
         weight_index = -1 if match[2] is None else int(match[2][:9])
         if target_count and weight_index < target_count:
-            return ChannelTarget(
-                -1,
-                mesh,
-                TargetPath.WEIGHTS,
-                weight_index,
-                target_count if weight_index < 0 else 1,
-            )
+            return _weights_target(-1, mesh, target_count, weight_index)
     ignored_targets[excerpt(text)] = None
     return None

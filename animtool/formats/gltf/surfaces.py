@@ -148,30 +148,18 @@ def _build_skin(
 ) -> tuple[Skin, FloatArray]:
     """Return the skin of a mesh, bound to its joints or else to its node."""
     index = gltf.nodes[node].skin
-    if index >= 0 and all(vertices.primitive.joints for vertices in vertex_sets):
-        geometry, joints = binder.bind_skin(index)
-        skin_rows = [
-            read_skin_weights(v.primitive, len(joints), gltf.accessors)
-            for v in vertex_sets
-        ]
-        width = max(indices.shape[1] for indices, _ in skin_rows)
-        indices = np.concatenate([_pad_columns(row, width) for row, _ in skin_rows])
-        weights = np.concatenate([_pad_columns(row, width) for _, row in skin_rows])
-        blended = int((weights.max(axis=1) < 1.0 - BLEND_TOLERANCE).sum())
-        _warn_of_equal_binds(gltf, index, blended)
-    else:
-        geometry, joint = binder.bind_node(node)
-        joints = [joint]
-        count = sum(vertices.count for vertices in vertex_sets)
-        indices, weights = np.zeros((count, 1)), np.ones((count, 1))
-    names = binder.joint_names()
-    skin = Skin(
-        "linear",
-        tuple(names[joint] for joint in joints),
-        LoadedArray(indices.astype(np.float64)),
-        LoadedArray(weights.astype(np.float64)),
-    )
-    return skin, geometry
+    if index < 0 or not all(vertices.primitive.joints for vertices in vertex_sets):
+        return binder.bind_node(node, sum(vertices.count for vertices in vertex_sets))
+    geometry, joints = binder.bind_skin(index)
+    skin_rows = [
+        read_skin_weights(v.primitive, len(joints), gltf.accessors) for v in vertex_sets
+    ]
+    width = max(indices.shape[1] for indices, _ in skin_rows)
+    indices = np.concatenate([_pad_columns(row, width) for row, _ in skin_rows])
+    weights = np.concatenate([_pad_columns(row, width) for _, row in skin_rows])
+    blended = int((weights.max(axis=1) < 1.0 - BLEND_TOLERANCE).sum())
+    _warn_of_equal_binds(gltf, index, blended)
+    return binder.build_skin("linear", joints, indices, weights), geometry
 
 
 def _warn_of_equal_binds(gltf: Gltf, index: int, blended: int) -> None:

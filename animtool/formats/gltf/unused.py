@@ -30,36 +30,29 @@ class UnusedIndices:
 
 def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
     """Return indices that only ignored contents refer to."""
-    read_accessors: set[int] = set()
-    unread_accessors: set[int] = set()
+    used_accessors, unread_accessors = {*_other_accessors(root)}, set[int]()
     for primitive in _all_primitives(root):
-        for attributes in _primitive_accessors(primitive):
+        attribute_lists = _objects([primitive.get("attributes")])
+        for attributes in (*attribute_lists, *_objects(primitive.get("targets"))):
             for name, index in attributes.items():
                 if is_number(index):
-                    (
-                        read_accessors
-                        if is_supported_attribute(str(name))
-                        else unread_accessors
-                    ).add(int(index))
-    used_accessors = {*read_accessors, *_other_accessors(root)}
+                    is_read = is_supported_attribute(str(name))
+                    (used_accessors if is_read else unread_accessors).add(int(index))
     accessors = frozenset(unread_accessors - used_accessors)
-    images = set(_image_views(root))
-    entries = list(enumerate(_objects(root.get("accessors"))))
-    used_views = {
-        v for i, e in entries if i not in accessors for v in _accessor_views(e)
-    }
-    unused_views = {v for i, e in entries if i in accessors for v in _accessor_views(e)}
-    views = frozenset((images | unused_views) - used_views)
-    buffer_views = list(enumerate(_objects(root.get("bufferViews"))))
-    used_buffers = {
-        _valid_index(view.get("buffer")) for i, view in buffer_views if i not in views
-    }
-    unused_buffers = {
-        _valid_index(view.get("buffer")) for i, view in buffer_views if i in views
-    }
-    return UnusedIndices(
-        accessors, views, frozenset(unused_buffers - used_buffers - {-1})
+    images = [i for i in _objects(root.get("images")) if "bufferView" in i]
+    used_views, unused_views = (
+        set[int](),
+        {_valid_index(i["bufferView"]) for i in images},
     )
+    for i, accessor in enumerate(_objects(root.get("accessors"))):
+        target = unused_views if i in accessors else used_views
+        target.update(_accessor_views(accessor))
+    views = frozenset(unused_views - used_views)
+    used_buffers, unused_buffers = {-1}, set[int]()
+    for i, view in enumerate(_objects(root.get("bufferViews"))):
+        buffer = _valid_index(view.get("buffer"))
+        (unused_buffers if i in views else used_buffers).add(buffer)
+    return UnusedIndices(accessors, views, frozenset(unused_buffers - used_buffers))
 
 
 def is_supported_attribute(attribute: str) -> bool:
@@ -77,9 +70,8 @@ def is_known_attribute(attribute: str) -> bool:
     >>> is_known_attribute("COLOR_0"), is_known_attribute("TEXCOORD_00")
     (True, False)
     """
-    return _APPEARANCE_ATTRIBUTES.fullmatch(
-        attribute
-    ) is not None or is_supported_attribute(attribute)
+    is_appearance = _APPEARANCE_ATTRIBUTES.fullmatch(attribute) is not None
+    return is_appearance or is_supported_attribute(attribute)
 
 
 def _objects(value: Any) -> Iterator[dict[str, Any]]:
@@ -97,13 +89,6 @@ def _all_primitives(root: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield from _objects(mesh.get("primitives"))
 
 
-def _primitive_accessors(primitive: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    attributes = primitive.get("attributes")
-    if isinstance(attributes, dict):
-        yield attributes
-    yield from _objects(primitive.get("targets"))
-
-
 def _other_accessors(root: dict[str, Any]) -> Iterator[int]:
     for primitive in _all_primitives(root):
         yield _valid_index(primitive.get("indices"))
@@ -115,16 +100,8 @@ def _other_accessors(root: dict[str, Any]) -> Iterator[int]:
             yield _valid_index(sampler.get("output"))
 
 
-def _image_views(root: dict[str, Any]) -> Iterator[int]:
-    for image in _objects(root.get("images")):
-        if "bufferView" in image:
-            yield _valid_index(image["bufferView"])
-
-
 def _accessor_views(accessor: dict[str, Any]) -> Iterator[int]:
     yield _valid_index(accessor.get("bufferView"))
-    sparse = accessor.get("sparse")
-    for name in ("indices", "values"):
-        sparse_entry = sparse.get(name) if isinstance(sparse, dict) else None
-        if isinstance(sparse_entry, dict):
-            yield _valid_index(sparse_entry.get("bufferView"))
+    for sparse in _objects([accessor.get("sparse")]):
+        for entry in _objects([sparse.get("indices"), sparse.get("values")]):
+            yield _valid_index(entry.get("bufferView"))
