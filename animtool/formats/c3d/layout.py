@@ -197,27 +197,15 @@ def _combinations(fields: FieldValues, size: int, padding: int) -> Iterable[Layo
             fields.number_bytes
         )
         capacity = ((size - offset) // width, (size - offset - padding) // width)
-        for points, analog, frames, count_cost, is_solved in _count_combinations(
-            fields, *capacity
-        ):
+        for counts, count_cost, is_solved in _count_combinations(fields, *capacity):
             cost = offset_cost + width_cost + count_cost
             needs_evidence = contradicts_width or is_solved
-            yield Layout(
-                offset,
-                width,
-                points,
-                analog,
-                frames,
-                0,
-                cost,
-                needs_evidence,
-                is_solved,
-            )
+            yield Layout(offset, width, *counts, 0, cost, needs_evidence, is_solved)
 
 
 def _count_combinations(
     fields: FieldValues, capacity: int, min_numbers: int
-) -> Iterable[tuple[int, int, int, float, bool]]:
+) -> Iterable[tuple[tuple[int, int, int], float, bool]]:
     """Yield point, analogue and frame counts, their cost, and whether one is solved.
 
     The data has space for ``capacity`` numbers, or ``min_numbers`` without the zeros
@@ -237,13 +225,9 @@ def _count_combinations(
             fitting_count = -(-min_numbers // numbers_per_frame)
             frame_counts += _solve_frame_counts(fields, fitting_count)
         for frame_count, frame_cost, is_solved in frame_counts:
-            yield (
-                point_count,
-                analog_count,
-                frame_count,
-                point_cost + analog_cost + frame_cost,
-                is_unstated or is_solved,
-            )
+            cost = point_cost + analog_cost + frame_cost
+            counts = (point_count, analog_count, frame_count)
+            yield counts, cost, is_unstated or is_solved
     points_to_solve = points if _can_solve(fields.analog_count) else []
     analog_to_solve = analog if _can_solve(fields.point_count) else []
     for frame_count, frame_cost in frames:
@@ -252,13 +236,13 @@ def _count_combinations(
             if analog_count >= 0:
                 analog_cost = _total_cost(fields.analog_count, analog_count)
                 cost = point_cost + frame_cost + analog_cost + SOLVED_COST
-                yield point_count, analog_count, frame_count, cost, True
+                yield (point_count, analog_count, frame_count), cost, True
         for analog_count, analog_cost in analog_to_solve:
             point_count, remainder = divmod(capacity // frame_count - analog_count, 4)
             if point_count > 0 and remainder == 0:
                 point_cost = _total_cost(fields.point_count, point_count)
                 cost = analog_cost + frame_cost + point_cost + SOLVED_COST
-                yield point_count, analog_count, frame_count, cost, True
+                yield (point_count, analog_count, frame_count), cost, True
 
 
 def _costed_values(

@@ -71,9 +71,8 @@ class NodeTransforms:
                 self.take, self.ticks
             )
             # Children that ignore this scale divide by it.
-            scales = (
-                _replace_zeros(scales) if i in self._partly_ignored_scales else scales
-            )
+            if i in self._partly_ignored_scales:
+                scales = _replace_zeros(scales)
             self._local_cache[i] = translations, rotations, scales
         return self._local_cache[i]
 
@@ -82,10 +81,9 @@ class NodeTransforms:
 
         Children may ignore this scale.
         """
-        scale = self.local_transforms(i)[2]
-        while (i := self.models[i].scale_source) >= 0:
-            scale = scale * self.local_transforms(i)[2]
-        return scale
+        chain = scale_ancestors(self.models, i)
+        scales = [self.local_transforms(node)[2] for node in chain]
+        return np.asarray(np.prod(scales, axis=0))
 
     def world_matrices(self, i: int) -> FloatArray:
         """Return world transforms of a node in file axes ``(F, 4, 4)``."""
@@ -95,11 +93,10 @@ class NodeTransforms:
         for node in reversed(ancestors):
             model = self.models[node]
             translations, rotations, _ = self.local_transforms(node)
-            scale = self.local_scale(node)
-            ignores_parent_scale = model.scale_inheritance != INHERIT
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
-            local[:, :3, :3] = so3.to_matrix(rotations) * scale[:, None, :]
-            if ignores_parent_scale and model.parent >= 0:
+            local[:, :3, :3] = so3.to_matrix(rotations)
+            local[:, :3, :3] *= self.local_scale(node)[:, None, :]
+            if model.parent >= 0 and model.scale_inheritance != INHERIT:
                 inverse_parent_scale = _inverse_scales(self.local_scale(model.parent))
                 local[:, :3, :3] = inverse_parent_scale[:, :, None] * local[:, :3, :3]
             local[:, :3, 3] = translations

@@ -180,8 +180,8 @@ class _StackReader:
     ) -> LayerValues:
         components, default = COMPONENTS[name], _CHANNEL_DEFAULTS[name]
         defaults = [read_scalar(node, c, default, self.file.notes) for c in components]
-        curves = [self._node_curves(node).get(component) for component in components]
-        return LayerValues(layer, is_first, defaults, curves)
+        curves = self._node_curves(node)
+        return LayerValues(layer, is_first, defaults, [*map(curves.get, components)])
 
     def _node_curves(self, node: Object) -> dict[str, FbxCurve | None]:
         curves: dict[str, FbxCurve | None] = {}
@@ -192,19 +192,20 @@ class _StackReader:
             if component in curves:
                 continue
             if source not in self._curves:
-                element, notes = curve_object.element, self.file.notes
-                curve = read_curve(element, notes, has_new_ticks=self._has_new_ticks)
-                if curve is not None:
-                    # Most curves of a take have the same keys; equal times are stored
-                    # once.
-                    times = curve.times
-                    times = self._times.setdefault(times.tobytes(), times)
-                    curve = replace(curve, times=times)
-                    # The element's arrays are no longer needed.
-                    element.children.clear()
-                self._curves[source] = curve
+                self._curves[source] = self._read_curve(curve_object.element)
             curves[component] = self._curves[source]
         return curves
+
+    def _read_curve(self, element: Element) -> FbxCurve | None:
+        notes = self.file.notes
+        curve = read_curve(element, notes, has_new_ticks=self._has_new_ticks)
+        if curve is None:
+            return None
+        # The element's arrays are no longer needed.
+        element.children.clear()
+        # Most curves of a take have the same keys; equal times are stored once.
+        times = self._times.setdefault(curve.times.tobytes(), curve.times)
+        return replace(curve, times=times)
 
     def _read_ticks(self, stack: Object, name: str) -> int:
         """Return a time property of a stack [ticks]; 0 if it is missing."""
@@ -275,10 +276,10 @@ def _read_old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
         if channel_name in shapes:
             shape_id = old_shape_id(object_id, channel_name)
             _read_old_track(file, take, shape_id, DEFORM_PERCENT, [channel])
-        channels = [channel]
-        if channel_name == "Transform":
-            channels = list(channel.find_all("Channel"))
-        for property_channel in channels:
+        is_transform = channel_name == "Transform"
+        for property_channel in (
+            channel.find_all("Channel") if is_transform else [channel]
+        ):
             property_name = _CHANNEL_PROPERTIES.get(property_channel.text(0))
             if property_name is not None:
                 axis_channels = _axis_channels(property_channel)

@@ -137,17 +137,8 @@ def _check_asset(root: JsonItem) -> None:
 def _check_extensions(container: Container, path: Path) -> None:
     """Raise for unsupported required extensions that affect motion."""
     root, notes = container.root, container.root.notes
-    declared_names = root.read_list("extensionsUsed")
-    for key, names in (
-        ("extensionsUsed", declared_names),
-        ("extensionsRequired", root.read_list("extensionsRequired")),
-    ):
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                message = f"{excerpt(str(name))} is listed twice"
-                notes.warn("GLT106", f"{root.pointer_to(key)}/{i}", message)
-    _check_extension_lists(root, declared_names)
-    for i, name in enumerate(root.read_list("extensionsRequired")):
+    used_names, required_names = _check_extension_lists(root)
+    for i, name in enumerate(required_names):
         where = f"{root.pointer_to('extensionsRequired')}/{i}"
         if not isinstance(name, str):
             notes.fail("GLT005", where, "the name of an extension must be text")
@@ -160,15 +151,21 @@ def _check_extensions(container: Container, path: Path) -> None:
         notes.fail("GLT004", where, message, hint)
     used_extensions = _used_extensions(root) if container.may_have_extensions else {}
     for name, where in used_extensions.items():
-        if name not in declared_names:
+        if name not in used_names:
             consequence = "" if name in SUPPORTED_EXTENSIONS else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{consequence}"
             notes.warn("GLT106", where, message)
 
 
-def _check_extension_lists(root: JsonItem, used_names: list[Any]) -> None:
-    """Warn if extensionsUsed and extensionsRequired contradict each other."""
-    required_names, notes = root.read_list("extensionsRequired"), root.notes
+def _check_extension_lists(root: JsonItem) -> tuple[list[Any], list[Any]]:
+    """Return extensionsUsed and extensionsRequired; warn of contradictions."""
+    keys, notes = ("extensionsUsed", "extensionsRequired"), root.notes
+    used_names, required_names = (root.read_list(key) for key in keys)
+    for key, names in zip(keys, (used_names, required_names), strict=True):
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                message = f"{excerpt(str(name))} is listed twice"
+                notes.warn("GLT106", f"{root.pointer_to(key)}/{i}", message)
     for i, name in enumerate(used_names):
         where = f"{root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
@@ -181,6 +178,7 @@ def _check_extension_lists(root: JsonItem, used_names: list[Any]) -> None:
             message = f"{excerpt(name)} is required, but not listed as used"
             where = f"{root.pointer_to('extensionsRequired')}/{i}"
             notes.warn("GLT106", where, message)
+    return used_names, required_names
 
 
 def _find_ignored_contents(container: Container) -> tuple[str, ...]:

@@ -39,11 +39,9 @@ def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
                     is_read = is_supported_attribute(str(name))
                     (used_accessors if is_read else unread_accessors).add(int(index))
     accessors = frozenset(unread_accessors - used_accessors)
-    images = [i for i in _objects(root.get("images")) if "bufferView" in i]
-    used_views, unused_views = (
-        set[int](),
-        {_valid_index(i["bufferView"]) for i in images},
-    )
+    images = _objects(root.get("images"))
+    unused_views = {_valid_index(i["bufferView"]) for i in images if "bufferView" in i}
+    used_views = set[int]()
     for i, accessor in enumerate(_objects(root.get("accessors"))):
         target = unused_views if i in accessors else used_views
         target.update(_accessor_views(accessor))
