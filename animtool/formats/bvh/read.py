@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.arguments import argument
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable_error
 from animtool.core.files.signatures import expects_format
@@ -277,40 +277,29 @@ def _read_blocks(
             Channel(rig.rest_rotations, rotation_joints, rotations),
         )
     notices.extend(reader.notices)
-    max_positions_by_slot = np.zeros(3 * len(position_joints))
-    max_positions_by_slot[layout.position_slots] = max_positions
-    has_channel = np.zeros(3 * len(position_joints), np.bool_)
-    has_channel[layout.position_slots] = True
+    extents = np.abs(rest) / rig.meters_per_unit
+    extents[layout.position_slots] = max_positions
     path = str(source.path)
-    notices += _collapsed_bones_notice(
-        rig, position_joints, max_positions_by_slot, has_channel, path
-    )
+    notices += _collapsed_bones_notice(rig, position_joints, extents, path)
     notices += radians_warning(ranges, rig, path)
 
 
 def _collapsed_bones_notice(
-    rig: Rig,
-    position_joints: IntArray,
-    max_positions: FloatArray,
-    has_channel: BoolArray,
-    path: str,
+    rig: Rig, position_joints: IntArray, extents: FloatArray, path: str
 ) -> list[Fault]:
     """Return a warning about joints whose zero position channels collapse bones.
 
     Args:
         rig: The skeleton.
         position_joints: Joints with position channels ``(M,)``.
-        max_positions: Largest absolute value of each position channel ``(3 M,)``.
-        has_channel: Whether each axis has a channel ``(3 M,)``.
+        extents: Largest absolute value of each position channel, or of the OFFSET on an
+            axis without a channel, in the file's unit ``(3 M,)``.
         path: The file.
     """
-    offsets = rig.rest_translations[position_joints]
-    max_extents = np.where(
-        has_channel.reshape(-1, 3), max_positions.reshape(-1, 3), np.abs(offsets)
-    )
-    offset_lengths = np.linalg.norm(offsets, axis=1) / rig.meters_per_unit
-    lengths = np.linalg.norm(max_extents, axis=1) * rig.meters_per_unit
-    is_short = lengths <= MIN_LENGTH_FRACTION * offset_lengths * rig.meters_per_unit
+    offsets = rig.rest_translations[position_joints] / rig.meters_per_unit
+    offset_lengths = np.linalg.norm(offsets, axis=1)
+    lengths = np.linalg.norm(extents.reshape(-1, 3), axis=1)
+    is_short = lengths <= MIN_LENGTH_FRACTION * offset_lengths
     has_length = (offset_lengths > 0) & (rig.parents[position_joints] >= 0)
     is_collapsed = is_short & has_length
     if not is_collapsed.any():

@@ -488,3 +488,15 @@ def test_signs_continue_from_block_to_block(
     assert_array_equal(found, whole)
     assert ((found[1:] * found[:-1]).sum(axis=-1) > 0).all()
     assert (found[..., 3] < 0).any()
+
+
+def test_an_offset_on_an_axis_without_a_channel_keeps_the_bone(write) -> None:  # type: ignore[no-untyped-def]
+    # 5 of 100 remain: not collapsed, whatever the unit.
+    text = "HIERARCHY\nROOT hips\n{\nOFFSET 0 0 0\nCHANNELS 0\nJOINT leg\n{\n"
+    text += "OFFSET 100 {side} 0\nCHANNELS 1 Xposition\nEnd Site\n{\nOFFSET 9 0 0\n}\n"
+    text += "}\n}\nMOTION\nFrames: 2\nFrame Time: 0.1\n0\n0\n"
+    for unit in (LengthUnit.MM, LengthUnit.CM, LengthUnit.M):
+        for side, is_collapsed in (("5", False), ("0", True)):
+            stream = read_bvh(write(text.replace("{side}", side)), unit=unit)
+            stream.collect()
+            assert ("BVH111" in [n.code for n in stream.notices]) is is_collapsed
