@@ -66,6 +66,8 @@ class AnimTake:
     where: str  # location of the take's element in the file
     start_ticks: int  # start of the take's span [tick]
     end_ticks: int  # end of the take's span [tick]
+    # Names of the take's layers, from bottom to top.
+    layers: list[str] = field(default_factory=list)
     # Tracks by object id and property name.
     tracks: dict[tuple[ObjectId, str], PropertyTrack] = field(default_factory=dict)
     has_animated_visibility: bool = False  # whether visibility is animated
@@ -140,6 +142,7 @@ class _StackReader:
             active_layers = [
                 a for a in layers if not read_scalar(a, "Mute", 0, file.notes)
             ]
+        take.layers += [layer.name for layer in layers]
         for i, layer in enumerate(layers):
             if layer in active_layers:
                 self._add_layer(take, layer, is_first=i == 0)
@@ -246,7 +249,7 @@ def _read_old_takes(file: FbxFile) -> list[AnimTake]:
     old_takes = []
     for takes in file.root.find_all("Takes"):
         for element in takes.find_all("Take"):
-            take = AnimTake(element.text(0), element.where, 0, 0)
+            take = AnimTake(element.text(0), element.where, 0, 0, ["BaseLayer"])
             span = element.find("LocalTime")
             if span is not None and len(span.values) > 1:
                 take.start_ticks, take.end_ticks = (

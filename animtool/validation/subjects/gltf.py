@@ -15,9 +15,9 @@ from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
 from animtool.formats.characters.choice import find_characters
 from animtool.formats.gltf.animations import Animation
+from animtool.formats.gltf.clip_keys import key_times_in_frames
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.document import open_gltf as open_document
-from animtool.formats.gltf.clip_keys import key_times_in_frames
 from animtool.formats.gltf.rig import GltfRig, build_rig
 from animtool.formats.gltf.sampling import (
     GltfSampler,
