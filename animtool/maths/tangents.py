@@ -7,9 +7,8 @@ secant slope of their segment unless stated otherwise; a single key is flat.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import StrEnum
-from typing import Literal, TypeAlias
+from functools import cached_property
 
 import numpy as np
 
@@ -59,21 +58,17 @@ def parabola_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
 
 
 def tcb(
-    times: ArrayLike,
-    values: ArrayLike,
-    parameters: ArrayLike,
-    rule: Literal["nonuniform", "kb84"] = "nonuniform",
+    times: ArrayLike, values: ArrayLike, parameters: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    """Return slopes before and after each key, each ``(K, D)``.
+    """Return Kochanek-Bartels slopes before and after each key, each ``(K, D)``.
 
-    With tension, continuity and bias all 0, "nonuniform" gives `parabola_slopes`.
-    "kb84" is the paper's rule, with its correction for uneven keys.
+    With tension, continuity and bias all 0 they are `parabola_slopes`; the paper's own
+    correction for uneven keys would give `secant_slopes`.
 
     Args:
         times: ``(K,)``.
         values: ``(K, D)``.
         parameters: Tension, continuity, bias of each key ``(K, 3)`` [1].
-        rule: Treatment of uneven spacing.
 
     References:
         D. Kochanek and R. Bartels, Interpolating splines with local tension,
@@ -86,10 +81,8 @@ def tcb(
     _, values, spans, slopes = _checked_segments(times, values)
     settings = as_floats(parameters, (len(values), 3), "parameters")[1:-1]
     tension, continuity, bias = settings.T[:, :, None]
-    # Factor of each secant slope; its key difference is a or b times the slope.
-    factor_before, factor_after = spans[:-1], spans[1:]
-    if rule == "nonuniform":
-        factor_before, factor_after = factor_after, factor_before
+    # Each secant slope is weighted by the length of the other segment.
+    factor_before, factor_after = spans[1:], spans[:-1]
     slopes_of_sides = []
     for c in (-continuity, continuity):
         from_before = (1 - tension) * (1 + c) * (1 + bias) * factor_before * slopes[:-1]
@@ -130,45 +123,23 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     return np.where(is_monotone, limited, 0.0) + 0.0
 
 
-def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatArray:
-    """Return positions ``(N, D)`` between the second and third of four points.
-
-    Args:
-        points: ``(4, D)``.
-        alpha: Power of the distance between knots: 0 uniform, 0.5 centripetal (no
-            cusps or loops), 1 chordal.
-        u: From 0 at the second point to 1 at the third ``(N,)``.
-
-    References:
-        P. J. Barry and R. N. Goldman, A recursive evaluation algorithm for a class
-        of Catmull-Rom splines, 1988; C. Yuksel, S. Schaefer and J. Keyser,
-        Parameterization and applications of Catmull-Rom curves, 2011.
-
-    >>> catmull_rom_spatial([[0], [1], [2], [3]], 0.5, [0, 0.5, 1]).tolist()
-    [[1.0], [1.5], [2.0]]
-    """
-    points = as_floats(points, (4, "D"), "points")
-    u = as_floats(u, ("N",), "u")[:, None]
-    outs, ins = _inner_handles(points, alpha)
-    start, end = points[1], points[2]
-    w = 1.0 - u
-    # Computed from the nearer point, so that both ends are exact.
-    start_handle = start + u * u * (3 * w + u) * (end - start)
-    end_handle = end + w * w * (3 * u + w) * (start - end)
-    handles = 3 * u * w * (w * outs[0] + u * ins[0])
-    return np.asarray(np.where(u <= 0.5, start_handle, end_handle) + handles)
-
-
 def catmull_rom_controls(
     points: ArrayLike, alpha: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the Bézier handles before and after each point, each ``(K, D)``.
 
-    A segment with these as control offsets equals `catmull_rom_spatial`, uniform in its
-    knots. The path is mirrored at the first and the last point. Coincident points have
-    handles of length 0 between them.
+    The path is mirrored at the first and the last point. Coincident points have handles
+    of length 0 between them.
 
-    ``points`` ``(K, D)``.
+    Args:
+        points: ``(K, D)``.
+        alpha: Power of the distance between knots: 0 uniform, 0.5 centripetal (no
+            cusps or loops), 1 chordal.
+
+    References:
+        P. J. Barry and R. N. Goldman, A recursive evaluation algorithm for a class
+        of Catmull-Rom splines, 1988; C. Yuksel, S. Schaefer and J. Keyser,
+        Parameterization and applications of Catmull-Rom curves, 2011.
 
     >>> ins, outs = catmull_rom_controls([[0], [3], [6]], 0.5)
     >>> ins.ravel().tolist(), outs.ravel().tolist()
@@ -227,8 +198,6 @@ def _with_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> Flo
     return np.concatenate([slopes[:1], inner, slopes[-1:]])
 
 
-_Rule: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
-
 _ALPHAS = {
     Parametrization.UNIFORM: 0.0,
     Parametrization.CENTRIPETAL: 0.5,
@@ -237,7 +206,7 @@ _ALPHAS = {
 
 
 class KeySlopes:
-    """Slopes at the keys of a channel by tangent rules, computed once."""
+    """Slopes at the keys of a channel, by the rules of its tangents."""
 
     def __init__(
         self,
@@ -250,16 +219,21 @@ class KeySlopes:
         self.values = values  # ``(K, D)``
         self._weights = tcb  # tension, continuity, bias ``(K, 3)``
         self._parametrization = parametrization
-        self._by_rule: dict[str, FloatArray] = {}
-        self._paths: tuple[FloatArray, FloatArray] | None = None
-        self._tcb: tuple[FloatArray, FloatArray] | None = None
 
-    @property
+    @cached_property
     def tcb(self) -> tuple[FloatArray, FloatArray]:
-        """Slopes before and after each key ``(K, D)``."""
-        if self._tcb is None:
-            self._tcb = tcb(self.times, self.values, self._weights)
-        return self._tcb
+        """Slopes before and after each key by tension, continuity and bias."""
+        return tcb(self.times, self.values, self._weights)
+
+    @cached_property
+    def _parabola(self) -> FloatArray:
+        """Slopes of the parabolas through each key and its neighbours."""
+        return parabola_slopes(self.times, self.values)
+
+    @cached_property
+    def _auto_clamped(self) -> FloatArray:
+        """Slopes of curves that never overshoot."""
+        return auto_clamped(self.times, self.values)
 
     def by_rule(
         self, tangent: Tangent, keys: IntArray, segments: IntArray
@@ -271,8 +245,8 @@ class KeySlopes:
             rises = self.values[segments + 1] - self.values[segments]
             spans = self.times[segments + 1] - self.times[segments]
             return np.asarray(rises / spans[:, None])
-        rule = parabola_slopes if tangent is Tangent.AUTO else auto_clamped
-        return np.asarray(self._slopes(rule.__name__, rule)[keys])
+        is_auto = tangent is Tangent.AUTO
+        return np.asarray((self._parabola if is_auto else self._auto_clamped)[keys])
 
     def catmull_rom(
         self, segments: IntArray, thirds: FloatArray
@@ -282,16 +256,7 @@ class KeySlopes:
         ``segments`` ``(N,)``, ``thirds`` of their lengths ``(N, 1)``.
         """
         if self._parametrization is Parametrization.UNIFORM:
-            slopes = self._slopes("secant", secant_slopes)
+            slopes = secant_slopes(self.times, self.values)
             return slopes[segments] * thirds, -slopes[segments + 1] * thirds
-        if self._paths is None:
-            alpha = _ALPHAS[self._parametrization]
-            self._paths = catmull_rom_controls(self.values, alpha)
-        ins, outs = self._paths
+        ins, outs = catmull_rom_controls(self.values, _ALPHAS[self._parametrization])
         return outs[segments], ins[segments + 1]
-
-    def _slopes(self, name: str, rule: _Rule) -> FloatArray:
-        """Return the slopes of a tangent rule; computed once and cached."""
-        if name not in self._by_rule:
-            self._by_rule[name] = rule(self.times, self.values)
-        return self._by_rule[name]

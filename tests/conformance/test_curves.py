@@ -41,7 +41,7 @@ def _hermite(case: Case) -> tuple[FloatArray, float]:
     times, values = case["t"], np.array(case["v"])[:, None]
     kind = case["kind"]
     if kind.startswith("tcb_"):
-        ins, outs = tangents.tcb(times, values, case["tcb"], kind.removeprefix("tcb_"))
+        ins, outs = tangents.tcb(times, values, case["tcb"])
     else:
         slopes = {"secant": "secant_slopes", "nonuniform": "parabola_slopes"}
         ins = outs = getattr(tangents, slopes.get(kind, kind))(times, values)
@@ -50,17 +50,8 @@ def _hermite(case: Case) -> tuple[FloatArray, float]:
     return evaluate(curve, case["times"])[0], max(np.abs(values).max(), handles)
 
 
-def _catmull_rom(case: Case) -> tuple[FloatArray, float]:
-    found = tangents.catmull_rom_spatial(case["points"], case["alpha"], case["u"])
-    return found, float(np.abs(case["points"]).max())
-
-
 Evaluator = Callable[[Case], tuple[FloatArray, float]]
-EVALUATORS: dict[str, Evaluator] = {
-    "bezier": _bezier,
-    "hermite": _hermite,
-    "catmull_rom_spatial": _catmull_rom,
-}
+EVALUATORS: dict[str, Evaluator] = {"bezier": _bezier, "hermite": _hermite}
 
 
 @pytest.mark.parametrize("path", data_files("curves", "*.json"))
@@ -68,22 +59,22 @@ def test_values(path: Path) -> None:
     oracle = json.loads(path.read_text("utf-8"))
     evaluator = EVALUATORS.get(oracle["kind"])
     if evaluator is None:
-        pytest.skip(f"{oracle['kind']} is no curve of numbers")
+        pytest.skip(f"{oracle['kind']} is no curve of numbers over time")
     for case in oracle["cases"]:
+        if case.get("kind") == "tcb_kb84":
+            continue  # clips have no such curves
         found, scale = evaluator(case)
         error = np.abs(found - np.array(case["values"], np.float64))
         bound = TOLERANCE * scale + _moved(evaluator, case, found)
         assert (error <= bound).all(), f"{case['name']}: {error.max() / scale:.2e}"
 
 
-def _moved(evaluator: Evaluator, case: Case, found: FloatArray) -> FloatArray | float:
+def _moved(evaluator: Evaluator, case: Case, found: FloatArray) -> FloatArray:
     """Return how far values move within some roundings of the times."""
-    if "times" not in case:
-        return 0.0
     times = np.array(case["times"])
     off = ROUNDINGS * np.spacing(np.abs(times).max())
     moved = [evaluator({**case, "times": times + way})[0] for way in (-off, off)]
-    return np.abs(np.array(moved) - found).max(axis=0)
+    return np.asarray(np.abs(np.array(moved) - found).max(axis=0))
 
 
 @pytest.mark.parametrize("path", data_files("curves", "*.json"))

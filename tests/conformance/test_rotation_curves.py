@@ -14,12 +14,7 @@ from support.data import data_files
 
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
-from animtool.maths.rotation_curves import (
-    RotationKind,
-    cumulative_bspline,
-    evaluate_rotations,
-    squad,
-)
+from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
 
 TOLERANCE = 1e-14
 XYZW = [1, 2, 3, 0]
@@ -31,10 +26,8 @@ CURVES: dict[str, list[Curve]] = {
         lambda q, u: evaluate_rotations([0, 1], q, RotationKind.SLERP, u),
     ],
     "squad": [
-        squad,
         lambda q, u: evaluate_rotations(range(-1, 3), q, RotationKind.SQUAD, u),
     ],
-    "cumulative_cubic_bspline_so3": [cumulative_bspline],
 }
 
 
