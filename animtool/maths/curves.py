@@ -116,7 +116,8 @@ class Curves:
     of the control points in time and value, solved for the time.
     """
 
-    first: IntArray  # index of each curve's first key, and K at the end ``(C + 1,)``
+    # Index of each curve's first key, and K at the end ``(C + 1,)``.
+    first_keys: IntArray
     times: FloatArray  # key times, strictly ascending within a curve ``(K,)``
     values: FloatArray  # key values ``(K,)``
     # `SegmentKind` of the segment after each key ``(K,)``; ignored for a curve's last
@@ -132,8 +133,8 @@ class Curves:
         """Return every curve's values ``(C, F)`` at times ``(F,)``; see `evaluate`."""
         return evaluate(self, times, out=out)
 
-    def with_linear_time(self, start: float, ratio: float, first: float) -> Curves:
-        """Return the curves with time t mapped to ``first + (t - start) · ratio``.
+    def with_linear_time(self, start: float, ratio: float, new_start: float) -> Curves:
+        """Return the curves with time t mapped to ``new_start + (t - start) · ratio``.
 
         >>> zero = np.zeros((2, 1))
         >>> cubic_curves(np.array([0.0, 2.0]), zero, zero, zero).with_linear_time(
@@ -141,9 +142,9 @@ class Curves:
         ... ).times.tolist()
         [1001.0, 1002.0]
         """
-        stretch = np.array([ratio, 1.0])
-        times = first + (self.times - start) * ratio
-        ins, outs = self.ins * stretch, self.outs * stretch
+        handle_scale = np.array([ratio, 1.0])
+        times = new_start + (self.times - start) * ratio
+        ins, outs = self.ins * handle_scale, self.outs * handle_scale
         return replace(self, times=times, ins=ins, outs=outs)
 
 
@@ -166,49 +167,51 @@ def key_handles(
         free_ins: Handles before the keys, where tangents are free ``(K, 1 + D)``.
         free_outs: Handles after the keys, likewise.
     """
-    keys, width = slopes.values.shape
-    ins, outs = np.zeros((keys, 1 + width)), np.zeros((keys, 1 + width))
-    kinds = np.full(keys, int(SegmentKind.HOLD), np.int64)
-    if keys == 1:
+    key_count, width = slopes.values.shape
+    ins, outs = np.zeros((key_count, 1 + width)), np.zeros((key_count, 1 + width))
+    kinds = np.full(key_count, int(SegmentKind.HOLD), np.int64)
+    if key_count == 1:
         return ins, outs, kinds
     thirds = np.diff(slopes.times) / 3
-    for interp, rows in _indices_by_value(interps[:-1]):
+    for interp, segments in _indices_by_value(interps[:-1]):
         if interp in _KINDS:
-            kinds[rows] = _KINDS[interp]
+            kinds[segments] = _KINDS[interp]
             continue
-        kinds[rows] = SegmentKind.CUBIC
-        third = thirds[rows]
-        outs[rows, 0], ins[rows + 1, 0] = third, -third
+        kinds[segments] = SegmentKind.CUBIC
+        third = thirds[segments]
+        outs[segments, 0], ins[segments + 1, 0] = third, -third
         if interp is Interp.CATMULL_ROM:
-            outs[rows, 1:], ins[rows + 1, 1:] = slopes.catmull_rom(rows, third[:, None])
+            outs[segments, 1:], ins[segments + 1, 1:] = slopes.catmull_rom(
+                segments, third[:, None]
+            )
             continue
         for side, handles, free_handles in ((1, outs, free_outs), (0, ins, free_ins)):
-            key_rows = rows + 1 - side
+            side_keys = segments + 1 - side
             signed_thirds = third if side else -third
             if interp is Interp.TCB:
-                slope = slopes.tcb[side][key_rows]
-                handles[key_rows, 1:] = slope * signed_thirds[:, None]
+                slope = slopes.tcb[side][side_keys]
+                handles[side_keys, 1:] = slope * signed_thirds[:, None]
                 continue
-            for tangent, subset in _indices_by_tangent(tangents, key_rows, side):
-                key, segments = key_rows[subset], rows[subset]
+            for tangent, subset in _indices_by_tangent(tangents, side_keys, side):
+                keys, tangent_segments = side_keys[subset], segments[subset]
                 length = signed_thirds[subset]
                 if tangent is Tangent.FREE and interp is not Interp.HERMITE:
-                    handles[key] = free_handles[key]
-                    is_bezier = free_handles[key, 0] != length
-                    kinds[segments[is_bezier]] = SegmentKind.BEZIER
+                    handles[keys] = free_handles[keys]
+                    is_bezier = free_handles[keys, 0] != length
+                    kinds[tangent_segments[is_bezier]] = SegmentKind.BEZIER
                     continue
                 if tangent is Tangent.FREE:
-                    slope = _free_slopes(free_handles[key])
+                    slope = _free_slopes(free_handles[keys])
                 else:
-                    slope = slopes.by_rule(tangent, key, segments)
-                handles[key, 0], handles[key, 1:] = length, slope * length[:, None]
+                    slope = slopes.by_rule(tangent, keys, tangent_segments)
+                handles[keys, 0], handles[keys, 1:] = length, slope * length[:, None]
     return ins, outs, kinds
 
 
-_Group = TypeVar("_Group")
+_Value = TypeVar("_Value")
 
 
-def _indices_by_value(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArray]]:
+def _indices_by_value(values: Sequence[_Value]) -> Iterator[tuple[_Value, IntArray]]:
     """Yield the distinct values of a sequence, each with its indices."""
     if values.count(values[0]) == len(values):
         yield values[0], np.arange(len(values))
@@ -221,7 +224,7 @@ def _indices_by_value(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArr
 def _indices_by_tangent(
     tangents: Sequence[tuple[Tangent, Tangent]], keys: IntArray, side: int
 ) -> Iterator[tuple[Tangent, IntArray]]:
-    """Yield each distinct tangent on a side of keys, with the keys that have it."""
+    """Yield each distinct tangent on a side of keys, with the indices of its keys."""
     if tangents.count(tangents[0]) == len(tangents):
         yield tangents[0][side], np.arange(len(keys))
     else:
@@ -251,17 +254,17 @@ def cubic_curves(
     >>> ease.sample([1.0]).tolist()
     [[0.5]]
     """
-    keys, width = values.shape
+    key_count, width = values.shape
 
     def handles(offsets: FloatArray) -> FloatArray:
         """Return handles with the given value offsets and time offsets of 0."""
-        return np.stack([np.zeros(keys * width), offsets.T.ravel()], axis=-1)
+        return np.stack([np.zeros(key_count * width), offsets.T.ravel()], axis=-1)
 
     return Curves(
-        np.arange(width + 1) * keys,
+        np.arange(width + 1) * key_count,
         np.tile(np.asarray(times, np.float64), width),
         np.ascontiguousarray(values.T.ravel()),
-        np.full(keys * width, int(SegmentKind.CUBIC), np.int64),
+        np.full(key_count * width, int(SegmentKind.CUBIC), np.int64),
         handles(ins),
         handles(outs),
         (Extrapolation.HOLD,) * width,
@@ -272,9 +275,10 @@ def cubic_curves(
 def evaluate(
     curves: Curves, times: ArrayLike, *, out: FloatArray | None = None
 ) -> FloatArray:
-    """Return every curve's values ``(C, F)`` at times ``(F,)``, in any order.
+    """Return every curve's values ``(C, F)`` at times ``(F,)``.
 
-    Ascending times are the quickest, and neighbouring curves with equal key times.
+    Times may be in any order. Ascending ones are the quickest, and so are neighbouring
+    curves with equal key times.
     ``out`` ``(C, F)`` is filled and returned instead of a new array.
 
     At a key the value is the key's own, exactly. Each segment is solved from its
@@ -286,7 +290,7 @@ def evaluate(
     independent of the other handle, so that time never runs backwards.
 
     >>> ease = Curves(
-    ...     first=np.array([0, 2]),
+    ...     first_keys=np.array([0, 2]),
     ...     times=np.array([0.0, 3.0]),
     ...     values=np.array([0.0, 1.0]),
     ...     kinds=np.array([SegmentKind.BEZIER, SegmentKind.HOLD]),
@@ -298,27 +302,27 @@ def evaluate(
     >>> evaluate(ease, [-1.0, 0.0, 1.5, 3.0, 6.0]).tolist()
     [[0.0, 0.0, 0.5, 1.0, 0.0]]
     """
-    _check(curves)
-    at = as_floats(times, ("F",), "times")
-    if not np.isfinite(at).all():
+    _check_curves(curves)
+    times = as_floats(times, ("F",), "times")
+    if not np.isfinite(times).all():
         raise ValueError("times must be finite")
     if out is not None:
-        output_array(out, (len(curves.pre), len(at)))
-    extrapolated_curves = _extrapolated_curves(curves, at)
+        output_array(out, (len(curves.pre), len(times)))
+    extrapolated_curves = _extrapolated_curves(curves, times)
     if not len(extrapolated_curves):
-        return _values_in_range(curves, at[None], out)
+        return _values_in_range(curves, times[None], out)
     starts, ends = _end_keys(curves)
-    rows = np.tile(at, (len(curves.pre), 1))
-    overshoot, cycles = np.zeros(rows.shape), np.zeros(rows.shape)
+    times_by_curve = np.tile(times, (len(curves.pre), 1))
+    overshoot, cycles = np.zeros(times_by_curve.shape), np.zeros(times_by_curve.shape)
     for c in extrapolated_curves:
         start, end = float(curves.times[starts[c]]), float(curves.times[ends[c]])
-        folded_times = fold_times(at, start, end, curves.pre[c], curves.post[c])
-        rows[c] = folded_times.times
+        folded_times = fold_times(times, start, end, curves.pre[c], curves.post[c])
+        times_by_curve[c] = folded_times.times
         overshoot[c] = folded_times.overshoot
         cycles[c] = folded_times.cycles
     slopes = end_slopes(curves)
     rises = curves.values[ends] - curves.values[starts]
-    values = _values_in_range(curves, rows, out)
+    values = _values_in_range(curves, times_by_curve, out)
     values += overshoot * np.where(overshoot < 0, slopes[:, :1], slopes[:, 1:])
     values += cycles * rises[:, None]
     return values
@@ -332,7 +336,7 @@ def end_slopes(curves: Curves) -> FloatArray:
     length in time, the slope of the line between the two keys is used.
 
     >>> line = Curves(
-    ...     first=np.array([0, 2]),
+    ...     first_keys=np.array([0, 2]),
     ...     times=np.array([0.0, 2.0]),
     ...     values=np.array([0.0, 1.0]),
     ...     kinds=np.array([SegmentKind.LINEAR, SegmentKind.HOLD]),
@@ -348,15 +352,15 @@ def end_slopes(curves: Curves) -> FloatArray:
     is_single_key = starts == ends
     second = np.where(is_single_key, starts, starts + 1)
     second_last = np.where(is_single_key, ends, ends - 1)
-    first_slopes = _slopes(curves, starts, second, curves.outs[starts])
-    last_slopes = _slopes(curves, second_last, ends, -curves.ins[ends])
+    first_slopes = _segment_slopes(curves, starts, second, curves.outs[starts])
+    last_slopes = _segment_slopes(curves, second_last, ends, -curves.ins[ends])
     return np.stack([first_slopes, last_slopes], axis=-1)
 
 
-def _slopes(
+def _segment_slopes(
     curves: Curves, keys: IntArray, next_keys: IntArray, handles: FloatArray
 ) -> FloatArray:
-    """Return the slopes of segments at the end where the given handles are."""
+    """Return the slopes of segments at the ends to which the handles belong."""
     spans = curves.times[next_keys] - curves.times[keys]
     kinds = curves.kinds[keys]
     spans = np.where((spans > 0) & (kinds != SegmentKind.HOLD), spans, np.inf)
@@ -370,11 +374,11 @@ def _slopes(
 
 def _end_keys(curves: Curves) -> tuple[IntArray, IntArray]:
     """Return the first and last key of each curve, each ``(C,)``."""
-    return curves.first[:-1], curves.first[1:] - 1
+    return curves.first_keys[:-1], curves.first_keys[1:] - 1
 
 
 def _extrapolated_curves(curves: Curves, times: FloatArray) -> IntArray:
-    """Return the curves with times beyond their keys that are not held constant."""
+    """Return the indices of curves that are extrapolated other than by holding."""
     if not len(times):
         return np.zeros(0, np.int64)
     starts, ends = _end_keys(curves)
@@ -388,9 +392,9 @@ def _extrapolated_curves(curves: Curves, times: FloatArray) -> IntArray:
 def _values_in_range(
     curves: Curves, times: FloatArray, out: FloatArray | None
 ) -> FloatArray:
-    """Return values ``(C, F)`` at ``(1, F)`` or ``(C, F)``, held outside the keys."""
+    """Return values ``(C, F)`` at times ``(1, F)`` or ``(C, F)``, held beyond keys."""
     values = _kernels.evaluate_curves(
-        curves.first,
+        curves.first_keys,
         curves.times,
         curves.values,
         curves.kinds,
@@ -402,17 +406,17 @@ def _values_in_range(
     return cast("FloatArray", values if out is None else out)
 
 
-def _check(curves: Curves) -> None:
+def _check_curves(curves: Curves) -> None:
     """Raise if the arrays of curves do not fit together."""
-    first, keys = curves.first, len(curves.times)
-    if first.ndim != 1 or not len(first) or first[0] != 0 or first[-1] != keys:
-        raise ValueError("first must run from 0 to the number of keys")
+    first, count = curves.first_keys, len(curves.times)
+    if first.ndim != 1 or not len(first) or first[0] != 0 or first[-1] != count:
+        raise ValueError("first_keys must run from 0 to the number of keys")
     if (np.diff(first) < 1).any():
         raise ValueError("every curve needs a key")
     if not len(curves.pre) == len(curves.post) == len(first) - 1:
         raise ValueError("pre and post must name one extrapolation per curve")
-    shapes = {"times": (keys,), "values": (keys,), "kinds": (keys,)}
-    for name, shape in {**shapes, "ins": (keys, 2), "outs": (keys, 2)}.items():
+    shapes = {"times": (count,), "values": (count,), "kinds": (count,)}
+    for name, shape in {**shapes, "ins": (count, 2), "outs": (count, 2)}.items():
         array = getattr(curves, name)
         if array.shape != shape:
             raise ValueError(f"{name} must have shape {shape}, not {array.shape}")

@@ -76,23 +76,23 @@ def is_closed(counts: IntArray, indices: IntArray) -> bool:
     return is_even and bool((np.diff(duplicates[:, 0]) > 0).all())
 
 
-def coincident_edges(pairs: IntArray) -> tuple[IntArray, IntArray]:
+def coincident_edges(edge_ends: IntArray) -> tuple[IntArray, IntArray]:
     """Return the indices of all pairs of edges ``(C, 2)`` with the same ends.
 
     >>> one, other = coincident_edges(np.array([[0, 1], [1, 2], [1, 0]]))
     >>> one.tolist(), other.tolist()
     ([0], [2])
     """
-    ends = np.sort(pairs, axis=1)
+    ends = np.sort(edge_ends, axis=1)
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     ends = ends[order]
-    edges = [np.zeros((0, 2), np.int64)]
+    pairs = [np.zeros((0, 2), np.int64)]
     for gap in range(1, len(order)):
         is_equal = (ends[gap:] == ends[:-gap]).all(axis=1)
         if not is_equal.any():
             break
-        edges.append(np.stack([order[:-gap][is_equal], order[gap:][is_equal]], axis=1))
-    first, second = np.concatenate(edges).T
+        pairs.append(np.stack([order[:-gap][is_equal], order[gap:][is_equal]], axis=1))
+    first, second = np.concatenate(pairs).T
     return first, second
 
 
@@ -104,12 +104,12 @@ def triangulate(counts: IntArray, indices: IntArray) -> IntArray:
     >>> triangulate(np.array([4]), np.array([5, 6, 7, 8])).tolist()
     [[5, 6, 7], [5, 7, 8]]
     """
-    firsts = np.cumsum(counts) - counts
-    fans = np.maximum(counts - 2, 0)
-    starts = np.repeat(firsts, fans)
-    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    seconds, thirds = starts + step + 1, starts + step + 2
-    return np.stack([indices[starts], indices[seconds], indices[thirds]], 1)
+    first_corners = np.cumsum(counts) - counts
+    sizes = np.maximum(counts - 2, 0)
+    fan_starts = np.repeat(first_corners, sizes)
+    step_in_fan = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    seconds, thirds = fan_starts + step_in_fan + 1, fan_starts + step_in_fan + 2
+    return np.stack([indices[fan_starts], indices[seconds], indices[thirds]], 1)
 
 
 def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
@@ -172,10 +172,10 @@ def rigid_motion(
 
 def _best_rotation(covariance: FloatArray, scale: float) -> FloatArray:
     """Return the rotation that maximises the trace with a covariance (Kabsch)."""
-    left, singular, right_t = np.linalg.svd(covariance)
-    if singular[0] <= FLAT_TOLERANCE**2 * scale:
+    left, singular_values, right_t = np.linalg.svd(covariance)
+    if singular_values[0] <= FLAT_TOLERANCE**2 * scale:
         return so3.IDENTITY.copy()
-    if singular[1] <= FLAT_TOLERANCE * singular[0]:
+    if singular_values[1] <= FLAT_TOLERANCE * singular_values[0]:
         return _least_rotation(left[:, 0], right_t[0])
     sign = np.sign(np.linalg.det(left) * np.linalg.det(right_t))
     return so3.from_matrix(right_t.T @ np.diag([1.0, 1.0, sign]) @ left.T)

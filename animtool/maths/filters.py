@@ -51,16 +51,16 @@ def lowpass(
     """
     from scipy.linalg import solveh_banded
 
-    count = len(values)
-    order = min(order, count - 1)
+    frame_count = len(values)
+    order = min(order, frame_count - 1)
     if order < 1 or not values.size:
         return values.copy()
-    weights = np.ones(count) if valid is None else valid.astype(np.float64)
+    weights = np.ones(frame_count) if valid is None else valid.astype(np.float64)
     stiffness = (2 * math.sin(math.pi * min(cutoff / rate, 0.5))) ** (-2 * order)
-    bands = stiffness * _penalty(count, order)
+    bands = stiffness * _penalty(frame_count, order)
     bands[0] += weights
     origin = values[:1] if valid is None else values[int(np.argmax(valid))][None]
-    columns = ((values - origin).T * weights).T.reshape(count, -1)
+    columns = ((values - origin).T * weights).T.reshape(frame_count, -1)
     smoothed = solveh_banded(bands, columns, lower=True, check_finite=False)
     return np.asarray(smoothed.reshape(values.shape) + origin)
 
@@ -79,19 +79,19 @@ def lowpass_rotations(
 
 def _penalty(count: int, order: int) -> FloatArray:
     """Return the penalty matrix of finite differences in lower banded form."""
-    steps = _differences(order)
+    coefficients = _difference_coefficients(order)
     bands = np.zeros((order + 1, count))
     rows = count - order
     for k in range(order + 1):
         for j in range(order + 1 - k):
-            bands[k, j : j + rows] += steps[j] * steps[j + k]
+            bands[k, j : j + rows] += coefficients[j] * coefficients[j + k]
     return bands
 
 
-def _differences(order: int) -> FloatArray:
+def _difference_coefficients(order: int) -> FloatArray:
     """Return the coefficients of the finite difference of an order."""
-    steps = [(-1) ** k * math.comb(order, k) for k in range(order + 1)]
-    return np.array(steps, np.float64)
+    coefficients = [(-1) ** k * math.comb(order, k) for k in range(order + 1)]
+    return np.array(coefficients, np.float64)
 
 
 def noise_level(values: FloatArray) -> float:
@@ -122,20 +122,20 @@ def _noise_variance(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
     if order < 1:
         return 0.0, 1
     differences = np.diff(values, order, axis=0)
-    gain = math.comb(2 * order, order)
+    variance_gain = math.comb(2 * order, order)
     if not rotation:
         # Static components have no noise.
-        width = max(1, int((np.ptp(values, axis=0) > 0).sum()))
-        median_power_factor = width * (1 - _WILSON_COEFFICIENT / width) ** 3
+        dof = max(1, int((np.ptp(values, axis=0) > 0).sum()))
+        median_power_factor = dof * (1 - _WILSON_COEFFICIENT / dof) ** 3
         median_power = float(np.median((differences * differences).sum(axis=-1)))
-        return median_power / median_power_factor / gain, width
+        return median_power / median_power_factor / variance_gain, dof
     # Relative to the middle frame, noise is a rotation vector.
     inner_frames = values[order // 2 : order // 2 + len(differences)]
     differences = so3.multiply(so3.conjugate(inner_frames), differences)[:, :3]
     components = differences @ np.linalg.eigh(differences.T @ differences)[1]
-    powers = np.median(components * components, axis=0) / MEDIAN_SQUARE / gain
-    width = max(1, int((powers > NOISY_AXIS_FRACTION * powers.max()).sum()))
-    return float(powers.sum()) / width, width
+    powers = np.median(components * components, axis=0) / MEDIAN_SQUARE / variance_gain
+    dof = max(1, int((powers > NOISY_AXIS_FRACTION * powers.max()).sum()))
+    return float(powers.sum()) / dof, dof
 
 
 def find_best_cutoff(
@@ -152,8 +152,8 @@ def find_best_cutoff(
         rate: Frames a second.
         rotation: Whether the values are quaternions.
     """
-    variance, width = _noise_variance(values, rotation=rotation)
-    noise = variance * width
+    variance, dof = _noise_variance(values, rotation=rotation)
+    noise = variance * dof
     if noise == 0 or len(values) <= NOISE_ORDER:
         return None
     fractions = np.geomspace(MIN_CUTOFF, MAX_CUTOFF, CUTOFF_COUNT)

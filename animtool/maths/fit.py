@@ -34,14 +34,14 @@ class FittedKeys:
     @property
     def is_smooth(self) -> BoolArray:
         """Mask of keys with equal slopes on both sides ``(K,)``; true at the ends."""
-        flags = np.ones(len(self.frames), np.bool_)
+        mask = np.ones(len(self.frames), np.bool_)
         lengths = np.diff(self.frames)[:, None]
         slopes_before = self.ins[1:-1] / -lengths[:-1]
         slopes_after = self.outs[1:-1] / lengths[1:]
         magnitude = np.abs(slopes_before) + np.abs(slopes_after)
         changes = np.abs(slopes_before - slopes_after)
-        flags[1:-1] = (changes <= 1e-9 * magnitude + 1e-300).all(axis=1)
-        return flags
+        mask[1:-1] = (changes <= 1e-9 * magnitude + 1e-300).all(axis=1)
+        return mask
 
 
 def fit_keys(
@@ -92,21 +92,22 @@ def fit_keys(
     ([0, 100], [[2.0], [0.0]])
     """
     samples = _check_samples(values)
-    limits, scales = _check_tolerances(samples, tolerance, tolerance_scale)
+    tolerance, scales = _check_tolerances(samples, tolerance, tolerance_scale)
     bounds = bounds_or_none or (-np.inf, np.inf)
     low, high = (
-        np.ascontiguousarray(np.broadcast_to(bound, samples.shape[1:]) / limits)
+        np.ascontiguousarray(np.broadcast_to(bound, samples.shape[1:]) / tolerance)
         for bound in bounds
     )
     key_frames, ins, outs = _kernels.fit_cubics(
-        samples / limits,
+        samples / tolerance,
         scales,
         np.ascontiguousarray(anchors, np.int64),
         low,
         high,
         np.ascontiguousarray(straight_frames, np.int64),
     )
-    return FittedKeys(key_frames, samples[key_frames], ins * limits, outs * limits)
+    ins, outs = ins * tolerance, outs * tolerance
+    return FittedKeys(key_frames, samples[key_frames], ins, outs)
 
 
 def _check_samples(values: ArrayLike) -> FloatArray:
@@ -124,17 +125,17 @@ def _check_tolerances(
     samples: FloatArray, tolerance: ArrayLike, scale: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the checked tolerance, scalar or ``(D,)``, and its factor ``(F,)``."""
-    limits, frames = np.asarray(tolerance, np.float64), len(samples)
-    if limits.shape not in ((), samples.shape[1:]):
-        shapes = f"{samples.shape[1:]}, not {limits.shape}"
+    tolerance, frames = np.asarray(tolerance, np.float64), len(samples)
+    if tolerance.shape not in ((), samples.shape[1:]):
+        shapes = f"{samples.shape[1:]}, not {tolerance.shape}"
         raise ValueError(f"tolerance must be a number or have shape {shapes}")
     scales = np.ones(frames)
     if scale is not None:
         scales = as_floats(scale, (frames,), "tolerance_scale")
-    for name, array in (("tolerance", limits), ("tolerance_scale", scales)):
+    for name, array in (("tolerance", tolerance), ("tolerance_scale", scales)):
         if not ((array > 0) & np.isfinite(array)).all():
             raise ValueError(f"{name} must be above 0 and finite")
-    return limits, scales
+    return tolerance, scales
 
 
 def evaluate_keys(keys: FittedKeys, frames: ArrayLike) -> FloatArray:

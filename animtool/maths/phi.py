@@ -33,12 +33,12 @@ def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     halvings = max(math.ceil(math.log2(norm / _MAX_NORM)), 0) if norm > 0 else 0
     scaled_matrices, identity = matrices / 2.0**halvings, np.eye(matrices.shape[1])
     scaled_norm = norm / 2.0**halvings
-    terms = next(
+    term_count = next(
         (n for max_norm, n in _SERIES_TERMS if scaled_norm <= max_norm),
         _SERIES_TERMS[-1][1],
     )
-    phi2 = np.broadcast_to(identity / math.factorial(terms + 2), matrices.shape)
-    for k in range(terms - 1, -1, -1):
+    phi2 = np.broadcast_to(identity / math.factorial(term_count + 2), matrices.shape)
+    for k in range(term_count - 1, -1, -1):
         phi2 = scaled_matrices @ phi2 + identity / math.factorial(k + 2)
     phi1 = identity + scaled_matrices @ phi2
     exponential = identity + scaled_matrices @ phi1

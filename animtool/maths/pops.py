@@ -61,7 +61,7 @@ def find_rotation_pops(
 
 
 def find_translation_pops(
-    shifts: FloatArray,
+    steps: FloatArray,
     interval: float,
     cuts: BoolArray,
     min_deviation: float,
@@ -72,12 +72,12 @@ def find_translation_pops(
     Like `find_rotation_pops`, for steps ``(S, N, 3)`` [m] in the parent's frame.
     ``min_deviation`` is the smallest pop and ``noise`` the noise of the motion [m].
     """
-    if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
-        no_pops = np.zeros(shifts.shape[:2])
+    if len(steps) + 1 < MIN_FRAMES or not steps.shape[1]:
+        no_pops = np.zeros(steps.shape[:2])
         return no_pops.astype(bool), no_pops
-    deviations = prediction_errors(shifts, cuts)
-    mask = find_outliers(shifts, deviations, cuts, min_deviation, noise, interval)
-    return mask & (deviations > MIN_CHANGE_RATIO * velocity_changes(shifts)), deviations
+    deviations = prediction_errors(steps, cuts)
+    mask = find_outliers(steps, deviations, cuts, min_deviation, noise, interval)
+    return mask & (deviations > MIN_CHANGE_RATIO * velocity_changes(steps)), deviations
 
 
 def find_outliers(
@@ -108,7 +108,7 @@ def find_outliers(
         (deviations > min_deviation)
         & (residuals > MIN_UNEXPLAINED * min_deviation)
         & (residuals > MIN_ROUGHNESS_RATIO * typical_residual)
-        & (residuals > MIN_NEIGHBOUR_RATIO * adjacent_level(near_pop_residuals))
+        & (residuals > MIN_NEIGHBOUR_RATIO * adjacent_maximum(near_pop_residuals))
     )
     return mask
 
@@ -196,7 +196,7 @@ def mean_around(values: FloatArray, half_window: int, gap: int) -> FloatArray:
     return np.asarray(sums / np.maximum((high - low).sum(axis=0), 1)[:, None])
 
 
-def adjacent_level(values: FloatArray) -> FloatArray:
+def adjacent_maximum(values: FloatArray) -> FloatArray:
     """Return the larger value of the two adjacent steps, ignoring a return step.
 
     A joint that jumps and stays has one bad step; one that returns in the next frame
@@ -214,7 +214,7 @@ def velocity_changes(steps: FloatArray) -> FloatArray:
     """Return the velocity change from the step before to the step after ``(S, N)``.
 
     A bouncing ball continues in another direction, but a root that jumps continues as
-    before. Neighbours are skipped as in `adjacent_level`.
+    before. Neighbours are skipped as in `adjacent_maximum`.
 
     ``steps`` ``(S, N, 3)``.
     """

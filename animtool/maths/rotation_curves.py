@@ -32,7 +32,7 @@ def evaluate_rotations(
     times: ArrayLike,
     keys: ArrayLike,
     kinds: ArrayLike,
-    at: ArrayLike,
+    sample_times: ArrayLike,
     pre: Extrapolation = Extrapolation.HOLD,
     post: Extrapolation = Extrapolation.HOLD,
 ) -> FloatArray:
@@ -62,13 +62,13 @@ def evaluate_rotations(
             curves with keys at the same times.
         kinds: `RotationKind` of the segment after each key ``(K,)``, or one for all;
             ignored for the last key.
-        at: Times to evaluate, in any order ``(F,)``.
+        sample_times: Times to evaluate, in any order ``(F,)``.
         pre: Extrapolation before the first key.
         post: Extrapolation after the last key.
 
     Returns:
         Unit quaternions ``(F, 4)`` or ``(F, C, 4)``, of continuous sign in the order
-        of ``at``. At its time a key is returned exactly, normalised.
+        of ``sample_times``. At its time a key is returned exactly, normalised.
 
     References:
         M.-J. Kim, M.-S. Kim, S. Y. Shin, A general construction scheme for unit
@@ -95,8 +95,8 @@ def evaluate_rotations(
         raise ValueError(f"kinds must have shape {times.shape}, not {kinds.shape}")
     if not np.isin(kinds, list(RotationKind)).all():
         raise ValueError(f"kinds must be of {[int(kind) for kind in RotationKind]}")
-    at = _check_finite(at, ("F",), "at")
-    folded_times = fold_times(at, times[0], times[-1], pre, post)
+    sample_times = _check_finite(sample_times, ("F",), "sample_times")
+    folded_times = fold_times(sample_times, times[0], times[-1], pre, post)
     rotations = _kernels.evaluate_rotations(
         times,
         rows if is_batched else rows[:, None],
@@ -111,7 +111,7 @@ def evaluate_rotations(
 def _check_finite(
     values: ArrayLike, shape: tuple[int | str, ...], name: str
 ) -> FloatArray:
-    """Return values as an array; raise unless shaped as given and finite."""
+    """Return values as an array; raise if the shape differs or one is not finite."""
     array = as_floats(values, shape, name)
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite")

@@ -22,8 +22,8 @@ class Rows:
         return type(self)(*(getattr(record, f.name)[rows] for f in fields(record)))
 
     @classmethod
-    def concatenate(cls, parts: Sequence[Self]) -> Self:
+    def concatenate(cls, records: Sequence[Self]) -> Self:
         """Concatenate the rows of one or more records."""
         kind: Any = cls
-        columns = ([getattr(record, f.name) for record in parts] for f in fields(kind))
+        columns = ([getattr(r, f.name) for r in records] for f in fields(kind))
         return cls(*map(np.concatenate, columns))

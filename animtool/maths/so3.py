@@ -217,20 +217,20 @@ def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
     if not len(q):
         return q.copy()
     previous = IDENTITY if previous is None else previous
-    first_previous = np.broadcast_to(previous, q.shape[1:])
-    dots = np.sum(q * np.concatenate([first_previous[None], q[:-1]]), axis=-1)
+    start = np.broadcast_to(previous, q.shape[1:])
+    dots = np.sum(q * np.concatenate([start[None], q[:-1]]), axis=-1)
     signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     return np.asarray(q * signs[..., None])
 
 
-def align_to(q: ArrayLike, other: ArrayLike) -> FloatArray:
+def align_to(q: ArrayLike, reference: ArrayLike) -> FloatArray:
     """Return quaternions ``(..., 4)`` in the same hemisphere as other quaternions.
 
     >>> align_to([[0, 0, 0, -1.0]], [[0, 0, 0.6, 0.8]])[:, 3].tolist()
     [1.0]
     """
     q = np.asarray(q, np.float64)
-    dots = np.sum(q * np.asarray(other), axis=-1, keepdims=True)
+    dots = np.sum(q * np.asarray(reference), axis=-1, keepdims=True)
     return np.where(dots < 0, -q, q)
 
 

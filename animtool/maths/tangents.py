@@ -41,7 +41,7 @@ def secant_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
     """
     times, values, spans, slopes = _checked_segments(times, values)
     inner = (values[2:] - values[:-2]) / (spans[:-1] + spans[1:])
-    return _with_ends(inner, slopes, values)
+    return _add_ends(inner, slopes, values)
 
 
 def parabola_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
@@ -54,7 +54,7 @@ def parabola_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
     span_before, span_after = spans[:-1], spans[1:]
     inner = span_after * slopes[:-1] + span_before * slopes[1:]
     inner = inner / (span_before + span_after)
-    return _with_ends(inner, slopes, values)
+    return _add_ends(inner, slopes, values)
 
 
 def tcb(
@@ -79,17 +79,17 @@ def tcb(
     ([-1.0], [1.0])
     """
     _, values, spans, slopes = _checked_segments(times, values)
-    settings = as_floats(parameters, (len(values), 3), "parameters")[1:-1]
-    tension, continuity, bias = settings.T[:, :, None]
+    inner_parameters = as_floats(parameters, (len(values), 3), "parameters")[1:-1]
+    tension, continuity, bias = inner_parameters.T[:, :, None]
     # Each secant slope is weighted by the length of the other segment.
     factor_before, factor_after = spans[1:], spans[:-1]
-    slopes_of_sides = []
+    side_slopes = []
     for c in (-continuity, continuity):
         from_before = (1 - tension) * (1 + c) * (1 + bias) * factor_before * slopes[:-1]
         from_after = (1 - tension) * (1 - c) * (1 - bias) * factor_after * slopes[1:]
         inner = (from_before + from_after) / (spans[:-1] + spans[1:])
-        slopes_of_sides.append(_with_ends(inner, slopes, values))
-    return slopes_of_sides[0], slopes_of_sides[1]
+        side_slopes.append(_add_ends(inner, slopes, values))
+    return side_slopes[0], side_slopes[1]
 
 
 def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
@@ -191,7 +191,7 @@ def _checked_segments(
     return times, values, spans, np.diff(values, axis=0) / spans
 
 
-def _with_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> FloatArray:
+def _add_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> FloatArray:
     """Return inner slopes extended by the first and last segment's secant slopes."""
     if len(values) < 2:
         return np.zeros(values.shape)
@@ -217,13 +217,13 @@ class KeySlopes:
     ) -> None:
         self.times = times  # ascending ``(K,)``
         self.values = values  # ``(K, D)``
-        self._weights = tcb  # tension, continuity, bias ``(K, 3)``
+        self._tcb_parameters = tcb  # tension, continuity, bias ``(K, 3)``
         self._parametrization = parametrization
 
     @cached_property
     def tcb(self) -> tuple[FloatArray, FloatArray]:
         """Slopes before and after each key by tension, continuity and bias."""
-        return tcb(self.times, self.values, self._weights)
+        return tcb(self.times, self.values, self._tcb_parameters)
 
     @cached_property
     def _parabola(self) -> FloatArray:

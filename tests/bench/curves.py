@@ -68,7 +68,7 @@ def as_curves(keys: Array) -> Curves:
     channels, count, _ = keys.shape
     flat = keys.reshape(-1, 6)
     return Curves(
-        first=np.arange(channels + 1) * count,
+        first_keys=np.arange(channels + 1) * count,
         times=flat[:, 2].copy(),
         values=flat[:, 3].copy(),
         kinds=np.full(len(flat), SegmentKind.BEZIER),

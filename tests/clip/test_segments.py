@@ -201,7 +201,7 @@ def test_components_come_in_the_order_of_the_channels() -> None:
     one = channel_of([0, 2], [[0, 10], [2, 30]], Interp.LINEAR)
     other = channel_of([1, 2, 3], [5, 6, 7], Interp.LINEAR)
     curves = component_curves([one, other])
-    assert curves.first.tolist() == [0, 2, 4, 7]
+    assert curves.first_keys.tolist() == [0, 2, 4, 7]
     np.testing.assert_allclose(evaluate(curves, [1.0])[:, 0], [1, 20, 5])
     assert evaluate(component_curves([]), [1.0]).shape == (0, 1)
 

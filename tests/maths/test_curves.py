@@ -33,7 +33,7 @@ def random_curves(seed: int, count: int = 3) -> Curves:
     times = np.concatenate([np.cumsum(rng.uniform(0.1, 3, n)) for n in lengths])
     modes = list(Extrapolation)
     return Curves(
-        first=first,
+        first_keys=first,
         times=times,
         values=rng.normal(size=keys),
         kinds=rng.integers(0, 4, keys),
@@ -55,14 +55,16 @@ def test_curves_do_not_know_each_other(seed: int) -> None:
     curves = random_curves(seed)
     at = np.linspace(-5, 30, 211)
     together = evaluate(curves, at)
-    for c, (start, end) in enumerate(zip(curves.first, curves.first[1:], strict=False)):
+    for c, (start, end) in enumerate(
+        zip(curves.first_keys, curves.first_keys[1:], strict=False)
+    ):
         arrays = {
             name: getattr(curves, name)[start:end]
             for name in ("times", "values", "kinds", "ins", "outs")
         }
         alone = replace(
             curves,
-            first=np.array([0, end - start]),
+            first_keys=np.array([0, end - start]),
             pre=curves.pre[c : c + 1],
             post=curves.post[c : c + 1],
             **arrays,
@@ -82,7 +84,7 @@ def test_the_order_of_times_changes_nothing(seed: int) -> None:
 def test_extrapolation_begins_at_the_key(seed: int) -> None:
     curves = random_curves(seed)
     for c, (pre, post) in enumerate(zip(curves.pre, curves.post, strict=True)):
-        start, end = curves.first[c], curves.first[c + 1] - 1
+        start, end = curves.first_keys[c], curves.first_keys[c + 1] - 1
         for key, mode, side in ((start, pre, -np.inf), (end, post, np.inf)):
             if mode is Extrapolation.CYCLE:
                 continue
@@ -219,7 +221,7 @@ def test_no_times_give_no_values() -> None:
 ARRAYS = ("times", "values", "kinds", "ins", "outs")
 
 FAULTS = {
-    "first": ("first", np.array([0, 1])),
+    "first_keys": ("first_keys", np.array([0, 1])),
     "times: .* not ascending": ("times", np.array([1.0, 1.0])),
     "times: .* not finite": ("times", np.array([0.0, np.nan])),
     "values: nan": ("values", np.array([np.nan, 0.0])),

@@ -277,7 +277,12 @@ def test_no_times_no_rotations() -> None:
     assert evaluate_rotations([0], [[0, 0, 0, 1]], SLERP, []).shape == (0, 4)
 
 
-GOOD = {"times": [0, 1], "keys": [[0, 0, 0, 1], [0, 1, 0, 0]], "kinds": 1, "at": [0]}
+GOOD = {
+    "times": [0, 1],
+    "keys": [[0, 0, 0, 1], [0, 1, 0, 0]],
+    "kinds": 1,
+    "sample_times": [0],
+}
 
 
 @pytest.mark.parametrize(
@@ -292,8 +297,8 @@ GOOD = {"times": [0, 1], "keys": [[0, 0, 0, 1], [0, 1, 0, 0]], "kinds": 1, "at":
         ("keys", [[0, 0, np.nan, 1], [0, 0, 0, 1]], "key 0 is not finite"),
         ("kinds", [1], "shape"),
         ("kinds", 7, "kinds"),
-        ("at", [[0.0]], "shape"),
-        ("at", [np.nan], "finite"),
+        ("sample_times", [[0.0]], "shape"),
+        ("sample_times", [np.nan], "finite"),
     ],
 )
 def test_faults(name: str, value: object, message: str) -> None:

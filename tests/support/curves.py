@@ -21,7 +21,7 @@ def one_curve(
     times = np.array(times, np.float64)
     count = len(times)
     return Curves(
-        first=np.array([0, count]),
+        first_keys=np.array([0, count]),
         times=times,
         values=np.array(values, np.float64),
         kinds=np.broadcast_to(np.array(kinds, np.int64), count).copy(),
