@@ -1,4 +1,4 @@
-"""Sizes of bodies that suggest another unit than the one a file states."""
+"""Detects characters whose size suggests another unit than the file states."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ LIKELY_SIZE = (0.3, 5.0)
 UNIT_RATIOS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 
 
-def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
+def find_feet(names: tuple[str, ...] | list[str]) -> IntArray:
     """Return the indices of foot joints.
 
-    >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
+    >>> find_feet(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
     [1, 2, 4]
     """
     feet = [i for i, name in enumerate(names) if _FOOT_PATTERN.search(name)]
@@ -41,7 +41,7 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
 
 def is_character(names: Sequence[str]) -> bool:
     """Return whether a rig has the feet and joint count of a person or animal."""
-    return len(names) >= MIN_JOINTS and len(feet_of(list(names))) > 0
+    return len(names) >= MIN_JOINTS and len(find_feet(list(names))) > 0
 
 
 def fitting_unit(names: Sequence[str], size: float, unit: float) -> float | None:
@@ -66,26 +66,26 @@ def fitting_unit(names: Sequence[str], size: float, unit: float) -> float | None
 
 
 def unit_texts(
-    size: float, unit: float, fitting: float, file_format: str = ""
+    size: float, unit: float, likely_unit: float, file_format: str = ""
 ) -> tuple[str, str]:
     """Return a message about a size that fits another unit, and a hint.
 
     Args:
         size: The size [m].
         unit: Unit in which the file is read [m].
-        fitting: Unit in which the size is likely [m].
+        likely_unit: Unit in which the size is likely [m].
         file_format: ``USD``, ``clip`` for the rig of a clip, or another one.
 
     >>> unit_texts(214.2, 1.0, 0.01, "USD")[1]
     'if its numbers are in cm, set metersPerUnit = 0.01 in the file'
     """
-    sizes = length_text(size, 4), length_text(size * fitting / unit, 4)
-    name, fitting_name = unit_name(unit), unit_name(fitting)
+    sizes = length_text(size, 4), length_text(size * likely_unit / unit, 4)
+    name, fitting_name = unit_name(unit), unit_name(likely_unit)
     condition = f"if its numbers are in {fitting_name}"
     if file_format == "USD":
         message = f"metersPerUnit = {unit:g}: the character spans {sizes[0]}; at "
-        message += f"metersPerUnit = {fitting:g} it would span {sizes[1]}"
-        return message, f"{condition}, set metersPerUnit = {fitting:g} in the file"
+        message += f"metersPerUnit = {likely_unit:g} it would span {sizes[1]}"
+        return message, f"{condition}, set metersPerUnit = {likely_unit:g} in the file"
     message = f"the character spans {sizes[0]}, with lengths in {name}; in "
     message += f"{fitting_name} it would span {sizes[1]}"
     if fitting_name not in set(LengthUnit):

@@ -24,7 +24,7 @@ HUGE_RESIDUAL = 1e30
 # Number of angles that are tried as the reference for revolutions.
 MAX_ANCHORS = 3
 # Frames solved at once, so that their slope arrays stay below some 20 MB.
-FRAMES_AT_ONCE = 1024
+BATCH_FRAMES = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,8 +312,8 @@ class _GroupProblem:
         for _ in range(MAX_SWEEPS if free_names else 0):
             largest_residuals = np.abs(self.residuals(values)).max(axis=1)
             open_frames = np.flatnonzero(largest_residuals > CONVERGED_RATIO)
-            for start_index in range(0, len(open_frames), FRAMES_AT_ONCE):
-                frames = open_frames[start_index : start_index + FRAMES_AT_ONCE]
+            for start_index in range(0, len(open_frames), BATCH_FRAMES):
+                frames = open_frames[start_index : start_index + BATCH_FRAMES]
                 for name in free_names:
                     values[name][frames] = self._best_value(values, name, frames)
                 self._minimize(values, free_names, frames)
@@ -330,7 +330,7 @@ class _GroupProblem:
         other_values = {
             control_name: value[frames] for control_name, value in values.items()
         }
-        bounded = self.by_name[name].low is not None
+        is_bounded = self.by_name[name].low is not None
         residual_rows = []
         for grid_value in grid:
             trial = {**other_values, name: np.full(len(frames), grid_value)}
@@ -345,11 +345,11 @@ class _GroupProblem:
         )
         low_bounds, high_bounds = np.zeros((2, len(fraction), 1))
         high_bounds += 1.0
-        if not bounded:
+        if not is_bounded:
             low_bounds[0], high_bounds[-1] = -np.inf, np.inf
         fraction = np.clip(fraction, low_bounds, high_bounds)
-        remaining = corners[:-1] + fraction[..., None] * segments
-        costs = np.einsum("kft,kft->kf", remaining, remaining)
+        residuals = corners[:-1] + fraction[..., None] * segments
+        costs = np.einsum("kft,kft->kf", residuals, residuals)
         current_values = other_values[name]
         # Of equally good segments, prefer the current one.
         middle = (grid[:-1] + grid[1:])[:, None] / 2
@@ -357,10 +357,10 @@ class _GroupProblem:
         best_segments = np.argmin(
             costs * (1 + 1e-12 * distance) + 1e-30 * distance, axis=0
         )
-        column = np.arange(len(best_segments))
+        rows = np.arange(len(best_segments))
         steps = np.diff(grid)
         return np.asarray(
-            grid[best_segments] + fraction[best_segments, column] * steps[best_segments]
+            grid[best_segments] + fraction[best_segments, rows] * steps[best_segments]
         )
 
     def _minimize(
@@ -413,7 +413,7 @@ class _GroupProblem:
 
         Controls at a bound are fixed if the step leads outside.
         """
-        slopes = np.zeros((*residual.shape, len(free_names)))
+        jacobian = np.zeros((*residual.shape, len(free_names)))
         for i, name in enumerate(free_names):
             grid = _control_grid(self.by_name[name])
             increment = DIFFERENCE_STEP * float(np.ptp(grid))
@@ -423,10 +423,12 @@ class _GroupProblem:
             displaced_values = current.copy()
             displaced_values[:, i] += direction * increment
             change = residual_at(displaced_values) - residual
-            slopes[:, :, i] = change / (displaced_values[:, i] - current[:, i])[:, None]
+            jacobian[:, :, i] = (
+                change / (displaced_values[:, i] - current[:, i])[:, None]
+            )
         step = np.zeros_like(current)
         for _ in range(1 + len(free_names)):
-            inverse = np.linalg.pinv(slopes, rcond=1e-9)
+            inverse = np.linalg.pinv(jacobian, rcond=1e-9)
             step = -np.einsum("fct,ft->fc", inverse, residual)
             low_bounds, high_bounds = bounds
             is_blocked = ((current <= low_bounds) & (step < 0)) | (
@@ -434,7 +436,7 @@ class _GroupProblem:
             )
             if not is_blocked.any():
                 break
-            slopes = np.where(is_blocked[:, None], 0.0, slopes)
+            jacobian = np.where(is_blocked[:, None], 0.0, jacobian)
         return step
 
 
@@ -453,7 +455,7 @@ def _all_targets_by_control(
     while has_grown:
         has_grown = False
         for name, targets in targets_by_control.items():
-            reached_values = {
+            indirect_targets = {
                 indirect
                 for target in targets
                 if target.startswith("control/")
@@ -461,8 +463,8 @@ def _all_targets_by_control(
                     target.removeprefix("control/"), ()
                 )
             }
-            has_grown = has_grown or not reached_values <= targets
-            targets_by_control[name] = targets | reached_values
+            has_grown = has_grown or not indirect_targets <= targets
+            targets_by_control[name] = targets | indirect_targets
     return {
         control.name: {
             t for t in targets_by_control[control.name] if not t.startswith("control/")

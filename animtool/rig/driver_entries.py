@@ -27,7 +27,7 @@ def read_driver(
     units: tuple[float, float],
     value_unit: float,
 ) -> Driver | None:
-    """Parse a driver of a rig file and record its faults; inputs are checked later.
+    """Return the driver of an entry; None with a fault. Inputs are checked later.
 
     ``units``: the file's length [m] and angle [rad]; ``value_unit``: unit of its value.
     """
@@ -35,38 +35,29 @@ def read_driver(
         message = "has both expr and curve" if model.expr else "has no expr or curve"
         document.add("RIG015", location, message, "write one of them for the value")
         return None
+    length, angle = units
     if model.expr is not None:
-        return _expression_driver(document, location, model, units, value_unit)
+        if model.by is not None:
+            message = "`by` belongs to a curve; an expr names its inputs"
+            document.add("RIG015", (*location, "by"), message, "remove it")
+            return None
+        check_no_interpolation(document, location, model.interp)
+        try:
+            expression = parse_expression(model.expr, coordinates=True)
+        except ValueError as error:
+            document.add("RIG013", (*location, "expr"), str(error))
+            return None
+        return Driver(expression, unit=value_unit, length_unit=length, angle_unit=angle)
     if model.by is None:
         message = "the curve does not name its input"
         document.add("RIG015", location, message, "write by: elbow.angle, for example")
         return None
     points = tuple((x, y) for x, y in model.curve or ())
-    if list(record_descents(document, (*location, "curve"), [x for x, _ in points])):
-        return None
-    return Driver(None, model.by, points, model.interp == "smooth", value_unit, *units)
-
-
-def _expression_driver(
-    document: Document,
-    location: Location,
-    model: DrivenModel,
-    units: tuple[float, float],
-    value_unit: float,
-) -> Driver | None:
-    """Return a driver that evaluates an expression; None with a fault."""
-    if model.by is not None:
-        message = "`by` belongs to a curve; an expr names its inputs"
-        document.add("RIG015", (*location, "by"), message, "remove it")
-        return None
-    check_no_interpolation(document, location, model.interp)
-    try:
-        expression = parse_expression(model.expr or "", coordinates=True)
-    except ValueError as error:
-        document.add("RIG013", (*location, "expr"), str(error))
-        return None
-    length, angle = units
-    return Driver(expression, unit=value_unit, length_unit=length, angle_unit=angle)
+    inputs = [x for x, _ in points]
+    has_fault = list(record_descents(document, (*location, "curve"), inputs)) != []
+    is_smooth = model.interp == "smooth"
+    driver = Driver(None, model.by, points, is_smooth, value_unit, length, angle)
+    return None if has_fault else driver
 
 
 def check_no_interpolation(document: Document, location: Location, interp: str) -> None:
@@ -84,6 +75,10 @@ def record_descents(
         message = f"{values[k]:g} is not greater than {values[previous]:g}"
         document.add("RIG016", (*location, k), message, "values ascend")
         yield k
+
+
+# Location of the drivers of a base rig.
+INHERITED: Location = ("from",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,31 +99,28 @@ class DriverCheck:
         for target, driver in self.rig.drivers.items():
             location = self._target_location(target)
             for name in driver.names:
-                has_faults = self._record_unreadable(location, name) or has_faults
+                has_faults |= self._record_unreadable(location, name)
         if has_faults:
             return
         try:
             order = evaluation_order_of_drivers(self.rig)
         except DependencyCycleError as error:
             # Cycles of drives alone are reported as RIG014.
-            driven_in_cycle = [name for name in error.cycle if name in self.rig.drivers]
-            local_targets = [
-                name
-                for name in driven_in_cycle
-                if self._local_location(name) is not None
+            locations = [
+                self._target_location(name)
+                for name in error.cycle
+                if name in self.rig.drivers
             ]
-            if driven_in_cycle:
-                self._add_fault(
-                    "RIG032",
-                    self._target_location((local_targets or driven_in_cycle)[0]),
-                    driver_cycle_text(error),
-                )
+            if locations:
+                local = (location for location in locations if location != INHERITED)
+                location = next(local, INHERITED)
+                self._add_fault("RIG032", location, driver_cycle_text(error))
             return
         for target, message, hint in _motion_conflicts(self.rig, order):
             self._add_fault("RIG034", self._target_location(target), message, hint)
 
     def _record_unreadable(self, location: Location, name: str) -> bool:
-        """Record a name that a driver cannot read; return whether it was recorded."""
+        """Return whether a driver cannot read an input; record why."""
         fault = coordinate_fault(self.rig, name)
         joint, _ = split_coordinate(name)
         open_names = self.has_unnamed["joints" if joint else "controls"]
@@ -141,28 +133,23 @@ class DriverCheck:
     def _add_fault(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Record a fault; for an inherited driver, a note."""
-        inherited = location == ("from",)
-        self.document.add("RIG023" if inherited else code, location, message, hint)
+        """Record a fault; RIG023 for an inherited driver."""
+        code = "RIG023" if location == INHERITED else code
+        self.document.add(code, location, message, hint)
 
     def _target_location(self, target: str) -> Location:
         """Return the location of a target's driver, or that of `from`."""
-        location = self._local_location(target)
-        return ("from",) if location is None else location
-
-    def _local_location(self, target: str) -> Location | None:
-        """Return the location of a target's driver; None if inherited."""
         kind, _, name = target.partition("/")
         key = {"joint": "joints", "shape": "shapes", "control": "controls"}[kind]
         for i, entry in enumerate(getattr(self.model, key)):
             if name in {entry.name, getattr(entry, "mirror", None)}:
                 is_driven = getattr(entry, "driven", None) is not None
                 return (key, i, "driven") if is_driven else (key, i)
-        return None
+        return INHERITED
 
 
 def _motion_conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield the driven targets that have another source of motion, message and hint.
+    """Yield each driven target that another source moves too, with message and hint.
 
     ``order``: all driven targets.
     """

@@ -26,7 +26,7 @@ from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 # A twist axis this close to a main axis removes that swing component [1].
 AXIS_TOLERANCE = 1e-9
 # The driver of a part of a rig.
-DrivenSource = Driver | Mimic
+JointDriver = Driver | Mimic
 
 
 def readable_parts(joint: Joint) -> list[str]:
@@ -50,7 +50,7 @@ def readable_parts(joint: Joint) -> list[str]:
 
 
 def coordinate_fault(rig: Rig, name: str) -> Fault | None:
-    """Return a fault if drivers cannot read a coordinate or control, else None."""
+    """Return the fault of an input that drivers cannot read; None if they can."""
     joint, part = split_coordinate(name)
     if not joint:
         control_names = [control.name for control in rig.controls]
@@ -87,7 +87,7 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
 
 
 def _suggestion_hint(name: str, names: Sequence[str]) -> str | None:
-    """Return a hint with the names that are most similar to a name, or None."""
+    """Return a hint with the most similar names; None if no name is similar."""
     suggestions = most_similar(name, names)
     return f"did you mean {suggestions}?" if suggestions else None
 
@@ -170,43 +170,7 @@ class DriverPlan:
     # Targets whose values depend on undriven controls.
     controlled_targets: frozenset[str]
 
-    @staticmethod
-    def of(rig: Rig) -> DriverPlan:
-        """Return the plan of a rig."""
-        faults = [
-            fault
-            for driver in rig.drivers.values()
-            for name in driver.names
-            if (fault := coordinate_fault(rig, name)) is not None
-        ]
-        if faults:
-            raise OptionError(faults)
-        try:
-            order = evaluation_order_of_drivers(rig)
-        except DependencyCycleError as error:
-            raise OptionError(Fault("RIG032", driver_cycle_text(error))) from error
-        names: dict[str, list[str]] = {"joint": [], "control": [], "shape": []}
-        for target in order:
-            kind, _, name = target.partition("/")
-            names[kind].append(name)
-        affected_shapes = set(names["shape"])
-        combined = []
-        for shape in combination_order(rig.shapes):
-            if shape.combine and affected_shapes & {shape.name, *shape.combine}:
-                affected_shapes.add(shape.name)
-                combined.append(shape.name)
-        return DriverPlan(
-            rig,
-            tuple(map(rig.index, names["joint"])),
-            tuple(names["control"]),
-            tuple(names["shape"]),
-            tuple(combined),
-            tuple(target for target in order if not target.startswith("shape/")),
-            _joints_read(rig, order),
-            _targets_of_keyed_controls(rig, order),
-        )
-
-    def driver_of(self, joint: int) -> DrivenSource:
+    def driver_of(self, joint: int) -> JointDriver:
         """Return the driver or mimic of a driven joint."""
         rig_joint = self.rig.joints[joint]
         driver_or_mimic = rig_joint.driven or rig_joint.mimic
@@ -278,10 +242,46 @@ class DriverPlan:
 
 
 def plan_of(rig: Rig) -> DriverPlan:
-    """Return the cached plan of a rig; see `DriverPlan.of`."""
+    """Return the plan of a rig's drivers, which the rig caches.
+
+    Raises:
+        OptionError: A driver reads an unknown input, or itself (RIG032).
+    """
     plan = rig.__dict__.get("_driver_plan")
-    if not isinstance(plan, DriverPlan):
-        plan = rig.__dict__["_driver_plan"] = DriverPlan.of(rig)
+    if isinstance(plan, DriverPlan):
+        return plan
+    faults = [
+        fault
+        for driver in rig.drivers.values()
+        for name in driver.names
+        if (fault := coordinate_fault(rig, name)) is not None
+    ]
+    if faults:
+        raise OptionError(faults)
+    try:
+        order = evaluation_order_of_drivers(rig)
+    except DependencyCycleError as error:
+        raise OptionError(Fault("RIG032", driver_cycle_text(error))) from error
+    names: dict[str, list[str]] = {"joint": [], "control": [], "shape": []}
+    for target in order:
+        kind, _, name = target.partition("/")
+        names[kind].append(name)
+    affected_shapes = set(names["shape"])
+    combined = []
+    for shape in combination_order(rig.shapes):
+        if shape.combine and affected_shapes & {shape.name, *shape.combine}:
+            affected_shapes.add(shape.name)
+            combined.append(shape.name)
+    plan = rig.__dict__["_driver_plan"] = DriverPlan(
+        rig,
+        tuple(map(rig.index, names["joint"])),
+        tuple(names["control"]),
+        tuple(names["shape"]),
+        tuple(combined),
+        tuple(target for target in order if not target.startswith("shape/")),
+        _joints_read(rig, order),
+        _targets_of_keyed_controls(rig, order),
+    )
     return plan
 
 

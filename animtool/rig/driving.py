@@ -112,12 +112,12 @@ class _NamedValues(dict[str, FloatArray]):
         computed_values: DriverValues,
     ) -> None:
         super().__init__(controls)
-        self._plan, self._read, self._done = plan, read_coordinate, computed_values
+        self._plan, self._read, self._computed = plan, read_coordinate, computed_values
 
     def __missing__(self, name: str) -> FloatArray:
         joint = self._plan.rig.index(split_coordinate(name)[0])
-        if joint in self._done.joints:
-            return self._done.joints[joint]
+        if joint in self._computed.joints:
+            return self._computed.joints[joint]
         return self._read(name)
 
 
@@ -169,9 +169,9 @@ def driven_coordinates(
     Controls have their default values.
     """
     rig, slices = plan.rig, coordinate_slices(plan.rig)
-    driven_result = coordinates.copy()
+    result = coordinates.copy()
 
-    def read(name: str) -> FloatArray:
+    def read_coordinate(name: str) -> FloatArray:
         """Return a coordinate of an undriven joint."""
         joint, part = split_coordinate(name)
         j = rig.index(joint)
@@ -181,6 +181,6 @@ def driven_coordinates(
         return columns[:, 0]
 
     values = {control.name: np.array([control.default]) for control in rig.controls}
-    for j, value in evaluate_drivers(plan, read, values).joints.items():
-        driven_result[:, slices[j].start] = value
-    return driven_result
+    for j, value in evaluate_drivers(plan, read_coordinate, values).joints.items():
+        result[:, slices[j].start] = value
+    return result

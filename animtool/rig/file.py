@@ -26,6 +26,7 @@ from animtool.rig.joint_entries import (
     unit_quaternion,
 )
 from animtool.rig.joint_schema import PoseModel
+from animtool.rig.mass_entries import read_masses
 from animtool.rig.part_entries import PartReader
 from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
@@ -156,7 +157,9 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         )
         chains = parts.read_chains(inherited.chains)
         colliders = parts.read_colliders(inherited.colliders)
-        masses = parts.read_masses(inherited.masses)
+        masses = read_masses(
+            document, model.masses, inherited.masses, units.length, parts.check_joint
+        )
         attachments = parts.read_attachments(meshes, inherited.attach)
     warn_of_angles(document, model.joints, model.units.angle)
     warn_of_w_last(document, model.joints)

@@ -49,7 +49,7 @@ class RigFit:
     # Relative length difference of each bone once both rigs are scaled to one size [1]
     # ``(B,)``.
     lengths: FloatArray
-    bones: FloatArray  # weight of each bone, 1 in total ``(B,)``
+    bone_weights: FloatArray  # weights of the bones, 1 in total ``(B,)``
     size: float  # ratio of the take's bone lengths to the rig's [1]
     # Angle between the up directions of both rest poses [rad]; 0 if they are different
     # poses.
@@ -60,8 +60,8 @@ class RigFit:
         """Components of the score, each from 0 to 1; the smallest is the score."""
         return {
             "joints": max(self.take_fraction, self.rig_fraction),
-            "rotations": max(0.0, 1.0 - self.rotation / ROTATION_SPAN),
-            "lengths": 1.0 - self.length,
+            "rotations": max(0.0, 1.0 - self.rms_angle / ROTATION_SPAN),
+            "lengths": 1.0 - self.rms_length,
             "size": min(self.size, 1.0 / self.size) if self.size > 0 else 0.0,
             "up axis": max(0.0, float(np.cos(self.up_axis_angle))),
         }
@@ -72,14 +72,14 @@ class RigFit:
         return float(min(self.components.values()))
 
     @property
-    def rotation(self) -> float:
+    def rms_angle(self) -> float:
         """Root mean square of the rotation differences [rad]."""
-        return float(np.sqrt(self.bones @ self.angles**2))
+        return float(np.sqrt(self.bone_weights @ self.angles**2))
 
     @property
-    def length(self) -> float:
+    def rms_length(self) -> float:
         """Root mean square of the relative bone length differences [1]."""
-        return float(np.sqrt(self.bones @ self.lengths**2))
+        return float(np.sqrt(self.bone_weights @ self.lengths**2))
 
     @property
     def differing_joints(self) -> list[int]:
@@ -110,11 +110,11 @@ def measure_fit(
         (rig.parents[matched_joints] >= 0) & (take.parents[source[matched_joints]] >= 0)
     ]
     rig_bones = rig.rest_translations[joints_with_parents]
-    translations_of_both = take.rest_translations[source[joints_with_parents]]
+    take_bones = take.rest_translations[source[joints_with_parents]]
     sizes = np.array(
         [
             np.linalg.norm(bone_vectors, axis=1)
-            for bone_vectors in (translations_of_both, rig_bones)
+            for bone_vectors in (take_bones, rig_bones)
         ]
     )
     totals = sizes.sum(axis=1)
@@ -133,23 +133,25 @@ def measure_fit(
         lengths,
         where=larger_length > 0,
     )
-    is_pointing = (relative_lengths > MIN_BONE_LENGTH / len(joints_with_parents)).all(
+    has_direction = (relative_lengths > MIN_BONE_LENGTH / len(joints_with_parents)).all(
         axis=0
     )
-    angles = np.where(
-        is_pointing, _angles_between(translations_of_both, rig_bones), 0.0
-    )
-    bones = relative_lengths.mean(axis=0)
-    tilt = 0.0
+    angles = np.where(has_direction, _angles_between(take_bones, rig_bones), 0.0)
+    weights = relative_lengths.mean(axis=0)
+    up_axis_angle = 0.0
     if compare_poses:
         aligned_poses = _AlignedPoses(
             take, rig, source[joints_with_parents], joints_with_parents
         )
-        pose_angles = np.where(is_pointing, _angles_between(*aligned_poses.bones), 0.0)
-        if np.sqrt(bones @ pose_angles**2) < SAME_POSE_ANGLE:
+        pose_angles = np.where(
+            has_direction, _angles_between(*aligned_poses.bones), 0.0
+        )
+        if np.sqrt(weights @ pose_angles**2) < SAME_POSE_ANGLE:
             angles = np.maximum(angles, aligned_poses.rotation_angles)
-            tilt = aligned_poses.up_axis_angle
-    return RigFit(*fractions, joints_with_parents, angles, lengths, bones, size, tilt)
+            up_axis_angle = aligned_poses.up_axis_angle
+    return RigFit(
+        *fractions, joints_with_parents, angles, lengths, weights, size, up_axis_angle
+    )
 
 
 class _AlignedPoses:
@@ -264,8 +266,8 @@ def _score_text(fit: RigFit) -> str:
     names = {
         "joints": f"{fit.take_fraction:.0%} of the take's, "
         f"{fit.rig_fraction:.0%} of the rig's",
-        "rotations": f"{math.degrees(fit.rotation):.1f} degrees apart",
-        "lengths": f"{fit.length:.0%} apart",
+        "rotations": f"{math.degrees(fit.rms_angle):.1f} degrees apart",
+        "lengths": f"{fit.rms_length:.0%} apart",
         "size": f"{plain_number(fit.size)} times the rig's",
         "up axis": f"{math.degrees(fit.up_axis_angle):.0f} degrees apart",
     }

@@ -49,7 +49,7 @@ class FileUnits:
 
 @dataclass(frozen=True, slots=True)
 class FileJoints:
-    """The joints of a rig file, and the names that its faults leave unknown."""
+    """The joints of a rig file, and which of them are not fully known."""
 
     joints: tuple[Joint, ...]  # parents before children
     # Names of joints whose parent is unknown.
@@ -74,7 +74,7 @@ class _JointEntry:
 
 @dataclass(slots=True)
 class _JointTree:
-    """The joints built so far, parents first, with world transforms on demand."""
+    """Joints built so far, parents first; computes world transforms on demand."""
 
     joints: list[Joint] = field(default_factory=list)
     indices: dict[str, int] = field(default_factory=dict)
@@ -84,11 +84,11 @@ class _JointTree:
         """Return a joint's world transform at rest; identity for -1."""
         if joint < 0:
             return ORIGIN
-        for transform in self.joints[len(self.world) : joint + 1]:
-            parent = self.world[transform.parent] if transform.parent >= 0 else ORIGIN
+        for next_joint in self.joints[len(self.world) : joint + 1]:
+            parent = self.world[next_joint.parent] if next_joint.parent >= 0 else ORIGIN
             self.world.append(
                 world_transform_below(
-                    parent, Pose(transform.translation, transform.rotation)
+                    parent, Pose(next_joint.translation, next_joint.rotation)
                 )
             )
         return self.world[joint]
@@ -194,7 +194,7 @@ def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> N
 def _in_dependency_order(
     document: Document, entries: dict[str, _JointEntry]
 ) -> Iterator[str]:
-    """Yield names in file order, but each after its parent and mirror source."""
+    """Yield joint names in file order, but parents and mirror sources first."""
     yielded_names: set[str] = set()
     for start in entries:
         visited_names: list[str] = []
@@ -205,31 +205,31 @@ def _in_dependency_order(
             name = next(reversed(pending_names))
             entry = entries[name]
             required_names = [entry.parent, entry.source if entry.is_mirrored else None]
-            missing_parent = next(
+            required_name = next(
                 (n for n in required_names if n and n not in yielded_names), None
             )
-            if name in yielded_names or missing_parent is None:
+            if name in yielded_names or required_name is None:
                 del pending_names[name]
                 if name not in yielded_names:
                     yielded_names.add(name)
                     yield name
                 continue
-            if missing_parent in pending_names:
+            if required_name in pending_names:
                 unfinished_names = list(pending_names)
                 visited_names = [
-                    *unfinished_names[unfinished_names.index(missing_parent) :],
-                    missing_parent,
+                    *unfinished_names[unfinished_names.index(required_name) :],
+                    required_name,
                 ]
                 cycle = cycle_text(visited_names[::-1])
                 message = f"the joints are their own ancestors: {cycle}"
                 hint = "remove the parent of the one that is the root"
                 document.add("RIG003", ("joints", entry.index), message, hint)
                 entry.parent, entry.is_orphaned = None, True
-                if entry.is_mirrored and missing_parent == entry.source:
+                if entry.is_mirrored and required_name == entry.source:
                     del pending_names[name]
                     yielded_names.add(name)
                 continue
-            pending_names[missing_parent] = None
+            pending_names[required_name] = None
 
 
 def _warn_of_off_centre_parent(
@@ -399,13 +399,13 @@ def _with_mimics(
                 "RIG009", location, message, "a mimic follows a pin or prismatic"
             )
             continue
-        target = mimic.joint
+        leader_name = mimic.joint
         if entry.is_mirrored:
-            target = joints[leader].mirror or target
+            leader_name = joints[leader].mirror or leader_name
         unit = units.unit_of(JointType(model.type))
         leader_unit = units.unit_of(joints[leader].type)
         mimic_of_joint = Mimic(
-            target, mimic.gain * unit / leader_unit, mimic.offset * unit
+            leader_name, mimic.gain * unit / leader_unit, mimic.offset * unit
         )
         joints[by_name[name]] = replace(joints[by_name[name]], mimic=mimic_of_joint)
     _check_mimic_chains(document, entries, joints)

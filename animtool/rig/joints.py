@@ -37,17 +37,17 @@ class LocalTransforms:
 
 def coordinate_slices(rig: Rig) -> list[slice]:
     """Return the slice of each joint's coordinates in a row of q."""
-    firsts = rig.joint_arrays.columns.tolist()
+    first_columns = rig.joint_arrays.columns.tolist()
     return [
         slice(first, first + COORDINATE_WIDTHS[joint.type])
-        for joint, first in zip(rig.joints, firsts, strict=True)
+        for joint, first in zip(rig.joints, first_columns, strict=True)
     ]
 
 
-def rest_coordinates(rig: Rig, frames: int) -> FloatArray:
+def rest_coordinates(rig: Rig, frame_count: int) -> FloatArray:
     """Return the joint coordinates ``(F, Q)`` of the rest pose."""
     slices = coordinate_slices(rig)
-    coordinates = np.zeros((frames, slices[-1].stop if slices else 0))
+    coordinates = np.zeros((frame_count, slices[-1].stop if slices else 0))
     for joint, columns in zip(rig.joints, slices, strict=True):
         if joint.type in {JointType.BALL, JointType.FREE}:
             coordinates[:, columns.stop - 1] = 1.0
@@ -84,9 +84,9 @@ def project_to_coordinates(rig: Rig, local: LocalTransforms) -> FloatArray:
     Motion that a joint's type does not allow is dropped: a pin keeps the rotation about
     its axis, a prismatic joint the slide along it. Pin angles are continuous along F.
     """
-    joints = len(rig.joints)
-    translations = as_floats(local.translations, ("F", joints, 3), "translations")
-    rotations = as_floats(local.rotations, ("F", joints, 4), "rotations")
+    joint_count = len(rig.joints)
+    translations = as_floats(local.translations, ("F", joint_count, 3), "translations")
+    rotations = as_floats(local.rotations, ("F", joint_count, 4), "rotations")
     slices = coordinate_slices(rig)
     q = np.zeros((len(translations), slices[-1].stop if slices else 0))
     for j, (joint, columns) in enumerate(zip(rig.joints, slices, strict=True)):

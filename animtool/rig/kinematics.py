@@ -70,10 +70,10 @@ def forward_kinematics(
     >>> (world.positions[0, 1].round(12) + 0.0).tolist()
     [-1.0, 0.0, 0.0]
     """
-    joints = len(rig.joints)
+    joint_count = len(rig.joints)
     frames = "F" if out is None else len(out.positions)
-    t = as_floats(translations, (frames, joints, 3), "translations")
-    r = as_floats(rotations, (len(t), joints, 4), "rotations")
+    t = as_floats(translations, (frames, joint_count, 3), "translations")
+    r = as_floats(rotations, (len(t), joint_count, 4), "rotations")
     s = None if scales is None else as_floats(scales, t.shape, "scales")
     if out is None:
         out = WorldTransforms(np.empty(t.shape), np.empty((*t.shape, 3)))

@@ -24,14 +24,12 @@ from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
 from animtool.rig.joint_entries import FileJoints, FileUnits, scale_vector, unit_vector
 from animtool.rig.joint_schema import DrivenModel, MeshModel, SkinModel
 from animtool.rig.joints import DRIVEN_PARTS, part_hint, split_part
-from animtool.rig.mass_entries import read_masses
 from animtool.rig.parts import (
     Attachment,
     Capsule,
     Collider,
     IkChain,
     Inbetween,
-    Mass,
     Mesh,
     Shape,
     Skin,
@@ -96,11 +94,11 @@ class PartReader:
             )
             if vertices is not None:
                 count = self.arrays.row_count(vertices)
-            row_count = (count, 3)
+            delta_shape = (count, 3)
             for k, name in enumerate(shape.combine):
                 self._check_known((*location, "combine", k), name, names, "shape")
             inbetweens: list[Inbetween] = []
-            weights = [step.at for step in shape.inbetweens]
+            weights = [inbetween.at for inbetween in shape.inbetweens]
             predecessors = dict(
                 self.document.not_ascending((*location, "inbetweens"), weights, "at")
             )
@@ -116,10 +114,10 @@ class PartReader:
                         "RIG024", (*inbetween_location, "at"), message, hint
                     )
                 deltas = self.arrays.read_array(
-                    inbetween_location, step.deltas, "deltas", row_count
+                    inbetween_location, step.deltas, "deltas", delta_shape
                 )
                 normals = self.arrays.read_optional_array(
-                    inbetween_location, step.normals, "normals", row_count
+                    inbetween_location, step.normals, "normals", delta_shape
                 )
                 inbetweens.append(Inbetween(step.at, deltas, normals))
             shapes.append(
@@ -127,10 +125,10 @@ class PartReader:
                     shape.name,
                     shape.mesh or "",
                     self.arrays.read_optional_array(
-                        location, shape.deltas, "deltas", row_count
+                        location, shape.deltas, "deltas", delta_shape
                     ),
                     self.arrays.read_optional_array(
-                        location, shape.normals, "normals", row_count
+                        location, shape.normals, "normals", delta_shape
                     ),
                     tuple(inbetweens),
                     tuple(shape.combine),
@@ -151,15 +149,15 @@ class PartReader:
     ) -> tuple[Control, ...]:
         """Return the controls; check their targets and dependencies."""
         self._check_distinct("controls", "control")
-        entry_of_name = {
+        entry_indices = {
             control.name: i for i, control in enumerate(self.model.controls)
         }
         known_shapes = dict.fromkeys(shapes)
         inherited_controls = [
-            control for control in inherited if control.name not in entry_of_name
+            control for control in inherited if control.name not in entry_indices
         ]
         self.control_names = dict.fromkeys(
-            [*(control.name for control in inherited_controls), *entry_of_name]
+            [*(control.name for control in inherited_controls), *entry_indices]
         )
         for control in inherited_controls:
             self._warn_of_lost_drive(control)
@@ -174,10 +172,10 @@ class PartReader:
             evaluation_order(controls)
         except DependencyCycleError as error:
             cycle = error.cycle[::-1]
-            first_in_file = next(name for name in cycle if name in entry_of_name)
+            first_in_file = next(name for name in cycle if name in entry_indices)
             message = f"controls drive each other in a cycle: {cycle_text(cycle)}"
             self.document.add(
-                "RIG014", ("controls", entry_of_name[first_in_file]), message
+                "RIG014", ("controls", entry_indices[first_in_file]), message
             )
         return controls
 
@@ -204,9 +202,7 @@ class PartReader:
         for i, chain in enumerate(self.model.ik):
             location = ("ik", i)
             is_known_end = [
-                self._check_known(
-                    (*location, key), getattr(chain, key), self.joints, "joint"
-                )
+                self.check_joint((*location, key), getattr(chain, key))
                 for key in ("root", "tip")
             ]
             if all(is_known_end) and not self._is_descendant(chain.root, chain.tip):
@@ -242,7 +238,7 @@ class PartReader:
             self.document,
             self.arrays,
             counts,
-            lambda at, name: self._check_known(at, name, self.joints, "joint"),
+            self.check_joint,
             lambda at, name: self._check_known(at, name, counts, "mesh"),
         )
         listed_names = {entry.name for entry in self.model.attach}
@@ -273,7 +269,7 @@ class PartReader:
         ]
         for i, entry in enumerate(self.model.colliders):
             location = ("colliders", i)
-            self._check_known((*location, "joint"), entry.joint, self.joints, "joint")
+            self.check_joint((*location, "joint"), entry.joint)
             axis = unit_vector(
                 self.document, (*location, "capsule", "axis"), entry.capsule.axis
             )
@@ -286,16 +282,6 @@ class PartReader:
             )
             colliders.append(Collider(entry.joint, capsule))
         return tuple(colliders)
-
-    def read_masses(self, inherited: Sequence[Mass]) -> tuple[Mass, ...]:
-        """Return the masses."""
-        return read_masses(
-            self.document,
-            self.model.masses,
-            inherited,
-            self.units.length,
-            lambda at, name: self._check_known(at, name, self.joints, "joint"),
-        )
 
     def _read_mesh(self, location: Location, mesh: MeshModel) -> Mesh:
         """Return a mesh; check its arrays."""
@@ -327,7 +313,7 @@ class PartReader:
     ) -> Skin:
         """Return the skin binding of a mesh; check its joints and arrays."""
         for k, name in enumerate(skin.joints):
-            self._check_known((*location, "joints", k), name, self.joints, "joint")
+            self.check_joint((*location, "joints", k), name)
         joints = None
         if not self.document.is_placeholder((*location, "joints")):
             joints = len(skin.joints)
@@ -449,7 +435,7 @@ class PartReader:
         if not part:
             message, hint = self._part_fault(name)
             self.document.add("RIG015", location, message, hint)
-        elif self._check_known(location, joint, self.joints, "joint"):
+        elif self.check_joint(location, joint):
             types = DRIVEN_PARTS[part]
             has_known_type = joint not in self.file_joints.untyped_joints
             if has_known_type and self.joints[joint].type not in types:
@@ -478,14 +464,18 @@ class PartReader:
 
     def _check_distinct(self, key: str, kind: str) -> None:
         """Record a fault for each entry that has the name of an earlier entry."""
-        first_entry: dict[str, int] = {}
+        first_index: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
-            if entry.name in first_entry:
-                line = self.document.position((key, first_entry[entry.name]))[0]
+            if entry.name in first_index:
+                line = self.document.position((key, first_index[entry.name]))[0]
                 message = f"duplicate {kind} {entry.name!r}"
                 hint = f"the first is on line {line}"
                 self.document.add("RIG011", (key, i, "name"), message, hint)
-            first_entry.setdefault(entry.name, i)
+            first_index.setdefault(entry.name, i)
+
+    def check_joint(self, location: Location, name: str) -> bool:
+        """Return whether a joint exists; record a fault otherwise."""
+        return self._check_known(location, name, self.joints, "joint")
 
     def _check_known(
         self, location: Location, name: str, names: Collection[str], kind: str

@@ -26,9 +26,9 @@ from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 
 def transform_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
-    """Return a rig moved to a placement's first frame.
+    """Return a rig moved to the first frame of a placement, with lengths scaled.
 
-    Scale is applied to lengths; geometry bound to joints is moved and scaled with them.
+    Geometry that is bound to joints is moved and scaled with them.
 
     up: the new up axis; None keeps the rig's.
     """
@@ -49,10 +49,7 @@ def transform_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> R
         )
     return replace(
         rig,
-        joints=tuple(
-            _scale_joint(_transform_joint(joint, placement), rig, scale)
-            for joint in rig.joints
-        ),
+        joints=tuple(_transform_joint(joint, placement, rig) for joint in rig.joints),
         shapes=tuple(
             replace(shape, driven=_scale_driver(shape.driven, scale))
             for shape in rig.shapes
@@ -72,13 +69,13 @@ def transform_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> R
             for entry in rig.attach
         ),
         colliders=tuple(_scale_collider(collider, scale) for collider in rig.colliders),
-        masses=tuple(_scale_mass(collider, scale) for collider in rig.masses),
+        masses=tuple(_scale_mass(mass, scale) for mass in rig.masses),
         placement=placement_before,
     )
 
 
-def _transform_joint(joint: Joint, placement: Placement) -> Joint:
-    """Return a root joint with its rest pose, limits and tips placed."""
+def _transform_joint(joint: Joint, placement: Placement, rig: Rig) -> Joint:
+    """Return a joint with its lengths scaled; a root is also rotated and moved."""
     if joint.parent < 0:
         x, y, z = placement.transform_points(np.array(joint.translation)).tolist()
         a, b, c, w = placement.transform_rotations(np.array(joint.rotation)).tolist()
@@ -86,31 +83,30 @@ def _transform_joint(joint: Joint, placement: Placement) -> Joint:
     scale = placement.size
     if scale == 1.0:
         return joint
-    limits = joint.limits
-    if isinstance(limits, RangeLimit) and joint.type is JointType.PRISMATIC:
+    is_sliding = joint.type is JointType.PRISMATIC
+    unit_scale = scale if is_sliding else 1.0
+    limits, mimic = joint.limits, joint.mimic
+    if isinstance(limits, RangeLimit) and is_sliding:
         limits = RangeLimit(limits.low * scale, limits.high * scale)
     x, y, z = joint.translation
     if joint.parent >= 0:
         x, y, z = x * scale, y * scale, z * scale
-    tips = tuple((x * scale, y * scale, z * scale) for x, y, z in joint.tips)
-    return replace(joint, translation=(x, y, z), tips=tips, limits=limits)
-
-
-def _scale_joint(joint: Joint, rig: Rig, size: float) -> Joint:
-    """Return a joint with the lengths of its mimic and driver scaled."""
-    if size == 1.0 or (joint.mimic is None and joint.driven is None):
-        return joint
-    is_sliding = joint.type is JointType.PRISMATIC
-    scaled_driver, mimic = _scale_driver(joint.driven, size), joint.mimic
-    if scaled_driver is not None and is_sliding:
-        scaled_driver = replace(scaled_driver, unit=scaled_driver.unit * size)
+    driver = _scale_driver(joint.driven, scale)
+    if driver is not None:
+        driver = replace(driver, unit=driver.unit * unit_scale)
     if mimic is not None:
-        unit_scale = size if is_sliding else 1.0
         leader = rig.joints[rig.index(mimic.joint)]
-        leader_scale = size if leader.type is JointType.PRISMATIC else 1.0
+        leader_scale = scale if leader.type is JointType.PRISMATIC else 1.0
         gain, offset = mimic.gain * unit_scale / leader_scale, mimic.offset * unit_scale
         mimic = replace(mimic, gain=gain, offset=offset)
-    return replace(joint, driven=scaled_driver, mimic=mimic)
+    return replace(
+        joint,
+        translation=(x, y, z),
+        tips=tuple((x * scale, y * scale, z * scale) for x, y, z in joint.tips),
+        limits=limits,
+        driven=driver,
+        mimic=mimic,
+    )
 
 
 def _scale_driver(driver: Driver | None, size: float) -> Driver | None:

@@ -80,7 +80,7 @@ class ShapeLinks:
     """Links between source and target shapes."""
 
     links: tuple[ShapeLink, ...]
-    lost: tuple[str, ...]  # unlinked source shapes
+    unlinked: tuple[str, ...]  # unlinked source shapes
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:
         """Convert source weights to target weights ``(F, count)``."""
@@ -102,14 +102,14 @@ def parse_remap(document: Document) -> RemapFile:
     """Parse a remap document (duplicate entry or invalid clamp: FAC002)."""
     check_version(document, "remap")
     model = validate_document(document, RemapModel)
-    entry_of_pair: dict[tuple[str, str], int] = {}
+    first_index: dict[tuple[str, str], int] = {}
     for i, entry in enumerate(model.shapes):
         shape_pair = (entry.source, entry.target)
-        if shape_pair in entry_of_pair:
+        if shape_pair in first_index:
             message = f"{entry.source!r} is paired with {entry.target!r} twice"
-            hint = f"remove it here or from shapes[{entry_of_pair[shape_pair]}]"
+            hint = f"remove it here or from shapes[{first_index[shape_pair]}]"
             document.add("FAC002", ("shapes", i), message, hint)
-        entry_of_pair.setdefault(shape_pair, i)
+        first_index.setdefault(shape_pair, i)
         if entry.clamp is not None and entry.clamp[0] > entry.clamp[1]:
             message = f"clamp is reversed: {entry.clamp[0]:g} to {entry.clamp[1]:g}"
             document.add("FAC002", ("shapes", i, "clamp"), message, "swap them")
@@ -125,14 +125,14 @@ def link_shapes(
     Names are equal, or spellings of the same ARKit name, such as
     ``blendShape1.eyeBlink_L``.
     """
-    source_index, target_index = _shapes_by_name(source), _shapes_by_name(target)
+    source_indices, target_indices = _shapes_by_name(source), _shapes_by_name(target)
     links: list[ShapeLink] = []
     model = None if remap is None else remap.model
     if remap is not None and model is not None:
         document = remap.document
         for i, entry in enumerate(model.shapes):
             indices = {}
-            for side, index in (("source", source_index), ("target", target_index)):
+            for side, index in (("source", source_indices), ("target", target_indices)):
                 name = getattr(entry, side)
                 shape_index = _find_shape(name, index)
                 if shape_index is None:
@@ -158,7 +158,7 @@ def link_shapes(
     linked_targets = {link.target for link in links}
     if model is None or model.others == "auto":
         for i, name in enumerate(source):
-            shape_index = _find_shape(name, target_index)
+            shape_index = _find_shape(name, target_indices)
             if (
                 shape_index is not None
                 and i not in linked_sources
@@ -167,8 +167,8 @@ def link_shapes(
                 links.append(ShapeLink(i, shape_index))
                 linked_sources.add(i)
                 linked_targets.add(shape_index)
-    lost = (name for i, name in enumerate(source) if i not in linked_sources)
-    return ShapeLinks(tuple(links), tuple(lost))
+    unlinked = (name for i, name in enumerate(source) if i not in linked_sources)
+    return ShapeLinks(tuple(links), tuple(unlinked))
 
 
 def _find_shape(name: str, index: Mapping[str, int]) -> int | None:

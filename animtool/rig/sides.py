@@ -79,29 +79,29 @@ def pair_sides(
     (1,)
     """
     index = {name: i for i, name in enumerate(names)}
-    parents_of = [-1] * len(names) if parents is None else [int(p) for p in parents]
+    parent_list = [-1] * len(names) if parents is None else [int(p) for p in parents]
     partners = np.arange(len(names))
     unpaired_indices = set(range(len(names)))
     for a, b in ((index[a], index[b]) for a, b in stated_pairs):
         if a in unpaired_indices and b in unpaired_indices:
             partners[a], partners[b] = b, a
             unpaired_indices -= {a, b}
-    partner_of: list[int] = []
+    paired_left: list[int] = []
     for _, _, left, right in sorted(
-        _candidate_pairs(names, index, _joint_depths(parents_of))
+        _candidate_pairs(names, index, _joint_depths(parent_list))
     ):
-        parent = parents_of[left]
+        parent = parent_list[left]
         partner_of_parent = int(partners[parent]) if parent >= 0 else -1
         if (
             left in unpaired_indices
             and right in unpaired_indices
-            and partner_of_parent == parents_of[right]
+            and partner_of_parent == parent_list[right]
         ):
             partners[left], partners[right] = right, left
             unpaired_indices -= {left, right}
-            partner_of.append(left)
+            paired_left.append(left)
     unpaired_with_side = [i for i in sorted(unpaired_indices) if _has_side(names[i])]
-    return SidePairs(partners, tuple(sorted(partner_of)), tuple(unpaired_with_side))
+    return SidePairs(partners, tuple(sorted(paired_left)), tuple(unpaired_with_side))
 
 
 def find_likely_pairs(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
@@ -146,15 +146,15 @@ def _candidate_pairs(
     names: Sequence[str], index: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
     """Yield each possible pair: depth, rank of the naming, left and right index."""
-    names_by_fold: dict[str, list[int]] = {}
+    indices_by_fold: dict[str, list[int]] = {}
     for i, name in enumerate(names):
-        names_by_fold.setdefault(name.casefold(), []).append(i)
+        indices_by_fold.setdefault(name.casefold(), []).append(i)
     for left, name in enumerate(names):
         for rank, right_name in _partner_names(name):
             if right_name in index:
                 yield depths[left], rank, left, index[right_name]
             elif (
-                len(matches := names_by_fold.get(right_name.casefold(), [])) == 1
+                len(matches := indices_by_fold.get(right_name.casefold(), [])) == 1
                 and rank < 3
             ):
                 yield depths[left], rank + len(_SIDE_PATTERNS), left, matches[0]

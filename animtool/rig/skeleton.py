@@ -332,12 +332,12 @@ class Rig:
     @cached_property
     def joint_arrays(self) -> JointArrays:
         """Types, columns of coordinates and axes of the joints."""
-        numbers = {kind: number for number, kind in enumerate(COORDINATE_WIDTHS)}
+        type_numbers = {kind: number for number, kind in enumerate(COORDINATE_WIDTHS)}
         widths = np.array(
             [COORDINATE_WIDTHS[joint.type] for joint in self.joints], np.int64
         )
         return JointArrays(
-            np.array([numbers[joint.type] for joint in self.joints], np.int64),
+            np.array([type_numbers[joint.type] for joint in self.joints], np.int64),
             np.cumsum(widths) - widths,
             np.array([j.axis for j in self.joints], np.float64).reshape(-1, 3),
         )

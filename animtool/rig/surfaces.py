@@ -133,10 +133,12 @@ def _has_deltas(shape: Shape) -> bool:
     return any(array is not None for array in arrays)
 
 
-def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> SurfaceShape:
+def _shape(
+    shape: Shape, point_count: int, unit: float, archives: Archives
+) -> SurfaceShape:
     """Read a shape of a mesh; deltas are 0 if it only changes normals."""
     vertices = None if shape.vertices is None else shape.vertices.load(archives)
-    zeros = np.zeros((points if vertices is None else len(vertices), 3))
+    zeros = np.zeros((point_count if vertices is None else len(vertices), 3))
     deltas = zeros if shape.deltas is None else shape.deltas.load(archives)
     return SurfaceShape(
         shape.name,

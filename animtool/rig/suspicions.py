@@ -244,8 +244,8 @@ def warn_of_stretch_percent(
     document: Document, location: Location, stretch: float
 ) -> None:
     """Warn once of a stretch that looks like a percentage (RIG114)."""
-    known = any(notice.code == "RIG114" for notice in document.notices)
-    if known or stretch < MIN_PERCENT_STRETCH:
+    is_reported = any(notice.code == "RIG114" for notice in document.notices)
+    if is_reported or stretch < MIN_PERCENT_STRETCH:
         return
     message = (
         f"stretch {stretch:.4g} lets the limb stretch to {1 + stretch:.4g} times its "

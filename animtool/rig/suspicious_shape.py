@@ -61,7 +61,7 @@ def rest_pose_without_kernels(rig: Rig) -> tuple[FloatArray, FloatArray]:
 
 
 def warn_of_shape(document: Document, rig: Rig) -> None:
-    """Warn of an implausible size and of a body that stands along another axis."""
+    """Warn of an implausible size, offsets, up axis or sides of a rig."""
     if len(rig.joints) < 2:
         return
     positions, _ = rest_pose_without_kernels(rig)
@@ -124,13 +124,18 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
     if len(children) < MIN_OFFSETS:
         return False
     lengths = np.linalg.norm(offsets[children], axis=1)
-    bones = np.linalg.norm(offsets[children] - offsets[parents[children]], axis=1)
+    bone_lengths = np.linalg.norm(
+        offsets[children] - offsets[parents[children]], axis=1
+    )
     total = float(lengths.sum())
     has_branches = len({*parents[children].tolist()}) < len(children)
-    if bones.sum() > MAX_BODY_RATIO * total or (bones < MIN_WORLD_BONE * lengths).any():
+    if (
+        bone_lengths.sum() > MAX_BODY_RATIO * total
+        or (bone_lengths < MIN_WORLD_BONE * lengths).any()
+    ):
         return False
     if not has_branches or (
-        bones.sum() > MAX_WORLD_RATIO * total
+        bone_lengths.sum() > MAX_WORLD_RATIO * total
         and not (_is_upright(rig, offsets) and not _is_upright(rig, positions))
     ):
         return False
@@ -156,9 +161,10 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
 
 def _translate_location(document: Document, name: str) -> Location:
     """Return the location of a joint's offset, or of the joints if it is inherited."""
-    entries = document.value["joints"]
-    rows = [i for i, entry in enumerate(entries) if entry.get("name") == name]
-    return ("joints", rows[0], "translate") if rows else ("joints",)
+    for i, entry in enumerate(document.value["joints"]):
+        if entry.get("name") == name:
+            return ("joints", i, "translate")
+    return ("joints",)
 
 
 def _numbers_text(numbers: FloatArray) -> str:
@@ -174,15 +180,6 @@ def _is_upright(rig: Rig, positions: FloatArray) -> bool:
     return bool(heights[feet].max() < heights[torso].min())
 
 
-def _torso_offset(rig: Rig, positions: FloatArray) -> FloatArray | None:
-    """Return the vector from a body's feet to its torso; None if it lacks either."""
-    feet, torso = _feet_and_torso(rig)
-    if not (feet and torso):
-        return None
-    offset: FloatArray = positions[torso].mean(axis=0) - positions[feet].mean(axis=0)
-    return offset
-
-
 def _feet_and_torso(rig: Rig) -> tuple[list[int], list[int]]:
     """Return the joints of the feet, and those of the upper body, by name."""
     feet = [j for j, name in enumerate(rig.names) if FOOT_NAMES.search(name)]
@@ -192,10 +189,10 @@ def _feet_and_torso(rig: Rig) -> tuple[list[int], list[int]]:
 
 def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
     """Warn of a body that stands along the axis that is not up (RIG111)."""
-    offset = _torso_offset(rig, positions)
-    if offset is None:
-        return
     feet, torso = _feet_and_torso(rig)
+    if not (feet and torso):
+        return
+    offset: FloatArray = positions[torso].mean(axis=0) - positions[feet].mean(axis=0)
     other_axis = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
     length = float(np.linalg.norm(offset))
     if not length or offset @ rig.up.vector > MAX_LYING_COSINE * length:
@@ -213,18 +210,17 @@ def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
 
 
 def _warn_of_equal_sides(document: Document, rig: Rig, positions: FloatArray) -> None:
-    """Warn of a left joint in the same place as the right one (RIG118).
+    """Warn of a left joint at the position of the right one (RIG118).
 
-    Pairs in the plane x = 0, such as collarbones that begin at the breastbone, may be.
+    Pairs in the plane x = 0, such as collarbones that begin at the breastbone, may
+    coincide.
     """
     for left, right in equal_sides(rig, positions):
         name = rig.names[right]
         message = f"{name!r} is where {rig.names[left]!r} is at rest"
         offset = reflect_vector(rig.rest_translations[right]) / rig.meters_per_unit
-        hint = (
-            f"for the other side write translate: {_numbers_text(offset)}, or create "
-        )
-        hint += f"it with 'mirror: {name}' in {rig.names[left]!r}"
+        hint = f"for the other side write translate: {_numbers_text(offset)}, or "
+        hint += f"create it with 'mirror: {name}' in {rig.names[left]!r}"
         document.warn("RIG118", _translate_location(document, name), message, hint)
 
 

@@ -138,7 +138,7 @@ class _FileNumbers:
     def collider_entry(self, collider: Collider) -> str:
         """Return the entry of a collider."""
         capsule, offset = collider.capsule, collider.capsule.offset
-        form = _flow_mapping(
+        capsule_text = _flow_mapping(
             [
                 ("radius", self.length_text(capsule.radius)),
                 ("length", self.length_text(capsule.length)),
@@ -147,7 +147,7 @@ class _FileNumbers:
             ]
         )
         return _flow_mapping(
-            [("joint", yaml_scalar(collider.joint)), ("capsule", form)]
+            [("joint", yaml_scalar(collider.joint)), ("capsule", capsule_text)]
         )
 
     def mass_entry(self, mass: Mass) -> str:
@@ -315,14 +315,14 @@ def _mirrors_drivers(rig: Rig) -> bool:
 
 def _explicit_bind(rig: Rig) -> dict[str, Pose]:
     """Return the bind poses that differ from rest by more than rounding."""
-    explicit = {}
+    poses = {}
     for name, pose in rig.bind.items():
         joint = rig.joints[rig.index(name)]
         rest_pose = (joint.translation, joint.rotation)
         is_rounding = pose.stretch is not None and _stretch_text(pose) is None
         if not (is_rounding and (pose.translation, pose.rotation) == rest_pose):
-            explicit[name] = pose
-    return explicit
+            poses[name] = pose
+    return poses
 
 
 def _stretch_text(pose: Pose) -> str | None:

@@ -103,7 +103,7 @@ def frame_as_rest(take: Take) -> Rig | None:
     moved = rig.rest_translations.copy()
     moved[inner] = world[inner] - world[rig.parents[inner]]
     other = with_rest(rig, rig.rest_rotations, moved)
-    return other if fit(rig, other).rotation > OTHER_POSE else None
+    return other if fit(rig, other).rms_angle > OTHER_POSE else None
 
 
 def test_our_rigs_fit_themselves_and_no_other(record_property: Record) -> None:

@@ -26,7 +26,7 @@ from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.motion.take import Take
-from animtool.rig.body_size import feet_of
+from animtool.rig.body_size import find_feet
 from animtool.scene.sources.open import open_source
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
@@ -83,7 +83,7 @@ def captures() -> list[tuple[str, Take, frozenset[str]]]:
             continue
         motion = take.motion
         enough = motion.frames >= MIN_FRAMES and len(motion.rotations.animated) > 9
-        if enough and len(feet_of(take.rig.names)) and not _lies(take):
+        if enough and len(find_feet(take.rig.names)) and not _lies(take):
             found.append((path.name, take, frozenset(codes(take))))
     return found
 

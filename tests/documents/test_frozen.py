@@ -135,7 +135,7 @@ def test_remap_1() -> None:
         ShapeLink(0, 1),
         ShapeLink(1, 0, 0.8, -0.1, 0.0, 1.0),
     )
-    assert links.lost == ("x",)
+    assert links.unlinked == ("x",)
 
 
 def test_scene_1(tmp_path: Path) -> None:

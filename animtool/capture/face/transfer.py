@@ -85,7 +85,7 @@ def _transfer_by_name(
         raise OptionError(Fault("FAC009", message, hint=hint))
     has_motion = np.abs(weights).max(axis=0, initial=0) > 0
     is_moving = dict(zip(source, has_motion.tolist(), strict=True))
-    unlinked_names = [name for name in links.lost if is_moving[name]]
+    unlinked_names = [name for name in links.unlinked if is_moving[name]]
     notices = []
     if unlinked_names:
         message = f"{len(unlinked_names)} shapes that move are not in the target: "

@@ -258,13 +258,13 @@ def _warn_of_unmatched_names(
 ) -> None:
     """Warn about names that only the recording or only the rig has."""
     file = recording.file
-    if has_rig_option and links.lost:
+    if has_rig_option and links.unlinked:
         zero_shapes = {
             name
             for name, column in zip(recording.shapes, recording.weights.T, strict=True)
             if not np.nan_to_num(column).any()
         }
-        unmatched_names = [name for name in links.lost if name not in zero_shapes]
+        unmatched_names = [name for name in links.unlinked if name not in zero_shapes]
         if unmatched_names:
             message = f"{len(unmatched_names)} shapes are not in the rig: "
             hint = f"map them to its shapes with {argument('source.remap')}"

@@ -101,7 +101,7 @@ class FaceResult:
         "'mocap face' source=job.capture rig=job.rig outputs frames residual_unit "
         "pixels_per_meter rms=fit.rms noise=fit.noise rounds=fit.rounds "
         "change=fit.change landmarks=fit.landmarks shapes=fit.peaks status=fit.status "
-        "lost=links.lost seconds notices"
+        "lost=links.unlinked seconds notices"
     )
 
     @property

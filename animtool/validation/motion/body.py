@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from animtool.core.array_types import BoolArray, IntArray
-from animtool.rig.body_size import feet_of
+from animtool.rig.body_size import find_feet
 from animtool.validation.motion.subject import MotionSubject
 
 # Fraction of the joints below the one that carries the body; targets and props next to
@@ -24,7 +24,7 @@ def body_carriers(subject: MotionSubject) -> tuple[int, ...]:
     rig = subject.take.rig
     if not rig.roots:
         return ()
-    is_foot = np.isin(np.arange(len(rig.joints)), feet_of(rig.names))
+    is_foot = np.isin(np.arange(len(rig.joints)), find_feet(rig.names))
     feet_below = _subtree_counts(rig.parents, is_foot)
     joints_below = _subtree_counts(rig.parents, np.ones(len(is_foot), bool))
     chain, carrier_count = [int(rig.roots[0])], 1

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.rig.body_size import feet_of
+from animtool.rig.body_size import find_feet
 from animtool.validation.motion.body import body_joints
 from animtool.validation.motion.subject import MotionSubject
 
@@ -71,7 +71,7 @@ class FootStances:
 
 def contacts_of(subject: MotionSubject) -> FootStances | None:
     """Return the foot contacts; None if there are no feet or no frames of stance."""
-    feet = feet_of(subject.take.rig.names)
+    feet = find_feet(subject.take.rig.names)
     if not len(feet) or subject.frames < MIN_CONTACTS:
         return None
     heights = subject.heights[:, feet]

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.maths.runs import runs
-from animtool.rig.body_size import feet_of
+from animtool.rig.body_size import find_feet
 from animtool.validation.motion.body import body_joints, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
@@ -125,7 +125,7 @@ def _clearances(
     min_clearance = np.zeros(len(feet))
     max_clearance = np.zeros(len(feet))
     are_hanging = True
-    foot_joints = set(feet_of(rig.names).tolist())
+    foot_joints = set(find_feet(rig.names).tolist())
     for column, joint in enumerate(feet.tolist()):
         is_toe = int(parents[joint]) in foot_joints
         max_clearance[column] = (MAX_TOE if is_toe else MAX_ANKLE) * rest_size

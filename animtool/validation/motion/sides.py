@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import percent_hint, plain_number
 from animtool.maths import so3
-from animtool.rig.body_size import feet_of
+from animtool.rig.body_size import find_feet
 from animtool.validation.motion.body import body_carriers
 from animtool.validation.motion.subject import MotionSubject
 
@@ -224,7 +224,7 @@ def _full_take_swap(
         return
     left_hip, right_hip = hips
     positions = subject.positions
-    feet = feet_of(subject.take.rig.names)
+    feet = find_feet(subject.take.rig.names)
     hip_centers = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
     up_directions = hip_centers - positions[:, feet].mean(axis=1)
     left_direction = np.cross(up_directions, facing_direction)
@@ -256,7 +256,7 @@ def _full_take_swap(
 def _facing_direction(subject: MotionSubject) -> FloatArray | None:
     """Return the mean direction of the feet ``(F, 3)``; None without toes."""
     rig = subject.take.rig
-    feet = set(feet_of(rig.names).tolist())
+    feet = set(find_feet(rig.names).tolist())
     toe_joints = [i for i in feet if rig.joints[i].parent in feet]
     toe_joints = [i for i in toe_joints if "toe" in rig.names[i].lower()]
     if not toe_joints:
@@ -275,7 +275,7 @@ def _hip_pair(
 ) -> tuple[int, int] | None:
     """Return the left and right joint above the feet that are nearest to the root."""
     rig = subject.take.rig
-    feet = set(feet_of(rig.names).tolist())
+    feet = set(find_feet(rig.names).tolist())
     partners = dict(pairs)
     for left in sorted(feet):
         chain = []

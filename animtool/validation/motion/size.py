@@ -19,7 +19,7 @@ from animtool.retarget.root_position import UNIT_FACTORS, height_factor, root_wa
 from animtool.retarget.standing import Stance, measure_stance
 from animtool.rig.body_size import (
     MIN_JOINTS,
-    feet_of,
+    find_feet,
     fitting_unit,
     is_character,
     unit_texts,
@@ -171,7 +171,7 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
     rig = subject.take.rig
     moving_roots = set(subject.translating_joints.tolist())
     heights = subject.rest @ subject.up
-    leg_length = float(heights[hips_of(subject)] - heights[feet_of(rig.names)].min())
+    leg_length = float(heights[hips_of(subject)] - heights[find_feet(rig.names)].min())
     min_height = 0.1 * subject.rest_size
     for root in sorted({*rig.roots, hips_of(subject)} & moving_roots):
         rest_height = float(heights[root])

@@ -372,7 +372,7 @@ def test_remap_files(tmp_path: Path) -> None:
         (0, 0, 0.5),
         (2, 1, 1.0),
     ]
-    assert links.lost == ("brow",)
+    assert links.unlinked == ("brow",)
     with raises(FormatError, "FAC001"):
         link_shapes(["a"], ["b"], load_remap(written("[{source: a, target: c}]")))
     for wrong in (
@@ -404,7 +404,7 @@ def test_weights_from_one_face_to_another() -> None:
     assert made.fit is not None
     assert_array_equal(made.weights, made.fit.weights)
     assert made.links.links == ()
-    assert set(made.links.lost) == set(source.shapes)
+    assert set(made.links.unlinked) == set(source.shapes)
     with raises(OptionError, "FAC009"):
         transfer_weights(weights, source.shapes, target.shapes)
     named = transfer_weights(weights[:, :2], ["JawOpen", "q"], ["jaw_open"])
