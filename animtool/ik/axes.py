@@ -6,13 +6,15 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
-from animtool.ik.goals import PARTS
+from animtool.ik.goals import PARTS, path_to_root
 from animtool.ik.take_run import TakeIk
 from animtool.ik.values import SampleFrames
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
 from animtool.rig.sides import pair_sides
+from animtool.rig.skeleton import Rig
 
 # Larger coordinates are mistakes of another kind [m].
 MAX_DISTANCE = 1e6
@@ -23,68 +25,77 @@ MAX_REACH = 1.5
 MIN_CROSSING, MIN_LIMITED = 0.5, 0.5
 
 
-def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
-    """Return a hint if a missed target would be in reach with the other up axis.
+@dataclass(frozen=True, slots=True)
+class LimbTarget:
+    """A missed position target, and the limb that should reach it, at rest."""
 
-    Args:
-        solved_take: The solved take.
-        goal_index: A goal whose position is missed.
-        frame: Time code of a miss.
-    """
-    target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
+    point: FloatArray  # the target ``(3,)`` [m]
+    root: int  # topmost joint that the goal moves
+    origin: FloatArray  # position of that joint at rest ``(3,)`` [m]
+    length: float  # length of the limb [m]
+
+
+def limb_target(
+    solved_take: TakeIk, goal_index: int, frame: float
+) -> LimbTarget | None:
+    """Return the target of a goal's position at a time code; None without one."""
+    track, rig = solved_take.tracks.goals[goal_index], solved_take.take.rig
+    value = track.values.get("position")
+    if value is None:
+        return None
+    path = path_to_root(rig, track.goal.joint, track.goal.root)
+    positions = rest_world(rig).positions[0]
+    bones = positions[path[:-1]] - positions[path[1:]]
+    length = float(np.linalg.norm(bones, axis=1).sum())
+    fps = solved_take.take.clock.fps
+    point = value.sample(SampleFrames(np.array([frame]), fps))[0]
+    if not abs(point).max() < MAX_DISTANCE:
+        return None
+    return LimbTarget(point, path[-1], positions[path[-1]], length)
+
+
+def up_axis_hint(rig: Rig, target: LimbTarget | None) -> str | None:
+    """Return a hint if a target would be in reach with the other up axis."""
     if target is None:
         return None
-    point, start, limb_length = target
     other_up = UpAxis.Y if rig.up is UpAxis.Z else UpAxis.Z
-    rotated_point = so3.rotate(np.array(up_from_up(rig.up, other_up)), point)
-    distances = np.linalg.norm(np.array([point, rotated_point]) - start, axis=1)
-    if not distances[1] <= limb_length < distances[0]:
+    rotated_point = so3.rotate(np.array(up_from_up(rig.up, other_up)), target.point)
+    offsets = np.array([target.point, rotated_point]) - target.origin
+    distances = np.linalg.norm(offsets, axis=1)
+    if not distances[1] <= target.length < distances[0]:
         return None
     axes = "[x, z, -y]" if rig.up is UpAxis.Y else "[x, -z, y]"
     text = f"the rig is {rig.up}-up: if the targets are {other_up}-up, write [x, y, z]"
     return f"{text} as {axes}"
 
 
-def unit_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
-    """Return a hint if a missed target would be in reach with a smaller unit.
-
-    The arguments are those of `up_axis_hint`.
-    """
-    target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
+def unit_hint(rig: Rig, target: LimbTarget | None) -> str | None:
+    """Return a hint if a target would be in reach with a smaller unit."""
     if target is None:
         return None
-    point, start, limb_length = target
     for unit in (LengthUnit.CM, LengthUnit.MM):
         factor = unit.meters / rig.meters_per_unit
-        distance = float(np.linalg.norm(factor * point - start))
-        if factor < 1 and distance <= MAX_REACH * limb_length:
-            root = rig.names[_limb_root(solved_take, goal_index)]
+        distance = float(np.linalg.norm(factor * target.point - target.origin))
+        if factor < 1 and distance <= MAX_REACH * target.length:
             return (
                 f"the rig is in {unit_name(rig.meters_per_unit)}; with "
                 f"'units: {{length: {unit}}}' the target is "
-                f"{length_text(distance)} from {root!r}"
+                f"{length_text(distance)} from {rig.names[target.root]!r}"
             )
     return None
 
 
-def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
-    """Return a hint if a missed target would be in reach relative to a joint.
+def space_hint(rig: Rig, target: LimbTarget | None) -> str | None:
+    """Return a hint if a target would be in reach relative to a joint.
 
     The joints are the root of the rig and that of the limb, at rest.
-
-    The arguments are those of `up_axis_hint`.
     """
-    target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
-    if target is None:
-        return None
-    point, start, limb_length = target
-    if float(np.linalg.norm(point - start)) <= limb_length:
+    if target is None or not _is_out_of_reach(target):
         return None
     positions = rest_world(rig).positions[0]
-    limb_root = _limb_root(solved_take, goal_index)
-    for joint in ([*rig.upwards(limb_root)][-1], limb_root):
-        distance = float(np.linalg.norm(positions[joint] + point - start))
-        if distance <= limb_length:
+    for joint in (rig.upwards(target.root)[-1], target.root):
+        offset = positions[joint] + target.point - target.origin
+        if float(np.linalg.norm(offset)) <= target.length:
             return (
                 "positions are in world space: if this one is relative to "
                 f"{rig.names[joint]!r}, add its position at rest, "
@@ -93,24 +104,29 @@ def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None
     return None
 
 
-def pole_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
+def _is_out_of_reach(target: LimbTarget) -> bool:
+    """Return whether a target is farther from the limb's root than its length."""
+    return float(np.linalg.norm(target.point - target.origin)) > target.length
+
+
+def pole_hint(
+    solved_take: TakeIk, goal_index: int, frame: float, target: LimbTarget | None
+) -> str | None:
     """Return a hint if a missed target is in reach, so that its pole is in the way.
 
     Args:
         solved_take: The solved take.
         goal_index: A goal whose position is missed.
         frame: Time code of a miss.
+        target: The target of that position.
     """
-    track = solved_take.tracks.goals[goal_index]
     row = int(np.abs(solved_take.take.clock.times - frame).argmin())
-    is_active = solved_take.active[row, goal_index]
-    if not is_active[PARTS.index("pole")]:
+    is_active = solved_take.active[row, goal_index, PARTS.index("pole")]
+    if not is_active or (target is not None and _is_out_of_reach(target)):
         return None
-    target = _limb_target(solved_take, goal_index, frame)
-    if target is not None and np.linalg.norm(target[0] - target[1]) > target[2]:
-        return None
+    name = solved_take.tracks.goals[goal_index].name
     return (
-        f"the target is in reach of {track.name!r}, but not with its pole: move the "
+        f"the target is in reach of {name!r}, but not with its pole: move the "
         "pole to the side on which the limb bends, or write weight: {pole: 0}"
     )
 
@@ -164,34 +180,3 @@ def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
 
 def _point_text(point: FloatArray) -> str:
     return f"[{', '.join(f'{round(float(number), 3) + 0.0:g}' for number in point)}]"
-
-
-def _limb_root(solved_take: TakeIk, goal_index: int) -> int:
-    """Return the topmost joint that a goal moves."""
-    rig, goal = solved_take.take.rig, solved_take.tracks.goals[goal_index].goal
-    return (
-        rig.upwards(rig.index(goal.joint))[-1]
-        if goal.root is None
-        else rig.index(goal.root)
-    )
-
-
-def _limb_target(
-    solved_take: TakeIk, goal_index: int, frame: float
-) -> tuple[FloatArray, FloatArray, float] | None:
-    """Return a target, the root of its limb at rest, and the limb's length [m]."""
-    track, rig = solved_take.tracks.goals[goal_index], solved_take.take.rig
-    value = track.values.get("position")
-    if value is None:
-        return None
-    joint, start = rig.index(track.goal.joint), _limb_root(solved_take, goal_index)
-    chain = list(rig.upwards(joint))
-    chain = chain[: chain.index(start) + 1]
-    positions = rest_world(rig).positions[0]
-    bones = positions[chain[:-1]] - positions[chain[1:]]
-    limb_length = float(np.linalg.norm(bones, axis=1).sum())
-    fps = solved_take.take.clock.fps
-    point = value.sample(SampleFrames(np.array([frame]), fps))[0]
-    if not abs(point).max() < MAX_DISTANCE:
-        return None
-    return point, positions[start], limb_length

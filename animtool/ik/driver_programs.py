@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.ik.goals import Goal
+from animtool.ik.goals import Goal, path_to_root
 from animtool.rig.controls import Control
 from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import (
@@ -52,7 +52,9 @@ def with_sources(
     A driven joint moves if one of its sources may move, whether it is named or not.
     """
     plan, moving_joints = plan_of(rig), set(moving)
-    joints_above_goals = {j for goal in goals for j in _joints_below_root(rig, goal)}
+    joints_above_goals = {
+        j for goal in goals for j in path_to_root(rig, goal.joint, goal.root)
+    }
     for j in sorted(joints_above_goals.intersection(plan.joints)):
         if joints is None and j not in moving:
             # It moves no goal.
@@ -66,14 +68,6 @@ def with_sources(
         moving_joints.discard(j)
         moving_joints |= movable_sources | {j} if movable_sources else set()
     return moving_joints
-
-
-def _joints_below_root(rig: Rig, goal: Goal) -> list[int]:
-    """Return a goal's joint and the joints above it, up to the goal's root."""
-    joints_above = rig.upwards(rig.index(goal.joint))
-    if goal.root not in rig.names:
-        return joints_above
-    return joints_above[: joints_above.index(rig.index(goal.root)) + 1]
 
 
 @dataclass(frozen=True, slots=True)

@@ -231,6 +231,12 @@ class Targets:
     weights: ArrayLike | None = None
 
 
+def path_to_root(rig: Rig, joint: str, root: str | None = None) -> list[int]:
+    """Return a joint and its ancestors, up to a root; None is the topmost joint."""
+    path = rig.upwards(rig.index(joint))
+    return path if root is None else path[: path.index(rig.index(root)) + 1]
+
+
 def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     """Return the faults of a single goal."""
     faults = []

@@ -159,10 +159,9 @@ def _limb_fault(
         return f"{description} needs a position goal"
     if (chain.nodes[_goal_nodes(chain, limb.goal), 0] == SLIDE).any():
         return f"{description} needs joints that rotate, and a root that stays in place"
-    joints_above = rig.upwards(rig.index(goal.joint))
     if goal.root is not None:
-        goal_joints = joints_above[: joints_above.index(rig.index(goal.root)) + 1]
-        other_joints = [j for j in joints_above if j in moving and j not in goal_joints]
+        above_root = rig.upwards(rig.index(goal.root))[1:]
+        other_joints = [j for j in above_root if j in moving]
         if other_joints:
             name = rig.joints[other_joints[0]].name
             return f"{description} needs a root that stays in place: {name!r} moves it"

@@ -23,7 +23,7 @@ from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.ik.chain_frame import check_scales
-from animtool.ik.goals import PARTS
+from animtool.ik.goals import PARTS, path_to_root
 from animtool.ik.matching import Matched, match
 from animtool.ik.sub_rig import sub_rig
 from animtool.ik.tracks import GoalTrack, TargetTracks
@@ -136,14 +136,16 @@ def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Faul
         chains: Chains of the rig.
     """
     rig = take.rig
-    chain_joints = {j for chain in chains for j in _path(rig, chain.tip, chain.root)}
+    chain_joints = {
+        j for chain in chains for j in path_to_root(rig, chain.tip, chain.root)
+    }
     roots = {rig.index(chain.root) for chain in chains}
-    joints_above = {j for chain in chains for j in _path(rig, chain.root)}
+    joints_above = {j for chain in chains for j in path_to_root(rig, chain.root)}
     joints_above -= chain_joints
     stretching_joints = {
         j
         for chain in chains
-        for j in _path(rig, chain.tip, chain.root)
+        for j in path_to_root(rig, chain.tip, chain.root)
         if chain.stretch > 0
     }
     motion = take.motion
@@ -162,12 +164,6 @@ def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Faul
     message += "which leave their rest pose and move what is matched"
     hint = f"solve with the same motion as {argument('clip')}"
     return [Fault("TGT103", message, hint=hint, severity=Severity.NOTE)]
-
-
-def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
-    """Return the joint path from a tip up to a root, or to the topmost joint."""
-    path = rig.upwards(rig.index(tip))
-    return path if root is None else path[: path.index(rig.index(root)) + 1]
 
 
 def _joints_off_rest(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:

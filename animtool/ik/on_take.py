@@ -17,7 +17,6 @@ from animtool.core.old_names import renamed_arguments
 from animtool.ik.chain_frame import check_scales, spans_of_take
 from animtool.ik.goals import PARTS, Goal, Targets, targets_of_frames
 from animtool.ik.options import TakeOptions
-from animtool.ik.pole_lines import poles_on_lines
 from animtool.ik.solving import raise_faults
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_run import (
@@ -35,6 +34,9 @@ from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
+# A pole this near to the line is on it, and a middle joint this near is on a straight
+# limb, whose pole does not matter; in lengths of the limb.
+ON_LINE, STRAIGHT = 0.02, 0.02
 # Maps tracks, and for each goal the take it fades from, to the solved take.
 SolveTracks = Callable[[TargetTracks, tuple[Take, ...]], Take]
 
@@ -215,13 +217,43 @@ def _solve_take(
 def _find_open_poles(
     rig: Rig, indices: IntArray, solved_take: TakeIk, targets: Targets
 ) -> BoolArray:
-    """Return a mask of poles that lie on the line of their solved limb ``(F, E)``."""
-    motion = solved_take.take.motion
-    local = motion.translations.gather(indices), motion.rotations.gather(indices)
-    goals = [track.goal for track in solved_take.tracks.goals]
-    return poles_on_lines(
-        rig, goals, forward_kinematics(rig, *local), targets, solved_take.active
+    """Return a mask of poles on the line from root to end of a bent limb ``(F, E)``.
+
+    Such poles do not determine the limb's bend.
+    """
+    motion, active = solved_take.take.motion, solved_take.active
+    world = forward_kinematics(
+        rig, motion.translations.gather(indices), motion.rotations.gather(indices)
     )
+    is_on_line = np.zeros(active.shape[:2], np.bool_)
+    for e, track in enumerate(solved_take.tracks.goals):
+        is_active = active[:, e, PARTS.index("pole")]
+        effector = FreeEffector(rig, track.goal, world)
+        limb = effector.limb() if is_active.any() else None
+        if limb is None:
+            continue
+        points = effector.position()
+        root, middle = (world.positions[:, j] for j in limb)
+        # The effector is off its position where the pole leads astray.
+        has_position = active[:, e, PARTS.index("position")]
+        positions = np.asarray(targets.positions)[:, e]
+        ends = np.where(has_position[:, None], positions, points)
+        length = np.linalg.norm(middle - root, axis=1)
+        length += np.linalg.norm(points - middle, axis=1)
+        pole_distance = _line_distances(np.asarray(targets.poles)[:, e], root, ends)
+        is_bent = _line_distances(middle, root, points) > STRAIGHT * length
+        is_on_line[:, e] = is_active & is_bent & (pole_distance < ON_LINE * length)
+    return is_on_line
+
+
+def _line_distances(
+    points: FloatArray, root: FloatArray, end: FloatArray
+) -> FloatArray:
+    """Return distances of points from the line through root and end ``(F,)`` [m]."""
+    line = end - root
+    length = np.maximum(np.linalg.norm(line, axis=1), 1e-300)
+    cross_products = np.cross(points - root, line / length[:, None])
+    return np.asarray(np.linalg.norm(cross_products, axis=1))
 
 
 def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.core.array_types import ArrayLike, FloatArray, as_floats
+from animtool.core.array_types import ArrayLike, as_floats
 from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.record import dataclass
 from animtool.ik.assembly import assemble
@@ -17,7 +17,6 @@ from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_sources
 from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
 from animtool.ik.limbs import GoalLimb, find_limbs
-from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
@@ -234,13 +233,3 @@ def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list
         message = f"no joint moves {goal.joint!r}"
         faults.append(Fault("IK003", message, hint=hint, where=f"goals[{i}]"))
     return faults
-
-
-def rest_pose(problem: Problem) -> FloatArray:
-    """Return the coordinates ``(Q,)`` of the rest pose."""
-    q = np.zeros(problem.coordinates)
-    slices = coordinate_slices(problem.rig)
-    for joint, columns in zip(problem.rig.joints, slices, strict=True):
-        if joint.type in {JointType.BALL, JointType.FREE}:
-            q[columns.stop - 1] = 1.0
-    return q

@@ -18,6 +18,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.ik.axes import (
     crossed_goals,
+    limb_target,
     pole_hint,
     space_hint,
     unit_hint,
@@ -38,6 +39,7 @@ MISSED_LENGTH = parse_length(REPORTED_MISS)
 MISSED_ANGLE = math.radians(REPORTED_MISS_DEGREES)
 # Misses above this many chain lengths suggest wrong units.
 FAR_MISS = 10.0
+UNITS_QUESTION = "do the targets use these units and this space?"
 # So do targets farther than this many rig sizes from the rig in every frame.
 FAR_TARGET = 20.0
 # Shots often begin at frame 1001, and takes at 1.
@@ -198,17 +200,12 @@ def take_notices(
 
 def missed_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     """Return a warning for each goal that is missed."""
-    return [
-        _goal_warning(
-            solved_take,
-            "IK101",
-            i,
-            _miss_text(report),
-            _miss_hint(solved_take, report, i),
-        )
-        for i, report in enumerate(reports)
-        if report.spans
-    ]
+    notices = []
+    for i, report in enumerate(reports):
+        if report.spans:
+            message, hint = _miss_text(report), _miss_hint(solved_take, report, i)
+            notices.append(_goal_warning(solved_take, "IK101", i, message, hint))
+    return notices
 
 
 def pole_notices(solved_take: TakeIk) -> list[Fault]:
@@ -240,30 +237,26 @@ def crossed_notices(solved_take: TakeIk) -> list[Fault]:
         names = [solved_take.tracks.goals[e].name for e in (left, right)]
         message = f"{names[0]!r} and {names[1]!r} cross in all frames, with joints on "
         message += "their limits"
-        notice = _goal_warning(solved_take, "TGT111", min(left, right), message)
         hint = "if the targets of left and right are exchanged, swap the effectors, or "
         hint += "their offsets"
-        notices.append(replace(notice, hint=hint))
+        e = min(left, right)
+        notices.append(_goal_warning(solved_take, "TGT111", e, message, hint))
     return notices
 
 
 def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
     """Return a hint for a missed goal, where one is known."""
     worst = max(report.spans, key=lambda span: span.distance)
-    hint = up_axis_hint(solved_take, i, worst.frame) if worst.distance > 0 else None
-    if hint is not None:
-        return hint
     if worst.distance > 0:
-        hint = pole_hint(solved_take, i, worst.frame)
-        hint = hint or space_hint(solved_take, i, worst.frame)
-    if hint is not None:
-        return hint
-    far_miss = FAR_MISS * solved_take.problem.length
-    if any(span.distance > far_miss for span in report.spans):
-        return (
-            unit_hint(solved_take, i, worst.frame)
-            or "far out of reach: do the targets use these units and this space?"
-        )
+        rig, target = solved_take.take.rig, limb_target(solved_take, i, worst.frame)
+        hint = up_axis_hint(rig, target)
+        hint = hint or pole_hint(solved_take, i, worst.frame, target)
+        hint = hint or space_hint(rig, target)
+        if hint is None and worst.distance > FAR_MISS * solved_take.problem.length:
+            hint = unit_hint(rig, target)
+            hint = hint or f"far out of reach: {UNITS_QUESTION}"
+        if hint is not None:
+            return hint
     if any(span.status is IkStatus.BUDGET for span in report.spans):
         hint = f"the step or time limit was reached: raise {argument('seconds')}, "
         return f"{hint}remove it, or use a start that is nearer"
@@ -316,8 +309,7 @@ def span_notices(solved_take: TakeIk) -> list[Fault]:
             if offset and first - offset >= times[0] and last - offset <= times[-1]:
                 span = f"[{first - offset:g}, {last - offset:g}]"
                 hint += f"; without an offset of {offset:g} it is {span}"
-            notice = _goal_warning(solved_take, "TGT104", i, message)
-            notices.append(replace(notice, hint=hint))
+            notices.append(_goal_warning(solved_take, "TGT104", i, message, hint))
     return notices
 
 
@@ -459,8 +451,8 @@ def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[F
             f"the targets of {report.name!r} are at least {length_text(distance)} from "
             f"its start, but the rig is {length_text(solved_take.size)} large"
         )
-        hint = "do the targets use these units and this space?"
-        notices.append(_goal_warning(solved_take, "TGT106", i, message, hint))
+        notice = _goal_warning(solved_take, "TGT106", i, message, UNITS_QUESTION)
+        notices.append(notice)
     return notices
 
 

@@ -14,7 +14,7 @@ from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Goal, Targets, pack
 from animtool.ik.options import IkOptions
-from animtool.ik.problem import Problem, build, rest_pose
+from animtool.ik.problem import Problem, build
 from animtool.ik.result import IkResult
 from animtool.ik.rig_solver import ClosedForm, build_solver, closed_form
 from animtool.ik.solving import (
@@ -24,6 +24,7 @@ from animtool.ik.solving import (
     result_of_kernel,
     solve,
 )
+from animtool.rig.joints import rest_coordinates
 
 if TYPE_CHECKING:
     from animtool import _kernels
@@ -227,10 +228,11 @@ class Session:
             for e, goal in enumerate(goals)
             for kind in goal.kinds
         ]
+        solver = build_solver(problem, self.options)
+        has_branches = closed_form(problem) is ClosedForm.ARM
+        rest = rest_coordinates(self.rig, 1)
         return _PackedProblem(
-            *(problem, build_solver(problem, self.options)),
-            *(closed_form(problem) is ClosedForm.ARM, rest_pose(problem)[None]),
-            *(targets, tuple(views)),
+            problem, solver, has_branches, rest, targets, tuple(views)
         )
 
 

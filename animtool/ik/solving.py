@@ -13,11 +13,12 @@ from animtool.core.errors import Fault, OptionError, listed
 from animtool.ik.chain import difference
 from animtool.ik.goals import Targets, pack
 from animtool.ik.options import IkMethod, IkOptions
-from animtool.ik.problem import Problem, rest_pose
+from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.rig_solver import CLOSED_FORM_METHODS, KernelSolution, build_solver
 from animtool.ik.sub_rig import with_mimics
 from animtool.ik.two_bone import incompatibility
+from animtool.rig.joints import rest_coordinates
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType
 
@@ -195,7 +196,8 @@ def pose_rows(
 ) -> FloatArray:
     """Return poses as ``(B, Q)``; a single pose is repeated for the batch."""
     width = problem.coordinates
-    rows = rest_pose(problem) if pose is None else np.asarray(pose, np.float64)
+    rest = rest_coordinates(problem.rig, 1)[0]
+    rows = rest if pose is None else np.asarray(pose, np.float64)
     if rows.shape not in {(width,), (batch, width)}:
         message = f"{name} must have shape ({width},) or ({batch}, {width})"
         raise OptionError(Fault("IK012", f"{message}, not {rows.shape}"))

@@ -12,8 +12,8 @@ from support.suite import some_quick
 
 from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build, follow
-from animtool.ik.problem import rest_pose
 from animtool.ik.result import IkStatus
+from animtool.rig.joints import rest_coordinates
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -50,7 +50,7 @@ def test_what_is_out_of_reach_is_at_the_nearest(seed: int, moving: bool) -> None
     share = np.linspace(0, 3, 73)
     points = np.stack([np.interp(share, range(4), corners[:, i]) for i in (0, 1)], 1)
     targets = Targets(np.concatenate([points, np.zeros((73, 1))], axis=1)[:, None])
-    start = np.repeat(rest_pose(problem)[None], 73, axis=0) if moving else None
+    start = rest_coordinates(problem.rig, 73) if moving else None
     result = follow(problem, start, targets)
     misses = result.positions[:, 0]
     assert (~result.converged).sum() > 10
@@ -90,7 +90,7 @@ def test_an_aim_goes_over_limits_that_are_one_turn_apart(begin: float) -> None:
     """The swivel is turned alike at both ends: no flip to the other side of the arm."""
     problem = crane()
     targets = aims(begin + np.linspace(0, 1.2 * np.pi, 48))
-    clip = np.repeat(rest_pose(problem)[None], 48, axis=0)
+    clip = rest_coordinates(problem.rig, 48)
     result = follow(problem, clip, targets)
     assert result.converged.all()
     assert result.jumps == ()
@@ -103,7 +103,7 @@ def test_a_clip_begins_on_the_branch_that_leads_on() -> None:
     """Beyond ±100 degrees the arm has to lean back, and does so from the start."""
     problem = crane(np.radians(100.0))
     targets = aims(np.radians(np.linspace(85.0, 160.0, 48)))
-    clip = np.repeat(rest_pose(problem)[None], 48, axis=0)
+    clip = rest_coordinates(problem.rig, 48)
     result = follow(problem, clip, targets)
     assert result.converged.all()
     assert result.jumps == ()
@@ -127,7 +127,7 @@ def pulled(weight: float, priority: int) -> tuple[FloatArray, FloatArray]:
     share = np.linspace(0, 1, 13)[:, None, None]
     points = ends[0] * (1 - share) + ends[1] * share
     spots = np.concatenate([points, np.zeros((13, 2, 1))], axis=2)
-    start = np.repeat(rest_pose(problem)[None], 13, axis=0)
+    start = rest_coordinates(problem.rig, 13)
     result = follow(problem, start, Targets(spots))
     claimed = np.array([status is IkStatus.NEAREST for status in result.statuses])
     counts = np.array([1.0, weight if priority == 0 else 0.0])

@@ -19,13 +19,13 @@ from animtool import Rig
 from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.matching import Matched, match
-from animtool.ik.problem import rest_pose
 from animtool.ik.sub_rig import sub_rig
 from animtool.maths import so3
 from animtool.rig.joints import (
     LocalTransforms,
     coordinate_slices,
     local_from_coordinates,
+    rest_coordinates,
 )
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import RangeLimit
@@ -65,7 +65,7 @@ def solved(
     """Return the pose of one frame's targets, the limbs beginning at rest."""
     start = q.copy()
     places = coordinate_slices(rig)
-    rest = rest_pose(build(rig, found.goals))
+    rest = rest_coordinates(rig, 1)[0]
     for chain in chains:
         for j in limb_of(rig, chain):
             start[places[j]] = rest[places[j]]
