@@ -55,19 +55,19 @@ class _ChainBuilder:
         self.slices = coordinate_slices(rig)
         self.ranges = _coordinate_ranges(rig)
         self.nodes: list[list[int]] = []
-        self.rests: list[FloatArray] = []
+        self.rest_matrices: list[FloatArray] = []
         self.offsets: list[FloatArray] = []
         self.gains: list[tuple[float, float]] = []
         self.limits: list[tuple[float, float, float, float]] = []
-        self.columns: list[int] = []
-        self.lengths: list[bool] = []
+        self.rig_columns: list[int] = []
+        self.is_length: list[bool] = []
         self.periods: list[tuple[float, float]] = []
         self.ball_rotations: list[tuple[int, FloatArray]] = []
         self.leader_columns: dict[int, int] = {}
-        self.balls: dict[int, int] = {}
+        self.ball_columns: dict[int, int] = {}
         self.programs = Programs(rig, pose) if rig.is_driven else None
 
-    def add(self, joint: int, frame: _Frame) -> _Frame:
+    def add_joint(self, joint: int, frame: _Frame) -> _Frame:
         """Append a joint's nodes below its rest frame; return the joint's frame."""
         spec = self.rig.joints[joint]
         first = self.slices[joint].start
@@ -77,12 +77,14 @@ class _ChainBuilder:
             for i in range(3):
                 frame = self._add_slide(first + i, frame, np.eye(3)[i])
             return self._add_ball(first + 3, spec, frame)
-        self.balls[joint] = len(self.columns)
+        self.ball_columns[joint] = len(self.rig_columns)
         return self._add_ball(first, spec, frame)
 
     def sources(self) -> dict[int, CoordinateSource]:
         """Return the chain coordinates that drivers may read, by joint."""
-        sources = {j: CoordinateSource(column) for j, column in self.balls.items()}
+        sources = {
+            j: CoordinateSource(column) for j, column in self.ball_columns.items()
+        }
         for j, joint in enumerate(self.rig.joints):
             if joint.type in {JointType.PIN, JointType.PRISMATIC}:
                 leader, gain, shift = _leader_of(self.rig, j)
@@ -104,7 +106,7 @@ class _ChainBuilder:
     ) -> _Frame:
         """Append a node to the chain; return its frame."""
         self.nodes.append([kind, frame.node, coordinate, driver_kind])
-        self.rests.append(so3.to_matrix(so3.multiply(frame.rotation, rotation)))
+        self.rest_matrices.append(so3.to_matrix(so3.multiply(frame.rotation, rotation)))
         self.offsets.append(frame.translation)
         self.gains.append(gain)
         self.limits.append(limit)
@@ -112,11 +114,11 @@ class _ChainBuilder:
 
     def _add_slide(self, column: int, frame: _Frame, axis: FloatArray) -> _Frame:
         """Append a prismatic node along an axis; return the frame that it moves."""
-        self.columns.append(column)
-        self.lengths.append(True)
+        self.rig_columns.append(column)
+        self.is_length.append(True)
         self.periods.append(UNLIMITED)
         rotation = _rotation_from_z(axis)
-        return self._add_node(SLIDE, frame, rotation, len(self.columns) - 1)
+        return self._add_node(SLIDE, frame, rotation, len(self.rig_columns) - 1)
 
     def _add_axis_joint(self, joint: int, frame: _Frame) -> _Frame:
         """Append the node of a pin or prismatic joint; return its frame."""
@@ -141,9 +143,9 @@ class _ChainBuilder:
             )
         low, high = self.ranges.get(leader, UNLIMITED)
         is_length = self.rig.joints[leader].type is JointType.PRISMATIC
-        column = self.leader_columns[leader] = len(self.columns)
-        self.columns.append(self.slices[leader].start)
-        self.lengths.append(is_length)
+        column = self.leader_columns[leader] = len(self.rig_columns)
+        self.rig_columns.append(self.slices[leader].start)
+        self.is_length.append(is_length)
         is_unlimited = (
             not is_length
             and high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
@@ -168,9 +170,9 @@ class _ChainBuilder:
             if twist[1] - twist[0] >= 2 * np.pi - REVOLUTION_TOLERANCE:
                 twist = UNLIMITED
             limit = (*swing, *twist)
-        first_column = len(self.columns)
-        self.columns += range(column, column + 4)
-        self.lengths += [False] * 4
+        first_column = len(self.rig_columns)
+        self.rig_columns += range(column, column + 4)
+        self.is_length += [False] * 4
         self.periods += [UNLIMITED] * 4
         self.ball_rotations.append((first_column, so3.conjugate(rotation)))
         return self._add_node(BALL, frame, rotation, first_column, limit=limit)
@@ -216,7 +218,7 @@ def _coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
 
 
 def assemble(
-    rig: Rig, goals: Sequence[Goal], moving: set[int], pose: FloatArray
+    rig: Rig, goals: Sequence[Goal], moving_joints: set[int], pose: FloatArray
 ) -> tuple[Chain, list[Fault]]:
     """Return the chain of the moving joints; other joints are fixed at a pose ``(Q,)``.
 
@@ -228,21 +230,21 @@ def assemble(
     joints_above_goals = {
         j for goal in goals for j in rig.upwards(rig.index(goal.joint))
     }
-    at_root = _Frame(-1, np.zeros(3), so3.IDENTITY)
+    root_frame = _Frame(-1, np.zeros(3), so3.IDENTITY)
     rest_poses = zip(rig.rest_translations, rig.rest_rotations, strict=True)
     poses = list(zip(local.translations[0], local.rotations[0], strict=True))
     for j, rest in enumerate(rest_poses):
         if j not in joints_above_goals:
             continue
-        parent = frames.get(rig.joints[j].parent, at_root)
-        if j in moving:
-            frames[j] = builder.add(j, parent.transform(*rest))
+        parent = frames.get(rig.joints[j].parent, root_frame)
+        if j in moving_joints:
+            frames[j] = builder.add_joint(j, parent.transform(*rest))
         else:
             frames[j] = parent.transform(*poses[j])
-    for j in sorted(moving - joints_above_goals):
+    for j in sorted(moving_joints - joints_above_goals):
         # They move goals only through mimic joints: their position is irrelevant.
-        builder.add(j, at_root)
-    limbs, faults = _limbs(rig, goals, moving, frames, local)
+        builder.add_joint(j, root_frame)
+    limbs, faults = _limbs(rig, goals, moving_joints, frames, local)
     return _build_chain(builder, rig, goals, frames, limbs), faults
 
 
@@ -284,15 +286,16 @@ def _build_chain(
 ) -> Chain:
     """Return the chain of a builder, with lengths divided by the chain's length."""
     goal_frames = [frames[rig.index(goal.joint)] for goal in goals]
-    tools = [
+    tool_offsets = [
         so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
         for goal, end in zip(goals, goal_frames, strict=True)
     ]
     points = [
-        end.translation + tool for end, tool in zip(goal_frames, tools, strict=True)
+        end.translation + tool
+        for end, tool in zip(goal_frames, tool_offsets, strict=True)
     ]
     length = _chain_length(builder, goal_frames, points)
-    scales = np.where(builder.lengths, length, 1.0)
+    scales = np.where(builder.is_length, length, 1.0)
     nodes, numbers = _node_rows(builder, scales, length)
     goal_numbers = [
         [
@@ -301,7 +304,7 @@ def _build_chain(
             *so3.rotate(end.rotation, np.asarray(goal.aim_axis, np.float64)),
             *goal.weights,
         ]
-        for goal, end, tool in zip(goals, goal_frames, tools, strict=True)
+        for goal, end, tool in zip(goals, goal_frames, tool_offsets, strict=True)
     ]
     levels = _priority_levels(goals)
     goal_nodes = [
@@ -314,7 +317,7 @@ def _build_chain(
         np.array(goal_nodes, np.int64),
         np.array(goal_numbers, np.float64),
         np.array([end.rotation for end in goal_frames]),
-        np.array(builder.columns, np.int64),
+        np.array(builder.rig_columns, np.int64),
         scales,
         np.array(builder.periods, np.float64),
         tuple(builder.ball_rotations),
@@ -346,7 +349,7 @@ def _node_rows(
     limits[single_columns, :2] /= coordinate_scales[single_columns, None]
     node_numbers = np.concatenate(
         [
-            np.array(builder.rests).reshape(-1, 9),
+            np.array(builder.rest_matrices).reshape(-1, 9),
             np.array(builder.offsets) / length,
             (gains[:, 0] * coordinate_scales / node_scales)[:, None],
             (gains[:, 1] / node_scales)[:, None],
@@ -356,7 +359,7 @@ def _node_rows(
     )
     if builder.programs is not None:
         sources = builder.sources()
-        requested, program_rows, values = builder.programs.rows(sources, scales)
+        requested, program_rows, values = builder.programs.arrays(sources, scales)
         nodes[is_program, 2] = np.array(requested, np.int64)[nodes[is_program, 2]]
         padding = np.zeros((len(program_rows), node_numbers.shape[1]))
         padding[:, :6] = np.array(values).reshape(-1, 6)

@@ -157,23 +157,23 @@ def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
         if world_positions is None:
             world_positions = solved_take.take.world().positions
         positions = world_positions[frames]
-        across = positions[:, roots[0]] - positions[:, roots[1]]
-        tips = positions[:, left] - positions[:, right]
-        crossings = -(tips * across).sum(axis=1)
+        root_offsets = positions[:, roots[0]] - positions[:, roots[1]]
+        tip_offsets = positions[:, left] - positions[:, right]
+        crossings = -(tip_offsets * root_offsets).sum(axis=1)
         if (
             not len(crossings)
-            or (crossings <= MIN_CROSSING * (across**2).sum(axis=1)).any()
+            or (crossings <= MIN_CROSSING * (root_offsets**2).sum(axis=1)).any()
         ):
             continue
         names = {
             rig.names[joint] for tip in (left, right) for joint in rig.upwards(tip)
         }
-        limited = [
+        limit_fractions = [
             float(on[frames].mean())
             for name, on in solved_take.on_limits.items()
             if name in names
         ]
-        if max(limited, default=0.0) >= MIN_LIMITED:
+        if max(limit_fractions, default=0.0) >= MIN_LIMITED:
             crossed.append(goals)
     return crossed
 

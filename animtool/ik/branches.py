@@ -14,7 +14,7 @@ from animtool.ik.chain import (
     BALL,
     Chain,
     apply_steps,
-    difference,
+    joint_steps,
     unwrap_angles,
     with_periods,
 )
@@ -117,15 +117,15 @@ def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> Flo
     have small weights. The largest weight of a frame is normalised to 1; lengths are
     fractions of the problem's length.
     """
-    counts = np.array([goal.weights for goal in problem.goals])
-    counts = counts * PRIORITY_FACTOR ** problem.chain.goals[:, 3:4]
+    weights = np.array([goal.weights for goal in problem.goals])
+    weights = weights * PRIORITY_FACTOR ** problem.chain.goals[:, 3:4]
     if targets.weights is not None:
-        counts = counts * np.asarray(targets.weights, np.float64)
-    largest = counts.max(axis=(-2, -1), keepdims=True)
-    counts = np.divide(counts, largest, out=np.zeros_like(counts), where=largest > 0)
+        weights = weights * np.asarray(targets.weights, np.float64)
+    largest = weights.max(axis=(-2, -1), keepdims=True)
+    weights = np.divide(weights, largest, out=np.zeros_like(weights), where=largest > 0)
     relative_misses = misses / by_unit(problem.length, 1.0)
     # Misses of weight 0 may be infinite.
-    return np.asarray(np.where(counts > 0, relative_misses, 0.0) * counts, np.float64)
+    return np.asarray(np.where(weights > 0, relative_misses, 0.0) * weights, np.float64)
 
 
 def miss_cost(misses: FloatArray, is_reached: BoolArray) -> FloatArray:
@@ -193,7 +193,7 @@ def branch_tracks(
         frames = np.full(len(starts), interval.frames[row])
         solutions, cost = interval.solve_frames(np.array(starts), frames)
         distinct = _distinct(interval.chain, solutions[cost <= cost.min() + EQUAL_COST])
-        steps = np.abs(difference(interval.chain, current_pose, distinct))
+        steps = np.abs(joint_steps(interval.chain, current_pose, distinct))
         order = np.argsort(steps.max(axis=1), kind="stable")
         distinct = distinct[order[:SOLUTIONS_PER_SAMPLE]]
         tracks, costs = track_both_directions(interval, distinct, row, TRACK_ITERATIONS)
@@ -230,9 +230,9 @@ def search_long_interval(
                 np.arange(row, min(row + search_reach, length)),
                 np.arange(row, max(row - search_reach, -1), -1),
             ):
-                poses, is_reached = interval.track(solutions[k], rows)
-                paths[layer + k, rows[:is_reached]] = poses[:is_reached]
-                costs[layer + k, rows[:is_reached]] = 0.0
+                poses, reached_count = interval.track(solutions[k], rows)
+                paths[layer + k, rows[:reached_count]] = poses[:reached_count]
+                costs[layer + k, rows[:reached_count]] = 0.0
     return paths, costs
 
 
@@ -251,11 +251,11 @@ def random_poses(
     for i in range(count):
         step = rng.normal(size=chain.degrees) * RANDOM_SPREADS[i % len(RANDOM_SPREADS)]
         pose = apply_steps(chain, centre, step)
-        for (kind, _, column, follows), numbers in zip(
+        for (kind, _, column, driver_kind), numbers in zip(
             chain.nodes[:, :4], with_periods(chain), strict=True
         ):
             fraction, (low, high) = rng.uniform(-1, 1), numbers[14:16]
-            if kind != BALL and not follows and np.isfinite([low, high]).all():
+            if kind != BALL and not driver_kind and np.isfinite([low, high]).all():
                 half_range = min((high - low) / 2, np.pi)
                 pose[column] = (low + high) / 2 + fraction * half_range
         yield pose
@@ -266,7 +266,7 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
     distinct: list[FloatArray] = []
     for pose in poses:
         steps = (
-            np.abs(difference(chain, np.array(distinct), pose)) if distinct else None
+            np.abs(joint_steps(chain, np.array(distinct), pose)) if distinct else None
         )
         if steps is None or steps.max(axis=1).min() > SAME_BRANCH:
             distinct.append(pose)
@@ -285,7 +285,7 @@ def track_both_directions(
         for row in range(start_row, stop, direction):
             if row != start_row:
                 previous = interval.reference[row - direction]
-                change = difference(interval.chain, previous, current)
+                change = joint_steps(interval.chain, previous, current)
                 current = apply_steps(interval.chain, interval.reference[row], change)
             frames = np.full(len(current), interval.frames[row])
             current, costs[:, row] = interval.solve_frames(current, frames, steps)
@@ -300,7 +300,7 @@ def _blend_paths(
     progress = np.clip(np.arange(len(interval.frames)) / max(end_row, 1), 0.0, 1.0)
     weights = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:
-        step = difference(interval.chain, interval.poses, track)
+        step = joint_steps(interval.chain, interval.poses, track)
         blended_poses = apply_steps(interval.chain, interval.poses, weights * step)
         yield interval.solve_frames(blended_poses, np.array(interval.frames))
 
@@ -322,7 +322,9 @@ def best_path(
     ``paths`` ``(K, L, C)``, ``costs`` ``(K, L)``.
     """
     chain = interval.chain
-    reference_steps = difference(chain, interval.reference[:-1], interval.reference[1:])
+    reference_steps = joint_steps(
+        chain, interval.reference[:-1], interval.reference[1:]
+    )
     path_indices = _kernels.cheapest_ik_path(
         chain.nodes,
         with_periods(chain),

@@ -54,7 +54,7 @@ class Chain:
         return np.flatnonzero(np.isfinite(self.periods[:, 0]))
 
     @cached_property
-    def _balls(self) -> tuple[IntArray, FloatArray]:
+    def _ball_columns(self) -> tuple[IntArray, FloatArray]:
         """Columns ``(T, 4)`` of ball joints, and their frames ``(T, 4)``."""
         first = np.array([column for column, _ in self.ball_frames], np.int64)
         ball_frames = np.array([frame for _, frame in self.ball_frames]).reshape(-1, 4)
@@ -63,14 +63,14 @@ class Chain:
     def from_rig(self, coordinates: FloatArray) -> FloatArray:
         """Return chain coordinates ``(B, C)`` from rig coordinates ``(B, Q)``."""
         q = np.ascontiguousarray(coordinates[:, self.columns] / self.scales)
-        columns, ball_frames = self._balls
+        columns, ball_frames = self._ball_columns
         q[:, columns] = _conjugate(so3.normalize(q[:, columns]), ball_frames)
         return q
 
     def into_rig(self, q: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Return rig coordinates ``(B, Q)`` updated from the chain's ``(B, C)``."""
         q = q.copy()
-        columns, ball_frames = self._balls
+        columns, ball_frames = self._ball_columns
         q[:, columns] = _conjugate(q[:, columns], so3.conjugate(ball_frames))
         if len(self.full_revolution_columns):
             low, high = self.periods[self.full_revolution_columns].T
@@ -90,7 +90,7 @@ def _conjugate(q: FloatArray, frame: FloatArray) -> FloatArray:
     return np.concatenate([so3.rotate(frame, q[..., :3]), q[..., 3:]], axis=-1)
 
 
-def difference(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
+def joint_steps(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
     """Return steps between poses ``(..., D)``, from coordinates ``(..., C)``.
 
     Pins in radians, slides in fractions of the chain's length, balls as rotation

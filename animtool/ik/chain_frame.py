@@ -86,8 +86,8 @@ def spans_of_take(
     coordinates = project_to_coordinates(rig, local)
     controls = controls or {}
     rig = with_controls(rig, controls, 0)
-    probe = build(rig, goals, joints=joints, pose=coordinates[0])
-    moving = {rig.index(name) for name in probe.joints}
+    problem = build(rig, goals, joints=joints, pose=coordinates[0])
+    moving = {rig.index(name) for name in problem.joints}
     paths = [rig.upwards(rig.index(goal.joint)) for goal in goals]
     chain_roots = [max(i for i, j in enumerate(path) if j in moving) for path in paths]
     carriers = [
@@ -109,10 +109,10 @@ def spans_of_take(
         if (leaves_joint_type[j] if j in moving else is_changed[0][j])
         or (j not in moving | pivot_joints and is_changed[1][j])
     ]
-    read_controls = _moving_sources(
+    moving_sources = _moving_sources(
         rig, moving & path_joints, moving, is_changed[0] | is_changed[1]
     )
-    moving_between = sorted({*moving_between, *read_controls})
+    moving_between = sorted({*moving_between, *moving_sources})
     changing_controls = [
         name for name, values in controls.items() if (values != values[0]).any()
     ]
@@ -206,12 +206,12 @@ def _is_rotated(local: LocalTransforms) -> BoolArray:
 
 
 def _with_rest_pose(
-    rig: Rig, rests: LocalTransforms, frame: int, moving: Sequence[int]
+    rig: Rig, rest: LocalTransforms, frame: int, moving: Sequence[int]
 ) -> Rig:
     """Return the rig with its rest pose replaced by that of a frame, if different."""
     joints = list(rig.joints)
     for j in moving:
-        translation, rotation = rests.translations[frame, j], rests.rotations[frame, j]
+        translation, rotation = rest.translations[frame, j], rest.rotations[frame, j]
         differs = np.abs(translation - rig.rest_translations[j]).max() > EQUAL_TOLERANCE
         if (
             differs

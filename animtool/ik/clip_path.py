@@ -18,7 +18,7 @@ from animtool.ik.branches import (
     miss_of_cost,
     weight_misses,
 )
-from animtool.ik.chain import difference
+from animtool.ik.chain import joint_steps
 from animtool.ik.goals import Targets, by_unit, targets_of_frames
 from animtool.ik.jumps import jump_threshold
 from animtool.ik.options import IkMethod, IkOptions
@@ -182,7 +182,9 @@ class ClipPath:
         """
         costs = equalize_near_misses(costs, self.slack)
         if source_weight > 0:
-            source_distances = difference(self.problem.chain, interval.reference, paths)
+            source_distances = joint_steps(
+                self.problem.chain, interval.reference, paths
+            )
             costs = costs + source_weight * (source_distances**2).sum(axis=2)
         return best_path(
             interval, paths, costs, fixed_end=fixed_end, free_start=free_start
@@ -223,7 +225,7 @@ class ClipPath:
         later_frames = slice(window.stop, len(self))
         if later_frames.start < len(self):
             previous_end = current_poses[later_frames.start - 1]
-            change = np.abs(difference(chain, previous_end, poses[-1])).max()
+            change = np.abs(joint_steps(chain, previous_end, poses[-1])).max()
             if self.is_motion or change < EQUAL_POSES:
                 results.append(result.select(later_frames))
             else:

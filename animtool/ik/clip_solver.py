@@ -93,7 +93,7 @@ def follow(
     (True, ())
     """
     options = options or FollowOptions()
-    _check(options)
+    _check_options(options)
     clip = ClipPath(problem, start, targets, options, prefer)
     result = _solve_in_order(clip)
     if options.smooth > 0:
@@ -105,7 +105,7 @@ def follow(
     return replace(result, jumps=find_clip_jumps(result, targets, start, options.fps))
 
 
-def _check(options: FollowOptions) -> None:
+def _check_options(options: FollowOptions) -> None:
     """Raise if options are invalid."""
     faults = smoothing_faults(options.smooth, options.fps)
     faults += [
@@ -121,7 +121,7 @@ def _solve_in_order(clip: ClipPath) -> IkResult:
     """Solve the frames in order, then remove the jumps that another path avoids."""
     result = clip.solve_frames(slice(0, len(clip)), clip.start)
     for attempt in range(MAX_SEARCHES if _has_small_solution_set(clip) else 0):
-        if not _is_worth_search(clip, clip.chain_poses(result), attempt):
+        if not _is_worth_searching(clip, clip.chain_poses(result), attempt):
             break
         previous, result = result, _search_full_clip(clip, result, attempt)
         if result is previous:
@@ -148,7 +148,7 @@ def _has_small_solution_set(clip: ClipPath) -> bool:
     return not clip.is_motion and redundancy <= MAX_REDUNDANCY
 
 
-def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
+def _is_worth_searching(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
     """Return whether the largest step is a jump that another path may avoid."""
     ratios = clip.jump_ratios(poses)
     if not len(ratios) or ratios.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
@@ -244,10 +244,10 @@ def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult
         paths, costs = find_branches(interval, options.branches, options.solving.seed)
         is_inside = window.stop < len(clip)
         fixed_end = is_inside and (clip.is_motion or _has_small_solution_set(clip))
-        detour = _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
-        ratio = clip.max_jump_ratio(detour, first)
+        even_path = _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
+        ratio = clip.max_jump_ratio(even_path, first)
         if ratio < MIN_REDUCTION * smallest_ratio:
-            smallest_ratio, best_result = ratio, (window, detour)
+            smallest_ratio, best_result = ratio, (window, even_path)
         if smallest_ratio <= SMOOTH_ENOUGH:
             break
     return result if best_result is None else clip.with_window(result, *best_result)

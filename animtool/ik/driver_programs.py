@@ -27,7 +27,7 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
-# Kind of a row of nodes that is an instruction.
+# Node kind of the instructions of programs.
 INSTRUCTION = 3
 # Driver kinds of a node: its own coordinate, that of a leader, or a program's result.
 UNDRIVEN, FOLLOWS_LEADER, FOLLOWS_PROGRAM = 0, 1, 2
@@ -41,10 +41,10 @@ _OPERATIONS = (
 _OPERATION_NUMBERS = {name: i for i, name in enumerate(_OPERATIONS)}
 
 # An operation, its reference (counted from 1), and its numbers.
-_Row = tuple[str, int, tuple[float, ...]]
+_Instruction = tuple[str, int, tuple[float, ...]]
 
 
-def with_sources(
+def with_driver_sources(
     rig: Rig, moving: set[int], goals: Sequence[Goal], joints: Collection[str] | None
 ) -> set[int]:
     """Return the moving joints, including joints that drive a driven joint.
@@ -92,8 +92,8 @@ class Programs:
     rig: Rig
     pose: FloatArray
     requested: dict[str, int] = field(default_factory=dict)
-    # Number of each program by target, in evaluation order.
-    _numbers: dict[str, int] = field(default_factory=dict, init=False)
+    # Index of each program by target, in evaluation order.
+    _indices: dict[str, int] = field(default_factory=dict, init=False)
     # Chain coordinates by joint, and the divisor of each coordinate.
     _sources: Mapping[int, CoordinateSource] = field(default_factory=dict, init=False)
     _scales: FloatArray = field(default_factory=lambda: np.zeros(0), init=False)
@@ -108,12 +108,12 @@ class Programs:
         target = f"joint/{self.rig.names[joint]}"
         return self.requested.setdefault(target, len(self.requested))
 
-    def rows(
+    def arrays(
         self, sources: Mapping[int, CoordinateSource], scales: FloatArray
     ) -> tuple[list[int], list[list[int]], list[list[float]]]:
-        """Return the numbers of the requested programs, and the rows of all programs.
+        """Return the indices of the requested programs, and the arrays of all programs.
 
-        These are nodes ``(., 4)`` and numbers ``(., 6)``.
+        They have a row for each instruction: nodes ``(., 4)`` and numbers ``(., 6)``.
 
         Args:
             sources: Chain coordinates by joint.
@@ -125,16 +125,16 @@ class Programs:
             if target in needed_inputs:
                 needed_inputs.update(self._targets_read(target))
         order = [target for target in self.plan.order if target in needed_inputs]
-        self._numbers = {target: i for i, target in enumerate(order)}
+        self._indices = {target: i for i, target in enumerate(order)}
         nodes: list[list[int]] = []
         numbers: list[list[float]] = []
-        for target, number in self._numbers.items():
-            for name, reference, values in self._program_rows(target):
+        for target, number in self._indices.items():
+            for name, reference, values in self._target_program(target):
                 # The reference is counted from 1: 0 marks joint rows.
                 operation = _OPERATION_NUMBERS[name]
                 nodes.append([INSTRUCTION, number, operation, reference + 1])
                 numbers.append([*values, *[0.0] * (6 - len(values))])
-        return [self._numbers[target] for target in self.requested], nodes, numbers
+        return [self._indices[target] for target in self.requested], nodes, numbers
 
     def _targets_read(self, target: str) -> list[str]:
         """Return the joints and controls whose values a target's program reads."""
@@ -173,66 +173,66 @@ class Programs:
             if drive.target == f"control/{control}"
         ]
 
-    def _program_rows(self, target: str) -> list[_Row]:
-        """Return the rows that compute a target: a control or a driven joint."""
+    def _target_program(self, target: str) -> list[_Instruction]:
+        """Return the program that computes a target: a control or a driven joint."""
         kind, _, name = target.partition("/")
         if kind == "control":
             control = self._control_of(name)
             if control.driven is not None:
-                return self._driver_rows(control.driven)
-            rows: list[_Row] = [("number", 0, (control.default,))]
+                return self._driver_program(control.driven)
+            program: list[_Instruction] = [("number", 0, (control.default,))]
             for drive in self._drives_of(name):
-                rows += [*self._driver_rows(drive), ("+", 0, ())]
-            return rows
+                program += [*self._driver_program(drive), ("+", 0, ())]
+            return program
         joint = self.rig.index(name)
         driven, spec = self.plan.driver_of(joint), self.rig.joints[joint]
         if isinstance(driven, Mimic):
             leader = self.rig.joints[self.rig.index(driven.joint)]
             part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
-            rows = self._source_rows(f"{leader.name}.{part}")
-            rows += [*_multiply_rows(driven.gain), *_add_rows(driven.offset)]
+            program = self._source_program(f"{leader.name}.{part}")
+            program += [*_multiply(driven.gain), *_add(driven.offset)]
         else:
-            rows = self._driver_rows(driven)
+            program = self._driver_program(driven)
         if isinstance(spec.limits, RangeLimit):
             limits = (spec.limits.low, spec.limits.high)
-            rows += [("number", 0, (limit,)) for limit in limits]
-            rows.append(("clamp", 0, ()))
-        return rows
+            program += [("number", 0, (limit,)) for limit in limits]
+            program.append(("clamp", 0, ()))
+        return program
 
-    def _driver_rows(self, driver: Driver) -> list[_Row]:
-        """Return the rows that evaluate a driver's expression and curve."""
-        rows: list[_Row] = []
+    def _driver_program(self, driver: Driver) -> list[_Instruction]:
+        """Return the program that evaluates a driver's expression or curve."""
+        program: list[_Instruction] = []
         if driver.expression is None:
-            rows += self._input_rows(driver, driver.curve_input)
+            program += self._input_program(driver, driver.curve_input)
             slopes = [0.0] * len(driver.curve)
             if driver.smooth and len(driver.curve) > 1:
                 slopes = smooth_slopes(driver.curve).tolist()
-            rows += [
+            program += [
                 ("point", 0, (x, y, slope))
                 for (x, y), slope in zip(driver.curve, slopes, strict=True)
             ]
-            rows.append(("curve", len(driver.curve), (float(driver.smooth),)))
+            program.append(("curve", len(driver.curve), (float(driver.smooth),)))
         else:
             for kind, value in driver.expression.postfix_program():
                 if kind == "name":
-                    rows += self._input_rows(driver, str(value))
+                    program += self._input_program(driver, str(value))
                 elif kind == "number":
-                    rows.append(("number", 0, (float(value),)))
+                    program.append(("number", 0, (float(value),)))
                 else:
-                    rows.append((str(value), 0, ()))
-        return rows + _multiply_rows(driver.unit)
+                    program.append((str(value), 0, ()))
+        return program + _multiply(driver.unit)
 
-    def _input_rows(self, driver: Driver, name: str) -> list[_Row]:
-        """Return the program rows that read a driver's input in its unit."""
-        rows = self._source_rows(name)
-        return rows + _multiply_rows(1.0 / driver.unit_of(name))
+    def _input_program(self, driver: Driver, name: str) -> list[_Instruction]:
+        """Return the program that reads a driver's input in its unit."""
+        program = self._source_program(name)
+        return program + _multiply(1.0 / driver.unit_of(name))
 
-    def _source_rows(self, name: str) -> list[_Row]:
-        """Return the rows that read a control or a joint coordinate."""
+    def _source_program(self, name: str) -> list[_Instruction]:
+        """Return the program that reads a control or a joint coordinate."""
         joint, part = split_coordinate(name)
         target = f"joint/{joint}" if joint else f"control/{name}"
-        if target in self._numbers:
-            return [("result", self._numbers[target] + 1, (1.0,))]
+        if target in self._indices:
+            return [("result", self._indices[target] + 1, (1.0,))]
         if not joint:
             return [("number", 0, (self._control_of(name).default,))]
         j = self.rig.index(joint)
@@ -243,8 +243,10 @@ class Programs:
         column = source.column
         if spec.type is JointType.BALL:
             return [("ball", column + 1, _ball_weights(spec, part))]
-        rows: list[_Row] = [("coordinate", column + 1, (float(self._scales[column]),))]
-        return [*rows, *_multiply_rows(source.gain), *_add_rows(source.shift)]
+        program: list[_Instruction] = [
+            ("coordinate", column + 1, (float(self._scales[column]),))
+        ]
+        return [*program, *_multiply(source.gain), *_add(source.shift)]
 
     def _static_coordinate(self, j: int, part: str) -> float:
         """Return the value of a static joint's coordinate [rad], [m]."""
@@ -255,13 +257,13 @@ class Programs:
         return float(values[0, 0])
 
 
-def _multiply_rows(factor: float) -> list[_Row]:
-    """Return the program rows that multiply by a factor; no rows for 1."""
+def _multiply(factor: float) -> list[_Instruction]:
+    """Return the instructions that multiply by a factor; none for 1."""
     return [] if factor == 1.0 else [("number", 0, (factor,)), ("*", 0, ())]
 
 
-def _add_rows(term: float) -> list[_Row]:
-    """Return the program rows that add a term; no rows for 0."""
+def _add(term: float) -> list[_Instruction]:
+    """Return the instructions that add a term; none for 0."""
     return [] if term == 0.0 else [("number", 0, (term,)), ("+", 0, ())]
 
 

@@ -106,7 +106,7 @@ class _TargetsReader:
         frames = None
         if self.first is not None and self.last is not None:
             frames = float(self.first), float(self.last)
-        self._blame_rig()
+        self._merge_unknown_effectors()
         warn_of_seconds(self.document, fps or DEFAULT_RATE, frames, goals)
         units, rig = self.values.units, self.rig
         warn_of_angles(self.document, goals, units, rig)
@@ -123,7 +123,7 @@ class _TargetsReader:
             self.document.position(("fps",)),
         )
 
-    def _blame_rig(self) -> None:
+    def _merge_unknown_effectors(self) -> None:
         """Merge faults of unknown effectors if the targets are for another rig."""
         faults, count = self.document.faults, len(self.model.goals)
         unknown = [
@@ -256,7 +256,7 @@ class _TargetsReader:
         return None, None
 
     def _read_root(
-        self, at: Location, model: GoalModel, joint: str | None, chain: IkChain | None
+        self, base: Location, model: GoalModel, joint: str | None, chain: IkChain | None
     ) -> str | None:
         """Return the root of a goal from the file, else the root of its chain."""
         name = model.root
@@ -264,7 +264,7 @@ class _TargetsReader:
             return None if chain is None else chain.root
         if self.rig is None or joint is None:
             return name
-        location = (*at, "root")
+        location = (*base, "root")
         if name not in self.rig.names:
             message = f"unknown joint {name!r} of {self.rig.name!r}"
             hint = nearest(name, self.rig.names)

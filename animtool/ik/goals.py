@@ -304,26 +304,28 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     supplied_arrays = []
     for name, columns in columns_by_name.items():
         values = getattr(targets, name)
-        checked = _checked_shape(name, values, len(goals), columns, faults)
-        if checked is not None:
-            supplied_arrays.append((columns, checked))
-    batches = {len(checked) for _, checked in supplied_arrays}
-    if len(batches) > 1:
-        faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
-    shape = (min(batches, default=1), len(goals), WEIGHT_COLUMNS.stop)
+        array = _target_array(name, values, len(goals), columns, faults)
+        if array is not None:
+            supplied_arrays.append((columns, array))
+    counts = {len(checked) for _, checked in supplied_arrays}
+    if len(counts) > 1:
+        faults.append(Fault("IK010", f"targets of {sorted(counts)} problems at once"))
+    shape = (min(counts, default=1), len(goals), WEIGHT_COLUMNS.stop)
     packed_targets = np.zeros(shape)
     packed_targets[:, :, WEIGHT_COLUMNS] = 1.0
     for kind in KINDS:
         if kind.is_rotation:
             packed_targets[:, :, TARGET_COLUMNS[kind.name].stop - 1] = 1.0
-    for columns, checked in supplied_arrays:
-        packed_targets[:, :, columns] = checked[: len(packed_targets)]
+    for columns, array in supplied_arrays:
+        packed_targets[:, :, columns] = array[: len(packed_targets)]
     # Mask of the parts that each problem uses ``(B, E, 4)``.
     weighted = np.array([goal.weights for goal in goals]) > 0
-    active = np.asarray(weighted & (packed_targets[:, :, WEIGHT_COLUMNS] > 0))
-    missing = active & [getattr(targets, kind.targets_field) is None for kind in KINDS]
-    if faults or missing.any() or not _all_values_valid(packed_targets):
-        faults += _value_faults(packed_targets, active, missing)
+    is_active = np.asarray(weighted & (packed_targets[:, :, WEIGHT_COLUMNS] > 0))
+    is_missing = is_active & [
+        getattr(targets, kind.targets_field) is None for kind in KINDS
+    ]
+    if faults or is_missing.any() or not _all_values_valid(packed_targets):
+        faults += _value_faults(packed_targets, is_active, is_missing)
         np.nan_to_num(packed_targets, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
@@ -337,7 +339,7 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     return packed_targets
 
 
-def _checked_shape(
+def _target_array(
     name: str,
     values: ArrayLike | None,
     goal_count: int,

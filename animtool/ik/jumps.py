@@ -66,7 +66,7 @@ def find_jumps(
     *,
     fps: float,
     length: float,
-    windings: FloatArray | None = None,
+    revolutions: FloatArray | None = None,
 ) -> tuple[Jump, ...]:
     """Return the jumps of joints, by frame and joint.
 
@@ -82,13 +82,13 @@ def find_jumps(
             lengths].
         fps: Frames a second.
         length: Length of the chain [m].
-        windings: Full revolutions of joints between frames ``(F - 1, J)`` [rad], which
-            quaternions do not show; None for no revolutions.
+        revolutions: Full revolutions of joints between frames ``(F - 1, J)`` [rad],
+            which quaternions do not show; None for none.
     """
     count = len(solved_poses.rotations)
     if count < 2:
         return ()
-    moving = _moving_joints(source_poses, solved_poses, windings)
+    moving = _moving_joints(source_poses, solved_poses, revolutions)
     if not len(moving):
         return ()
     names = [names[j] for j in moving]
@@ -106,8 +106,8 @@ def find_jumps(
     source_steps = _rotation_steps(source_poses.rotations)
     angles = np.linalg.norm(rotations, axis=2)
     source_angles = np.linalg.norm(source_steps, axis=2)
-    if windings is not None:
-        angles = angles + windings[:, moving]
+    if revolutions is not None:
+        angles = angles + revolutions[:, moving]
     excess = angles - source_angles
     is_jump = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
     is_jump |= (excess > jump_threshold(fps)) | _find_jerks(excess, goal_steps)
@@ -133,7 +133,7 @@ def find_jumps(
 def _moving_joints(
     source_poses: LocalTransforms | None,
     solved_poses: LocalTransforms,
-    windings: FloatArray | None,
+    revolutions: FloatArray | None,
 ) -> IntArray:
     """Return the joints that move in the solved or the source motion."""
     is_moving = np.zeros(solved_poses.rotations.shape[1], np.bool_)
@@ -141,8 +141,8 @@ def _moving_joints(
         if poses is not None:
             for values in (poses.rotations, poses.translations):
                 is_moving |= (values != values[:1]).any(axis=(0, 2))
-    if windings is not None:
-        is_moving |= windings.any(axis=0)
+    if revolutions is not None:
+        is_moving |= revolutions.any(axis=0)
     return np.asarray(np.flatnonzero(is_moving))
 
 
@@ -172,7 +172,7 @@ def _find_jerks(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
 
 def _jumps_at(
     names: Sequence[str],
-    flags: BoolArray,
+    is_jump: BoolArray,
     steps: FloatArray,
     source_steps: FloatArray,
     goal_moves: FloatArray,
@@ -180,7 +180,7 @@ def _jumps_at(
 ) -> list[Jump]:
     """Return the jumps at flagged steps ``(F - 1, J)``; slides if a length is given."""
     by_goals = steps - source_steps <= MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
-    steps_and_joints: IntArray = np.argwhere(flags)
+    steps_and_joints: IntArray = np.argwhere(is_jump)
     return [
         Jump(
             int(t) + 1,

@@ -36,13 +36,13 @@ def limb_joints(
     min_bone = MIN_BONE_FRACTION * (np.ptp(origins, axis=0).max() + 1e-300)
     joints: list[int] = []
     lengths: list[float] = []
-    below_point, j = point, rig.index(goal.joint)
+    end_point, j = point, rig.index(goal.joint)
     while j >= 0 and (goal.root is not None or len(joints) < 2):
-        bone = float(np.linalg.norm(origins[j] - below_point))
+        bone = float(np.linalg.norm(origins[j] - end_point))
         if j in moving and bone > min_bone:
             joints.append(j)
             lengths.append(bone + (lengths[-1] if lengths else 0.0))
-            below_point = origins[j]
+            end_point = origins[j]
         j = -1 if rig.joints[j].name == goal.root else rig.joints[j].parent
     if len(joints) < 2:
         return None
@@ -146,8 +146,8 @@ def _limb_reach(chain: Chain, path: list[int], end: FloatArray) -> float:
     angles = [farthest] if farthest <= high else [low, high]
     products = [cosine_part * np.cos(a) + sine_part * np.sin(a) for a in angles]
     largest_cosine = max(products)
-    square = offset @ offset + end @ end + 2 * (z * end[2] + largest_cosine)
-    return float(np.sqrt(max(square, 0.0)))
+    squared_reach = offset @ offset + end @ end + 2 * (z * end[2] + largest_cosine)
+    return float(np.sqrt(max(squared_reach, 0.0)))
 
 
 def _limb_fault(

@@ -108,13 +108,13 @@ def match_take(
     clock = take.clock
     first = Fraction(float(clock.start))
     last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
-    as_keys = clock.count <= MAX_KEYED_FRAMES or clock.step != 1
+    writes_keys = clock.count <= MAX_KEYED_FRAMES or clock.step != 1
     # Arrays have a row for each frame of the file's range.
-    as_keys = as_keys or last - first != clock.count - 1 or "#" in path.name
+    writes_keys = writes_keys or last - first != clock.count - 1 or "#" in path.name
     values = _ValueBuilder(
         clock,
         ClipUnits.of_rig(take.rig),
-        None if as_keys else array_file_of(path).name,
+        None if writes_keys else array_file_of(path).name,
         first,
         reduce,
     )
@@ -199,7 +199,7 @@ class _ValueBuilder:
 
     clock: Clock  # F frames
     units: ClipUnits  # units of the file
-    arrays: str | None  # file of arrays; None writes keys
+    array_file: str | None  # file of arrays; None writes keys
     first: Fraction  # frame of the first row
     reduce: float | None  # tolerance of sparse keys [m]; None keeps all
     names: set[str] = field(default_factory=set)  # array names in use
@@ -216,9 +216,11 @@ class _ValueBuilder:
             return Constant(tuple(rows[0].tolist()))
         if self.reduce is not None:
             return self._fit_sparse_keys(rows, joint, self.reduce)
-        if self.arrays is None:
+        if self.array_file is None:
             return Keyed(self._keys_per_frame(rows))
-        return ArrayRows(f"{self.arrays}#{self._unique_name(name)}", rows, self.first)
+        return ArrayRows(
+            f"{self.array_file}#{self._unique_name(name)}", rows, self.first
+        )
 
     def _unique_name(self, name: str) -> str:
         """Return a unique array name of word characters only."""

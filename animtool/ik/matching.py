@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.limbs import limb_joints
 from animtool.ik.problem import find_moving_joints
-from animtool.ik.sub_rig import with_types
+from animtool.ik.sub_rig import with_ball_joints
 from animtool.ik.two_bone import perpendicular_vectors
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, rest_world
@@ -76,7 +76,7 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     >>> np.round(found.targets.poles, 3).tolist()
     [[[1.207, -0.207, 0.0]]]
     """
-    rig = with_types(rig)
+    rig = with_ball_joints(rig)
     rest_transforms = rest_world(rig)
     shape = (len(world.positions), len(chains))
     positions, poles = np.zeros((2, *shape, 3))

@@ -119,29 +119,31 @@ def miss_costs(result: IkResult, targets: Targets) -> FloatArray:
     return miss_cost(misses, result.converged)
 
 
-def _start_poses(problem: Problem, home: FloatArray, seed: int) -> Iterator[FloatArray]:
+def _start_poses(
+    problem: Problem, start: FloatArray, seed: int
+) -> Iterator[FloatArray]:
     """Yield start poses ``(C,)``: combinations of limits, and random ones."""
     chain = problem.chain
     max_starts = MAX_STARTS if problem.degrees <= MANY_DEGREES else MAX_STARTS // 9
-    pose = chain.from_rig(home[None])[0]
+    pose = chain.from_rig(start[None])[0]
     yield from _limit_combinations(chain, pose, max_starts)
     yield from random_poses(chain, pose, max_starts, [seed])
 
 
 def _limit_combinations(
-    chain: Chain, home: FloatArray, max_poses: int
+    chain: Chain, start: FloatArray, max_poses: int
 ) -> Iterator[FloatArray]:
     """Yield combinations of the first joint limits, at most ``max_poses``."""
     ranges = []
-    for (kind, _, column, follows), numbers in zip(
+    for (kind, _, column, driver_kind), numbers in zip(
         chain.nodes[:, :4], with_periods(chain), strict=True
     ):
         low, high = numbers[14:16]
-        if kind != BALL and not follows and np.isfinite([low, high]).all():
+        if kind != BALL and not driver_kind and np.isfinite([low, high]).all():
             ranges.append((int(column), (low, (low + high) / 2, high)))
     combination = ranges[: int(np.log(max_poses) / np.log(3))]
     for values in product(*(values for _, values in combination)):
-        pose = home.copy()
+        pose = start.copy()
         pose[[column for column, _ in combination]] = values
         yield pose
 

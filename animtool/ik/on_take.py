@@ -18,12 +18,12 @@ from animtool.ik.chain_frame import check_scales, spans_of_take
 from animtool.ik.goals import PARTS, Goal, Targets, targets_of_frames
 from animtool.ik.options import TakeOptions
 from animtool.ik.solving import raise_faults
-from animtool.ik.sub_rig import sub_rig, with_types
+from animtool.ik.sub_rig import sub_rig, with_ball_joints
 from animtool.ik.take_run import (
     SpanSolution,
     TakeIk,
     TakeSolver,
-    gather_take,
+    join_spans,
     take_option_faults,
 )
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
@@ -177,7 +177,7 @@ def _solve_take(
 ) -> TakeIk:
     """Solve a take for targets that fade from and to the given takes."""
     goals = [track.goal for track in tracks.goals]
-    typed_rig = with_types(take.rig)
+    typed_rig = with_ball_joints(take.rig)
     rig, indices = sub_rig(typed_rig, (goal.joint for goal in goals))
     joints = _movable_names(take.rig, rig, options)
     local = LocalTransforms(
@@ -194,13 +194,13 @@ def _solve_take(
             parts = _select_frame(take, local, world, targets, only)
             take, local, world, targets = parts
         rate = float(take.clock.rate)
-        run = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
-        controls = _controls(rig, take)
+        solver = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
+        controls = _control_values(rig, take)
         solve_spans = spans_of_take(rig, local, world, goals, joints, controls)
-        for part in solve_spans.spans:
-            solved_parts.append(run.solve_span(part))
+        for span in solve_spans.spans:
+            solved_parts.append(solver.solve_span(span))
             progress(solved_parts[-1].span.frames.stop / take.clock.count)
-    solved_take = gather_take(take, indices, local, tracks, targets, solved_parts, rate)
+    solved_take = join_spans(take, indices, local, tracks, targets, solved_parts, rate)
     rig_size = float(np.ptp(world.positions[0], axis=0).max())
     open_poles = None
     if solved_take.active[:, :, PARTS.index("pole")].any():
@@ -209,7 +209,7 @@ def _solve_take(
         solved_take,
         open_poles=open_poles,
         moving_between=solve_spans.moving_between,
-        away=_min_target_distances(goals, rig, world, targets),
+        target_distances=_min_target_distances(goals, rig, world, targets),
         size=max(rig_size, solved_take.problem.length),
     )
 
@@ -256,7 +256,7 @@ def _line_distances(
     return np.asarray(np.linalg.norm(cross_products, axis=1))
 
 
-def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:
+def _control_values(rig: Rig, take: Take) -> dict[str, FloatArray]:
     """Return the values ``(F,)`` of controls that drivers of joints read."""
     channel = take.motion.controls
     if channel is None or not rig.is_driven:
@@ -304,11 +304,11 @@ def _locate_faults(tracks: TargetTracks) -> Iterator[None]:
     try:
         yield
     except OptionError as error:
-        faults = [_at_goal(fault, tracks) for fault in error.faults]
+        faults = [_locate_fault(fault, tracks) for fault in error.faults]
         raise OptionError(faults) from error
 
 
-def _at_goal(fault: Fault, tracks: TargetTracks) -> Fault:
+def _locate_fault(fault: Fault, tracks: TargetTracks) -> Fault:
     """Return a fault located at its goal in the targets file."""
     goal = _GOAL.match(fault.where or "")
     if fault.path is not None or goal is None:

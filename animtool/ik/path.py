@@ -11,7 +11,7 @@ from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.ik.chain import REVOLUTION_EXCESS, difference, unwrap_angles
+from animtool.ik.chain import REVOLUTION_EXCESS, joint_steps, unwrap_angles
 from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Targets, by_unit
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.limbs import SoftReach, extend_softly
@@ -57,14 +57,14 @@ class FramePath:
 
     def select_frames(self, rows: slice) -> FramePath:
         """Return the path restricted to consecutive frames."""
-        drifts = self.preserved_steps[rows.start : rows.stop - 1]
+        steps = self.preserved_steps[rows.start : rows.stop - 1]
         row_indices = np.arange(len(self.targets))[rows]
         targets, limbs = self.targets[rows], self.soft_reach[row_indices]
-        return replace(self, targets=targets, soft_reach=limbs, preserved_steps=drifts)
+        return replace(self, targets=targets, soft_reach=limbs, preserved_steps=steps)
 
     def steps(self, poses: FloatArray) -> FloatArray:
         """Return steps between poses ``(F, C)``, minus the preserved steps."""
-        steps = difference(self.problem.chain, poses[:-1], poses[1:])
+        steps = joint_steps(self.problem.chain, poses[:-1], poses[1:])
         return steps - self.preserved_steps
 
     def smooth(
@@ -157,12 +157,12 @@ def build_frame_path(
 ) -> FramePath:
     """Build the path of a problem; the motion of a start ``(F, Q)`` is preserved."""
     packed = pack_for_chain(problem, targets)
-    drifts = np.zeros((max(len(packed) - 1, 0), problem.degrees))
+    preserved_steps = np.zeros((max(len(packed) - 1, 0), problem.degrees))
     if start is not None and np.ndim(start) == 2:
         source = problem.chain.from_rig(pose_rows(problem, start, len(packed), "start"))
-        drifts = difference(problem.chain, source[:-1], source[1:])
+        preserved_steps = joint_steps(problem.chain, source[:-1], source[1:])
     soft_reach = extend_softly(problem.limbs, packed)
-    return FramePath(problem, packed, soft_reach, drifts, options)
+    return FramePath(problem, packed, soft_reach, preserved_steps, options)
 
 
 def goal_steps(problem: Problem, targets: FloatArray) -> FloatArray:
@@ -245,7 +245,7 @@ def _find_jumps(
         steps,
         fps=fps,
         length=problem.length,
-        windings=full_revolutions(problem.rig, rows),
+        revolutions=full_revolutions(problem.rig, rows),
     )
 
 

@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.record import dataclass
 from animtool.ik.assembly import assemble
 from animtool.ik.chain import Chain
-from animtool.ik.driver_programs import with_sources
+from animtool.ik.driver_programs import with_driver_sources
 from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
 from animtool.ik.limbs import GoalLimb, find_limbs
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -116,7 +116,7 @@ def build(
     >>> problem.joints, problem.degrees, problem.length
     (('upper', 'lower'), 2, 2.0)
     """
-    faults = _faults(rig, goals, joints, rest_weight)
+    faults = _input_faults(rig, goals, joints, rest_weight)
     if faults:
         raise OptionError(faults)
     pose_coordinates = np.zeros(rig.coordinates)
@@ -145,7 +145,7 @@ def build(
     )
 
 
-def _faults(
+def _input_faults(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None, rest_weight: float
 ) -> list[Fault]:
     """Return the faults of goals and options, before any geometry."""
@@ -211,7 +211,7 @@ def find_moving_joints(
                 ignores_rotation = False
             j = -1 if joint.name == goal.root else joint.parent
     if rig.is_driven:
-        return with_sources(rig, moving_indices, goals, joints)
+        return with_driver_sources(rig, moving_indices, goals, joints)
     return moving_indices
 
 

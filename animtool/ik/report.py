@@ -339,9 +339,9 @@ def jump_notices(solved_take: TakeIk) -> list[Fault]:
     message += f"from frame {span_label(first, last)}"
     if largest.source > 0:
         message += f" ({_step_text(largest, largest.source)} in the source)"
-    frames = len({jump.frame for jump in solved_take.jumps} - {largest.frame})
-    if frames:
-        message += f"; joints jump in {counted(frames, 'other frame')} too"
+    frame_count = len({jump.frame for jump in solved_take.jumps} - {largest.frame})
+    if frame_count:
+        message += f"; joints jump in {counted(frame_count, 'other frame')} too"
     other_joints = sorted({jump.joint for jump in solved_take.jumps} - {largest.joint})
     if other_joints:
         message += f"; also {listed(other_joints)}"
@@ -444,7 +444,9 @@ def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[F
         reports: Reports of its goals, from `goal_reports`.
     """
     notices = []
-    for i, (report, distance) in enumerate(zip(reports, solved_take.away, strict=True)):
+    for i, (report, distance) in enumerate(
+        zip(reports, solved_take.target_distances, strict=True)
+    ):
         if report.spans or not distance > FAR_TARGET * solved_take.size:
             continue
         message = (

@@ -197,7 +197,7 @@ class Session:
             values += goal_parts
         packed = self._packed.get(key := tuple(requested))
         if packed is None:
-            packed = self._packed[key] = self._pack(key)
+            packed = self._packed[key] = self._pack_problem(key)
         try:
             for view, part in zip(packed.views, values, strict=True):
                 if len(part) != len(view):
@@ -207,7 +207,7 @@ class Session:
             raise _shape_error(values_by_goal) from error
         return packed, packed.targets
 
-    def _pack(self, requested: RequestedKinds) -> _PackedProblem:
+    def _pack_problem(self, requested: RequestedKinds) -> _PackedProblem:
         """Return the packed problem of the given goals, with a target buffer."""
         goals = [
             self._goals[name] or _goal_of_call(self.rig, name, kind_mask)

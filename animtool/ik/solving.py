@@ -10,7 +10,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, listed
-from animtool.ik.chain import difference
+from animtool.ik.chain import joint_steps
 from animtool.ik.goals import Targets, pack
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
@@ -148,12 +148,12 @@ def _pull_to_preferred(
     poses, pulled_result = result.coordinates[rows], result
     for weight in PULL_WEIGHTS:
         solver = build_solver(replace(problem, rest_weight=weight), pull_options)
-        solved = solver.solve(poses, packed[rows], preferred[rows], placed=False)
-        pulled_result = result_of_kernel(problem, solved)
+        solution = solver.solve(poses, packed[rows], preferred[rows], placed=False)
+        pulled_result = result_of_kernel(problem, solution)
         poses = pulled_result.coordinates
     chain = problem.chain
     distance_before, distance_after = (
-        np.linalg.norm(difference(chain, chain.from_rig(preferred[rows]), q), axis=1)
+        np.linalg.norm(joint_steps(chain, chain.from_rig(preferred[rows]), q), axis=1)
         for q in (chain.from_rig(result.coordinates[rows]), chain.from_rig(poses))
     )
     is_improved = pulled_result.reached.all(axis=1) & (distance_after < distance_before)

@@ -30,10 +30,10 @@ def find_mimics(rig: Rig, joint_names: Collection[str]) -> list[str]:
     moving_names = set(joint_names)
     remaining = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
     while (
-        new := {name for name, lead in remaining.items() if lead in moving_names}
+        new_names := {name for name, lead in remaining.items() if lead in moving_names}
         - moving_names
     ):
-        moving_names |= new
+        moving_names |= new_names
     mimic_names = {name for name in moving_names if name in remaining}
     if rig.is_driven:
         mimic_names.update(plan_of(rig).dependent_joints(moving_names))
@@ -133,7 +133,7 @@ def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]
     return tuple(controls)
 
 
-def with_types(rig: Rig) -> Rig:
+def with_ball_joints(rig: Rig) -> Rig:
     """Return the rig with all but root joints as balls, if all its joints are free.
 
     In files without joint types, such as USD of other tools, all joints are free: then
@@ -163,7 +163,7 @@ def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
     typed_joints = {joint.name: joint for joint in typed_rig.joints}
     names = set(rig.names)
     joints = []
-    for joint in with_types(rig).joints:
+    for joint in with_ball_joints(rig).joints:
         typed_joint = typed_joints.get(joint.name)
         if typed_joint is None:
             joints.append(joint)

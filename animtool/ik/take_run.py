@@ -69,8 +69,8 @@ class TakeIk:
         on_limits: Masks by joint of the frames in which it is on a limit ``(F,)``.
         moving_between: Joints between the solved ones that also move, or that move
             outside their types: each frame was then solved individually.
-        away: Smallest distance of each goal's position targets from its effector in the
-            source take ``(E,)`` [m]; 0 without any.
+        target_distances: Smallest distance of each goal's position targets from its
+            effector in the source take ``(E,)`` [m]; 0 without any.
         size: Largest extent of the rig's joints in the first frame [m].
         steadier: Smoothing that reduces the jumps in a trial; None without any.
         open_poles: Mask of the frames in which a pole lies on the line of its bent
@@ -89,7 +89,7 @@ class TakeIk:
     jumps: tuple[Jump, ...]
     on_limits: dict[str, BoolArray]
     moving_between: tuple[str, ...] = ()
-    away: tuple[float, ...] = ()
+    target_distances: tuple[float, ...] = ()
     size: float = 0.0
     steadier: Smoothing | None = None
     open_poles: BoolArray | None = None
@@ -176,7 +176,7 @@ class SpanSolution:
     steadier: Smoothing | None = None
 
 
-def gather_take(
+def join_spans(
     take: Take,
     indices: IntArray,
     local: LocalTransforms,
@@ -222,7 +222,7 @@ def gather_take(
         goal_steps(problem, packed_targets),
         fps=rate,
         length=problem.length,
-        windings=full_revolutions(rig, coordinates)[:, joints],
+        revolutions=full_revolutions(rig, coordinates)[:, joints],
     )
     active = np.asarray(targets.weights) * [goal.goal.weights for goal in tracks.goals]
     limits = [frames_on_limits(r.problem, r.coordinates) for r in results]
@@ -341,8 +341,8 @@ class TakeSolver:
         poses, seconds = self._timed_solve(
             problem, start, first, warm=False, prefer=span.coordinates[0]
         )
-        moved_start = poses.descents[0] > 1 and bool(poses.converged[0])
-        return poses.coordinates[0] if moved_start else start, seconds
+        is_restarted = poses.descents[0] > 1 and bool(poses.converged[0])
+        return poses.coordinates[0] if is_restarted else start, seconds
 
     def _solve_bent_start(
         self, span: SolveSpan, problem: Problem, targets: Targets

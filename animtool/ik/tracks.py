@@ -104,19 +104,19 @@ class FreeEffector:
         start, end = self.position()[rows], values[rows]
         straight = start + fraction[:, None] * (end - start)
         limb = self.limb()
-        if limb is None or not self._is_complete(limb[0]):
+        if limb is None or not self._has_fixed_root(limb[0]):
             return np.asarray(straight)
         root, middle = (self.world.positions[rows, j] for j in limb)
-        a, b, size, rotation = (
+        a, b, start_distance, end_distance = (
             np.linalg.norm(vector, axis=1)
             for vector in (middle - root, start - middle, start - root, end - root)
         )
-        bends = bend_angle(a, b, size), bend_angle(a, b, rotation)
+        bends = bend_angle(a, b, start_distance), bend_angle(a, b, end_distance)
         angle = bends[0] + fraction * (bends[1] - bends[0])
         square = a**2 + b**2 + 2 * a * b * np.cos(angle)
         limb_distance = np.sqrt(np.maximum(square, 0.0))
-        limb_distance += fraction * np.maximum(rotation - (a + b), 0.0)
-        has_direction = (rotation > MIN_DIRECTION * (a + b))[:, None]
+        limb_distance += fraction * np.maximum(end_distance - (a + b), 0.0)
+        has_direction = (end_distance > MIN_DIRECTION * (a + b))[:, None]
         end_direction = np.where(has_direction, end - root, start - root)
         vector = swing_towards(start - root, end_direction, fraction)
         vector_length = np.maximum(np.linalg.norm(vector, axis=1), 1e-300)
@@ -132,7 +132,7 @@ class FreeEffector:
         origins, point = self.world.positions[0], self.position()[0]
         return limb_joints(self.rig, self.goal, moving, origins, point)
 
-    def _is_complete(self, root: int) -> bool:
+    def _has_fixed_root(self, root: int) -> bool:
         """Return whether the goal moves no joint above the limb's root."""
         if self.goal.root is not None:
             return True
@@ -339,7 +339,7 @@ rename_attributes(TargetTracks, rate_place="rate_location")
 
 
 def _sample_part(
-    track: GoalTrack, kind: GoalKind, frames: SampleFrames, pose: FreeEffector
+    track: GoalTrack, kind: GoalKind, frames: SampleFrames, effector: FreeEffector
 ) -> tuple[FloatArray, FloatArray]:
     """Return targets ``(F, W)`` and weights ``(F,)`` of a part of a goal."""
     part = kind.name
@@ -351,7 +351,9 @@ def _sample_part(
     if value is not None:
         curve_values = value.sample(frames)
     else:
-        curve_values = pose.orientation() if kind.is_rotation else pose.position()
+        curve_values = (
+            effector.orientation() if kind.is_rotation else effector.position()
+        )
     if not track.spans or part not in track.hold_parts:
         return curve_values, weight
     weights_in_span = hold_weights(frames.times, track.spans, track.ease)

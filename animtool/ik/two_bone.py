@@ -58,8 +58,8 @@ def _joint_obstacle(chain: Chain) -> str | None:
 
 def _is_unlimited(numbers: FloatArray) -> bool:
     """Return whether the node numbers of a joint contain no limits."""
-    low_side = np.array([np.inf, np.inf, -np.inf, np.inf])
-    return bool((numbers[14:18] == low_side).all())
+    no_limits = np.array([np.inf, np.inf, -np.inf, np.inf])
+    return bool((numbers[14:18] == no_limits).all())
 
 
 def bend_angle(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:

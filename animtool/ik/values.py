@@ -348,13 +348,13 @@ class ValueReader:
             return None
         return None if self.rig is None else motion
 
-    def _find_stage(self, at: Location, model: ValueModel) -> Path | None:
+    def _find_stage(self, value_location: Location, model: ValueModel) -> Path | None:
         """Return the file of a prim; None if missing."""
         if model.file is None:
             message = f"prim {model.prim!r} has no file"
-            self.document.add("TGT009", at, message, "add file: shot.usda")
+            self.document.add("TGT009", value_location, message, "add file: shot.usda")
             return None
-        location = (*at, "file")
+        location = (*value_location, "file")
         path = resolve_reference(self.document, location, model.file, self.roots)
         reason = None if path is None else not_a_file_reason(path)
         if reason is not None:
@@ -389,7 +389,7 @@ class ValueReader:
         return self._check_finite(location, text, values)
 
     def _check_finite(
-        self, at: Location, text: str, values: FloatArray
+        self, array_location: Location, text: str, values: FloatArray
     ) -> ArrayRows | None:
         """Return finite rows of an array; None with a fault otherwise."""
         invalid_rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
@@ -397,17 +397,17 @@ class ValueReader:
             i = int(invalid_rows[0])
             message = f"{text!r} holds {values[i].tolist()} in row {i}, not finite "
             message += "numbers"
-            self.document.add("TGT007", at, message)
+            self.document.add("TGT007", array_location, message)
             return None
-        location = self.document.position(at)
+        location = self.document.position(array_location)
         if values.shape[1] == 3:
             return ArrayRows(text, values * self.units.length, self.first, location)
         rotations, is_invalid = file_quaternions(values)
         if is_invalid:
             row = is_invalid[0]
             message = f"{text!r} contains a quaternion of zero length in row {row}"
-            self.document.add("TGT007", at, message)
+            self.document.add("TGT007", array_location, message)
             return None
         k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
-        warn_of_quaternion_length(self.document, at, values[k].tolist())
+        warn_of_quaternion_length(self.document, array_location, values[k].tolist())
         return ArrayRows(text, rotations, self.first, location)

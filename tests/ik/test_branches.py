@@ -18,7 +18,7 @@ from animtool.ik.branches import (
     miss_cost,
     search_long_interval,
 )
-from animtool.ik.chain import difference
+from animtool.ik.chain import joint_steps
 
 FRAMES = 12
 
@@ -90,7 +90,7 @@ def test_the_cheapest_way_is_the_best_of_all() -> None:
             int(np.flatnonzero((paths[:, row] == found[row]).all(axis=1))[0])
             for row in range(FRAMES)
         ]
-        moves = difference(of.chain, found[:-1], found[1:])
+        moves = joint_steps(of.chain, found[:-1], found[1:])
         total = (moves**2).sum() + costs[chosen[1:], np.arange(1, FRAMES)].sum()
         assert chosen[0] == 0
         assert not closed or chosen[-1] == 0

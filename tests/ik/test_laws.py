@@ -235,9 +235,9 @@ def test_a_straight_limb_goes_about_its_root_as_it_bends_evenly() -> None:
         KINDS[0], np.array([[0.0, 3.0, 0]]), np.array([0.5])
     )
     assert np.linalg.norm(found) == pytest.approx(2.0)
-    assert own._is_complete(0)
-    assert not own._is_complete(1)
-    assert FreeEffector(rig, Goal("tip", root="mid"), own.world)._is_complete(1)
+    assert own._has_fixed_root(0)
+    assert not own._has_fixed_root(1)
+    assert FreeEffector(rig, Goal("tip", root="mid"), own.world)._has_fixed_root(1)
 
 
 def track(**keys: Any) -> GoalTrack:

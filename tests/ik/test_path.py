@@ -32,7 +32,7 @@ from animtool.ik import (
     solve,
 )
 from animtool.ik import path as ik_path
-from animtool.ik.chain import apply_steps, difference
+from animtool.ik.chain import apply_steps, joint_steps
 from animtool.ik.goals import KINDS
 from animtool.ik.path import build_frame_path, with_poses
 
@@ -63,8 +63,8 @@ def test_an_even_path_keeps_its_ends_and_its_goals() -> None:
     even, misses = path.even_speed(poses)
     np.testing.assert_array_equal(even[[0, -1]], poses[[0, -1]])
     assert (path.max_tolerance_ratio(misses) <= 1).all()
-    steps = np.linalg.norm(difference(problem.chain, even[:-1], even[1:]), axis=1)
-    jump = np.linalg.norm(difference(problem.chain, poses[9], poses[10]))
+    steps = np.linalg.norm(joint_steps(problem.chain, even[:-1], even[1:]), axis=1)
+    jump = np.linalg.norm(joint_steps(problem.chain, poses[9], poses[10]))
     assert steps.max() < 2 * jump / 19
 
 
@@ -92,7 +92,7 @@ def wander(problem: Problem, seed: int, frames: int = 40) -> FloatArray:
     rows = []
     for at in np.linspace(0, 3, frames, endpoint=False):
         i = int(at)
-        step = difference(chain, keys[i], keys[i + 1]) * (at - i)
+        step = joint_steps(chain, keys[i], keys[i + 1]) * (at - i)
         rows.append(apply_steps(chain, keys[i], step + rng.normal(0, 0.01, len(step))))
     return chain.into_rig(np.array(rows), random_pose(problem, seed, frames=frames))
 
@@ -111,7 +111,7 @@ def redundant() -> Problem:
 def acceleration(result: IkResult) -> float:
     chain = result.problem.chain
     poses = chain.from_rig(result.coordinates)
-    steps = difference(chain, poses[:-1], poses[1:])
+    steps = joint_steps(chain, poses[:-1], poses[1:])
     return float((np.diff(steps, axis=0) ** 2).sum())
 
 

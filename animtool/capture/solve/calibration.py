@@ -35,7 +35,7 @@ from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed, refuse, warning
 from animtool.core.record import dataclass
-from animtool.ik.chain import difference
+from animtool.ik.chain import joint_steps
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import pack_for_chain
 from animtool.motion.markers import Markers
@@ -288,7 +288,7 @@ class _CalibrationState:
         chain = self.model.problem.chain
         start = chain.from_rig(self.model.start_poses(self.positions))
         coordinates = chain.from_rig(poses)
-        deviation = difference(chain, start, coordinates)
+        deviation = joint_steps(chain, start, coordinates)
         # The root is free.
         deviation[:, : min(6, deviation.shape[1])] = 0.0
         return deviation

@@ -12,7 +12,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build
-from animtool.ik.sub_rig import with_types
+from animtool.ik.sub_rig import with_ball_joints
 from animtool.maths import so3
 from animtool.rig.joints import (
     LocalTransforms,
@@ -133,7 +133,7 @@ def marker_model(
     ``columns`` are the indices of the template's markers in the capture, -1 if missing.
     Joints without a type in the rig file rotate.
     """
-    rig = with_types(rig)
+    rig = with_ball_joints(rig)
     joints = template.joints(rig)
     used_markers = [
         m for m in range(len(columns)) if columns[m] >= 0 and template.weights[m] > 0
