@@ -643,15 +643,17 @@ def span(**keys: Any) -> MissedSpan:
 
 def test_targets_twenty_sizes_away_are_told_where_they_are_not_missed() -> None:
     fine = [GoalReport("hand", "elbow", (3, 4), (), ())]
-    assert far_target_notices(told(away=[20.0]), fine) == []
-    (found,) = far_target_notices(told(away=[20.1]), fine)
+    assert far_target_notices(told(target_distances=[20.0]), fine) == []
+    (found,) = far_target_notices(told(target_distances=[20.1]), fine)
     assert (found.code, found.lines, found.column, found.where) == (
         "TGT106", (1,), 1, "goals[0]"
     )  # fmt: skip
     assert "20.1 m from its start, but the rig is 1 m large" in found.message
     missed = [replace(fine[0], spans=(span(),))]
-    assert far_target_notices(told(away=[20.1]), missed) == []
-    assert [n.code for n in take_notices(told(away=[20.1]), fine)] == ["TGT106"]
+    assert far_target_notices(told(target_distances=[20.1]), missed) == []
+    assert [n.code for n in take_notices(told(target_distances=[20.1]), fine)] == [
+        "TGT106"
+    ]
 
 
 def test_what_is_missed_is_told_in_lengths_and_angles() -> None:
@@ -732,7 +734,7 @@ def test_what_comes_after_a_window_is_kept_where_it_ends_as_before(
 ) -> None:
     """Frame k is at k; a window of frames 1 and 2 ends at another place or does not."""
     names = ClipPath.with_window.__globals__
-    monkeypatch.setitem(names, "difference", lambda _, a, b: np.asarray(a - b))
+    monkeypatch.setitem(names, "joint_steps", lambda _, a, b: np.asarray(a - b))
     monkeypatch.setitem(
         names, "with_poses", lambda *_: SimpleNamespace(coordinates=[7])
     )
@@ -778,7 +780,7 @@ def test_paths_are_neither_closed_nor_opened_unless_that_is_asked_for(
     monkeypatch.setitem(
         names, "equalize_near_misses", lambda costs, slack: costs + slack
     )
-    monkeypatch.setitem(names, "difference", lambda _, a, b: b - a)
+    monkeypatch.setitem(names, "joint_steps", lambda _, a, b: b - a)
     own: Any = SimpleNamespace(slack=10.0, problem=SimpleNamespace(chain=None))
     interval: Any = SimpleNamespace(reference=np.zeros((2, 3)))
     paths, costs = np.full((1, 2, 3), 2.0), np.array([[1.0, 2]])
