@@ -9,6 +9,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
+from animtool.maths.rows import Rows
 from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts, gaussian_smooth, remove_short_runs
 from animtool.retarget.feet import fill_between
@@ -37,7 +38,7 @@ REACH_FRACTION, MAX_REACH_ITERATIONS = 0.99, 20
 
 
 @dataclass(frozen=True, slots=True)
-class ArmTracks:
+class ArmTracks(Rows):
     """Motion of a target arm relative to the hips, and of the source's wrist."""
 
     joints: FloatArray  # shoulder, elbow, wrist from the middle of the hips (F, 3, 3)

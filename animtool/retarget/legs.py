@@ -10,6 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
+from animtool.maths.rows import Rows
 from animtool.motion.contacts import find_contacts
 from animtool.retarget.balls import ball_positions
 from animtool.retarget.bending import bend_at_pin, bend_limb
@@ -22,7 +23,7 @@ from animtool.rig.skeleton import JointType, Rig
 
 
 @dataclass(frozen=True, slots=True)
-class LegTracks:
+class LegTracks(Rows):
     """Motion of a target leg relative to the hips, and of the source's leg.
 
     It contains all frames, since planting depends on the complete contacts.

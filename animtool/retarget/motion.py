@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -199,8 +198,8 @@ class Retargeting:
             self._clamped_blocks.append(rotations.clamped)
         self._hips = np.concatenate(hips)
         return (
-            [concatenate_tracks(parts) for parts in zip(*tracks, strict=True)],
-            [concatenate_tracks(parts) for parts in zip(*arm_tracks, strict=True)],
+            [LegTracks.concatenate(blocks) for blocks in zip(*tracks, strict=True)],
+            [ArmTracks.concatenate(blocks) for blocks in zip(*arm_tracks, strict=True)],
         )
 
     def _record_moving_joints(self, motion: Motion) -> None:
@@ -433,16 +432,6 @@ def _ankle_heights(
     ground = float(np.mean([foot.contacts.ground for foot in feet]))
     planted_height = float(np.mean([foot.height for foot in feet]))
     return AnkleHeights(ground, planted_height if placed else transfer.scale * ground)
-
-
-Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
-
-
-def concatenate_tracks(parts: Sequence[Tracks]) -> Tracks:
-    """Concatenate the tracks of consecutive blocks along the frame axis."""
-    names = parts[0].__dataclass_fields__
-    arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-    return type(parts[0])(*arrays)
 
 
 def split_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:

@@ -97,11 +97,6 @@ def _split_words(name: str) -> list[str]:
     return _WORD.findall(_FILLER_WORDS.sub(" ", text)) or _WORD.findall(text)
 
 
-def _normalized_key(words: Sequence[str]) -> str:
-    """Join words to the key of a preset: lower case, without filler words."""
-    return "".join(words).lower()
-
-
 def _split_side(words: Sequence[str]) -> tuple[str, list[str]]:
     """Split words into the side that one of them states, and the remaining words."""
     for i, word in enumerate(words):
@@ -152,7 +147,7 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
         if without_side_letter:
             side = "l" if j in left_joints else "r"
             words = _split_words(without_side_letter)
-        key = _normalized_key(words)
+        key = "".join(words).lower()
         parsed_names.append(ParsedName(side, key, _name_kind(name, words)))
     return parsed_names
 
@@ -200,7 +195,7 @@ def _read_preset(name: str, entry: dict[str, Any]) -> Preset:
     for role, template in _templates(_expand_digits(entry)):
         name_without_side = _NAMESPACE.sub("", template.replace("{s}", " "))
         words = _split_words(_PREFIX.sub("", name_without_side))
-        keys.setdefault(_normalized_key(words), set()).add(role)
+        keys.setdefault("".join(words).lower(), set()).add(role)
         if "{s}" in template:
             for word, side in zip(entry["sides"], SIDES, strict=True):
                 text = template.replace("{s}", word)

@@ -92,7 +92,7 @@ def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
 
 
 def _normalize(vector: FloatArray) -> FloatArray:
-    """Return a unit vector; a zero vector stays zero."""
+    """Return a vector ``(3,)`` with length 1; the Y axis for a zero vector."""
     norm = float(np.linalg.norm(vector))
     return vector / norm if norm > 0 else np.array([0.0, 1.0, 0.0])
 
@@ -240,7 +240,7 @@ def distribute_twist(
     """
     rig = transfer.target.rig
     last_angles = np.zeros(len(transfer.twists))
-    for k, (joint, _, next_joint, fraction) in enumerate(transfer.twists):
+    for k, (joint, next_joint, fraction) in enumerate(transfer.twists):
         axis = _normalize(rig.rest_translations[next_joint])
         inverse_rest = so3.conjugate(rig.rest_rotations[next_joint])
         rotation_from_rest = so3.multiply(inverse_rest, local[:, next_joint])

@@ -14,7 +14,7 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import FootContacts
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.retarget.feet import PlacedFeet
-from animtool.retarget.hands import HandContact
+from animtool.retarget.hands import HandContact, arm_joints
 from animtool.retarget.legs import ball_of_foot, leg_joints, up_index
 from animtool.retarget.map import JointMap
 from animtool.retarget.roled_skeleton import RoledSkeleton
@@ -26,8 +26,6 @@ from animtool.rig.kinematics import WorldTransforms
 # Roles whose bones are compared, with the role at the end of each bone.
 BONE_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 
-
-ARM_ROLES = ("upper_arm", "forearm", "hand")
 
 # Largest values of a good take; above these, viewers notice or the map is wrong.
 MAX_DRIFT = 1e-3  # [m]
@@ -88,14 +86,13 @@ class FitMeter:
     Args:
         transfer: The transfer between the skeletons.
         joint_map: Which joints follow which.
-        standing: Planted feet in all frames.
+        contact_frames: Feet and hands in contact, in all frames.
     """
 
     def __init__(
         self, transfer: Transfer, joint_map: JointMap, contact_frames: ContactFrames
     ) -> None:
-        self._transfer = transfer
-        self._joint_map = joint_map
+        self._transfer, self._joint_map = transfer, joint_map
         self._contact_frames = contact_frames
         self._up = up_index(transfer.target.rig)
         self._frames = 0
@@ -269,8 +266,7 @@ class FitMeter:
         Args:
             clamped: Fraction of frames in which limits clamp each joint.
         """
-        transfer = self._transfer
-        joint_map = self._joint_map
+        transfer, joint_map = self._transfer, self._joint_map
         contact_frames = self._contact_frames
         self._worst_by_frame.clear()
         all_drifts, source_drifts = [np.zeros(0)], [np.zeros(0)]
@@ -395,8 +391,8 @@ def _reach_errors(
     for side in "lr":
         arm_fractions = []
         for skeleton, points, _ in skeletons:
-            arm = [skeleton.first(f"{role}_{side}") for role in ARM_ROLES]
-            if min(arm) < 0:
+            arm = arm_joints(skeleton, side)
+            if arm is None:
                 continue
             arms = points[:, arm]
             length = np.linalg.norm(np.diff(arms[0], axis=0), axis=1).sum()

@@ -57,8 +57,6 @@ from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
-# Thresholds for the part of a take that has to be paired.
-
 # Bones of a complete limb.
 LIMBS = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
 # Minimum fraction of a take's moving joints that are paired [1].
@@ -149,18 +147,6 @@ def zero_length_fault(
         "is"
     )
     return Fault("MAP011", message, hint=hint)
-
-
-def unpaired_body_fault(
-    source: Rig, roles: tuple[str, ...], target: Rig
-) -> Fault | None:
-    """Return the fault of a body without paired joints (MAP010); None for props."""
-    limbs = _complete_limbs(roles)
-    if not limbs:
-        return None
-    message = f"no joint of {source.name!r} maps to one of {target.name!r}, and none "
-    message += f"of its limbs ({listed(sorted(limbs), MAX_LISTED_LIMBS)})"
-    return Fault("MAP010", message, hint="choose another rig, or write a map file")
 
 
 def _complete_limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
@@ -279,9 +265,13 @@ def _pair_joints(
     except OptionError as error:
         if error.code == "MAP004":
             anatomy = find_anatomy(source, preset=options.preset, positions=positions)
-            fault = unpaired_body_fault(source, anatomy.roles, target)
-            if fault is not None:
-                raise FormatError(fault) from error
+            limbs = _complete_limbs(anatomy.roles)
+            if limbs:  # else it is a prop
+                message = f"no joint of {source.name!r} maps to one of "
+                message += f"{target.name!r}, and none of its limbs "
+                message += f"({listed(sorted(limbs), MAX_LISTED_LIMBS)})"
+                hint = "choose another rig, or write a map file"
+                raise FormatError(Fault("MAP010", message, hint=hint)) from error
         raise
 
 
@@ -319,23 +309,12 @@ def _size_warnings(stream: TakeStream, scale: float) -> list[Fault]:
     if is_likely_scale(scale) or not source_codes.isdisjoint({"MOT213", "USD126"}):
         return []
     file_format = stream.details.get("format")
-    has_option = file_format in {"BVH", "glTF", "FBX"}
-    return unit_warnings(stream.rig, file_format) or _scale_warnings(
-        scale, has_option=has_option
-    )
-
-
-def _scale_warnings(scale: float, *, has_option: bool = True) -> list[Fault]:
-    """Return a warning if rig and take differ in size by an order of magnitude.
-
-    has_option: Whether an option of reading the take gives it another unit.
-    """
-    if is_likely_scale(scale):
-        return []
+    if warnings := unit_warnings(stream.rig, file_format):
+        return warnings
     message = f"the rig is {plain_number(scale)} times the size of the person in the "
     message += "take"
     hint = "correct the unit that the file of the take states, or units of the rig"
-    if has_option:
+    if file_format in {"BVH", "glTF", "FBX"}:
         hint = f"give the unit of the take with {argument('source.unit')}, or correct "
         hint += "units of the rig"
     return [warning("MAP106", message, hint)]
@@ -413,8 +392,7 @@ def checked_blocks(
             good_text = replace(score, value=score.usual).text
             message = f"{score.name} {score.text}; a good take has up to {good_text}"
             hint = "the report names the joints; check limits, map and rest pose"
-            fault = Fault("MAP107", message, file, (), hint, Severity.WARNING)
-            notices.append(fault)
+            notices.append(Fault("MAP107", message, file, (), hint, Severity.WARNING))
 
 
 def _check_bound(options: Any) -> None:

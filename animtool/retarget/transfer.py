@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,7 +43,9 @@ class Transfer:
     next_weights: FloatArray
     # World rotations of the target at the source's rest pose (K, 4).
     rest_alignment: FloatArray
-    twists: Sequence[tuple[int, int, int, float]] = field(default=())
+    # Target joint that takes a fraction of a bone's twist, the next joint with a role
+    # below that bone, and the fraction.
+    twists: Sequence[tuple[int, int, float]] = ()
 
     @staticmethod
     def of(
@@ -93,8 +95,7 @@ class Transfer:
             # The next joint below with a role twists the bone.
             next_joints = target.children_with_role(twist.bone)
             if next_joints:
-                bone = (twist.bone, next_joints[0])
-                twists.append((twist.target, *bone, twist.fraction))
+                twists.append((twist.target, next_joints[0], twist.fraction))
         scale = _leg_ratio(source, target, source_joints)
         return Transfer(
             source,

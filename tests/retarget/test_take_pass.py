@@ -28,7 +28,7 @@ from animtool.retarget.take_pass import (
     RetargetPassOptions,
     _body_joints,
     _complete_limbs,
-    _scale_warnings,
+    _size_warnings,
     checked_blocks,
     insufficient_pairs_fault,
     retarget_stream,
@@ -150,14 +150,15 @@ def test_a_body_is_without_fingers_and_what_hangs_on_hands() -> None:
     assert list(_complete_limbs(without)) == ["left arm", "right arm", "right leg"]
 
 
-def test_rigs_of_another_order_of_size_are_pointed_out() -> None:
+def test_rigs_of_another_order_of_size_are_pointed_out(root: Path) -> None:
     """Below a ninth and above nine times."""
+    stream = open_source(root / "samples/walk/walk.bvh")
     for scale, count in ((0.112, 0), (0.111, 1), (1.0, 0), (8.99, 0), (9.01, 1)):
-        found = _scale_warnings(scale)
+        found = _size_warnings(stream, scale)
         assert [(f.code, f.severity) for f in found] == (
             [("MAP106", Severity.WARNING)] * count
         )
-    assert "0.0254 times" in _scale_warnings(0.0254)[0].message
+    assert "0.0254 times" in _size_warnings(stream, 0.0254)[0].message
 
 
 @pytest.mark.parametrize("moving", ["head", "hips"])
