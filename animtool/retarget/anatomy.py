@@ -72,8 +72,10 @@ class _RoleSearch:
 
     body: SkeletonTree
     roles: list[str]
-    tips: dict[str, int] = field(default_factory=dict)  # lowest known joint, by limb
-    unsided: list[str] = field(default_factory=list)  # kinds of limbs without a name
+    # Lowest known joint, by limb.
+    tip_joints: dict[str, int] = field(default_factory=dict)
+    # Kinds of limbs whose joints have no names that tell the side.
+    unsided_limbs: list[str] = field(default_factory=list)
     has_guessed_sides: bool = False  # whether sides come from the order of the file
 
     def set_role(self, joint: int, role: str) -> None:
@@ -116,15 +118,15 @@ def find_anatomy(
     search = _RoleSearch(body, [""] * len(names))
     notices = _largest_tree(search)
     _find_limbs(search)
-    up = find_up_direction(body, search.tips)
+    up = find_up_direction(body, search.tip_joints)
     if up is None and positions is not None:
         search.body = replace(body, positions=positions)
-        up = find_up_direction(search.body, search.tips)
+        up = find_up_direction(search.body, search.tip_joints)
     is_rest_pose = search.body is body
-    left = find_left_direction(search.body, search.tips, up, at_rest=is_rest_pose)
+    left = find_left_direction(search.body, search.tip_joints, up, at_rest=is_rest_pose)
     _assign_sides_by_position(search, left)
     _assign_trunk(search)
-    for limb in search.tips:
+    for limb in search.tip_joints:
         _assign_limb(search, limb)
     _assign_remaining(search)
     notices += _anatomy_warnings(search)
@@ -157,23 +159,23 @@ def _largest_tree(search: _RoleSearch) -> list[Fault]:
             j
             for j in hips
             if set(hips).isdisjoint(body.rig.upwards(j)[1:])
-            and body.counts[j] >= MIN_BODY_JOINTS
+            and body.subtree_sizes[j] >= MIN_BODY_JOINTS
         ]
     if len(roots) < 2:
         return []
-    main_hips = max(roots, key=lambda j: body.counts[j])
-    other_tops = [
-        j for j in roots if j != main_hips and body.counts[j] >= MIN_BODY_JOINTS
+    main_hips = max(roots, key=lambda j: body.subtree_sizes[j])
+    other_roots = [
+        j for j in roots if j != main_hips and body.subtree_sizes[j] >= MIN_BODY_JOINTS
     ]
     for j in range(len(search.roles)):
-        hips_above = body.rig.upwards(j)
-        if main_hips not in hips_above and not set(hips_above).isdisjoint(roots):
+        ancestors = body.rig.upwards(j)
+        if main_hips not in ancestors and not set(ancestors).isdisjoint(roots):
             search.roles[j] = CONTROL
-    if not other_tops:
+    if not other_roots:
         return []
     names = body.rig.names
-    other_names = listed([repr(names[j]) for j in other_tops], MAX_LISTED_JOINTS)
-    message = f"{len(other_tops) + 1} skeletons in one file: that of "
+    other_names = listed([repr(names[j]) for j in other_roots], MAX_LISTED_JOINTS)
+    message = f"{len(other_roots) + 1} skeletons in one file: that of "
     message += f"{names[main_hips]!r} is mapped, {other_names} are skipped"
     hint = "export the others to separate files"
     return [warning("MAP103", message, hint)]
@@ -186,17 +188,17 @@ def _find_limbs(search: _RoleSearch) -> None:
         for side in SIDES:
             tip = _tip_by_names(search, {f"{role}_{side}" for role in roles})
             if tip >= 0:
-                search.tips[f"{limb}_{side}"] = tip
+                search.tip_joints[f"{limb}_{side}"] = tip
     for limb, joint_pair in zip(("leg", "arm"), find_limb_pairs(body), strict=True):
         assigned_joints = {
-            j for tip in search.tips.values() for j in body.rig.upwards(tip)
+            j for tip in search.tip_joints.values() for j in body.rig.upwards(tip)
         }
         assigned_joints |= {j for j, role in enumerate(search.roles) if role}
-        has_name = any(f"{limb}_{side}" in search.tips for side in SIDES)
+        has_name = any(f"{limb}_{side}" in search.tip_joints for side in SIDES)
         if joint_pair and not has_name and assigned_joints.isdisjoint(joint_pair):
-            search.unsided.append(limb)
+            search.unsided_limbs.append(limb)
             for side, limb_root in zip(SIDES, joint_pair, strict=True):
-                search.tips[f"{limb}_{side}"] = body.longest_path(limb_root)[-1]
+                search.tip_joints[f"{limb}_{side}"] = body.longest_path(limb_root)[-1]
 
 
 def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
@@ -216,33 +218,34 @@ def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
     return best_joint
 
 
-def _assign_sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
-    """Assign left and right by limb positions, or by file order if these coincide."""
-    body, tip_joints = search.body, search.tips
-    for limb in search.unsided:
+def _assign_sides_by_position(search: _RoleSearch, direction: FloatArray) -> None:
+    """Assign left and right by limb positions, or by file order if these coincide.
+
+    ``direction``: the body's left ``(3,)``.
+    """
+    body, tip_joints = search.body, search.tip_joints
+    for limb in search.unsided_limbs:
         tip_names = [f"{limb}_{side}" for side in SIDES]
-        common_joint = body.lowest_common_ancestor(
-            [tip_joints[name] for name in tip_names]
-        )
-        chains = [body.path(common_joint, tip_joints[name])[1:] for name in tip_names]
+        tips = [tip_joints[name] for name in tip_names]
+        common_joint = body.lowest_common_ancestor(tips)
+        chains = [body.path(common_joint, tip)[1:] for tip in tips]
         # Hands and feet may cross; where limbs begin they do not.
         for end_index in (2, None):
             left_middle, right_middle = (
                 body.positions[chain[:end_index]].mean(axis=0) for chain in chains
             )
-            signed_distance = float((left_middle - right_middle) @ across)
+            signed_distance = float((left_middle - right_middle) @ direction)
             if abs(signed_distance) > 0.01 * body.size:
                 break
         if abs(signed_distance) <= 1e-3 * max(body.size, 1e-30):
             search.has_guessed_sides = True
         elif signed_distance < 0:
-            left, right = (tip_joints[name] for name in tip_names)
-            tip_joints |= {tip_names[0]: right, tip_names[1]: left}
+            tip_joints |= {tip_names[0]: tips[1], tip_names[1]: tips[0]}
 
 
 def _assign_trunk(search: _RoleSearch) -> None:
     """Assign roles to hips, spine, neck, head, and the joints above the hips."""
-    body, tip_joints = search.body, search.tips
+    body, tip_joints = search.body, search.tip_joints
     legs = [tip_joints[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tip_joints]
     arms = [tip_joints[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tip_joints]
     head = _find_by_name(search, "head")
@@ -312,12 +315,12 @@ def _find_hips(search: _RoleSearch, fork: int, leg_fork: int) -> int:
 def _find_head(search: _RoleSearch, chest: int) -> int:
     """Return the first fork of the longest chain above the chest, or its end."""
     body = search.body
-    arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
+    arms = {j for s in SIDES for j in body.rig.upwards(search.tip_joints[f"arm_{s}"])}
     branches = [j for j in body.limb_children(chest) if j not in arms]
     if not branches:
         return -1
     branch_sizes = [
-        body.lengths[j] + body.reach[j] + 1e-3 * body.counts[j] for j in branches
+        body.lengths[j] + body.reach[j] + 1e-3 * body.subtree_sizes[j] for j in branches
     ]
     path = body.longest_path(branches[int(np.argmax(branch_sizes))])
     forks = [j for j in path if len(body.limb_children(j)) > 1]
@@ -327,10 +330,10 @@ def _find_head(search: _RoleSearch, chest: int) -> int:
 def _assign_limb(search: _RoleSearch, limb: str) -> None:
     """Assign roles to the joints of an arm or leg and to its fingers."""
     body, kind, side = search.body, *limb.split("_")
-    tip = search.tips[limb]
+    tip = search.tip_joints[limb]
     joints_of_others = {
         j
-        for name, other in search.tips.items()
+        for name, other in search.tip_joints.items()
         if name != limb
         for j in body.rig.upwards(other)
     }
@@ -403,9 +406,9 @@ def _assign_toes(search: _RoleSearch, side: str) -> None:
     last_joints = [body.longest_path(j)[-1] for j in toe_roots]
     ends = body.positions[last_joints] + body.last_bones[last_joints]
     directions = ends - body.positions[feet[-1]]
-    sizes = np.linalg.norm(directions, axis=1)
-    longest = int(np.argmax(sizes))
-    alignment = directions @ directions[longest] / max(float(sizes[longest]), 1e-30)
+    lengths = np.linalg.norm(directions, axis=1)
+    longest = int(np.argmax(lengths))
+    alignment = directions @ directions[longest] / max(float(lengths[longest]), 1e-30)
     is_toe = alignment > _MIN_TOE_FRACTION * alignment.max()
     toes = list(compress(toe_roots, is_toe))
     for toe in toes if len(toes) > 1 else ():
@@ -422,8 +425,8 @@ def _assign_remaining(search: _RoleSearch) -> None:
             if base_role(role) in {"jaw", "eye"} and role not in search.roles:
                 search.set_role(j, role)
     for j, kind in enumerate(body.kinds):
-        leaf = not body.children[j]
-        if not search.roles[j] and (kind or (leaf and body.is_tip(j))):
+        is_leaf = not body.children[j]
+        if not search.roles[j] and (kind or (is_leaf and body.is_tip(j))):
             search.roles[j] = kind or END
 
 
@@ -448,23 +451,24 @@ def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
     fingerless = [
         repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0
     ]
-    texts = []
+    warnings = []
     # Without any limb it is no body: a lamp, a snake.
-    missing = _missing_legs(roles) if search.tips else ""
+    missing = _missing_legs(roles) if search.tip_joints else ""
     if missing:
         hint = "root motion is scaled like the rest of the body, and no feet are held"
         if missing in MISSING_LEG_TEXTS:
             hint = "only the other foot is held"
-        texts.append(("MAP101", f"{rig.name!r} has no {missing}", hint))
+        warnings.append(("MAP101", f"{rig.name!r} has no {missing}", hint))
     if len(rig.joints) > 1 and body.size <= 0:
         message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
-        texts.append(("MAP102", message, "joints are mapped by name only"))
+        warnings.append(("MAP102", message, "joints are mapped by name only"))
     if fingerless:
         names = listed(fingerless, MAX_LISTED_JOINTS)
         message = f"the rest pose of {rig.name!r} does not show where {names} end"
-        texts.append(("MAP104", message, "the hand is assumed to continue the forearm"))
+        hint = "the hand is assumed to continue the forearm"
+        warnings.append(("MAP104", message, hint))
     if search.has_guessed_sides:
         message = f"left and right cannot be told apart in {rig.name!r}"
         hint = "the first limb of the file is assumed to be the left one; check the map"
-        texts.append(("MAP105", message, hint))
-    return [warning(code, message, hint) for code, message, hint in texts]
+        warnings.append(("MAP105", message, hint))
+    return [warning(code, message, hint) for code, message, hint in warnings]

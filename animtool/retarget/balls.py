@@ -62,7 +62,7 @@ def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
     """Return the first joint of each toe of a foot."""
     joints = {j for j, role in enumerate(skeleton.roles) if role == f"toe_{side}"}
     parents = skeleton.rig.parents
-    starts = []
+    first_joints = []
     for first_joint in sorted(j for j in joints if int(parents[j]) not in joints):
         chain_ends = [j for j in joints if first_joint in skeleton.rig.upwards(j)]
         foot = skeleton.positions[skeleton.first(f"foot_{side}")]
@@ -70,8 +70,8 @@ def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
         distance = float(np.linalg.norm(skeleton.positions[first_joint] - foot))
         next_joints = [j for j in chain_ends if int(parents[j]) == first_joint]
         has_metatarsal = next_joints and distance < METATARSAL_START * length
-        starts.append(next_joints[0] if has_metatarsal else first_joint)
-    return starts
+        first_joints.append(next_joints[0] if has_metatarsal else first_joint)
+    return first_joints
 
 
 def _ankle_to_ball(

@@ -195,7 +195,7 @@ def _stance_tracks(
                     _least_squares_rate(p[stance_frames], rate)
                 ),
             )
-            base = float(np.median(pivot[is_planted, up]))
+            ground = float(np.median(pivot[is_planted, up]))
             inverse_start = so3.conjugate(rotations[stance_frames.start])
             relative = so3.multiply(rotations[stance_frames], inverse_start)
             headings = np.unwrap(_angle_about_up(relative, up))
@@ -208,18 +208,18 @@ def _stance_tracks(
             mean_position = pivot[stance_frames].mean(axis=0)
             row = [middle_frame, length, spin, *speed[[a, b]], *mean_position[[a, b]]]
             contact_rows.append(row)
-            positions = pivot[stance_frames][:, [a, b, up]] - [0.0, 0.0, base]
+            positions = pivot[stance_frames][:, [a, b, up]] - [0.0, 0.0, ground]
             position_sums[stance_frames] += positions
             contact_counts[stance_frames] += 1
     if (contact_counts > 0).sum() <= MIN_STANCE_FRAMES:
         return None
     contacts = np.array(sorted(contact_rows))
-    width, frames = WINDOW_SECONDS * rate, np.arange(count)
-    smooth_spin = _windowed_medians(contacts, 2, width)
+    window, frames = WINDOW_SECONDS * rate, np.arange(count)
+    smooth_spin = _windowed_medians(contacts, 2, window)
     # Remove the motion caused by the spin about the origin.
     contacts[:, 3] += smooth_spin * contacts[:, 6]
     contacts[:, 4] -= smooth_spin * contacts[:, 5]
-    medians = [smooth_spin, *(_windowed_medians(contacts, k, width) for k in (3, 4))]
+    medians = [smooth_spin, *(_windowed_medians(contacts, k, window) for k in (3, 4))]
     tracks = [np.interp(frames, contacts[:, 0], column) for column in medians]
     drift = lowpass(np.stack(tracks, axis=1), DRIFT_FREQUENCY, rate)
     position_sums /= np.maximum(contact_counts, 1)[:, None]
@@ -234,7 +234,7 @@ def _stance_tracks(
     )
 
 
-def _windowed_medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
+def _windowed_medians(contacts: FloatArray, column: int, window: float) -> FloatArray:
     """Return the weighted moving median of a contact column ``(N,)``.
 
     Contacts are weighted by duration, so that a foot that slides intentionally is
@@ -242,7 +242,7 @@ def _windowed_medians(contacts: FloatArray, column: int, width: float) -> FloatA
     """
     medians = np.zeros(len(contacts))
     for i, middle in enumerate(contacts[:, 0].tolist()):
-        nearby_contacts = contacts[np.abs(contacts[:, 0] - middle) <= width]
+        nearby_contacts = contacts[np.abs(contacts[:, 0] - middle) <= window]
         order = np.argsort(nearby_contacts[:, column], kind="stable")
         cumulative = np.cumsum(nearby_contacts[order, 1])
         middle_index = int(np.searchsorted(cumulative, cumulative[-1] / 2))

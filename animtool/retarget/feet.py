@@ -74,7 +74,7 @@ class PlacedFeet:
     hips: FloatArray  # the middle between the thighs (F, 3) [m]
     ankles: Sequence[FloatArray]  # ankle positions of each foot (F, 3) [m]
     rotations: Sequence[FloatArray]  # world rotations of each foot (F, 4)
-    is_locked: Sequence[BoolArray]  # frames in which each foot is planted (F,)
+    is_planted: Sequence[BoolArray]  # frames in which each foot is planted (F,)
     toe_rolls: Sequence[FloatArray]  # weight of pinning the toe, 0 to 1 (F,)
     # Planted height of each toe, or of the ankle without a toe [m].
     sole_heights: Sequence[float]
@@ -113,14 +113,14 @@ def plant_feet(
     hips[:, up] += _hip_lift(hips, feet, pinned_points, heel_heights, fps, up)
     is_planted = [foot.contacts.any for foot in feet]
     ankles = [
-        _locked_path(hips + ankle, toe_vector, foot, fps, up)
+        _pinned_path(hips + ankle, toe_vector, foot, fps, up)
         for foot, ankle, toe_vector in zip(
             feet, pinned_points, toe_vectors, strict=True
         )
     ]
-    hip_drop, rise = _hip_shifts(hips, feet, ankles, fps, up)
-    hips[:, up] += rise - hip_drop
-    soles = [foot.height + _level_bone(foot, up) for foot in feet]
+    hip_drop, hip_rise = _hip_shifts(hips, feet, ankles, fps, up)
+    hips[:, up] += hip_rise - hip_drop
+    soles = [foot.height + _toe_height(foot, up) for foot in feet]
     rolls = [_toe_roll(foot.contacts.toe, fps) for foot in feet]
     return PlacedFeet(
         hips,
@@ -176,10 +176,11 @@ def _ankle_to_toe(foot: Foot, rotation: FloatArray) -> FloatArray:
     return so3.rotate(change, foot.toe - foot.ankle)
 
 
-def _ankle_rise(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
+def _ankle_rise(foot: Foot, toe_vector: FloatArray, up: int) -> FloatArray:
     """Return the ankle's rise above a level foot while on the toe only ``(F,)`` [m]."""
     is_only_toe_planted = foot.contacts.toe & ~foot.contacts.ankle
-    return np.where(is_only_toe_planted, _level_bone(foot, up) - bone[:, up], 0.0)
+    rise = _toe_height(foot, up) - toe_vector[:, up]
+    return np.where(is_only_toe_planted, rise, 0.0)
 
 
 def _hip_lift(
@@ -248,7 +249,7 @@ def _smooth_step(fraction: FloatArray) -> FloatArray:
     return np.asarray(t**3 * (10 - 15 * t + 6 * t * t))
 
 
-def _level_bone(foot: Foot, up: int) -> float:
+def _toe_height(foot: Foot, up: int) -> float:
     """Return the height of the toe above the ankle for a level foot [m]."""
     if foot.toe is None:
         return 0.0
@@ -260,7 +261,7 @@ def _level_bone(foot: Foot, up: int) -> float:
     return float(so3.rotate(rotation, (foot.toe - foot.ankle)[:1])[0, up])
 
 
-def _locked_path(
+def _pinned_path(
     ankle: FloatArray, ankle_to_toe: FloatArray, foot: Foot, fps: float, up: int
 ) -> FloatArray:
     """Return the path of an ankle whose foot is pinned while planted ``(F, 3)``.
@@ -271,7 +272,7 @@ def _locked_path(
     contacts = foot.contacts
     is_planted = contacts.any
     correction = np.zeros_like(ankle)
-    level = foot.height + _level_bone(foot, up)
+    level = foot.height + _toe_height(foot, up)
     for start, end in runs(is_planted):
         ankle_path, toe_offset = ankle[start:end], ankle_to_toe[start:end].copy()
         heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
@@ -351,7 +352,7 @@ def _hip_shifts(
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the hip drop and hip rise with which legs reach, each ``(F,)`` [m]."""
-    hip_drop, rise = np.full((2, len(hips)), -np.inf)
+    hip_drop, hip_rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle
         largest_reach = upper_envelope(
@@ -371,9 +372,9 @@ def _hip_shifts(
         lowest = np.sqrt(np.maximum(foot.min_reach**2 - horizontal_squared, 0.0))
         # A body hanging by its feet is not flipped.
         is_above = (offset[:, up] > 0) & (lowest > 0)
-        rise = np.maximum(rise, np.where(is_above, lowest - offset[:, up], 0.0))
+        hip_rise = np.maximum(hip_rise, np.where(is_above, lowest - offset[:, up], 0.0))
     width = LOWERING_SECONDS * fps
-    return smooth_cover(hip_drop, width), smooth_cover(rise, width)
+    return smooth_cover(hip_drop, width), smooth_cover(hip_rise, width)
 
 
 def smooth_cover(values: FloatArray, width: float) -> FloatArray:

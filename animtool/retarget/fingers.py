@@ -34,11 +34,13 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
     for i in order:
         joints_of_digit[i] = [j for j in paths[i] if j not in assigned_joints]
         assigned_joints |= set(paths[i])
-    thumb = next((len(joints_of_digit[i]) for i in order if digits[i] == "thumb"), 3)
+    thumbs = (joints_of_digit[i] for i in order if digits[i] == "thumb")
+    thumb_length = next(map(len, thumbs), 3)
     roles: dict[int, str] = {}
     for i in order:
         if digits[i]:
-            roles |= _phalanx_roles(body, joints_of_digit[i], digits[i], side, thumb)
+            path = joints_of_digit[i]
+            roles |= _phalanx_roles(body, path, digits[i], side, thumb_length)
     return roles
 
 
@@ -48,13 +50,13 @@ def _assign_digits(
     """Return the finger of each joint path, by its names, else by its position."""
     digits = []
     for path in paths:
-        named = Counter(
+        digit_counts = Counter(
             role.split("_")[0]
             for j in path
             for role in body.votes[j]
             if role.split("_")[0] in {*DIGITS, MITTEN_ROLE}
         )
-        digits.append(named.most_common(1)[0][0] if named else "")
+        digits.append(digit_counts.most_common(1)[0][0] if digit_counts else "")
     if any(digits):
         return digits
     return _digits_by_position(body, paths, hand)
@@ -85,9 +87,9 @@ def _digits_by_position(
     mean_finger_direction = directions.sum(axis=0)
     mean_finger_direction /= max(float(np.linalg.norm(mean_finger_direction)), 1e-30)
     largest_extent = max(float(np.abs(knuckle_offsets @ mean_direction).max()), 1e-30)
-    likeness = knuckle_offsets @ mean_direction / largest_extent
-    likeness = likeness + directions @ mean_finger_direction
-    thumb = int(np.argmin(likeness))
+    scores = knuckle_offsets @ mean_direction / largest_extent
+    scores = scores + directions @ mean_finger_direction
+    thumb = int(np.argmin(scores))
     finger_indices = [i for i in range(count) if i != thumb]
     knuckle_center = knuckles[finger_indices].mean(axis=0)
     across_palm = knuckles[thumb] - knuckle_center
@@ -103,25 +105,26 @@ def _digits_by_position(
 
 
 def _phalanx_roles(
-    body: SkeletonTree, path: Sequence[int], digit: str, side: str, thumb: int
+    body: SkeletonTree, path: Sequence[int], digit: str, side: str, thumb_length: int
 ) -> dict[int, str]:
     """Return the role of each joint of a finger."""
     if digit == MITTEN_ROLE:
         return {j: f"{MITTEN_ROLE}_{side}" for j in path}
-    anchors = [
+    start_numbers = [
         int(role.split("_")[1]) - i
         for i, j in enumerate(path)
         for role in body.votes[j]
         if role.startswith(f"{digit}_")
     ]
-    if anchors:
-        counts = Counter(anchors)
+    if start_numbers:
+        counts = Counter(start_numbers)
         best_start = min(counts, key=lambda start: (-counts[start], start))
     else:
         # A finger with one joint more than the thumb begins with its metacarpal, and so
         # does a finger of four joints whose last joint carries a bone.
-        extra_joints = len(path) > 3 and (body.tips[path[-1]] > 0 or len(path) > thumb)
-        best_start = int(not extra_joints)
+        carries_bone = body.tip_lengths[path[-1]] > 0
+        has_metacarpal = len(path) > 3 and (carries_bone or len(path) > thumb_length)
+        best_start = int(not has_metacarpal)
     roles = {}
     for i, j in enumerate(path):
         number = i + best_start

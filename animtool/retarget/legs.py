@@ -279,10 +279,10 @@ def _bend_pin_limb(
         so3.rotate(rest_rotation, target.offset(middle, end_joint)),
     )
     limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
-    upper, upper_and_angle = bend_at_pin(
+    upper, pin_angle = bend_at_pin(
         start, goal, rotations[0], bones, so3.rotate(rest_rotation, pin), angle, limits
     )
-    bend = so3.multiply(rest_rotation, so3.from_axis_angle(pin, upper_and_angle))
+    bend = so3.multiply(rest_rotation, so3.from_axis_angle(pin, pin_angle))
     return upper, so3.multiply(upper, bend)
 
 

@@ -156,7 +156,7 @@ def solve_within_limits(
         placed: Goals of hips and feet.
         fps: Frames a second.
     """
-    feet = (placed.ankles, placed.rotations, placed.is_locked)
+    feet = (placed.ankles, placed.rotations, placed.is_planted)
     legs = [_Leg(target, *leg) for leg in zip(sides, tracks, *feet, strict=True)]
     hips = placed.hips.copy()
     angles = [leg.solve_swivel(hips, fps) for leg in legs]

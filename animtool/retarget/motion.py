@@ -122,11 +122,11 @@ class Retargeting:
             hands: Whether hands keep their contacts.
             props: Tracks of the take that hands may grip.
         """
-        self.transfer, self._moves = transfer, False
+        self.transfer, self._is_animated = transfer, False
         self.ignored_errors: list[Fault] = []
         # Frame of the source that is its rest pose; None for another one.
         self.rest_frame: int | None = None
-        self._start: tuple[FloatArray, FloatArray] | None = None
+        self._first_pose: tuple[FloatArray, FloatArray] | None = None
         self.moving_joints: set[int] = set()
         self.max_bone_lengths: FloatArray = np.zeros(len(transfer.source.rig.joints))
         self._spool = Spool()
@@ -173,7 +173,7 @@ class Retargeting:
         hips = []
         for motion in split_blocks(motions, BLOCK_FRAMES):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
-            self._moves |= moving > 0
+            self._is_animated |= moving > 0
             self._record_moving_joints(motion)
             block = self._pose_frames(motion, legs)
             rotations = block.rotations
@@ -205,12 +205,13 @@ class Retargeting:
     def _record_moving_joints(self, motion: Motion) -> None:
         """Record the joints that move away from their pose in the first frame."""
         values = motion.translations.dense(), motion.rotations.dense()
-        if self._start is None:
-            self._start = values[0][0].copy(), values[1][0].copy()
+        if self._first_pose is None:
+            self._first_pose = values[0][0].copy(), values[1][0].copy()
+        start = self._first_pose
         bone_lengths = np.linalg.norm(values[0], axis=2).max(axis=0)
         self.max_bone_lengths = np.maximum(self.max_bone_lengths, bone_lengths)
-        max_displacement = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
-        quaternion_dots = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
+        max_displacement = np.abs(values[0] - start[0]).max(axis=(0, 2))
+        quaternion_dots = np.abs((values[1] * start[1]).sum(axis=2)).min(axis=0)
         is_moving = max_displacement > STATIC_TOLERANCE * self.transfer.source.size
         is_moving |= quaternion_dots < 1 - STATIC_TOLERANCE
         self.moving_joints.update(np.flatnonzero(is_moving).tolist())
@@ -286,7 +287,7 @@ class Retargeting:
         """Yield the target's motion; call it once."""
         rig = self.transfer.target.rig
         first_rows: tuple[FloatArray, FloatArray] | None = None
-        signs: FloatArray | None = None
+        last_rotations: FloatArray | None = None
         twists: FloatArray | None = None
         for clamped, arrays in zip(
             self._clamped_blocks, self._spool.drain(), strict=True
@@ -307,8 +308,8 @@ class Retargeting:
             )
             translations = np.broadcast_to(bones, (count, *bones.shape[1:])).copy()
             translations[:, root] = path
-            local = so3.align_signs(local, signs)
-            signs = local[-1]
+            local = so3.align_signs(local, last_rotations)
+            last_rotations = local[-1]
             if first_rows is None:
                 first_rows = translations[0].copy(), local[0].copy()
             # Motion from rounding alone is removed.
@@ -326,7 +327,7 @@ class Retargeting:
 
     def _animated_channel(self, values: FloatArray, first: FloatArray) -> Channel:
         """Return a channel: static if the source is, else with all joints animated."""
-        if not self._moves:
+        if not self._is_animated:
             return Channel.static(first, len(values))
         return Channel(first, np.arange(values.shape[1]), values)
 
@@ -372,12 +373,12 @@ class Retargeting:
             rows = rows[largest_error > ANKLE_TOLERANCE * target.size]
             if not len(rows):
                 break
-            nearer = [goal[rows] for goal in goals]
+            row_goals = [goal[rows] for goal in goals]
             corrected = self._solve_ankles(
                 rotations.rows(rows),
                 hips[rows],
                 relative_positions[rows],
-                nearer,
+                row_goals,
                 rows + begin,
             )
             solution.set_rows(rows, corrected)
@@ -410,10 +411,11 @@ class Retargeting:
     def _solve_arms(self, rotations: LocalRotations, begin: int) -> LocalRotations:
         """Return rotations with arms that bring the hands to their contacts."""
         changed_joints: set[int] = set()
-        part, world = slice(begin, begin + len(rotations.world)), rotations.world.copy()
+        world = rotations.world.copy()
+        frames = slice(begin, begin + len(world))
         for hand in self.contact_frames.hands:
             arm = arm_joints(self.transfer.target, hand.side)
-            bends = hand.bone_rotations[part]
+            bends = hand.bone_rotations[frames]
             if arm is None or not bends.any():
                 continue
             world[:, arm[:2]] = so3.multiply(so3.exp(bends), world[:, arm[:2]])

@@ -102,8 +102,8 @@ def _split_side(words: Sequence[str]) -> tuple[str, list[str]]:
     for i, word in enumerate(words):
         side = _SIDE_WORDS.get(word.lower(), "")
         # A letter with a number is a vertebra, unless the other side has one too.
-        digit = len(word) == 1 and words[i + 1 : i + 2] and words[i + 1].isdigit()
-        if side and not digit:
+        is_numbered = len(word) == 1 and words[i + 1 : i + 2] and words[i + 1].isdigit()
+        if side and not is_numbered:
             return side, [*words[:i], *words[i + 1 :]]
     return "", list(words)
 
@@ -154,10 +154,10 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
 
 def _strip_side_letter(name: str, other: str) -> str:
     """Remove the only letter that differs from a partner's name; "" for no partner."""
-    differ = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
-    if len(name) != len(other) or len(differ) != 1:
+    differing = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
+    if len(name) != len(other) or len(differing) != 1:
         return ""
-    return name[: differ[0]] + " " + name[differ[0] + 1 :]
+    return name[: differing[0]] + " " + name[differing[0] + 1 :]
 
 
 def _name_kind(name: str, words: Sequence[str]) -> str:
@@ -265,17 +265,17 @@ def role_votes(
     parsed_names: Sequence[ParsedName], preset: Preset | None
 ) -> list[dict[str, float]]:
     """Return the roles that each name may mean, with weights from 0 to 1."""
-    tables = preset.roles_by_key if preset else {}
-    words = _load_tables()[COMMON_WORDS].roles_by_key
+    preset_roles = preset.roles_by_key if preset else {}
+    common_roles = _load_tables()[COMMON_WORDS].roles_by_key
     votes: list[dict[str, float]] = []
     for name in parsed_names:
         if name.kind not in {"", TWIST}:
             votes.append({})
             continue
         # The detected convention takes precedence over other meanings of the word.
-        table, weight = (
-            (tables, 1.0) if name.name_key in tables else (words, _WORD_WEIGHT)
-        )
+        table, weight = common_roles, _WORD_WEIGHT
+        if name.name_key in preset_roles:
+            table, weight = preset_roles, 1.0
         weights = dict.fromkeys(table.get(name.name_key, ()), weight)
         if weights:
             other_roles = _limb_words().get(name.name_key, ())

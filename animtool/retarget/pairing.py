@@ -91,10 +91,10 @@ def map_joints(
     >>> [(pair.source, pair.target, pair.role) for pair in found.pairs]
     [(2, 0, 'hand_l')]
     """
-    entries: FileMap | None = None
+    file_map: FileMap | None = None
     if map_file is not None:
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
-        entries = resolve_map(file, source, target)
+        file_map = resolve_map(file, source, target)
     by_names = mode != "structure"
     find = partial(find_anatomy, by_names=by_names)
     anatomies = (
@@ -102,9 +102,9 @@ def map_joints(
         find(target, preset=target_preset, positions=target_positions),
     )
     pairing = _PairCollector((source, target), anatomies)
-    if entries is not None:
-        pairing.add_file(entries)
-    if entries is None or not entries.is_exclusive:
+    if file_map is not None:
+        pairing.add_file(file_map)
+    if file_map is None or not file_map.is_exclusive:
         if mode == "rename":
             pairing.add_same_names()
         for role in ROLES:
@@ -114,8 +114,8 @@ def map_joints(
         if by_names and mode != "rename" and source is not target:
             pairing.add_remaining_names()
     pairs, chains = pairing.pairs, pairing.chains
-    if entries is not None and entries.twists is not None:
-        twists = entries.twists
+    if file_map is not None and file_map.twists is not None:
+        twists = file_map.twists
     else:
         twists = _twist_fractions(target, anatomies[1], pairing)
     if not pairs:
@@ -209,10 +209,10 @@ class _PairCollector:
     # Joints that a file keeps at rest, on both sides.
     ignored: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
 
-    def add_file(self, entries: FileMap) -> None:
+    def add_file(self, file_map: FileMap) -> None:
         """Pair the joints that a map file names."""
-        self.ignored = entries.ignored
-        for entry in entries.entries:
+        self.ignored = file_map.ignored
+        for entry in file_map.entries:
             role = entry.role or self.anatomies[1].roles[entry.target[0]]
             role = role if role in ROLES else ""
             self._add(role, entry.source, entry.target, RoleSource.FILE)
@@ -228,12 +228,12 @@ class _PairCollector:
     def add_remaining_names(self) -> None:
         """Pair joints of equal name that no role has paired on either skeleton."""
         source, target = self.rigs
-        follows = np.full(len(target.joints), -1)
+        source_joints = np.full(len(target.joints), -1)
         for pair in self.pairs.values():
-            follows[pair.target] = pair.source
+            source_joints[pair.target] = pair.source
         used_joints = {j for chain in self.chains for j in chain.source}
         used_joints |= self.ignored[0]
-        for joint, other in equal_name_pairs(source, target, follows):
+        for joint, other in equal_name_pairs(source, target, source_joints):
             roles = self.anatomies[0].roles[other], self.anatomies[1].roles[joint]
             is_free = other not in used_joints and joint not in self.ignored[1]
             if is_free and _NO_ROLE.isdisjoint(roles):
@@ -265,16 +265,16 @@ class _PairCollector:
         self, role: str, source_joints: list[int], target_joints: list[int]
     ) -> None:
         """Pair the toes of a foot in order, from the inner side outwards."""
-        toe_rows = [
+        source_toes, target_toes = (
             _toes_inside_out(rig, anatomy, role, chain)
             for rig, anatomy, chain in zip(
                 self.rigs, self.anatomies, (source_joints, target_joints), strict=True
             )
-        ]
-        last_index = len(toe_rows[0]) - 1
-        for i, toe in enumerate(toe_rows[1]):
-            fraction = i / (len(toe_rows[1]) - 1) if len(toe_rows[1]) > 1 else 0.5
-            self._add(role, toe_rows[0][int(fraction * last_index + 0.5)], toe)
+        )
+        last_source, last_target = len(source_toes) - 1, len(target_toes) - 1
+        for i, toe in enumerate(target_toes):
+            fraction = i / last_target if last_target else 0.5
+            self._add(role, source_toes[int(fraction * last_source + 0.5)], toe)
 
     def add_mittens(self) -> None:
         """Pair the fingers of one skeleton with the mitten chain of the other."""
@@ -305,7 +305,7 @@ class _PairCollector:
         evidence: RoleSource | None = None,
     ) -> None:
         """Pair the joints of two chains; record chains of more than one joint."""
-        positions = [
+        fractions = [
             _chain_fractions(rig, anatomy, chain)
             for rig, anatomy, chain in zip(
                 self.rigs, self.anatomies, (source_joints, target_joints), strict=True
@@ -313,12 +313,12 @@ class _PairCollector:
         ]
         if len(source_joints) > 1 or len(target_joints) > 1:
             joints = tuple(source_joints), tuple(target_joints)
-            chain = JointChain(role, *joints, *map(tuple, positions))
+            chain = JointChain(role, *joints, *map(tuple, fractions))
             self.chains.append(chain)
         for i, j in enumerate(target_joints):
             nearest = i
             if len(source_joints) != len(target_joints):
-                nearest = _last_index_before(positions[0], positions[1][i])
+                nearest = _last_index_before(fractions[0], fractions[1][i])
             source_joint = source_joints[nearest]
             anatomy, joint = min(
                 zip(self.anatomies, (source_joint, j), strict=True),

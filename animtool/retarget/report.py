@@ -100,9 +100,9 @@ class FitMeter:
         # is the ankle if it is unknown (F, 2, 2, 3).
         self._foot_blocks: list[list[FloatArray]] = [[] for _ in contact_frames.sides]
         self._angle_sums = 0.0, 0, 0.0  # sum, count and largest [rad]
-        self._reach, self._hand = math.nan, 0.0
+        self._reach_error, self._hand_error = math.nan, 0.0
         # Per-frame values by score.
-        self._values: dict[str, list[FloatArray]] = {}
+        self._frame_values: dict[str, list[FloatArray]] = {}
         self._worst_by_frame: dict[str, FloatArray] = {}
         # Largest accelerations of both so far, and the last frames of both.
         self._max_accelerations = np.zeros(2)
@@ -146,13 +146,14 @@ class FitMeter:
             self._foot_blocks[k].append(np.stack(foot_rows, axis=1))
         self._add_angles(frames, target, source)
         reach_errors = _reach_errors(self._both_skeletons(target, source))
-        self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach_errors)))
+        largest = np.fmax.reduce(reach_errors)
+        self._reach_error = float(np.fmax(self._reach_error, largest))
         self._add_score("hands", reach_errors)
         for hand in self._contact_frames.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
             hand_errors = np.linalg.norm(wrist - hand.goal[frames], axis=1)
             largest = hand_errors[hand.is_active[frames]].max(initial=0.0)
-            self._hand = max(self._hand, float(largest))
+            self._hand_error = max(self._hand_error, float(largest))
         pairs = self._joint_map.pairs
         current = [
             target[:, [pair.target for pair in pairs]],
@@ -178,7 +179,7 @@ class FitMeter:
 
     def _add_score(self, score: str, values: FloatArray) -> None:
         """Add per-frame values of a score."""
-        self._values.setdefault(score, []).append(values)
+        self._frame_values.setdefault(score, []).append(values)
 
     def _both_skeletons(
         self, target: FloatArray, source: FloatArray
@@ -251,7 +252,7 @@ class FitMeter:
         """
         report = self.report(clamped)
         values = {
-            name: np.concatenate(blocks) for name, blocks in self._values.items()
+            name: np.concatenate(blocks) for name, blocks in self._frame_values.items()
         } | self._worst_by_frame
         if "acceleration" in values:
             # Second differences belong to their middle frame.
@@ -270,7 +271,7 @@ class FitMeter:
         contact_frames = self._contact_frames
         self._worst_by_frame.clear()
         all_drifts, source_drifts = [np.zeros(0)], [np.zeros(0)]
-        sole_heights: list[float] = []
+        max_errors: list[float] = []
         depths: list[float] = []
         planted_frames = 0.0
         for k, side in enumerate(contact_frames.sides):
@@ -296,7 +297,7 @@ class FitMeter:
                 if contact_frames.placed is not None:
                     ground_level = contact_frames.placed.sole_heights[k]
                 sole_errors = np.where(is_flat, np.abs(sole_height - ground_level), 0.0)
-                sole_heights.append(float(sole_errors.max()))
+                max_errors.append(float(sole_errors.max()))
                 self._keep_worst("soles", sole_errors)
                 depths.append(ground_level - float(sole_height.min()))
         drift, source_drift = (
@@ -316,10 +317,10 @@ class FitMeter:
             float(drift.mean()) if len(drift) else math.nan,
             float(drift.max()) if len(drift) else math.nan,
             float(source_drift.max()) if len(source_drift) else math.nan,
-            max(sole_heights, default=math.nan),
+            max(max_errors, default=math.nan),
             max([0.0, *depths]) if depths else math.nan,
-            self._reach,
-            self._hand,
+            self._reach_error,
+            self._hand_error,
             angle_sum / count if count else math.nan,
             max_angle if count else math.nan,
             fastest / source_fastest if source_fastest > 0 else math.nan,
@@ -372,10 +373,10 @@ def _drift_in_contacts(
 
     The distance is NaN while the foot is not planted.
     """
-    ground_positions = [k for k in range(3) if k != up]
+    ground_axes = [k for k in range(3) if k != up]
     drift = np.full(len(points), math.nan)
     for start, end in runs(is_planted):
-        path = points[start:end][:, ground_positions]
+        path = points[start:end][:, ground_axes]
         drift[start:end] = np.linalg.norm(path - path.mean(axis=0), axis=1)
     return drift
 

@@ -155,10 +155,10 @@ def measure_stance(
     """
     axes, other_axis = body_axes(roles, positions), _other_axis(up)
     is_along_other = axes @ np.array(other_axis.vector) > MIN_STANDING_COSINE
-    upright = axes @ np.array(up.vector)
+    cosines = axes @ np.array(up.vector)
     fraction = float(is_along_other.mean())
-    upright_fraction = float((upright > MIN_STANDING_COSINE).mean())
-    inverted_fraction = float((upright < -MIN_STANDING_COSINE).mean())
+    upright_fraction = float((cosines > MIN_STANDING_COSINE).mean())
+    inverted_fraction = float((cosines < -MIN_STANDING_COSINE).mean())
     if inverted_fraction >= MIN_STANDING_FRACTION:
         return Stance(fraction=inverted_fraction, upside_down=True)
     rest_axis = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]

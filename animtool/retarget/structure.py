@@ -86,14 +86,14 @@ class SkeletonTree:
         return np.asarray(lengths)
 
     @cached_property
-    def tips(self) -> FloatArray:
+    def tip_lengths(self) -> FloatArray:
         """Length of each joint's last bone ``(J,)`` [m]; 0 for joints without one."""
         return np.asarray(np.linalg.norm(self.last_bones, axis=1))
 
     @cached_property
     def reach(self) -> FloatArray:
         """Length of the longest path down from each joint ``(J,)`` [m]."""
-        reach = self.tips.copy()
+        reach = self.tip_lengths.copy()
         for j in range(len(reach) - 1, -1, -1):
             parent = self.rig.joints[j].parent
             if parent >= 0 and j in self.children[parent]:
@@ -106,7 +106,7 @@ class SkeletonTree:
         return float(max(self.reach[self.rig.roots], default=0.0))
 
     @cached_property
-    def counts(self) -> list[int]:
+    def subtree_sizes(self) -> list[int]:
         """Number of joints in the subtree of each joint, which counts itself."""
         counts = [1] * len(self.rig.joints)
         for j in range(len(counts) - 1, -1, -1):
@@ -147,7 +147,7 @@ class SkeletonTree:
         tips = self.rig.joints[joint].tips
         if not tips or not self._has_bone_ends or self.children[joint]:
             return False
-        return float(self.tips[joint]) <= _MIN_BONE * self.size
+        return float(self.tip_lengths[joint]) <= _MIN_BONE * self.size
 
     @cached_property
     def _has_bone_ends(self) -> bool:
@@ -157,7 +157,7 @@ class SkeletonTree:
         the last joints are ends.
         """
         leaves = [j for j, children in enumerate(self.children) if not children]
-        if any(self.tips[j] > _MIN_BONE * self.size for j in leaves):
+        if any(self.tip_lengths[j] > _MIN_BONE * self.size for j in leaves):
             return True
         return sum(self._chain_length(leaf) >= 4 for leaf in leaves) >= 6
 
@@ -230,14 +230,14 @@ def _similar_subtrees(body: SkeletonTree) -> list[SubtreePair]:
         long_children = [
             c
             for c in children
-            if body.counts[c] > 1
+            if body.subtree_sizes[c] > 1
             and body.length_through_joint(c) >= _MIN_LIMB_REACH * body.size
         ]
         for a, b in combinations(
             sorted(long_children, key=body.length_through_joint)[-_MAX_LIMB_JOINTS:], 2
         ):
             shorter, longer = sorted(map(body.length_through_joint, (a, b)))
-            fewer_joints, more_joints = sorted((body.counts[a], body.counts[b]))
+            fewer_joints, more_joints = sorted(body.subtree_sizes[j] for j in (a, b))
             has_similar_length = longer - shorter <= _PAIR_TOLERANCE * longer
             if has_similar_length and more_joints <= 1.2 * fewer_joints + 2:
                 pairs.append((more_joints - fewer_joints, longer - shorter, (a, b)))
@@ -254,11 +254,11 @@ def _leg_score(body: SkeletonTree, legs: SubtreePair, arms: SubtreePair) -> floa
     paths = [body.rig.upwards(hips), body.rig.upwards(chest)]
     score = 2.0 * (hips in paths[1]) - 2.0 * (chest in paths[0][1:])
     score += float(np.sign(len(paths[1]) - len(paths[0])))
-    fingers = [
+    finger_counts = [
         max(body.widest_branching(body.longest_path(child))[1] for child in pair)
         for pair in (legs, arms)
     ]
-    score += 1.5 * float(np.sign(fingers[1] - fingers[0]))
+    score += 1.5 * float(np.sign(finger_counts[1] - finger_counts[0]))
     # On the side of the arms, the head is another branch.
     long_branches = [
         child
@@ -305,21 +305,21 @@ def find_left_direction(
     # A body that stands along an axis faces that axis's conventional forward direction.
     axis = int(np.argmax(np.abs(up)))
     forward: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
-    unit = np.eye(3)[axis] * np.sign(up[axis])
+    up_axis = np.eye(3)[axis] * np.sign(up[axis])
     feet: FloatArray = np.zeros(3)
     for name in sorted({"leg_l", "leg_r"} & tips.keys()):
         toe = tips[name]
-        bones = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
+        foot_bone = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
         tip = body.last_bones[toe] if at_rest else np.zeros(3)
-        for bone in (bones, tip):
-            horizontal = bone - unit * float(bone @ unit)
+        for bone in (foot_bone, tip):
+            horizontal = bone - up_axis * float(bone @ up_axis)
             # A leaning shin or ankle does not show where feet point.
             length = max(float(np.linalg.norm(bone)), 1e-30)
             if np.linalg.norm(horizontal) > 0.6 * length:
                 feet += horizontal
     if np.linalg.norm(feet) > 0.01 * body.size:
         forward = feet / np.linalg.norm(feet)
-    return np.cross(unit, forward)
+    return np.cross(up_axis, forward)
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,26 +339,26 @@ _RATIO_SPREAD, _BEFORE_SPREAD, _END_SPREAD = 0.2, 0.7, 0.5
 
 
 def split_limb(
-    body: SkeletonTree, path: Sequence[int], limb: LimbShape, branch: int = -1
+    body: SkeletonTree, path: Sequence[int], shape: LimbShape, branch: int = -1
 ) -> list[str]:
     """Return the role of each joint along a limb, in the order of its roles.
 
     Args:
         body: The skeleton.
         path: Joints of the limb, downwards.
-        limb: Shape of the limb.
+        shape: Shape of the limb.
         branch: The joint where the end begins, if the tree shows it.
     """
     remaining_joints, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
     n = len(path)
-    distances = np.cumsum([0.0, *body.lengths[path[1:]], body.tips[path[-1]]])
+    distances = np.cumsum([0.0, *body.lengths[path[1:]], body.tip_lengths[path[-1]]])
     best_labels, best_score = [""] * n, -np.inf
     for upper, lower, end_index in combinations_with_replacement(range(n + 1), 3):
         for after_end in range(min(end_index + 1, n), n + 1):
             boundaries = [0, upper, lower, end_index, after_end, n]
             labels = [
                 role
-                for role, (a, b) in zip(limb.roles, pairwise(boundaries), strict=True)
+                for role, (a, b) in zip(shape.roles, pairwise(boundaries), strict=True)
                 for _ in range(b - a)
             ]
             # How well names agree with roles; the first joint of a role counts most.
@@ -370,10 +370,10 @@ def split_limb(
                 elif votes:
                     score -= 12.0
                 previous = label
-            score += _shape_score(distances, boundaries, limb)
+            score += _shape_score(distances, boundaries, shape)
             if branch >= 0:
                 score += 4.0 if end_index < n and path[end_index] == branch else -4.0
-            elif not limb.starts_with_lead and end_index < n - 1:
+            elif not shape.starts_with_lead and end_index < n - 1:
                 triple = [path[lower], path[end_index], path[end_index + 1]]
                 score += _bend_amount(body, triple)
             if score > best_score:
@@ -382,30 +382,31 @@ def split_limb(
 
 
 def _shape_score(
-    distances: FloatArray, boundaries: Sequence[int], limb: LimbShape
+    distances: FloatArray, boundaries: Sequence[int], shape: LimbShape
 ) -> float:
     """Score how well a limb's bone lengths and joint counts fit a human limb."""
     _, upper, lower, end_index, _, n = boundaries
     counts = [b - a for a, b in pairwise(boundaries)]
     score = -0.4 * max(counts[1] - 1, 0) - 0.4 * max(counts[2] - 1, 0)
     score -= 2.0 * (counts[1] == 0) + 2.0 * (counts[2] == 0) + 2.0 * (counts[3] == 0)
-    score -= 0.5 * abs(counts[0] - limb.starts_with_lead)
+    score -= 0.5 * abs(counts[0] - shape.starts_with_lead)
     score -= 0.5 * max(counts[3] - 1, 0) + 0.5 * max(counts[4] - 1, 0)
     length_before, upper_length, lower_length, end_length = np.diff(
         distances[[0, upper, lower, end_index, n]]
     ).tolist()
     if upper_length > 0 and lower_length > 0:
         ratio = upper_length / lower_length
-        score -= _ratio_penalty(ratio, limb.lower_over_upper, _RATIO_SPREAD)
+        score -= _ratio_penalty(ratio, shape.lower_over_upper, _RATIO_SPREAD)
     elif distances[n] > 0:
         score -= 8.0
     if length_before > 0 and upper_length > 0:
-        ratio = max(length_before / upper_length, 0.3 * limb.before_over_upper)
-        score -= _ratio_penalty(ratio, limb.before_over_upper, _BEFORE_SPREAD)
+        ratio = max(length_before / upper_length, 0.3 * shape.before_over_upper)
+        score -= _ratio_penalty(ratio, shape.before_over_upper, _BEFORE_SPREAD)
     if end_length > 0 and lower_length > 0:
-        min_end_ratio = 0.0 if end_index < n and limb.roles[4] else limb.end_over_upper
-        ratio = max(end_length / lower_length, min_end_ratio)
-        score -= _ratio_penalty(ratio, limb.end_over_upper, _END_SPREAD)
+        ratio = end_length / lower_length
+        if end_index == n or not shape.roles[4]:
+            ratio = max(ratio, shape.end_over_upper)
+        score -= _ratio_penalty(ratio, shape.end_over_upper, _END_SPREAD)
     return float(score)
 
 

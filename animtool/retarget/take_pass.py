@@ -58,7 +58,7 @@ from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
 # Bones of a complete limb.
-LIMBS = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
+LIMB_BONES = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
 # Minimum fraction of a take's moving joints that are paired [1].
 MIN_PAIRED_FRACTION = 1 / 3
 # Joints irrelevant to body motion: some takes have hundreds of them.
@@ -152,7 +152,7 @@ def zero_length_fault(
 def _complete_limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
     """Return the joints of a skeleton's complete limbs, by name."""
     limbs = {}
-    for name, bones in LIMBS.items():
+    for name, bones in LIMB_BONES.items():
         for side, text in (("l", "left"), ("r", "right")):
             bone_roles = [f"{bone}_{side}" for bone in bones]
             if {*bone_roles} <= {*roles}:
@@ -292,12 +292,12 @@ def _rest_frame(
     raise OptionError(Fault("MAP006", message, where="rest"))
 
 
-def _standing_positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
+def _standing_positions(rig: Rig, block: Motion, rest: FloatArray | None) -> FloatArray:
     """Return joint positions in a standing pose ``(J, 3)`` [m].
 
     The pose is the rest pose, or the first frame if the skeleton has no rest pose.
     """
-    first_frame = first.select(slice(0, 1))
+    first_frame = block.select(slice(0, 1))
     rotations = first_frame.rotations.dense() if rest is None else rest[None]
     pose = forward_kinematics(rig, first_frame.translations.dense(), rotations)
     return np.asarray(pose.positions[0])
@@ -378,10 +378,11 @@ def checked_blocks(
     """
     yield from retargeting.blocks()
     file = None if path is None else str(path)
-    stopped = retargeting.stopped_by_rest_frame
-    if stopped:
+    stopped_joints = retargeting.stopped_by_rest_frame
+    if stopped_joints:
         message = f"with frame {options.rest} as the rest pose, limits stop "
-        message += f"{listed([repr(name) for name in stopped], 4)} in nearly all frames"
+        names = listed([repr(name) for name in stopped_joints], 4)
+        message += f"{names} in nearly all frames"
         hint = "choose a frame in which the person stands still in the rest pose of "
         hint += f"the rig, or leave out {argument('rest')}"
         notices.append(Fault("MAP110", message, file, (), hint, Severity.WARNING))

@@ -89,8 +89,8 @@ class VerdictReason:
         """Return the reason with an output's frame numbers; None if all are cut."""
         if not self.frames:
             return self
-        runs = [numbers.numbers_of_run(first, last) for first, last in self.frames]
-        frames = tuple(run for run in runs if run is not None)
+        spans = [numbers.numbers_of_run(first, last) for first, last in self.frames]
+        frames = tuple(span for span in spans if span is not None)
         return replace(self, frames=frames) if frames else None
 
 

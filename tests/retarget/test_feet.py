@@ -11,7 +11,7 @@ from animtool.motion.contacts import FootContacts
 from animtool.retarget.bending import bend_at_pin
 from animtool.retarget.feet import (
     _foot_weight,
-    _locked_path,
+    _pinned_path,
     _planted_rotations,
     smooth_cover,
     upper_envelope,
@@ -93,7 +93,7 @@ def test_who_kneels_stands_on_toes_that_have_no_joint(
     """Above a twentieth of its leg an ankle stays as far above where it stands."""
     one = foot(8, height_change=np.full(8, above))
     ankle = np.tile([0.3, 0.4, 0.1], (8, 1)) + np.linspace(-0.01, 0.01, 8)[:, None]
-    found = _locked_path(ankle, np.zeros((8, 3)), one, 30.0, 1)
+    found = _pinned_path(ankle, np.zeros((8, 3)), one, 30.0, 1)
     np.testing.assert_allclose(found, np.tile([0.3, 0.08 + high, 0.1], (8, 1)))
 
 
@@ -106,7 +106,7 @@ def test_a_heel_that_stands_alone_goes_with_the_nearest_frame_of_the_whole_foot(
     bone = np.zeros((9, 3))
     bone[:, 2] = [0.5, 0.5, 0.10, 0.12, 0.12, 0.14, 0.5, 0.5, 0.5]
     one = foot(9, FootContacts(heel, toe, 0.08))
-    found = _locked_path(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
+    found = _pinned_path(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
     # The toe stays at 1.12: the ankle is behind it by the bone.
     behind = [0.10, 0.10, 0.10, 0.12, 0.12, 0.14, 0.14, 0.14, 0.14]
     np.testing.assert_allclose(found[:, 2], 1.12 - np.array(behind))
@@ -114,7 +114,7 @@ def test_a_heel_that_stands_alone_goes_with_the_nearest_frame_of_the_whole_foot(
     toe = np.array([1, 1, 0, 0, 0, 1, 1, 1, 1], np.bool_)
     bone[:, 2] = [0.1, 0.1, 0.5, 0.5, 0.5, 0.13, 0.13, 0.13, 0.13]
     one = foot(9, FootContacts(heel, toe, 0.08))
-    found = _locked_path(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
+    found = _pinned_path(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
     behind = [0.1, 0.1, 0.1, 0.1, 0.13, 0.13, 0.13, 0.13, 0.13]
     np.testing.assert_allclose(found[:, 2], 1.12 - np.array(behind))
 

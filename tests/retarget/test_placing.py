@@ -20,7 +20,7 @@ from animtool.retarget.feet import (
     _heading_rotation,
     _hip_lift,
     _hip_shifts,
-    _level_bone,
+    _toe_height,
     _local_maxima,
     _raise_above_ground,
     _smooth_step,
@@ -130,20 +130,20 @@ def test_a_toe_goes_with_its_foot_and_raises_the_ankle_where_it_stands_alone() -
     bone = _ankle_to_toe(own, turns)
     # From 8 cm below and 15 cm ahead, pitched down by a quarter.
     assert_allclose(bone, np.tile([0, -0.15, -0.08], (4, 1)), atol=1e-12)
-    assert _level_bone(own, 1) == pytest.approx(-0.08)
+    assert _toe_height(own, 1) == pytest.approx(-0.08)
     assert_allclose(_ankle_rise(own, bone, 1), [0, 0, -0.08 + 0.15, 0], atol=1e-12)
     tilted = foot(4, toe=tips, flat_rotation=turn(X, 90))
-    assert _level_bone(tilted, 1) == pytest.approx(-0.15)
+    assert _toe_height(tilted, 1) == pytest.approx(-0.15)
     tips = tips.copy()
     tips[:, 1] = [-0.9, -0.97, -0.95, 3.0]
     free = foot(4, FootContacts(heel, toe, 0.08), toe=tips, flat_rotation=None)
-    assert _level_bone(free, 1) == pytest.approx(-0.07)
+    assert _toe_height(free, 1) == pytest.approx(-0.07)
     none = FootContacts(heel & ~heel, toe & ~toe, 0.08)
-    assert _level_bone(foot(4, none, toe=tips, flat_rotation=None), 1) == pytest.approx(
+    assert _toe_height(foot(4, none, toe=tips, flat_rotation=None), 1) == pytest.approx(
         -0.025
     )
     assert not _ankle_to_toe(foot(4), turns).any()
-    assert _level_bone(foot(4), 1) == 0
+    assert _toe_height(foot(4), 1) == 0
 
 
 def test_feet_that_stand_lift_the_hips_by_the_mean_of_what_they_ask() -> None:
@@ -223,7 +223,7 @@ def test_who_stands_all_the_time_stays() -> None:
     assert_allclose(made.ankles[0], np.tile([0.6, 0.08, 0.2], (frames, 1)), atol=1e-6)
     assert made.sole_heights == [0.08]
     assert made.max_lowering == 0
-    assert made.is_locked[0].all()
+    assert made.is_planted[0].all()
     short = plant_feet(hips, [foot(frames, ankle=ankle, leg_length=0.8)], 30.0, 1)
     assert short.max_lowering == pytest.approx(
         0.85 - np.sqrt((0.9995 * 0.8) ** 2 - 0.01), abs=2e-4

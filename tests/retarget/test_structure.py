@@ -43,10 +43,10 @@ def test_lengths_and_ways_of_a_skeleton() -> None:
     own = body()
     assert own.children == [[1], [2, 4, 7], [3], [], [5, 6], [], [], []]
     assert_allclose(own.lengths, [0, 2, 0.5, 1, 0.5, 1, 0.5, 0.4])
-    assert_allclose(own.tips, [0, 0, 0, 0.3, 0, 0, 0, 0])
+    assert_allclose(own.tip_lengths, [0, 0, 0, 0.3, 0, 0, 0, 0])
     assert_allclose(own.reach, [3.8, 1.8, 1.3, 0.3, 1, 0, 0, 0])
     assert own.size == pytest.approx(3.8)
-    assert own.counts == [8, 7, 2, 1, 3, 1, 1, 1]
+    assert own.subtree_sizes == [8, 7, 2, 1, 3, 1, 1, 1]
     assert own.path(1, 3) == [1, 2, 3]
     assert own.path(2, 5) == []
     assert (
@@ -180,5 +180,5 @@ def test_branches_of_a_pair_have_about_as_many_joints(
             made.append(Joint(f"{k}{side}", first + k, translation=way))
     rig = Rig("two", tuple(made))
     own = SkeletonTree.of(rig, [{} for _ in made], [""] * len(made))
-    assert [own.counts[1], own.counts[1 + joints[0]]] == [*joints]
+    assert [own.subtree_sizes[1], own.subtree_sizes[1 + joints[0]]] == [*joints]
     assert bool(_similar_subtrees(own)) == alike
