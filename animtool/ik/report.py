@@ -438,10 +438,6 @@ def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[F
     """Return a warning for each goal whose targets are far from its effector's start.
 
     Missed goals get another warning.
-
-    Args:
-        solved_take: The solved take.
-        reports: Reports of its goals, from `goal_reports`.
     """
     notices = []
     for i, (report, distance) in enumerate(

@@ -129,10 +129,6 @@ class Curves:
     pre: tuple[Extrapolation, ...]
     post: tuple[Extrapolation, ...]  # extrapolation after its last key, C long
 
-    def sample(self, times: ArrayLike, *, out: FloatArray | None = None) -> FloatArray:
-        """Return every curve's values ``(C, F)`` at times ``(F,)``; see `evaluate`."""
-        return evaluate(self, times, out=out)
-
     def with_linear_time(self, start: float, ratio: float, new_start: float) -> Curves:
         """Return the curves with time t mapped to ``new_start + (t - start) · ratio``.
 
@@ -251,7 +247,7 @@ def cubic_curves(
 
     >>> zero = np.zeros((2, 1))
     >>> ease = cubic_curves(np.array([0.0, 2.0]), np.array([[0.0], [1.0]]), zero, zero)
-    >>> ease.sample([1.0]).tolist()
+    >>> evaluate(ease, [1.0]).tolist()
     [[0.5]]
     """
     key_count, width = values.shape

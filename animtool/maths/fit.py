@@ -7,7 +7,6 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import (
     ArrayLike,
-    BoolArray,
     FloatArray,
     IntArray,
     as_floats,
@@ -30,18 +29,6 @@ class FittedKeys:
     ins: FloatArray
     # Handle after each key, as offset in value ``(K, D)``; 0 at the last.
     outs: FloatArray
-
-    @property
-    def is_smooth(self) -> BoolArray:
-        """Mask of keys with equal slopes on both sides ``(K,)``; true at the ends."""
-        mask = np.ones(len(self.frames), np.bool_)
-        lengths = np.diff(self.frames)[:, None]
-        slopes_before = self.ins[1:-1] / -lengths[:-1]
-        slopes_after = self.outs[1:-1] / lengths[1:]
-        magnitude = np.abs(slopes_before) + np.abs(slopes_after)
-        changes = np.abs(slopes_before - slopes_after)
-        mask[1:-1] = (changes <= 1e-9 * magnitude + 1e-300).all(axis=1)
-        return mask
 
 
 def fit_keys(

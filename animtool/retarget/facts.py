@@ -46,9 +46,6 @@ def measure_capture(take: Take) -> CaptureFacts | None:
     """Return the statistics of a take; None if it has no body with legs.
 
     Limits: feet are detected by their speed and height, the body by its structure.
-
-    Args:
-        take: F frames.
     """
     rig = take.rig
     if not rig.joints:

@@ -237,9 +237,7 @@ def _travels_across(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     )
 
 
-def find_standing_axis(
-    rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
-) -> UpAxis | None:
+def find_standing_axis(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
 
     BVH files do not state the up axis.
@@ -248,18 +246,18 @@ def find_standing_axis(
         rig: Rig of J joints.
         motion: The take.
         roles: Joint roles ``(J,)``.
-        downwards: Whether it stands along the axis with the head at its negative end,
-            as a take does that was turned from the wrong axis.
     """
-    if not _other_is_longer(rig, motion):
-        return None
-    return _standing_axis(rig, motion, roles, downwards=downwards)
+    return _standing_axis(rig, motion, roles) if _other_is_longer(rig, motion) else None
 
 
 def _standing_axis(
     rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
 ) -> UpAxis | None:
-    """Return the same as `find_standing_axis`, also if the body is taller along up."""
+    """Return the same as `find_standing_axis`, also if the body is taller along up.
+
+    With ``downwards``, the body stands with the head at the negative end of the axis,
+    as in a take that was turned from the wrong axis.
+    """
     frame_step = max(motion.frames // MAX_SAMPLES, 1)
     frames = motion.select(slice(0, motion.frames, frame_step))
     world = forward_kinematics(

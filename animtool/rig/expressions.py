@@ -70,12 +70,21 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
 }
 
 _CONSTANTS = {"pi": np.pi}
-# Symbol and function of each binary operator.
-_OPERATORS: dict[type[ast.operator], tuple[str, Callable[[Any, Any], Any]]] = {
-    ast.Add: ("+", np.add),
-    ast.Sub: ("-", np.subtract),
-    ast.Mult: ("*", np.multiply),
-    ast.Div: ("/", np.divide),
+# Symbol of each binary operator.
+_OPERATORS: dict[type[ast.operator], str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+}
+# Function and number of arguments of each operation of a program.
+_OPERATIONS: dict[str, tuple[Callable[..., Any], int]] = {
+    **FUNCTIONS,
+    "+": (np.add, 2),
+    "-": (np.subtract, 2),
+    "*": (np.multiply, 2),
+    "/": (np.divide, 2),
+    "neg": (np.negative, 1),
 }
 
 
@@ -87,6 +96,8 @@ class Expression:
     # Controls, and coordinates such as ``elbow.angle``, that it reads, sorted.
     names: tuple[str, ...]
     _tree: ast.expr = field(repr=False, compare=False)
+    # Operations in reverse Polish notation, see `postfix_program`.
+    _program: tuple[tuple[str, Any], ...] = field(repr=False, compare=False)
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
         """Evaluate on broadcasting arrays; not finite where undefined.
@@ -95,8 +106,15 @@ class Expression:
         >>> wave.evaluate({"grin": np.array([0.25, 3.0])}).tolist()
         [0.5, 1.0]
         """
+        stack: list[Any] = []
         with np.errstate(all="ignore"):
-            return np.asarray(_evaluate_node(self._tree, values), np.float64)
+            for kind, value in self._program:
+                if kind == "call":
+                    function, count = _OPERATIONS[value]
+                    stack[-count:] = [function(*stack[-count:])]
+                else:
+                    stack.append(value if kind == "number" else values[value])
+        return np.asarray(stack[0], np.float64)
 
     def postfix_program(self) -> list[tuple[str, float | str]]:
         """Return the expression in reverse Polish notation, for a stack machine.
@@ -107,7 +125,7 @@ class Expression:
         >>> parse_expression("2 * x").postfix_program()
         [('number', 2.0), ('name', 'x'), ('call', '*')]
         """
-        return list(_postfix_program(self._tree))
+        return list(self._program)
 
     def scaled_text(self, factors: Mapping[str, float], factor: float) -> str:
         """Return the text with names and result multiplied by factors.
@@ -154,7 +172,8 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
         raise ValueError(_syntax_fault(text.strip(), error)) from error
     names: set[str] = set()
     _check_node(tree, text.strip(), names, 0, coordinates=coordinates)
-    return Expression(text, tuple(sorted(names)), tree)
+    program = tuple(_postfix_program(tree))
+    return Expression(text, tuple(sorted(names)), tree, program)
 
 
 def _syntax_fault(text: str, error: Exception) -> str:
@@ -324,32 +343,10 @@ def _postfix_program(node: ast.expr) -> Iterator[tuple[str, float | str]]:
         case ast.BinOp(left=left, op=operator, right=right):
             yield from _postfix_program(left)
             yield from _postfix_program(right)
-            yield "call", _OPERATORS[type(operator)][0]
+            yield "call", _OPERATORS[type(operator)]
         case ast.Call(func=ast.Name(id=name), args=arguments):
             for argument in arguments:
                 yield from _postfix_program(argument)
             yield "call", name
-        case _:
-            raise AssertionError(ast.dump(node))
-
-
-def _evaluate_node(node: ast.expr, values: Mapping[str, FloatArray]) -> Any:
-    """Return the value of a node."""
-    coordinate = _coordinate_name(node)
-    if coordinate is not None:
-        return values[coordinate]
-    match node:
-        case ast.Constant(value=number):
-            return np.float64(number)  # type: ignore[arg-type]
-        case ast.Name(id=name):
-            return _CONSTANTS[name] if name in _CONSTANTS else values[name]
-        case ast.UnaryOp(op=operator, operand=operand):
-            value = _evaluate_node(operand, values)
-            return -value if isinstance(operator, ast.USub) else value
-        case ast.BinOp(left=left, op=operator, right=right):
-            apply = _OPERATORS[type(operator)][1]
-            return apply(_evaluate_node(left, values), _evaluate_node(right, values))
-        case ast.Call(func=ast.Name(id=name), args=arguments):
-            return FUNCTIONS[name][0](*(_evaluate_node(a, values) for a in arguments))
         case _:
             raise AssertionError(ast.dump(node))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import field, replace
 from pathlib import Path
-from typing import overload
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -192,10 +192,34 @@ def with_array_file(
     folder.
     """
     store = _ArrayStore(path, copy_all)
-    meshes = tuple(store.store_mesh(mesh) for mesh in rig.meshes)
-    shapes = tuple(store.store_shape(shape) for shape in rig.shapes)
-    attach = tuple(store.store_attachment(entry) for entry in rig.attach)
-    return replace(rig, meshes=meshes, shapes=shapes, attach=attach), store.arrays
+    meshes, shapes = [], []
+    for mesh in rig.meshes:
+        stored_mesh = store.with_references(mesh, mesh.name)
+        skin = mesh.skin and store.with_references(mesh.skin, mesh.name)
+        meshes.append(replace(stored_mesh, skin=skin))
+    for shape in rig.shapes:
+        stored_shape = store.with_references(shape, shape.name)
+        inbetweens = tuple(
+            store.with_references(inbetween, f"{shape.name}_{inbetween.at:g}")
+            for inbetween in shape.inbetweens
+        )
+        shapes.append(replace(stored_shape, inbetweens=inbetweens))
+    attach = tuple(store.with_references(entry, entry.name) for entry in rig.attach)
+    stored = replace(rig, meshes=tuple(meshes), shapes=tuple(shapes), attach=attach)
+    return stored, store.arrays
+
+
+Part = TypeVar("Part", Mesh, Skin, Shape, Inbetween, Attachment)
+# Suffix of the array's name in a file, by field of each part.
+_SUFFIXES: dict[type, dict[str, str]] = {
+    Mesh: {"points": "_points", "faces": "_faces", "normals": "_normals"},
+    Skin: {"indices": "_joints", "weights": "_weights"},
+    Shape: {"deltas": "", "normals": "_normals", "vertices": "_vertices"},
+    Inbetween: {"deltas": "", "normals": "_normals"},
+    Attachment: {"pins": "_pins", "points": "_points"},
+}
+# Fields of whole numbers.
+_INTEGER_FIELDS = frozenset({"faces", "indices", "vertices", "pins"})
 
 
 @dataclass(slots=True)
@@ -206,16 +230,18 @@ class _ArrayStore:
     copy_all: bool
     arrays: StoredArrays = field(default_factory=dict)
 
-    @overload
-    def store_array(
-        self, source: ArraySource, name: str, *, integers: bool = False
-    ) -> ArraySource: ...
-    @overload
-    def store_array(
-        self, source: ArraySource | None, name: str, *, integers: bool = False
-    ) -> ArraySource | None: ...
-    def store_array(
-        self, source: ArraySource | None, name: str, *, integers: bool = False
+    def with_references(self, part: Part, name: str) -> Part:
+        """Return a part of a rig whose arrays are references to files."""
+        references: dict[str, Any] = {
+            key: self._store_array(
+                getattr(part, key), name + suffix, integers=key in _INTEGER_FIELDS
+            )
+            for key, suffix in _SUFFIXES[type(part)].items()
+        }
+        return replace(part, **references)
+
+    def _store_array(
+        self, source: ArraySource | None, name: str, *, integers: bool
     ) -> ArraySource | None:
         """Return a reference to an array; store the array if no file contains it."""
         if source is None or (isinstance(source, ArrayRef) and not self.copy_all):
@@ -230,57 +256,6 @@ class _ArrayStore:
             key, number = f"{identifier}_{number}", number + 1
         self.arrays[key] = _to_32_bits(values, integers=integers)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
-
-    def store_mesh(self, mesh: Mesh) -> Mesh:
-        """Return a mesh whose arrays are references to files."""
-        skin = mesh.skin
-        return replace(
-            mesh,
-            points=self.store_array(mesh.points, f"{mesh.name}_points"),
-            faces=self.store_array(mesh.faces, f"{mesh.name}_faces", integers=True),
-            normals=self.store_array(mesh.normals, f"{mesh.name}_normals"),
-            skin=None if skin is None else self.store_skin(skin, mesh.name),
-        )
-
-    def store_skin(self, skin: Skin, mesh: str) -> Skin:
-        """Return a skin whose arrays are references to files."""
-        return replace(
-            skin,
-            indices=self.store_array(skin.indices, f"{mesh}_joints", integers=True),
-            weights=self.store_array(skin.weights, f"{mesh}_weights"),
-        )
-
-    def store_shape(self, shape: Shape) -> Shape:
-        """Return a shape whose arrays are references to files."""
-        name = shape.name
-        return replace(
-            shape,
-            deltas=self.store_array(shape.deltas, name),
-            normals=self.store_array(shape.normals, f"{name}_normals"),
-            vertices=self.store_array(
-                shape.vertices, f"{name}_vertices", integers=True
-            ),
-            inbetweens=tuple(
-                self.store_inbetween(step, name) for step in shape.inbetweens
-            ),
-        )
-
-    def store_inbetween(self, step: Inbetween, shape: str) -> Inbetween:
-        """Return an in-between whose arrays are references to files."""
-        name = f"{shape}_{step.at:g}"
-        return replace(
-            step,
-            deltas=self.store_array(step.deltas, name),
-            normals=self.store_array(step.normals, f"{name}_normals"),
-        )
-
-    def store_attachment(self, entry: Attachment) -> Attachment:
-        """Return an attachment whose arrays are references to files."""
-        return replace(
-            entry,
-            pins=self.store_array(entry.pins, f"{entry.name}_pins", integers=True),
-            points=self.store_array(entry.points, f"{entry.name}_points"),
-        )
 
 
 def _to_32_bits(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:

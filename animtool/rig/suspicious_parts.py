@@ -31,13 +31,7 @@ _DEGREE_STEP = 15.0
 
 
 def warn_of_parts(document: Document, model: RigModel, rig: Rig) -> None:
-    """Warn of parts of a rig file whose numbers suggest another unit.
-
-    Args:
-        document: The rig file.
-        model: Content of the file.
-        rig: The rig.
-    """
+    """Warn of parts of a rig file whose numbers suggest another unit."""
     for i, chain in enumerate(model.ik):
         warn_of_stretch_percent(document, ("ik", i, "stretch"), chain.stretch)
     _warn_of_degrees(document, rig)

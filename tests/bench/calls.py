@@ -37,7 +37,7 @@ from animtool import Clock as TakeClock
 from animtool.clip.file import load_clip_of
 from animtool.edit import loop, resampled, time_warp
 from animtool.maths import so3
-from animtool.maths.curves import Curves, Extrapolation, SegmentKind
+from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
 from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
@@ -194,7 +194,7 @@ def curve_routes(
         )
         for name, library in libraries.items():
             work = _lerp(library, curves, count, at)
-            error = float(np.abs(work() - curves.sample(at)).max())
+            error = float(np.abs(work() - evaluate(curves, at)).max())
             assert error < 1e-12, error
             routes.append(Route(section, name, work, 5))
     return routes
@@ -222,7 +222,7 @@ def _curve(times: Any, keys: Any, kind: RotationKind, at: Any) -> Callable[[], o
 
 
 def _samples(curves: Curves, at: Any) -> Callable[[], object]:
-    return lambda: curves.sample(at)
+    return lambda: evaluate(curves, at)
 
 
 def _lines(rng: np.random.Generator, count: int) -> Curves:
