@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.motion.motion import Motion
-from animtool.rig.body_size import feet_of, is_character
+from animtool.rig.body_size import find_feet, is_character
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
@@ -71,7 +71,7 @@ def _leg_length(rig: Rig) -> float | None:
     """
     positions = rest_world(rig).positions[0]
     up, hips = np.array(rig.up.vector, float), _hips(rig)
-    feet_height = float((positions[feet_of(rig.names)] @ up).min())
+    feet_height = float((positions[find_feet(rig.names)] @ up).min())
     length = float(positions[hips] @ up) - feet_height
     distance = float(np.linalg.norm(positions[int(rig.roots[0])] - positions[hips]))
     return length if length > 0 and distance <= MAX_HIPS_DISTANCE * length else None
@@ -117,7 +117,7 @@ def _is_leg_length(ratios: FloatArray) -> bool:
 def _hips(rig: Rig) -> int:
     """Return the lowest joint whose subtree contains all feet."""
     paths: list[list[int]] = []
-    for joint in feet_of(rig.names).tolist():
+    for joint in find_feet(rig.names).tolist():
         path = [joint]
         while rig.parents[path[-1]] >= 0:
             path.append(int(rig.parents[path[-1]]))

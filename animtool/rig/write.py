@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
@@ -24,8 +24,6 @@ from animtool.rig.parts import (
     Shape,
 )
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
-
-KeyTexts = Iterable[tuple[str, str | None]]
 
 # A bind pose's stretch this close to the identity is float32 rounding [1].
 STRETCH_TOLERANCE = 1e-5
@@ -62,11 +60,9 @@ def rig_text(rig: Rig) -> str:
         text_lines.append("bind:")
         for name, pose in bind.items():
             entry = _flow_mapping(
-                [
-                    ("translate", units.vector_text(pose.translation)),
-                    ("rotate", _quaternion_text(pose.rotation)),
-                    ("stretch", _stretch_text(pose)),
-                ]
+                translate=units.vector_text(pose.translation),
+                rotate=_quaternion_text(pose.rotation),
+                stretch=_stretch_text(pose),
             )
             text_lines.append(f"  {yaml_scalar(name)}: {entry}")
     sections = {
@@ -119,48 +115,40 @@ class _FileNumbers:
         channels = joint.channels
         tips = [self.vector_text(tip) for tip in joint.tips]
         return _flow_mapping(
-            [
-                ("name", yaml_scalar(joint.name)),
-                ("parent", None if parent is None else yaml_scalar(parent)),
-                ("type", joint.type.value),
-                ("translate", self.vector_text(joint.translation)),
-                ("rotate", _quaternion_text(joint.rotation) if is_rotated else None),
-                ("axis", _number_list(joint.axis) if has_axis else None),
-                ("limits", self.limits_entry(joint)),
-                ("mimic", self.mimic_entry(joint, rig)),
-                ("driven", self.driver_entry(joint.driven, joint.type)),
-                ("mirror", yaml_scalar(joint.mirror) if joint.mirror else None),
-                ("tips", flow_list(tips) if tips else None),
-                ("channels", None if channels is None else flow_list(list(channels))),
-            ]
+            name=yaml_scalar(joint.name),
+            parent=None if parent is None else yaml_scalar(parent),
+            type=joint.type.value,
+            translate=self.vector_text(joint.translation),
+            rotate=_quaternion_text(joint.rotation) if is_rotated else None,
+            axis=_number_list(joint.axis) if has_axis else None,
+            limits=self.limits_entry(joint),
+            mimic=self.mimic_entry(joint, rig),
+            driven=self.driver_entry(joint.driven, joint.type),
+            mirror=yaml_scalar(joint.mirror) if joint.mirror else None,
+            tips=flow_list(tips) if tips else None,
+            channels=None if channels is None else flow_list(list(channels)),
         )
 
     def collider_entry(self, collider: Collider) -> str:
         """Return the entry of a collider."""
         capsule, offset = collider.capsule, collider.capsule.offset
         capsule_text = _flow_mapping(
-            [
-                ("radius", self.length_text(capsule.radius)),
-                ("length", self.length_text(capsule.length)),
-                ("axis", _number_list(capsule.axis)),
-                ("offset", self.vector_text(offset) if any(offset) else None),
-            ]
+            radius=self.length_text(capsule.radius),
+            length=self.length_text(capsule.length),
+            axis=_number_list(capsule.axis),
+            offset=self.vector_text(offset) if any(offset) else None,
         )
-        return _flow_mapping(
-            [("joint", yaml_scalar(collider.joint)), ("capsule", capsule_text)]
-        )
+        return _flow_mapping(joint=yaml_scalar(collider.joint), capsule=capsule_text)
 
     def mass_entry(self, mass: Mass) -> str:
         """Return the entry of a mass."""
         has_axes = mass.axes != (0.0, 0.0, 0.0, 1.0)
         return _flow_mapping(
-            [
-                ("joint", yaml_scalar(mass.joint)),
-                ("mass", decimal_text(mass.mass)),
-                ("centre", self.vector_text(mass.centre) if any(mass.centre) else None),
-                ("inertia", _number_list(mass.inertia)),
-                ("axes", _quaternion_text(mass.axes) if has_axes else None),
-            ]
+            joint=yaml_scalar(mass.joint),
+            mass=decimal_text(mass.mass),
+            centre=self.vector_text(mass.centre) if any(mass.centre) else None,
+            inertia=_number_list(mass.inertia),
+            axes=_quaternion_text(mass.axes) if has_axes else None,
         )
 
     def limits_entry(self, joint: Joint) -> str | None:
@@ -178,7 +166,7 @@ class _FileNumbers:
         twist = self.range_text(limits.twist, self.radians)
         twist = "locked" if limits.twist == (0.0, 0.0) else twist
         axis = _number_list(limits.twist_axis)
-        return _flow_mapping([("swing", swing), ("twist", twist), ("twist_axis", axis)])
+        return _flow_mapping(swing=swing, twist=twist, twist_axis=axis)
 
     def mimic_entry(self, joint: Joint, rig: Rig) -> str | None:
         """Return the mimic of a joint; None without one."""
@@ -191,36 +179,30 @@ class _FileNumbers:
         ]
         gain = joint.mimic.gain * units[1] / units[0]
         return _flow_mapping(
-            [
-                ("joint", yaml_scalar(leader.name)),
-                ("gain", decimal_text(gain)),
-                ("offset", scaled_decimal(joint.mimic.offset, units[0])),
-            ]
+            joint=yaml_scalar(leader.name),
+            gain=decimal_text(gain),
+            offset=scaled_decimal(joint.mimic.offset, units[0]),
         )
 
     def shape_entry(self, shape: Shape) -> str:
         """Return the entry of a shape."""
         inbetweens = [
             _flow_mapping(
-                [
-                    ("at", decimal_text(inbetween.at)),
-                    ("deltas", _array_path(inbetween.deltas)),
-                    ("normals", _array_path(inbetween.normals)),
-                ]
+                at=decimal_text(inbetween.at),
+                deltas=_array_path(inbetween.deltas),
+                normals=_array_path(inbetween.normals),
             )
             for inbetween in shape.inbetweens
         ]
         return _flow_mapping(
-            [
-                ("name", yaml_scalar(shape.name)),
-                ("mesh", yaml_scalar(shape.mesh) if shape.mesh else None),
-                ("deltas", _array_path(shape.deltas)),
-                ("normals", _array_path(shape.normals)),
-                ("vertices", _array_path(shape.vertices)),
-                ("inbetweens", flow_list(inbetweens) if inbetweens else None),
-                ("combine", _name_list(shape.combine) if shape.combine else None),
-                ("driven", self.driver_entry(shape.driven)),
-            ]
+            name=yaml_scalar(shape.name),
+            mesh=yaml_scalar(shape.mesh) if shape.mesh else None,
+            deltas=_array_path(shape.deltas),
+            normals=_array_path(shape.normals),
+            vertices=_array_path(shape.vertices),
+            inbetweens=flow_list(inbetweens) if inbetweens else None,
+            combine=_name_list(shape.combine) if shape.combine else None,
+            driven=self.driver_entry(shape.driven),
         )
 
     def control_entry(self, control: Control) -> str:
@@ -230,13 +212,11 @@ class _FileNumbers:
             limits = _number_list((control.low, control.high))
         drives = [self.drive_entry(drive) for drive in control.drives]
         return _flow_mapping(
-            [
-                ("name", yaml_scalar(control.name)),
-                ("range", limits),
-                ("default", decimal_text(control.default) if control.default else None),
-                ("drives", flow_list(drives) if drives else None),
-                ("driven", self.driver_entry(control.driven)),
-            ]
+            name=yaml_scalar(control.name),
+            range=limits,
+            default=decimal_text(control.default) if control.default else None,
+            drives=flow_list(drives) if drives else None,
+            driven=self.driver_entry(control.driven),
         )
 
     def drive_entry(self, drive: Drive) -> str:
@@ -253,12 +233,10 @@ class _FileNumbers:
         if drive.expression is not None:
             expression_text = _expression_text(drive.expression, {}, factor)
         return _flow_mapping(
-            [
-                (kind, yaml_scalar(name)),
-                ("expr", expression_text),
-                ("curve", curve if drive.curve else None),
-                ("interp", "smooth" if drive.smooth else None),
-            ]
+            **{kind: yaml_scalar(name)},
+            expr=expression_text,
+            curve=curve if drive.curve else None,
+            interp="smooth" if drive.smooth else None,
         )
 
     def driver_entry(
@@ -275,15 +253,13 @@ class _FileNumbers:
         }
         if driver.expression is not None:
             text = _expression_text(driver.expression, ratios, factor)
-            return _flow_mapping([("expr", text)])
+            return _flow_mapping(expr=text)
         ratio = ratios[driver.curve_input]
         points = [(x / ratio, y * factor) for x, y in driver.curve]
         return _flow_mapping(
-            [
-                ("by", yaml_scalar(driver.curve_input)),
-                ("curve", flow_list([str(_number_list(point)) for point in points])),
-                ("interp", "smooth" if driver.smooth else None),
-            ]
+            by=yaml_scalar(driver.curve_input),
+            curve=flow_list([str(_number_list(point)) for point in points]),
+            interp="smooth" if driver.smooth else None,
         )
 
     def unit_of_coordinate(self, name: str) -> float:
@@ -347,31 +323,27 @@ def _poses_at_rest(rig: Rig) -> dict[str, Pose]:
 def _chain_entry(chain: IkChain) -> str:
     """Return the entry of an IK chain."""
     return _flow_mapping(
-        [
-            ("name", yaml_scalar(chain.name)),
-            ("root", yaml_scalar(chain.root)),
-            ("tip", yaml_scalar(chain.tip)),
-            ("goal", chain.goal),
-            ("pole_dir", _number_list(chain.pole_dir)),
-            ("stretch", decimal_text(chain.stretch) if chain.stretch else None),
-        ]
+        name=yaml_scalar(chain.name),
+        root=yaml_scalar(chain.root),
+        tip=yaml_scalar(chain.tip),
+        goal=chain.goal,
+        pole_dir=_number_list(chain.pole_dir),
+        stretch=decimal_text(chain.stretch) if chain.stretch else None,
     )
 
 
 def _attachment_entry(entry: Attachment) -> str:
     """Return the entry of an attachment."""
-    joints = ("joints", _name_list(entry.joints) if entry.joints else None)
+    joints = {"joints": _name_list(entry.joints) if entry.joints else None}
     if entry.kind == AttachKind.STRANDS:
-        joints = ("joint", yaml_scalar(entry.joints[0]))
+        joints = {"joint": yaml_scalar(entry.joints[0])}
     return _flow_mapping(
-        [
-            ("name", yaml_scalar(entry.name)),
-            ("kind", yaml_scalar(entry.kind)),
-            joints,
-            ("mesh", yaml_scalar(entry.mesh) if entry.mesh else None),
-            ("pins", _array_path(entry.pins)),
-            ("points", _array_path(entry.points)),
-        ]
+        name=yaml_scalar(entry.name),
+        kind=yaml_scalar(entry.kind),
+        **joints,
+        mesh=yaml_scalar(entry.mesh) if entry.mesh else None,
+        pins=_array_path(entry.pins),
+        points=_array_path(entry.points),
     )
 
 
@@ -380,23 +352,19 @@ def _mesh_entry(mesh: Mesh) -> str:
     skin = None
     if mesh.skin is not None:
         skin = _flow_mapping(
-            [
-                ("method", mesh.skin.method),
-                ("joints", _name_list(mesh.skin.joints)),
-                ("indices", _array_path(mesh.skin.indices)),
-                ("weights", _array_path(mesh.skin.weights)),
-            ]
+            method=mesh.skin.method,
+            joints=_name_list(mesh.skin.joints),
+            indices=_array_path(mesh.skin.indices),
+            weights=_array_path(mesh.skin.weights),
         )
     return _flow_mapping(
-        [
-            ("name", yaml_scalar(mesh.name)),
-            ("points", _array_path(mesh.points)),
-            ("faces", _array_path(mesh.faces)),
-            ("normals", _array_path(mesh.normals)),
-            ("geom_bind", _number_list(mesh.geom_bind)),
-            ("skin", skin),
-            ("subdivision", mesh.subdivision and mesh.subdivision.value),
-        ]
+        name=yaml_scalar(mesh.name),
+        points=_array_path(mesh.points),
+        faces=_array_path(mesh.faces),
+        normals=_array_path(mesh.normals),
+        geom_bind=_number_list(mesh.geom_bind),
+        skin=skin,
+        subdivision=mesh.subdivision and mesh.subdivision.value,
     )
 
 
@@ -422,10 +390,10 @@ def _expression_text(
     return f'"{escaped}"'
 
 
-def _flow_mapping(pairs: KeyTexts) -> str:
-    """Format pairs as a YAML mapping in braces; pairs with None are left out."""
-    entries = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
-    return f"{{{entries}}}"
+def _flow_mapping(**texts: str | None) -> str:
+    """Return texts by key as a YAML mapping in braces; None is left out."""
+    pairs = [f"{key}: {text}" for key, text in texts.items() if text is not None]
+    return f"{{{', '.join(pairs)}}}"
 
 
 def _name_list(names: Sequence[str]) -> str:
