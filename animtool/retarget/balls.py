@@ -49,15 +49,6 @@ def find_balls(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]
     return balls
 
 
-def ball_positions(
-    ball: Ball, foot: int, positions: FloatArray, rotations: FloatArray
-) -> FloatArray:
-    """Return the ball's position ``(F, 3)`` [m] from world joints ``(F, J, …)``."""
-    if ball.toe >= 0:
-        return positions[:, ball.toe]
-    return np.asarray(positions[:, foot] + so3.rotate(rotations[:, foot], ball.offset))
-
-
 def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
     """Return the first joint of each toe of a foot."""
     joints = {j for j, role in enumerate(skeleton.roles) if role == f"toe_{side}"}

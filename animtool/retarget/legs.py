@@ -12,7 +12,6 @@ from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.maths.rows import Rows
 from animtool.motion.contacts import find_contacts
-from animtool.retarget.balls import ball_positions
 from animtool.retarget.bending import bend_at_pin, bend_limb
 from animtool.retarget.feet import Foot
 from animtool.retarget.roled_skeleton import RoledSkeleton
@@ -130,7 +129,9 @@ def ball_of_foot(
     foot, ball = leg_joints(skeleton, side)[2], skeleton.balls.get(side)
     if ball is None:
         return positions[:, foot]
-    return ball_positions(ball, foot, positions, rotations)
+    if ball.toe >= 0:
+        return positions[:, ball.toe]
+    return np.asarray(positions[:, foot] + so3.rotate(rotations[:, foot], ball.offset))
 
 
 def _leg_reach(

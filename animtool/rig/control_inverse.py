@@ -95,15 +95,12 @@ def solve_controls(
     for group in _coupled_groups(controls):
         group_controls = [control for control in controls if control.name in group]
         problem = _GroupProblem(group_controls, targets, tolerances, keyed)
-        start_values = {
-            control.name: values[control.name] for control in group_controls
-        }
+        start_values = {name: values[name] for name in problem.by_name}
         solved_values, unsolved_names = _solve_group(problem, start_values)
         values |= solved_values
         released_names |= unsolved_names
-        solved_names |= {
-            control.name for control in group_controls if control.drives
-        } - unsolved_names
+        driving_names = {control.name for control in group_controls if control.drives}
+        solved_names |= driving_names - unsolved_names
     order = [control.name for control in controls]
     return SolvedControls(
         values,
@@ -120,28 +117,19 @@ def _solve_group(
         return start, set()
     solvable = [name for name in start if name not in problem.masters]
     values = problem.solve(start, solvable)
-    for candidate_problem in (
-        *problem.shifted_by_revolutions(start, solvable),
-        problem,
-    ):
-        if not candidate_problem.missed_targets(values):
+    for candidate in (*problem.shifted_by_revolutions(start, solvable), problem):
+        if not candidate.missed_targets(values):
             break
-        names = (
-            [*start] if candidate_problem is problem and problem.masters else solvable
-        )
-        trial = candidate_problem.solve(
-            start if candidate_problem is not problem else values, names
-        )
-        if not candidate_problem.missed_targets(trial):
+        is_shifted = candidate is not problem
+        names = solvable if is_shifted or not problem.masters else [*start]
+        trial = candidate.solve(start if is_shifted else values, names)
+        if not candidate.missed_targets(trial):
             values = trial
     released: set[str] = set()
     while True:
         missed_targets = problem.missed_targets(values)
-        unsolved_names = {
-            name
-            for name in solvable
-            if problem.targets_by_control[name] & missed_targets
-        }
+        targets = problem.targets_by_control
+        unsolved_names = {name for name in solvable if targets[name] & missed_targets}
         if not unsolved_names:
             values, released = _solve_released(problem, values, released)
             return _reset_if_unneeded(problem, values, start), released
@@ -176,9 +164,8 @@ def _reset_if_unneeded(
     missed_targets = problem.missed_targets(values)
     for name, value in start.items():
         trial = {**values, name: value}
-        if (values[name] != value).any() and problem.missed_targets(
-            trial
-        ) <= missed_targets:
+        is_changed = (values[name] != value).any()
+        if is_changed and problem.missed_targets(trial) <= missed_targets:
             values = trial
     return values
 
@@ -190,11 +177,9 @@ def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
         affected_names = {control.name}
         for drive in control.drives:
             affected_names |= {drive.target, *drive.controls_read(control.name)}
+        affected_names = {name.removeprefix("control/") for name in affected_names}
         for name in affected_names:
-            links.setdefault(name.removeprefix("control/"), set()).update(
-                affected_name.removeprefix("control/")
-                for affected_name in affected_names
-            )
+            links.setdefault(name, set()).update(affected_names)
     names = [control.name for control in controls]
     groups: list[set[str]] = []
     visited_names: set[str] = set()
@@ -239,16 +224,14 @@ class _GroupProblem:
         self.masters = {
             name
             for name, targets in direct_targets.items()
-            if targets and all(target.startswith("control/") for target in targets)
+            if targets and all(map(_is_control, targets))
         }
 
     def shifted_by_revolutions(
         self, start: Mapping[str, FloatArray], free_names: Sequence[str]
     ) -> Iterator[_GroupProblem]:
         """Yield the problem with goal angles shifted by revolutions."""
-        angles = [
-            target for target in self.targets_in_order if target.endswith(".angle")
-        ]
+        angles = [name for name in self.targets_in_order if name.endswith(".angle")]
         for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
             single_target = self._with_goals({anchor: self.goals[anchor]})
             driven_values = evaluate_controls(
@@ -280,16 +263,12 @@ class _GroupProblem:
             for target in self.targets_in_order:
                 difference = self.goals[target][frames] - driven_values[target]
                 if modulo and target.endswith(".angle"):
-                    difference = difference - 2 * np.pi * np.round(
-                        difference / (2 * np.pi)
-                    )
+                    revolutions = np.round(difference / (2 * np.pi))
+                    difference = difference - 2 * np.pi * revolutions
                 columns.append(difference / self.tolerances[target])
         stacked = np.stack(np.broadcast_arrays(*columns), axis=-1)
-        return np.asarray(
-            np.nan_to_num(
-                stacked.clip(-HUGE_RESIDUAL, HUGE_RESIDUAL), nan=HUGE_RESIDUAL
-            )
-        )
+        clipped = stacked.clip(-HUGE_RESIDUAL, HUGE_RESIDUAL)
+        return np.asarray(np.nan_to_num(clipped, nan=HUGE_RESIDUAL))
 
     def missed_targets(self, values: Mapping[str, FloatArray]) -> set[str]:
         """Return the targets that are missed by more than their tolerance."""
@@ -340,9 +319,8 @@ class _GroupProblem:
         lengths = np.einsum("kft,kft->kf", segments, segments)
         # In units of the segment, from its start.
         fraction = -np.einsum("kft,kft->kf", corners[:-1], segments)
-        fraction = np.divide(
-            fraction, lengths, out=np.zeros_like(fraction), where=lengths > 0
-        )
+        zeros = np.zeros_like(fraction)
+        fraction = np.divide(fraction, lengths, out=zeros, where=lengths > 0)
         low_bounds, high_bounds = np.zeros((2, len(fraction), 1))
         high_bounds += 1.0
         if not is_bounded:
@@ -354,21 +332,19 @@ class _GroupProblem:
         # Of equally good segments, prefer the current one.
         middle = (grid[:-1] + grid[1:])[:, None] / 2
         distance = np.abs(middle - current_values) / max(float(np.ptp(grid)), 1e-300)
-        best_segments = np.argmin(
-            costs * (1 + 1e-12 * distance) + 1e-30 * distance, axis=0
-        )
+        costs = costs * (1 + 1e-12 * distance) + 1e-30 * distance
+        best_segments = np.argmin(costs, axis=0)
         rows = np.arange(len(best_segments))
-        steps = np.diff(grid)
-        return np.asarray(
-            grid[best_segments] + fraction[best_segments, rows] * steps[best_segments]
-        )
+        steps = fraction[best_segments, rows] * np.diff(grid)[best_segments]
+        return np.asarray(grid[best_segments] + steps)
 
     def _minimize(
         self, values: dict[str, FloatArray], free_names: Sequence[str], frames: IntArray
     ) -> None:
         """Minimize the residual over the free controls by Gauss-Newton, in place."""
-        bounds = [_control_bounds(self.by_name[name]) for name in free_names]
-        low_bounds, high_bounds = np.array(bounds).T
+        controls = [self.by_name[name] for name in free_names]
+        low_bounds = np.array([-np.inf if c.low is None else c.low for c in controls])
+        high_bounds = np.array([np.inf if c.high is None else c.high for c in controls])
         current = np.stack([values[name][frames] for name in free_names], axis=-1)
         other_values = {name: value[frames] for name, value in values.items()}
 
@@ -380,9 +356,8 @@ class _GroupProblem:
         residual = residual_at(current)
         cost = (residual**2).sum(axis=1)
         for _ in range(MAX_NEWTON_STEPS):
-            step = self._step(
-                residual_at, current, residual, free_names, (low_bounds, high_bounds)
-            )
+            bounds = (low_bounds, high_bounds)
+            step = self._step(residual_at, current, residual, free_names, bounds)
             has_moved = False
             for fraction in (1.0, 0.5, 0.125):
                 trial = np.clip(current + fraction * step, low_bounds, high_bounds)
@@ -455,28 +430,25 @@ def _all_targets_by_control(
     while has_grown:
         has_grown = False
         for name, targets in targets_by_control.items():
+            driven_names = [t.partition("/")[2] for t in targets if _is_control(t)]
             indirect_targets = {
-                indirect
-                for target in targets
-                if target.startswith("control/")
-                for indirect in targets_by_control.get(
-                    target.removeprefix("control/"), ()
-                )
+                target
+                for driven_name in driven_names
+                for target in targets_by_control.get(driven_name, ())
             }
             has_grown = has_grown or not indirect_targets <= targets
             targets_by_control[name] = targets | indirect_targets
     return {
         control.name: {
-            t for t in targets_by_control[control.name] if not t.startswith("control/")
+            t for t in targets_by_control[control.name] if not _is_control(t)
         }
         for control in controls
     }
 
 
-def _control_bounds(control: Control) -> tuple[float, float]:
-    """Return the lower and upper bound of a control, infinite without a range."""
-    low = -np.inf if control.low is None else control.low
-    return low, np.inf if control.high is None else control.high
+def _is_control(target: str) -> bool:
+    """Return whether a target is a control, not a joint or shape."""
+    return target.startswith("control/")
 
 
 def _control_grid(control: Control) -> FloatArray:
@@ -486,14 +458,7 @@ def _control_grid(control: Control) -> FloatArray:
     if range_low is None or range_high is None:
         corners |= {control.default - 1.0, control.default, control.default + 1.0, 0.0}
         return np.array(sorted(corners))
-    corners |= {
-        control.default,
-        -1.0,
-        0.0,
-        1.0,
-        *np.linspace(range_low, range_high, GRID_POINTS).tolist(),
-    }
-    grid_corners = sorted({float(np.clip(x, range_low, range_high)) for x in corners})
-    return np.array(
-        grid_corners if len(grid_corners) > 1 else [range_low, range_low + 1.0]
-    )
+    even_grid = np.linspace(range_low, range_high, GRID_POINTS).tolist()
+    corners |= {control.default, -1.0, 0.0, 1.0, *even_grid}
+    grid = sorted({float(np.clip(x, range_low, range_high)) for x in corners})
+    return np.array(grid if len(grid) > 1 else [range_low, range_low + 1.0])
