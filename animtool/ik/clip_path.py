@@ -196,13 +196,9 @@ class ClipPath:
         costs = self.interval(self.chain_poses(result), all_frames, 0).costs
         path_misses, least_misses = miss_of_cost(costs), miss_of_cost(self.least_costs)
         # Misses that overflow are infinite at the nearest pose, too.
-        excess = np.subtract(
-            path_misses,
-            least_misses,
-            out=np.zeros_like(path_misses),
-            where=path_misses > least_misses,
-        )
-        excess = excess * self.problem.length
+        excess, is_larger = np.zeros_like(path_misses), path_misses > least_misses
+        np.subtract(path_misses, least_misses, out=excess, where=is_larger)
+        excess *= self.problem.length
         statuses = tuple(
             IkStatus.STEADIER if status is IkStatus.NEAREST and is_beyond else status
             for status, is_beyond in zip(

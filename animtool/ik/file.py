@@ -84,15 +84,12 @@ class _TargetsReader:
         count = None
         if self.first is not None and self.last is not None and self.first <= self.last:
             count = int((self.last - self.first) // 1) + 1
-        self.values = ValueReader(
-            document,
-            rig,
+        units, roots, first = (
             self._read_units(),
             project_roots(document.path),
-            archives,
             self.first,
-            count,
         )
+        self.values = ValueReader(document, rig, units, roots, archives, first, count)
 
     def read_tracks(self) -> TargetTracks:
         """Return the tracks of the file; record its faults."""

@@ -111,13 +111,9 @@ def match_take(
     writes_keys = clock.count <= MAX_KEYED_FRAMES or clock.step != 1
     # Arrays have a row for each frame of the file's range.
     writes_keys = writes_keys or last - first != clock.count - 1 or "#" in path.name
-    values = _ValueBuilder(
-        clock,
-        ClipUnits.of_rig(take.rig),
-        None if writes_keys else array_file_of(path).name,
-        first,
-        reduce,
-    )
+    array_file = None if writes_keys else array_file_of(path).name
+    units = ClipUnits.of_rig(take.rig)
+    values = _ValueBuilder(clock, units, array_file, first, reduce)
     goals = tuple(
         _track(take.rig, chain, e, matched_limbs, values)
         for e, chain in enumerate(chains)

@@ -48,14 +48,8 @@ def find_nearest_poses(
 
     ``result`` and ``targets`` are of the B problems, ``prefer`` ``(B, Q)``.
     """
-    frame_options = replace(
-        options,
-        ordered=False,
-        warm=False,
-        restarts=0,
-        near=False,
-        method=IkMethod.DAMPED,
-    )
+    frame_options = replace(options, method=IkMethod.DAMPED, restarts=0)
+    frame_options = replace(frame_options, ordered=False, warm=False, near=False)
     preferred = np.asarray(prefer, np.float64)
     trial_options, descent_options = (
         replace(frame_options, iterations=n)
@@ -85,12 +79,9 @@ def find_nearest_poses(
                 prefer=preferred[promising],
             )
             trial_costs = miss_costs(trial_result, promising_targets)
-            is_better = trial_costs < current_costs[promising]
+            better = np.flatnonzero(trial_costs < current_costs[promising])
             best_result = _replace_rows(
-                best_result,
-                trial_result,
-                promising[is_better],
-                np.flatnonzero(is_better),
+                best_result, trial_result, promising[better], better
             )
     return best_result
 

@@ -483,16 +483,12 @@ def _goal_warning(
 ) -> Fault:
     """Return a warning, located at a goal."""
     line, column = solved_take.tracks.goals[goal].location
-    return Fault(
-        code,
-        message,
+    path, where, level = (
         str(solved_take.tracks.path),
-        (line,),
-        hint,
+        f"goals[{goal}]",
         Severity.WARNING,
-        column=column,
-        where=f"goals[{goal}]",
     )
+    return Fault(code, message, path, (line,), hint, level, column=column, where=where)
 
 
 def _miss_text(report: GoalReport) -> str:

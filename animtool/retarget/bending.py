@@ -46,11 +46,9 @@ def bend_limb(
     goal_distance = np.clip(goal_distance, shortest_distance, longest_distance)
     hinge_axis = np.cross(thigh, shin)
     axis_length = np.linalg.norm(hinge_axis, axis=1, keepdims=True)
-    hinge_axis = np.where(
-        axis_length > 1e-3 * (a * b)[:, None],
-        hinge_axis / np.maximum(axis_length, 1e-300),
-        hinge,
-    )
+    is_bent = axis_length > 1e-3 * (a * b)[:, None]
+    unit_axis = hinge_axis / np.maximum(axis_length, 1e-300)
+    hinge_axis = np.where(is_bent, unit_axis, hinge)
     cosine = np.clip((goal_distance**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
     sine = (np.cross(thigh, shin) * hinge_axis).sum(axis=1)
     current_angle = np.arctan2(sine, (thigh * shin).sum(axis=1))

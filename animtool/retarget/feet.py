@@ -122,15 +122,8 @@ def plant_feet(
     hips[:, up] += hip_rise - hip_drop
     soles = [foot.height + _toe_height(foot, up) for foot in feet]
     rolls = [_toe_roll(foot.contacts.toe, fps) for foot in feet]
-    return PlacedFeet(
-        hips,
-        ankles,
-        rotations,
-        is_planted,
-        rolls,
-        soles,
-        max(float(hip_drop.max(initial=0.0)), 0.0),
-    )
+    lowered = max(float(hip_drop.max(initial=0.0)), 0.0)
+    return PlacedFeet(hips, ankles, rotations, is_planted, rolls, soles, lowered)
 
 
 def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:

@@ -50,12 +50,8 @@ def _assign_digits(
     """Return the finger of each joint path, by its names, else by its position."""
     digits = []
     for path in paths:
-        digit_counts = Counter(
-            role.split("_")[0]
-            for j in path
-            for role in body.votes[j]
-            if role.split("_")[0] in {*DIGITS, MITTEN_ROLE}
-        )
+        names = [role.split("_")[0] for j in path for role in body.votes[j]]
+        digit_counts = Counter(n for n in names if n in {*DIGITS, MITTEN_ROLE})
         digits.append(digit_counts.most_common(1)[0][0] if digit_counts else "")
     if any(digits):
         return digits

@@ -51,14 +51,9 @@ class _Leg:
         """Return rotations of thigh and shin that bring the ankle to its goal."""
         tracks = self.tracks
         relative_joints = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
-        bone_rotations = tracks.rotations[:, 1], tracks.rotations[:, 2]
-        return ankle_rotations(
-            self.target,
-            self.side,
-            hips[:, None] + relative_joints,
-            self.ankle_goal,
-            bone_rotations,
-        )
+        joints = hips[:, None] + relative_joints
+        bones = tracks.rotations[:, 1], tracks.rotations[:, 2]
+        return ankle_rotations(self.target, self.side, joints, self.ankle_goal, bones)
 
     def solve_swivel(self, hips: FloatArray, fps: float) -> FloatArray:
         """Return the knee swivel that respects the leg's limits ``(F,)`` [rad].

@@ -178,23 +178,16 @@ class Retargeting:
             block = self._pose_frames(motion, legs)
             rotations = block.rotations
             source, target = block.source, (rotations.world, block.relative_positions)
-            tracks.append(
-                [
-                    LegTracks.of(transfer, side, source, block.balls[:, k], *target)
-                    for k, side in enumerate(legs)
-                ]
-            )
+            block_legs = [
+                LegTracks.of(transfer, side, source, block.balls[:, k], *target)
+                for k, side in enumerate(legs)
+            ]
+            tracks.append(block_legs)
             block_tracks = [ArmTracks.of(transfer, s, source, *target) for s in arms]
             arm_tracks.append(block_tracks)
             hips.append(block.hips)
-            frame_arrays = [
-                rotations.local,
-                rotations.world,
-                block.bones,
-                block.relative_positions,
-                block.balls,
-            ]
-            self._spool.append([block.source, *frame_arrays])
+            arrays = [block.source, rotations.local, rotations.world, block.bones]
+            self._spool.append([*arrays, block.relative_positions, block.balls])
             self._clamped_blocks.append(rotations.clamped)
         self._hips = np.concatenate(hips)
         return (
@@ -374,13 +367,8 @@ class Retargeting:
             if not len(rows):
                 break
             row_goals = [goal[rows] for goal in goals]
-            corrected = self._solve_ankles(
-                rotations.rows(rows),
-                hips[rows],
-                relative_positions[rows],
-                row_goals,
-                rows + begin,
-            )
+            poses = rotations.rows(rows), hips[rows], relative_positions[rows]
+            corrected = self._solve_ankles(*poses, row_goals, rows + begin)
             solution.set_rows(rows, corrected)
         return solution
 

@@ -282,13 +282,8 @@ def role_votes(
             weights = dict.fromkeys(other_roles, _OTHER_WEIGHT) | weights
         suffix = f"_{name.side}" if name.side else ""
         # Sorted, since the order of a set differs between processes.
-        votes.append(
-            {
-                role + suffix: weights[role]
-                for role in sorted(weights)
-                if role + suffix in ROLES
-            }
-        )
+        roles = [role for role in sorted(weights) if role + suffix in ROLES]
+        votes.append({role + suffix: weights[role] for role in roles})
     return votes
 
 

@@ -112,12 +112,8 @@ class FitMeter:
         source_lengths = transfer.source.path_lengths[[pair.source for pair in pairs]]
         source_lengths = np.maximum(source_lengths, transfer.source.size * 0.01)
         # A source without offsets has no lengths.
-        path_ratios = np.divide(
-            target_lengths,
-            source_lengths,
-            out=np.zeros_like(target_lengths),
-            where=source_lengths > 0,
-        )
+        path_ratios, is_known = np.zeros_like(target_lengths), source_lengths > 0
+        np.divide(target_lengths, source_lengths, out=path_ratios, where=is_known)
         # Hands of arms that are longer relative to the legs move faster by that ratio.
         self._path_ratios = np.maximum(path_ratios, transfer.scale)[:, None]
 

@@ -92,11 +92,8 @@ def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
     if legs is None:
         return trunk
     uprightness = (trunk * -legs).sum(axis=1)
-    axes = np.where(
-        uprightness[:, None] > MIN_UPRIGHT_COSINE,
-        _unit_vectors(trunk - legs),
-        no_direction,
-    )
+    is_upright = uprightness[:, None] > MIN_UPRIGHT_COSINE
+    axes = np.where(is_upright, _unit_vectors(trunk - legs), no_direction)
     if arms is None:
         return axes
     down_directions = _unit_vectors(legs + arms)

@@ -97,10 +97,8 @@ def insufficient_pairs_fault(
         intact_limbs or not limbs
     ):
         return None
-    message = (
-        f"{len(paired_joints)} of {counted(len(relevant_joints), 'moving joint')} of "
-        f"{source.name!r} are paired"
-    )
+    joints = counted(len(relevant_joints), "moving joint")
+    message = f"{len(paired_joints)} of {joints} of {source.name!r} are paired"
     if limbs and not intact_limbs:
         names = listed(sorted(limbs), MAX_LISTED_LIMBS)
         message += f", and none of its limbs ({names})"

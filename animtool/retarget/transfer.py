@@ -97,17 +97,8 @@ class Transfer:
             if next_joints:
                 twists.append((twist.target, next_joints[0], twist.fraction))
         scale = _leg_ratio(source, target, source_joints)
-        return Transfer(
-            source,
-            target,
-            upright,
-            scale,
-            source_joints,
-            next_source_joints,
-            next_weights,
-            aligned,
-            twists,
-        )
+        joints = source_joints, next_source_joints, next_weights
+        return Transfer(source, target, upright, scale, *joints, aligned, twists)
 
     @property
     def similar_legs(self) -> bool:

@@ -68,12 +68,8 @@ class Driver:
         if self.expression is not None:
             # A constant expression.
             return np.atleast_1d(self.expression.evaluate(values_in_units)) * self.unit
-        return (
-            curve_values(
-                self.curve, values_in_units[self.curve_input], smooth=self.smooth
-            )
-            * self.unit
-        )
+        x = values_in_units[self.curve_input]
+        return curve_values(self.curve, x, smooth=self.smooth) * self.unit
 
     def mirrored(self, names: Mapping[str, str]) -> Driver:
         """Return the mirrored driver, with partner joints by name.

@@ -112,10 +112,7 @@ def measure_fit(
     rig_bones = rig.rest_translations[joints_with_parents]
     take_bones = take.rest_translations[source[joints_with_parents]]
     sizes = np.array(
-        [
-            np.linalg.norm(bone_vectors, axis=1)
-            for bone_vectors in (take_bones, rig_bones)
-        ]
+        [np.linalg.norm(bones, axis=1) for bones in (take_bones, rig_bones)]
     )
     totals = sizes.sum(axis=1)
     if not (totals > 0).all():
@@ -127,12 +124,8 @@ def measure_fit(
     size = float(totals[0] / totals[1])
     larger_length = relative_lengths.max(axis=0)
     lengths = np.zeros(len(joints_with_parents))
-    np.divide(
-        np.abs(relative_lengths[0] - relative_lengths[1]),
-        larger_length,
-        lengths,
-        where=larger_length > 0,
-    )
+    differences = np.abs(relative_lengths[0] - relative_lengths[1])
+    np.divide(differences, larger_length, lengths, where=larger_length > 0)
     has_direction = (relative_lengths > MIN_BONE_LENGTH / len(joints_with_parents)).all(
         axis=0
     )
@@ -243,10 +236,8 @@ def check_fit(
         message = f"the take differs from the rig: score {fit.score:.2f}; "
         code, hint, severity = "RIG041", None, Severity.WARNING
     else:
-        message = (
-            f"the take does not match the rig: score {fit.score:.2f}, but {MIN_FIT} is "
-            "needed; "
-        )
+        message = f"the take does not match the rig: score {fit.score:.2f}, but "
+        message += f"{MIN_FIT} is needed; "
         code, hint, severity = "RIG040", _worst_component_hint(fit), Severity.ERROR
     message += _score_text(fit)
     names = [rig.names[j] for j in fit.differing_joints]

@@ -86,11 +86,8 @@ class _JointTree:
             return ORIGIN
         for next_joint in self.joints[len(self.world) : joint + 1]:
             parent = self.world[next_joint.parent] if next_joint.parent >= 0 else ORIGIN
-            self.world.append(
-                world_transform_below(
-                    parent, Pose(next_joint.translation, next_joint.rotation)
-                )
-            )
+            rest = Pose(next_joint.translation, next_joint.rotation)
+            self.world.append(world_transform_below(parent, rest))
         return self.world[joint]
 
 
@@ -197,8 +194,6 @@ def _in_dependency_order(
     """Yield joint names in file order, but parents and mirror sources first."""
     yielded_names: set[str] = set()
     for start in entries:
-        visited_names: list[str] = []
-        name: str | None = start
         # An ordered set.
         pending_names = {start: None}
         while pending_names:
@@ -216,11 +211,8 @@ def _in_dependency_order(
                 continue
             if required_name in pending_names:
                 unfinished_names = list(pending_names)
-                visited_names = [
-                    *unfinished_names[unfinished_names.index(required_name) :],
-                    required_name,
-                ]
-                cycle = cycle_text(visited_names[::-1])
+                first = unfinished_names.index(required_name)
+                cycle = cycle_text([required_name, *unfinished_names[first:][::-1]])
                 message = f"the joints are their own ancestors: {cycle}"
                 hint = "remove the parent of the one that is the root"
                 document.add("RIG003", ("joints", entry.index), message, hint)

@@ -73,11 +73,8 @@ class BallLimit:
         if not is_outside.any():
             return rotations
         if self.swing is not None:
-            shortened_swing = (
-                swing_vector[is_outside]
-                / np.maximum(relative_swing[is_outside], 1.0)[:, None]
-            )
-            swing[is_outside] = so3.exp(shortened_swing)
+            divisors = np.maximum(relative_swing[is_outside], 1.0)[:, None]
+            swing[is_outside] = so3.exp(swing_vector[is_outside] / divisors)
         clamped_twist = so3.from_axis_angle(self.twist_axis, twist[is_outside])
         inside_limits = so3.multiply(swing[is_outside], clamped_twist)
         original = rotations[is_outside]

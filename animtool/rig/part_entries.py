@@ -106,10 +106,8 @@ class PartReader:
                 inbetween_location = (*location, "inbetweens", k)
                 if step.at in {0, 1} or k in predecessors:
                     message = f"inbetween weight {step.at:g} is out of order"
-                    hint = (
-                        "weights ascend strictly between 0 (no deltas) and 1 (the "
-                        "main deltas)"
-                    )
+                    hint = "weights ascend strictly between 0 (no deltas) and 1 "
+                    hint += "(the main deltas)"
                     self.document.add(
                         "RIG024", (*inbetween_location, "at"), message, hint
                     )
@@ -187,10 +185,8 @@ class PartReader:
                 continue
             kind = self.joints[name].type
             if kind not in DRIVEN_PARTS[part]:
-                message = (
-                    f"its control {control.name!r} drives {name}.{part}, but a "
-                    f"{kind} joint has no {part}"
-                )
+                message = f"its control {control.name!r} drives {name}.{part}, but a "
+                message += f"{kind} joint has no {part}"
                 hint = "keep the joint's type, or write a control with that name"
                 self.document.add("RIG023", ("from",), message, hint)
 
@@ -209,10 +205,8 @@ class PartReader:
                 message = f"{chain.tip!r} is not below {chain.root!r}"
                 hint = "name a joint below the root"
                 if self._is_descendant(chain.tip, chain.root):
-                    hint = (
-                        f"root and tip are swapped: write root: {chain.tip}, "
-                        f"tip: {chain.root}"
-                    )
+                    hint = f"root and tip are swapped: write root: {chain.tip}, "
+                    hint += f"tip: {chain.root}"
                 elif chain.tip == chain.root:
                     message = f"root and tip are both {chain.tip!r}"
                 self.document.add("RIG022", (*location, "tip"), message, hint)
@@ -274,12 +268,8 @@ class PartReader:
                 self.document, (*location, "capsule", "axis"), entry.capsule.axis
             )
             length = self.units.length
-            capsule = Capsule(
-                entry.capsule.radius * length,
-                entry.capsule.length * length,
-                axis,
-                scale_vector(entry.capsule.offset, length),
-            )
+            form, offset = entry.capsule, scale_vector(entry.capsule.offset, length)
+            capsule = Capsule(form.radius * length, form.length * length, axis, offset)
             colliders.append(Collider(entry.joint, capsule))
         return tuple(colliders)
 

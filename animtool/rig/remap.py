@@ -144,15 +144,8 @@ def link_shapes(
                     indices[side] = shape_index
             if len(indices) == 2:
                 low, high = entry.clamp or (-np.inf, np.inf)
-                links.append(
-                    ShapeLink(
-                        **indices,
-                        gain=entry.gain,
-                        offset=entry.offset,
-                        low=low,
-                        high=high,
-                    )
-                )
+                numbers = (entry.gain, entry.offset, low, high)
+                links.append(ShapeLink(indices["source"], indices["target"], *numbers))
         document.check()
     linked_sources = {link.source for link in links}
     linked_targets = {link.target for link in links}

@@ -167,12 +167,8 @@ def _partner_names(name: str) -> Iterator[tuple[int, str]]:
         if len(side_marks) > 1:
             yield rank, pattern.sub(_right_mark, name)
         for side_mark in side_marks:
-            yield (
-                rank,
-                name[: side_mark.start()]
-                + _right_mark(side_mark)
-                + name[side_mark.end() :],
-            )
+            start, end = name[: side_mark.start()], name[side_mark.end() :]
+            yield rank, start + _right_mark(side_mark) + end
 
 
 def _right_mark(side_mark: re.Match[str]) -> str:

@@ -132,9 +132,8 @@ def warn_of_w_last(document: Document, joints: Sequence[JointModel]) -> None:
 
 def warn_of_quaternion(document: Document, code: str, location: Location) -> None:
     """Warn of [0, 0, 0, 1] at a location."""
-    message = (
-        "[0, 0, 0, 1] is half a turn about z: quaternions are [w, x, y, z], w first"
-    )
+    message = "[0, 0, 0, 1] is half a turn about z: quaternions are [w, x, y, z], w "
+    message += "first"
     hint = "no rotation is [1, 0, 0, 0]; write [0, 0, 0, -1] if half a turn is meant"
     document.warn(code, location, message, hint)
 
@@ -205,10 +204,8 @@ def warn_of_quaternion_length(
         ", ".join(f"{number:.4g}" for number in numbers)
         for numbers in (wxyz, [number / length for number in wxyz])
     )
-    message = (
-        f"quaternion [{written_text}] has length {length:.3g}; "
-        f"it is read as [{unit_text}]"
-    )
+    message = f"quaternion [{written_text}] has length {length:.3g}; "
+    message += f"it is read as [{unit_text}]"
     hint = f"write [{unit_text}], w first"
     if rotation := _axis_angle_text(wxyz):
         hint = rotation
@@ -247,10 +244,8 @@ def warn_of_stretch_percent(
     is_reported = any(notice.code == "RIG114" for notice in document.notices)
     if is_reported or stretch < MIN_PERCENT_STRETCH:
         return
-    message = (
-        f"stretch {stretch:.4g} lets the limb stretch to {1 + stretch:.4g} times its "
-        "length"
-    )
+    message = f"stretch {stretch:.4g} lets the limb stretch to {1 + stretch:.4g} "
+    message += "times its length"
     hint = percent_hint(stretch)
     document.warn("RIG114", location, message, hint)
 
@@ -277,10 +272,8 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
                 f"looks like {ANGLE_NAMES[intended_unit]}, "
                 f"but units.angle is {declared_unit}"
             )
-            hint = (
-                f"for {ANGLE_NAMES[declared_unit]} the result is "
-                f"{largest * factor:.4g}; multiply the expression by {factor:.6g}"
-            )
+            hint = f"for {ANGLE_NAMES[declared_unit]} the result is "
+            hint += f"{largest * factor:.4g}; multiply the expression by {factor:.6g}"
             names = [entry.get("name") for entry in document.value["controls"]]
             row = names.index(control.name)
             document.warn("RIG112", ("controls", row, "drives", k), message, hint)

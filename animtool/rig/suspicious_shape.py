@@ -151,10 +151,8 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
         f"the offsets of {len(children)} joints look like world positions: the rig "
         "measures {}, and {} if they are".format(*sizes)
     )
-    hint = (
-        f"write positions relative to the parent; for {name!r}, from {parent!r}: "
-        f"translate: {_numbers_text(bone)}"
-    )
+    hint = f"write positions relative to the parent; for {name!r}, from {parent!r}: "
+    hint += f"translate: {_numbers_text(bone)}"
     document.warn("RIG113", _translate_location(document, name), message, hint)
     return True
 
