@@ -1,4 +1,4 @@
-"""Alternative solution branches over an interval of a clip, and the best path."""
+"""Searches a clip for other solution branches, and for the best path across them."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Interval:
         return solve(self.problem, starts, targets, options, prefer=preferred)
 
     def _rig_rows(self, poses: FloatArray) -> FloatArray:
-        """Return poses of the chain as rig coordinates ``(B, Q)``, else zero."""
+        """Return chain poses as rig coordinates ``(B, Q)``; other joints are 0."""
         rows = np.zeros((len(poses), self.problem.coordinates))
         return self.chain.into_rig(poses, rows)
 

@@ -1,4 +1,4 @@
-"""The kinematic chain of a rig's active joints, in the layout of the IK kernels."""
+"""The kinematic chain of a rig's moving joints, in the layout of the IK kernels."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def joint_steps(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
 
 
 def apply_steps(chain: Chain, start: FloatArray, step: FloatArray) -> FloatArray:
-    """Return poses ``(..., C)`` moved by steps ``(..., D)``, ignoring limits."""
+    """Add joint steps ``(..., D)`` to poses ``(..., C)``, ignoring limits."""
     shape = np.broadcast_shapes(start.shape[:-1], step.shape[:-1])
     poses = np.array(np.broadcast_to(start, (*shape, start.shape[-1])))
     columns, dofs, balls = _joint_columns(chain)

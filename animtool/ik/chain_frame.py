@@ -171,7 +171,7 @@ def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig
 
 
 def _rotation_joints(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
-    """Return the joints whose rotation moves a goal, except those at its own point."""
+    """Return the joints whose rotation moves a goal, except joints at its point."""
     rotation_joints: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
         rotation_joints.update(path[1:] if goal.ignores_joint_rotation else path)

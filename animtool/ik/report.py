@@ -245,7 +245,7 @@ def crossed_notices(solved_take: TakeIk) -> list[Fault]:
 
 
 def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
-    """Return a hint for a missed goal, where one is known."""
+    """Return a hint that may bring a missed goal into reach; None if unknown."""
     worst = max(report.spans, key=lambda span: span.distance)
     if worst.distance > 0:
         rig, target = solved_take.take.rig, limb_target(solved_take, i, worst.frame)
@@ -328,7 +328,7 @@ def rest_notices(solved_take: TakeIk) -> list[Fault]:
 
 
 def jump_notices(solved_take: TakeIk) -> list[Fault]:
-    """Return a warning if joints jump, with the largest jump."""
+    """Return a warning about the largest jump of a joint."""
     if not solved_take.jumps:
         return []
     length = solved_take.problem.length
@@ -407,7 +407,7 @@ def _chain_names(solved_take: TakeIk, track: GoalTrack) -> list[str]:
 
 
 def _straightening_goal(solved_take: TakeIk, worst: Jump) -> str | None:
-    """Return the goal whose limb snaps straight with the pin, if any."""
+    """Return the name of a goal whose limb snaps straight at a jump, or None."""
     rig = solved_take.take.rig
     if rig.joints[rig.index(worst.joint)].type is not JointType.PIN:
         return None
@@ -481,7 +481,7 @@ def independent_frame_notices(
 def _goal_warning(
     solved_take: TakeIk, code: str, goal: int, message: str, hint: str | None = None
 ) -> Fault:
-    """Return a warning, located at a goal."""
+    """Return a warning that points at a goal in the targets file."""
     line, column = solved_take.tracks.goals[goal].location
     path, where, level = (
         str(solved_take.tracks.path),

@@ -239,7 +239,7 @@ class Session:
 def _goals_by_name(
     rig: Rig, goals: Sequence[str | Goal], joints: Sequence[str]
 ) -> dict[str, Goal | None]:
-    """Return goals by name; None for names whose kinds each call decides."""
+    """Return goals by name; None where each call decides which parts are solved."""
     if not goals:
         raise OptionError(Fault("IK006", "there are no goals"))
     by_name: dict[str, Goal | None] = {}
@@ -297,7 +297,7 @@ def _goal_of_call(rig: Rig, name: str, kind_mask: tuple[bool, ...]) -> Goal:
 
 
 def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
-    """Return the error that the shapes of targets do not match the goals."""
+    """Return the error for targets whose shapes do not match the goals."""
     message = f"targets of {', '.join(values_by_goal)} are not what their goals ask for"
     hint = "of a joint a point (3,), or the pair of that and a quaternion (4,); of a "
     hint += "Goal a value for each of its kinds"

@@ -1,4 +1,4 @@
-"""Sub-rigs with the joints that goals involve, and mimic joints."""
+"""Builds smaller rigs with the joints that goals need, and updates mimic joints."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]
 
 
 def with_ball_joints(rig: Rig) -> Rig:
-    """Return the rig with all but root joints as balls, if all its joints are free.
+    """Turn all joints but the roots into balls, if all joints of a rig are free.
 
     In files without joint types, such as USD of other tools, all joints are free: then
     all but the roots become balls.

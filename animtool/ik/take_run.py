@@ -138,7 +138,7 @@ class TakeIk:
 
     @property
     def jumps_at_codes(self) -> list[dict[str, object]]:
-        """The jumps as plain values, their frames as time codes."""
+        """The jumps as plain values, with time codes as frames."""
         times = self.take.clock.times
         jumps = self.jumps
         return [{**plain_value(jump), "frame": times[jump.frame]} for jump in jumps]

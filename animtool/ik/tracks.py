@@ -232,7 +232,7 @@ class TargetTracks:
 
     @property
     def clock(self) -> Clock:
-        """The frames of the file: its range, else all frames that it mentions.
+        """The frames of the file: its range, else from the first to the last mentioned.
 
         Raises:
             OptionError: There are more than 10 million (CLIP006).

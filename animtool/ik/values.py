@@ -42,7 +42,7 @@ _CURVE_KEYS = ("interp", "tangents", "parametrization", "euler", "pre", "post")
 
 
 def smoothstep(fraction: FloatArray) -> FloatArray:
-    """Return an ease from 0 to 1 with zero speed and acceleration at both ends.
+    """Ease fractions from 0 to 1 with zero speed and acceleration at both ends.
 
     >>> smoothstep(np.array([-1.0, 0.5, 2.0])).tolist()
     [0.0, 0.5, 1.0]
@@ -251,7 +251,7 @@ class ValueReader:
     def read_curve(
         self, location: Location, model: CurveModel, key: str
     ) -> Keyed | None:
-        """Return a curve of keys; ``weight`` may be a curve, too."""
+        """Return the value or weight of a key curve; None with a fault."""
         reader = CurveReader(self.document, location, model)
         reader.check()
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")

@@ -87,7 +87,7 @@ class _TargetsWriter:
         yield from _option_lines(track, goal)
 
     def _value_text(self, key: str, value: Value) -> Iterator[str]:
-        """Yield the entry of a value: a constant, an array or keys."""
+        """Yield the lines of a value: a constant, an array or keys."""
         unit = 1.0 if key in {"orientation", "weight"} else self.units.length
         match value:
             case Constant(row):

@@ -1,4 +1,4 @@
-"""The convention of additive motion: how deltas combine with a base.
+"""Combines additive motion with a base, and computes deltas.
 
 ============ =====================================
 rotations    ``base · delta``: about the joint's axes

@@ -403,7 +403,7 @@ def _values_in_range(
 
 
 def _check_curves(curves: Curves) -> None:
-    """Raise if the arrays of curves do not fit together."""
+    """Raise if the arrays of curves have inconsistent sizes."""
     first, count = curves.first_keys, len(curves.times)
     if first.ndim != 1 or not len(first) or first[0] != 0 or first[-1] != count:
         raise ValueError("first_keys must run from 0 to the number of keys")

@@ -117,7 +117,7 @@ def rotation_noise(rotations: FloatArray) -> float:
 
 
 def _noise_variance(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
-    """Return the noise variance per principal direction, and the noisy directions."""
+    """Return the noise variance per noisy direction, and the number of directions."""
     order = min(NOISE_ORDER, len(values) - 1)
     if order < 1:
         return 0.0, 1

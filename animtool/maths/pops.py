@@ -224,7 +224,7 @@ def velocity_changes(steps: FloatArray) -> FloatArray:
 
 
 def _neighbour_pairs(rows: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the rows before and after each, with at most one of them skipped.
+    """Return pairs of rows before and after each row, with at most one row skipped.
 
     ``rows``: padded by two at each end.
     """

@@ -1,4 +1,4 @@
-"""The anatomy of a skeleton: the role of each joint, from names and geometry."""
+"""Finds the role of each joint of a skeleton, from names and geometry."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def find_anatomy(
 
 
 def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
-    """Return the evidence for a role from a joint's name votes."""
+    """Return the evidence for a joint's role: its name, or its position in the tree."""
     if not role or role in {TWIST, END, CONTROL}:
         return RoleSource.NONE
     weight = votes.get(role, 0.0)
@@ -182,7 +182,7 @@ def _largest_tree(search: _RoleSearch) -> list[Fault]:
 
 
 def _find_limbs(search: _RoleSearch) -> None:
-    """Find the end joint of each limb and of the head, by names or by the tree."""
+    """Find the end joint of each limb, by names or by the tree."""
     body = search.body
     for limb, roles in _LIMB_ROLES.items():
         for side in SIDES:
@@ -418,7 +418,7 @@ def _assign_toes(search: _RoleSearch, side: str) -> None:
 
 
 def _assign_remaining(search: _RoleSearch) -> None:
-    """Assign face roles, and mark why the remaining joints have no role."""
+    """Assign face roles; mark other joints as twist, end or control joints."""
     body = search.body
     for j, votes in enumerate(body.votes):
         for role in votes:
@@ -434,7 +434,7 @@ MISSING_LEG_TEXTS = ("whole left leg", "whole right leg")
 
 
 def _missing_legs(roles: Sequence[str]) -> str:
-    """Return which leg joints a skeleton lacks; empty if both legs are complete."""
+    """Return the missing legs of a skeleton as text; empty if both are complete."""
     complete_sides = [
         {f"{role}_{side}" for role in ("thigh", "shin", "foot")} <= {*roles}
         for side in "lr"
@@ -445,7 +445,7 @@ def _missing_legs(roles: Sequence[str]) -> str:
 
 
 def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
-    """Return warnings about a skeleton's anatomy, with the fallback that was used."""
+    """Return warnings about missing or ambiguous parts, with the fallback used."""
     body, rig, roles = search.body, search.body.rig, search.roles
     hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
     fingerless = [

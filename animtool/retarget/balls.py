@@ -1,4 +1,4 @@
-"""Balls of feet: the points that feet roll over, for any number of toes."""
+"""Finds the balls of feet, which feet roll over, for any number of toes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drift of captured roots, measured from planted feet and removed.
+"""Measures the drift of captured roots from planted feet, and removes it.
 
 Inertial suits slowly lose their position and heading. A planted foot does not move, so
 its apparent motion is the root's drift. On level ground all planted feet are at the

@@ -1,4 +1,4 @@
-"""Statistics of a take of a body: steps, ground speed and noise."""
+"""Measures a take of a body: steps, ground speed and noise."""
 
 from __future__ import annotations
 

@@ -147,14 +147,14 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
 
 
 def _toe_roll(is_toe_planted: BoolArray, fps: float) -> FloatArray:
-    """Return a weight: 1 while the toe is planted, with a smooth fade to 0 ``(F,)``."""
+    """Return the weight of pinning the toe: 1 while planted, fading to 0 ``(F,)``."""
     rolls = is_toe_planted[:, None].astype(np.float64)
     fill_between(rolls, is_toe_planted, fps)
     return np.asarray(np.clip(rolls[:, 0], 0.0, 1.0))
 
 
 def _heading_rotation(rotation: FloatArray, up: int) -> FloatArray:
-    """Return the vertical twist of a rotation ``(4,)``."""
+    """Return the part of a rotation about the vertical ``(4,)``."""
     heading = np.zeros(4)
     heading[up], heading[3] = rotation[up], rotation[3]
     norm = float(np.linalg.norm(heading))
@@ -223,7 +223,7 @@ def smooth_path_to_targets(
 
 
 def _foot_weight(is_planted: BoolArray, fps: float) -> FloatArray:
-    """Return a foot's weight in the hip height ``(F,)``, eased at contact ends."""
+    """Return how much a foot determines the hip height, 0 to 1 ``(F,)``."""
     weight = np.zeros(len(is_planted))
     for start, end in runs(is_planted):
         frames = np.arange(start, end)
@@ -344,7 +344,7 @@ def _hip_shifts(
     fps: float,
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the hip drop and hip rise with which legs reach, each ``(F,)`` [m]."""
+    """Return how far hips sink and rise so that all legs reach, each ``(F,)`` [m]."""
     hip_drop, hip_rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle

@@ -1,4 +1,4 @@
-"""The pass `feet`: planted feet of a take held in place."""
+"""The pass ``feet``: holds the planted feet of a take in place."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class FeetOptions:
 
 
 def no_body_warning(error: OptionError) -> Fault:
-    """Return a warning that a take has no body, if that is the cause of an error."""
+    """Return the warning for an error that means no body was found; raise others."""
     if error.code != "MAP004":
         raise error
     message = "no person was recognised in the take: it is unchanged"

@@ -1,4 +1,4 @@
-"""Fingers of a hand: which chain is which finger, and which phalanx each joint is."""
+"""Finds the fingers of a hand, and the phalanx of each of their joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hand contacts kept by retargeting: with each other, the ground and props."""
+"""Keeps contacts of hands in retargeting: with each other, the ground and props."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ def leg_joints(skeleton: RoledSkeleton, side: str) -> tuple[int, int, int, int]:
 def ball_of_foot(
     skeleton: RoledSkeleton, side: str, positions: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return the position of a foot's ball, or its ankle without one ``(F, 3)`` [m].
+    """Return the positions of a foot's ball, else of its ankle ``(F, 3)`` [m].
 
     Args:
         skeleton: The skeleton.
@@ -255,7 +255,7 @@ def limb_rotations(
 def swivel_leg(
     rotations: tuple[FloatArray, FloatArray], line: FloatArray, angle: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return thigh and shin rotations swivelled about a line ``(F, 3)`` by an angle."""
+    """Swivel thigh and shin rotations about a line ``(F, 3)`` by an angle ``(F,)``."""
     axis = line / np.maximum(np.linalg.norm(line, axis=1), 1e-12)[:, None]
     rotation = so3.from_axis_angle(axis, angle)
     return so3.multiply(rotation, rotations[0]), so3.multiply(rotation, rotations[1])

@@ -277,7 +277,7 @@ class Retargeting:
         return [names[j] for j, part in self.clamped.items() if part >= MIN_STOPPED]
 
     def blocks(self) -> Iterator[Motion]:
-        """Yield the target's motion; call it once."""
+        """Yield the target's motion block by block; it can be read once."""
         rig = self.transfer.target.rig
         first_rows: tuple[FloatArray, FloatArray] | None = None
         last_rotations: FloatArray | None = None
@@ -380,7 +380,7 @@ class Retargeting:
         goals: Sequence[FloatArray],
         frames: IntArray,
     ) -> LocalRotations:
-        """Return rotations with ankles at their goals and feet as they are planted."""
+        """Return rotations with ankles at their goals and planted feet held."""
         target, placed = self.transfer.target, self.contact_frames.placed
         assert placed is not None
         world = rotations.world.copy()

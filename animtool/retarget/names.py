@@ -85,7 +85,7 @@ class Preset:
 
     @property
     def unparsed_names(self) -> frozenset[str]:
-        """All names of the convention, unparsed."""
+        """All joint names of the convention, as spelled."""
         return frozenset(
             name for names in self.names_by_role.values() for name in names
         )
@@ -175,7 +175,7 @@ def _name_kind(name: str, words: Sequence[str]) -> str:
 
 @cache
 def _load_tables() -> Mapping[str, Preset]:
-    """Return the shipped conventions and the common words (`COMMON_WORDS`), by name."""
+    """Load the shipped conventions and the common words (`COMMON_WORDS`), by name."""
     raw: dict[str, Any] = yaml.load(_PRESETS_FILE.read_text("utf-8"), yaml.CSafeLoader)
     return {name: _read_preset(name, entry) for name, entry in raw.items()}
 
@@ -264,7 +264,7 @@ def best_preset(
 def role_votes(
     parsed_names: Sequence[ParsedName], preset: Preset | None
 ) -> list[dict[str, float]]:
-    """Return the roles that each name may mean, with weights from 0 to 1."""
+    """Return the roles that each joint name suggests, with weights from 0 to 1."""
     preset_roles = preset.roles_by_key if preset else {}
     common_roles = _load_tables()[COMMON_WORDS].roles_by_key
     votes: list[dict[str, float]] = []

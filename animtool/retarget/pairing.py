@@ -190,7 +190,7 @@ def _leg_counts(
 def _unmapped_joints(
     rig: Rig, anatomy: Anatomy, used_joints: set[int]
 ) -> tuple[int, ...]:
-    """Return the unmapped joints, except those that only mark the end of a bone."""
+    """Return the unmapped joints that do more than mark the end of a bone."""
     return tuple(
         j
         for j in range(len(rig.joints))
@@ -226,7 +226,7 @@ class _PairCollector:
                 self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
 
     def add_remaining_names(self) -> None:
-        """Pair joints of equal name that no role has paired on either skeleton."""
+        """Pair joints of equal names that are unpaired on both skeletons."""
         source, target = self.rigs
         source_joints = np.full(len(target.joints), -1)
         for pair in self.pairs.values():

@@ -1,4 +1,4 @@
-"""Converts world rotations to local ones that joint types and limits allow."""
+"""Converts world rotations to local ones within joint types and limits."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def relative_to_hips(
 
 
 def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
-    """Return rotations with limbs bent across their pin's axis ``(F, K, 4)``.
+    """Twist limbs so that they bend about the axes of their pins ``(F, K, 4)``.
 
     The joint above twists about its bone, so that the bone below the pin keeps its
     direction; a straight limb keeps its twist.
@@ -174,7 +174,7 @@ def local_rotations(
 
 
 def _twist_joint(target: RoledSkeleton, j: int) -> int:
-    """Return the child whose twist goes to a pin along its bone; -1 without one."""
+    """Return the child whose twist a pin along its bone takes over; -1 for none."""
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
         return -1

@@ -81,7 +81,7 @@ class ContactFrames:
 
 
 class FitMeter:
-    """Accumulates the fit of a take, block by block.
+    """Measures how well a take fits its rig, block by block.
 
     Args:
         transfer: The transfer between the skeletons.
@@ -331,7 +331,7 @@ class FitMeter:
 
 
 def fit_scores(report: RetargetReport) -> PassScores:
-    """Return the scores by which takes are compared, and the joints they concern."""
+    """Return the scores of a report, and the joints that they concern."""
     length, fraction = ScoreUnit.LENGTH, ScoreUnit.FRACTION
     unmapped_count, mean_clamped = len(report.unmapped_source), report.held_mean
     unmapped_fraction = unmapped_count / max(unmapped_count + report.pairs, 1)

@@ -54,7 +54,7 @@ class RoledSkeleton:
     def of(
         rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None
     ) -> RoledSkeleton:
-        """Build from a rig; local rotations ``pose`` ``(J, 4)`` replace its rest."""
+        """Build from a rig at rest, or in a pose of local rotations ``(J, 4)``."""
         rest = rest_world(rig)
         if pose is not None:
             rest = forward_kinematics(rig, rig.rest_translations[None], pose[None])

@@ -250,7 +250,7 @@ def find_standing_axis(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis
 def _standing_axis(
     rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
 ) -> UpAxis | None:
-    """Return the same as `find_standing_axis`, also if the body is taller along up.
+    """Return the axis of `find_standing_axis`, also if the body is taller along up.
 
     With ``downwards``, the body stands with the head at the negative end of the axis,
     as in a take that was turned from the wrong axis.
@@ -417,5 +417,5 @@ def unit_warnings(rig: Rig, file_format: object) -> list[Fault]:
 
 
 def _other_axis(up: UpAxis) -> UpAxis:
-    """Return Z for Y up and Y for Z up."""
+    """Return the other of the two possible up axes."""
     return UpAxis.Z if up is UpAxis.Y else UpAxis.Y

@@ -1,4 +1,4 @@
-"""Limbs, hands and trunk of a skeleton, detected from its tree and bone lengths.
+"""Detects limbs, hands and trunk of a skeleton from its tree and bone lengths.
 
 Names, if informative, are votes in the same search.
 """
@@ -67,7 +67,7 @@ class SkeletonTree:
 
     @cached_property
     def children(self) -> list[list[int]]:
-        """Children of each joint, without controls that carry no joint with a role."""
+        """Children of each joint, without controls that no joint with a role is below."""
         child_lists: list[list[int]] = [[] for _ in self.rig.joints]
         is_used = [kind != CONTROL for kind in self.kinds]
         for j in range(len(is_used) - 1, -1, -1):
@@ -107,7 +107,7 @@ class SkeletonTree:
 
     @cached_property
     def subtree_sizes(self) -> list[int]:
-        """Number of joints in the subtree of each joint, which counts itself."""
+        """Number of joints in the subtree of each joint, including itself."""
         counts = [1] * len(self.rig.joints)
         for j in range(len(counts) - 1, -1, -1):
             if self.rig.joints[j].parent >= 0:
@@ -341,7 +341,7 @@ _RATIO_SPREAD, _BEFORE_SPREAD, _END_SPREAD = 0.2, 0.7, 0.5
 def split_limb(
     body: SkeletonTree, path: Sequence[int], shape: LimbShape, branch: int = -1
 ) -> list[str]:
-    """Return the role of each joint along a limb, in the order of its roles.
+    """Return the most likely role of each joint along a limb.
 
     Args:
         body: The skeleton.

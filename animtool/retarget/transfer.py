@@ -239,7 +239,7 @@ def _rest_alignment(
     *,
     as_rig: bool,
 ) -> FloatArray:
-    """Return target rotations that match the source's rest pose ``(K, 4)``.
+    """Return world rotations of the target in the source's rest pose ``(K, 4)``.
 
     Headings agree; limbs point along the source's limbs, feet along the ground, unless
     the rest poses are equal.

@@ -109,7 +109,7 @@ class ArrayReader:
             return None
 
     def _header_fault(self, ref: ArrayRef, role: str, shape: Shape) -> str | None:
-        """Return a description of an unexpected shape or type of an array, or None."""
+        """Return what is wrong with an array's shape or type; None if it is valid."""
         header = self.archives.header(ref.path, ref.key)
         is_match = len(header.shape) == len(shape) and all(
             expected_size is None or expected_size == size
@@ -130,7 +130,7 @@ class ArrayReader:
 
 
 def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
-    """Return a description of the first invalid value of an array, or None."""
+    """Return what is wrong with the first invalid value of an array; None if valid."""
     if role in _INTEGER_ROLES:
         is_optional = np.zeros(values.shape, bool)
         if role == "faces":

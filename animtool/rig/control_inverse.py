@@ -73,7 +73,7 @@ def solve_controls(
     *,
     keyed: Set[str] = frozenset(),
 ) -> SolvedControls:
-    """Solve for control values within their ranges that drive targets to goals.
+    """Solve for control values, within their ranges, that drive targets to goals.
 
     Controls that share a target, or read each other, are solved together: sweeps find
     each control's segment by the nearest point on its own polyline, then Newton steps

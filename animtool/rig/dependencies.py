@@ -22,7 +22,7 @@ class DependencyCycleError(ValueError):
 
 
 def dependency_order(dependencies: Mapping[str, Iterable[str]]) -> list[str]:
-    """Return names in an order in which each follows those that it depends on.
+    """Return names in dependency order: each after those that it depends on.
 
     >>> dependency_order({"both": ["smile", "jaw"]})
     ['smile', 'jaw', 'both']

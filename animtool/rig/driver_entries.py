@@ -1,4 +1,4 @@
-"""The drivers of a rig file: expressions, curves and inputs."""
+"""Reads the drivers of a rig file: expressions, curves and inputs."""
 
 from __future__ import annotations
 

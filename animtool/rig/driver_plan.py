@@ -141,7 +141,7 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
 
 
 def driver_cycle_text(error: DependencyCycleError) -> str:
-    """Return the message for driven targets that depend on each other in a cycle."""
+    """Return the message about driven targets that depend on each other in a cycle."""
     names = cycle_text([target.partition("/")[2] for target in error.cycle])
     return f"what is driven depends on itself: {names}"
 
@@ -286,7 +286,7 @@ def plan_of(rig: Rig) -> DriverPlan:
 
 
 def _targets_of_keyed_controls(rig: Rig, order: Sequence[str]) -> frozenset[str]:
-    """Return the driven targets that depend on keyed controls.
+    """Return the driven targets that depend on controls without drivers.
 
     Joint coordinates that these drivers read count as known.
     """

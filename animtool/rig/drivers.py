@@ -26,7 +26,7 @@ SWING_PARTS = ("swing_x", "swing_y", "swing_z")
 
 @dataclass(frozen=True, slots=True)
 class Driver:
-    """A value as a function of joint coordinates and controls."""
+    """Computes a value from joint coordinates and controls."""
 
     # Expression over controls and coordinates, JOINT.PART; None if there is a curve.
     expression: Expression | None = None

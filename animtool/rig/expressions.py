@@ -100,7 +100,7 @@ class Expression:
     _program: tuple[tuple[str, Any], ...] = field(repr=False, compare=False)
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
-        """Evaluate on broadcasting arrays; not finite where undefined.
+        """Evaluate on arrays that broadcast; NaN or infinite where undefined.
 
         >>> wave = parse_expression("clamp(grin * 2, 0, 1)")
         >>> wave.evaluate({"grin": np.array([0.25, 3.0])}).tolist()
@@ -263,7 +263,7 @@ def _read_name(node: ast.AST) -> str | None:
 def _check_node(
     node: ast.expr, text: str, names: set[str], depth: int, *, coordinates: bool
 ) -> None:
-    """Raise if a node or its children are not allowed; collect the names read."""
+    """Raise if a node or its children are not allowed; add the names that they read."""
     if depth > MAX_DEPTH:
         raise ValueError(f"is nested deeper than {MAX_DEPTH}")
     coordinate = _coordinate_name(node)

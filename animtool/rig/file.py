@@ -1,4 +1,4 @@
-"""Rig file reader, ``*.rig.yaml``, and bind poses."""
+"""Reads rig files, ``*.rig.yaml``, and their bind poses."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ def _load_base(
 
 
 def _sidecar_roots(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
-    """Return a sidecar's joints as roots, since it has no hierarchy."""
+    """Return the joints of a sidecar, which has no hierarchy, as roots."""
     cleared_keys = {"mirror": None, "parent": None}
     root_entries = [entry.model_copy(update=cleared_keys) for entry in model.joints]
     return read_joints(document, root_entries, units)
@@ -250,7 +250,7 @@ def _sidecar_roots(document: Document, model: RigModel, units: FileUnits) -> Fil
 def _joints_without_base(
     document: Document, model: RigModel, units: FileUnits
 ) -> FileJoints:
-    """Return a sidecar's joints if its base cannot be read, marked as incomplete."""
+    """Return a sidecar's joints, marked as incomplete, if its base cannot be read."""
     document.partial_lists |= {"joints", "meshes", "shapes", "controls"}
     joints = _sidecar_roots(document, model, units)
     return replace(

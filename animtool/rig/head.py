@@ -1,4 +1,4 @@
-"""Head and eye joints, and face rotations in their frames."""
+"""Finds head and eye joints, and converts face rotations to their frames."""
 
 from __future__ import annotations
 

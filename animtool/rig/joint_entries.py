@@ -1,4 +1,4 @@
-"""The joints of a rig file: a tree in any order, mirrored sides, limits, mimics."""
+"""Reads the joints of a rig file: a tree in any order, mirrored sides, limits."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _joint_entries(
 
 
 def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> None:
-    """Warn of joint names that contain white space, in one warning (RIG109)."""
+    """Warn once of all joint names that contain white space (RIG109)."""
     names = [name for name in entries if any(map(str.isspace, name))]
     if not names:
         return
@@ -407,7 +407,7 @@ def _with_mimics(
 def _check_mimic_chains(
     document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
-    """Record a fault for a mimic of a mimic, which also excludes cycles."""
+    """Record a fault for a mimic of a mimic, and thereby for cycles."""
     mimic_names = {joint.name for joint in joints if joint.mimic}
     for joint in joints:
         if joint.mimic and joint.mimic.joint in mimic_names:

@@ -1,4 +1,4 @@
-"""Rig file writer; files round-trip."""
+"""Writes rig files that read back as the same rig."""
 
 from __future__ import annotations
 
@@ -312,7 +312,7 @@ def _stretch_text(pose: Pose) -> str | None:
 
 
 def _poses_at_rest(rig: Rig) -> dict[str, Pose]:
-    """Return the rest pose of joints whose mirror image alone has a bind pose."""
+    """Return the rest poses of joints for which only the mirrored joint has a bind pose."""
     return {
         joint.name: Pose(joint.translation, joint.rotation)
         for joint in rig.joints
