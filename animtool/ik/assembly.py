@@ -146,11 +146,8 @@ class _ChainBuilder:
         column = self.leader_columns[leader] = len(self.rig_columns)
         self.rig_columns.append(self.slices[leader].start)
         self.is_length.append(is_length)
-        is_unlimited = (
-            not is_length
-            and high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
-            and gain == 1.0
-        )
+        is_full = high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
+        is_unlimited = is_full and not is_length and gain == 1.0
         has_period = is_unlimited and math.isfinite(high - low)
         self.periods.append((low, high) if has_period else UNLIMITED)
         limit = (*(UNLIMITED if is_unlimited else (low, high)), 0.0, 0.0)

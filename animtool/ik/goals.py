@@ -366,11 +366,8 @@ def _target_array(
 
 def _all_values_valid(packed: FloatArray) -> bool:
     """Return whether all packed values are valid, including unused ones."""
-    rotations_valid = all(
-        packed[:, :, TARGET_COLUMNS[kind.name]].any(axis=2).all()
-        for kind in KINDS
-        if kind.is_rotation
-    )
+    columns = [TARGET_COLUMNS[kind.name] for kind in KINDS if kind.is_rotation]
+    rotations_valid = all(packed[:, :, c].any(axis=2).all() for c in columns)
     weights_valid = (packed[:, :, WEIGHT_COLUMNS] >= 0).all()
     return bool(np.isfinite(packed).all() and rotations_valid and weights_valid)
 

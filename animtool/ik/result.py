@@ -163,10 +163,8 @@ class IkResult:
         clock = Clock(rate_option(fps), Fraction(start), Fraction(1), count)
         rig = self.problem.rig
         rotations = local_from_coordinates(rig, self.coordinates).rotations
-        motion = Motion(
-            Channel.from_dense(self.local_translations()),
-            Channel.from_dense(so3.align_signs(rotations)),
-        )
+        translations = Channel.from_dense(self.local_translations())
+        motion = Motion(translations, Channel.from_dense(so3.align_signs(rotations)))
         return drive_take(Take(rig, clock, motion))
 
     def select(self, rows: IntArray | slice) -> IkResult:

@@ -89,10 +89,9 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
         if joint.mimic is not None:
             pending_joints.append(rig.index(joint.mimic.joint))
         pending_joints += links.get(j, ())
+        mimics = [(i, other.mimic) for i, other in enumerate(rig.joints)]
         pending_joints += [
-            i
-            for i, other in enumerate(rig.joints)
-            if other.mimic is not None and other.mimic.joint == joint.name
+            i for i, mimic in mimics if mimic and mimic.joint == joint.name
         ]
     indices = sorted(included_joints)
     index_in_part = {j: i for i, j in enumerate(indices)} | {-1: -1}

@@ -41,11 +41,7 @@ def warn_of_order(document: Document) -> None:
         elif isinstance(value, dict) and isinstance(value.get("keys"), list):
             keys = enumerate(value["keys"])
             rows += [((*location, "keys", k, "v"), key["v"]) for k, key in keys]
-    rows = [
-        (location, row)
-        for location, row in rows
-        if isinstance(row, list) and len(row) == 4
-    ]
+    rows = [row for row in rows if isinstance(row[1], list) and len(row[1]) == 4]
     if any(abs(row[0]) > abs(row[3]) for _, row in rows):
         return
     for location, row in rows:

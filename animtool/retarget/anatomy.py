@@ -331,17 +331,10 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
     """Assign roles to the joints of an arm or leg and to its fingers."""
     body, kind, side = search.body, *limb.split("_")
     tip = search.tip_joints[limb]
-    joints_of_others = {
-        j
-        for name, other in search.tip_joints.items()
-        if name != limb
-        for j in body.rig.upwards(other)
-    }
-    path = [
-        j
-        for j in body.rig.upwards(tip)
-        if j not in joints_of_others and not search.roles[j]
-    ]
+    other_tips = [j for name, j in search.tip_joints.items() if name != limb]
+    used_joints = {j for other in other_tips for j in body.rig.upwards(other)}
+    used_joints |= {j for j, role in enumerate(search.roles) if role}
+    path = [j for j in body.rig.upwards(tip) if j not in used_joints]
     path = [*path[::-1], *body.longest_path(tip)[1:]]
     if not path:
         return
@@ -391,9 +384,7 @@ def _split_toes(search: _RoleSearch, path: list[int]) -> list[int]:
 def _assign_toes(search: _RoleSearch, side: str) -> None:
     """Assign the toe role to every toe chain of a foot that has several."""
     body, role = search.body, f"toe_{side}"
-    feet = [
-        j for j, other_role in enumerate(search.roles) if other_role == f"foot_{side}"
-    ]
+    feet = [j for j, name in enumerate(search.roles) if name == f"foot_{side}"]
     if not feet:
         return
     toe_roots = [

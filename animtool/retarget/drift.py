@@ -189,17 +189,15 @@ def _stance_tracks(
             if stance_frames.stop - stance_frames.start < MIN_STANCE_FRAMES:
                 continue
             # A foot that rolls over its toe moves its ankle.
-            pivot = min(
-                (ankle, toe),
-                key=lambda p: np.linalg.norm(
-                    _least_squares_rate(p[stance_frames], rate)
-                ),
-            )
+            speeds = [
+                _least_squares_rate(path[stance_frames], rate) for path in (ankle, toe)
+            ]
+            is_toe_slower = np.linalg.norm(speeds[1]) < np.linalg.norm(speeds[0])
+            pivot, speed = (toe, speeds[1]) if is_toe_slower else (ankle, speeds[0])
             ground = float(np.median(pivot[is_planted, up]))
             inverse_start = so3.conjugate(rotations[stance_frames.start])
             relative = so3.multiply(rotations[stance_frames], inverse_start)
             headings = np.unwrap(_angle_about_up(relative, up))
-            speed = _least_squares_rate(pivot[stance_frames], rate)
             spin = 0.0
             if heading:
                 spin = float(_least_squares_rate(headings[:, None], rate)[0])

@@ -275,10 +275,8 @@ def _bend_pin_limb(
     pin = np.array(joint.axis, np.float64)
     from_rest = so3.multiply(so3.conjugate(rest_rotation), local_rotation)
     angle = swing_twist(from_rest, joint.axis)[1]
-    bones = (
-        rig.rest_translations[middle],
-        so3.rotate(rest_rotation, target.offset(middle, end_joint)),
-    )
+    lower = so3.rotate(rest_rotation, target.offset(middle, end_joint))
+    bones = rig.rest_translations[middle], lower
     limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
     upper, pin_angle = bend_at_pin(
         start, goal, rotations[0], bones, so3.rotate(rest_rotation, pin), angle, limits

@@ -37,10 +37,7 @@ _PREFIX = re.compile(
 )
 # Words, in camel case or separated by other characters, and numbers.
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|左|右|[^\W0-9A-Za-z_左右]+")
-_SIDE_WORDS = {
-    **dict.fromkeys(SIDE_WORDS, "l"),
-    **dict.fromkeys(SIDE_WORDS.values(), "r"),
-}
+_SIDE_WORDS = dict.fromkeys(SIDE_WORDS, "l") | dict.fromkeys(SIDE_WORDS.values(), "r")
 # Words for joints in general, and the letter for the middle, separated by other
 # characters.
 _FILLER_WORDS = re.compile(

@@ -182,10 +182,8 @@ class FitMeter:
     ) -> list[tuple[RoledSkeleton, FloatArray, float]]:
         """Return target and source skeleton, each with joint positions and scale."""
         transfer = self._transfer
-        return [
-            (transfer.target, target, 1.0),
-            (transfer.source, source, transfer.scale),
-        ]
+        scaled_source = (transfer.source, source, transfer.scale)
+        return [(transfer.target, target, 1.0), scaled_source]
 
     def _add_angles(
         self, frames: slice, target: FloatArray, source: FloatArray

@@ -228,10 +228,8 @@ def _travels_across(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     travel_along_axis = float(extents @ np.array(axis.vector))
     # A lying body does not travel along the assumed up axis.
     travel_along_up = float(extents @ np.array(up.vector))
-    return (
-        travel_along_up > MIN_TRAVEL * body_size
-        and travel_along_axis < MAX_VERTICAL_TRAVEL * body_size
-    )
+    is_level = travel_along_axis < MAX_VERTICAL_TRAVEL * body_size
+    return is_level and travel_along_up > MIN_TRAVEL * body_size
 
 
 def find_standing_axis(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | None:

@@ -67,7 +67,7 @@ class SkeletonTree:
 
     @cached_property
     def children(self) -> list[list[int]]:
-        """Children of each joint, without controls that no joint with a role is below."""
+        """Children of each joint; controls count only above joints with a role."""
         child_lists: list[list[int]] = [[] for _ in self.rig.joints]
         is_used = [kind != CONTROL for kind in self.kinds]
         for j in range(len(is_used) - 1, -1, -1):
@@ -227,15 +227,11 @@ def _similar_subtrees(body: SkeletonTree) -> list[SubtreePair]:
     """Return pairs of sibling joints with subtrees of similar length and size."""
     pairs = []
     for children in body.children:
-        long_children = [
-            c
-            for c in children
-            if body.subtree_sizes[c] > 1
-            and body.length_through_joint(c) >= _MIN_LIMB_REACH * body.size
-        ]
-        for a, b in combinations(
-            sorted(long_children, key=body.length_through_joint)[-_MAX_LIMB_JOINTS:], 2
-        ):
+        min_length, lengths = _MIN_LIMB_REACH * body.size, body.length_through_joint
+        limb_roots = [c for c in children if body.subtree_sizes[c] > 1]
+        limb_roots = [c for c in limb_roots if lengths(c) >= min_length]
+        longest = sorted(limb_roots, key=lengths)[-_MAX_LIMB_JOINTS:]
+        for a, b in combinations(longest, 2):
             shorter, longer = sorted(map(body.length_through_joint, (a, b)))
             fewer_joints, more_joints = sorted(body.subtree_sizes[j] for j in (a, b))
             has_similar_length = longer - shorter <= _PAIR_TOLERANCE * longer

@@ -120,11 +120,8 @@ def zero_length_fault(
     """
     roles = joint_map.source.roles
     lengths = np.linalg.norm(source.rest_translations, axis=1)
-    has_collapsed = (
-        (max_bone_lengths <= ZERO_LENGTH * lengths)
-        & (lengths > 0)
-        & (source.parents >= 0)
-    )
+    has_collapsed = (max_bone_lengths <= ZERO_LENGTH * lengths) & (lengths > 0)
+    has_collapsed &= source.parents >= 0
     limb_joints: set[int] = set()
     for start_joint, *_, end_joint in _complete_limbs(roles).values():
         path = source.upwards(end_joint)

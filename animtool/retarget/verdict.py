@@ -62,7 +62,7 @@ class FrameNumbers:
     frames: FrameRange | None = None
 
     def numbers_of_run(self, first: int, last: int) -> tuple[int, int] | None:
-        """Return output frame numbers of a run of frames, counted from 0; None if cut."""
+        """Return the output frame numbers of a run of frames; None if all are cut."""
         first_number = math.floor(self.start + first * self.step)
         last_number = math.ceil(self.start + last * self.step)
         if self.frames is not None:

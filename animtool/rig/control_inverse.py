@@ -210,14 +210,9 @@ class _GroupProblem:
         self.controls = controls
         self.keyed = keyed
         self.by_name = {control.name: control for control in controls}
-        direct_targets = {
-            control.name: {drive.target for drive in control.drives}
-            for control in controls
-        }
+        direct_targets = {c.name: {d.target for d in c.drives} for c in controls}
         self.targets_by_control = _all_targets_by_control(controls, direct_targets)
-        all_targets = sorted(
-            {t for targets in self.targets_by_control.values() for t in targets}
-        )
+        all_targets = sorted(set().union(*self.targets_by_control.values()))
         self.targets_in_order = [target for target in all_targets if target in goals]
         self.goals = goals
         self.tolerances = tolerances
@@ -276,11 +271,8 @@ class _GroupProblem:
             return set()
         residuals = self.residuals(values, modulo=True)
         largest = np.abs(residuals).max(axis=0, initial=0.0)
-        missed_targets = {
-            t
-            for t, residual in zip(self.targets_in_order, largest, strict=True)
-            if residual > 1.0
-        }
+        pairs = zip(self.targets_in_order, largest, strict=True)
+        missed_targets = {target for target, residual in pairs if residual > 1.0}
         return missed_targets | (self.keyed & {*self.targets_in_order})
 
     def solve(
@@ -419,9 +411,7 @@ def _all_targets_by_control(
     controls: Sequence[Control], direct_targets: Mapping[str, Iterable[str]]
 ) -> dict[str, set[str]]:
     """Return the joint parts and shapes that each control moves, also indirectly."""
-    targets_by_control = {
-        name: set(targets) for name, targets in direct_targets.items()
-    }
+    targets_by_control = {name: {*targets} for name, targets in direct_targets.items()}
     for control in controls:
         for drive in control.drives:
             for name in drive.controls_read(control.name):

@@ -102,10 +102,8 @@ def measure_fit(
     1.0
     """
     matched_joints = np.flatnonzero(source >= 0)
-    fractions = (
-        _take_fraction(take, source[matched_joints]),
-        len(matched_joints) / max(1, len(source)),
-    )
+    take_fraction = _take_fraction(take, source[matched_joints])
+    fractions = take_fraction, len(matched_joints) / max(1, len(source))
     joints_with_parents = matched_joints[
         (rig.parents[matched_joints] >= 0) & (take.parents[source[matched_joints]] >= 0)
     ]
@@ -160,14 +158,10 @@ class _AlignedPoses:
         self, take: Rig, rig: Rig, take_joints: IntArray, rig_joints: IntArray
     ) -> None:
         take_world, rig_world = rest_world(take), rest_world(rig)
-        bone_ends = (
-            take_world.positions[0, take_joints],
-            rig_world.positions[0, rig_joints],
-        )
-        starts = (
-            take_world.positions[0, take.parents[take_joints]],
-            rig_world.positions[0, rig.parents[rig_joints]],
-        )
+        positions = take_world.positions[0], rig_world.positions[0]
+        parents = take.parents[take_joints], rig.parents[rig_joints]
+        bone_ends = positions[0][take_joints], positions[1][rig_joints]
+        starts = positions[0][parents[0]], positions[1][parents[1]]
         bones = bone_ends[1] - starts[1]
         alignment = so3.IDENTITY
         if not _is_straight(bones):

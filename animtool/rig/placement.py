@@ -82,11 +82,8 @@ class Placement:
         """Return sizes, rotations and translations with an axis for points added."""
         if not self.is_animated:
             return self.sizes[0], self.rotations[0], self.translations[0]
-        return (
-            self.sizes[:, None, None],
-            self.rotations[:, None],
-            self.translations[:, None],
-        )
+        sizes = self.sizes[:, None, None]
+        return sizes, self.rotations[:, None], self.translations[:, None]
 
     def inverse(self) -> Placement:
         """Return the inverse placement."""

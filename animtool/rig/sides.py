@@ -208,10 +208,8 @@ def reflect_rotation(rotation: FloatArray) -> FloatArray:
 def world_transform_below(parent_world: PoseArrays, pose: Pose) -> PoseArrays:
     """Return the world transform of a local transform below a parent."""
     position, rotation = parent_world
-    return (
-        position + so3.rotate(rotation, pose.translation),
-        so3.multiply(rotation, pose.rotation),
-    )
+    position = position + so3.rotate(rotation, pose.translation)
+    return position, so3.multiply(rotation, pose.rotation)
 
 
 def mirror_pose(pose: Pose, world: PoseArrays, parent_world: PoseArrays) -> Pose:

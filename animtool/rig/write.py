@@ -173,16 +173,13 @@ class _FileNumbers:
         if joint.mimic is None:
             return None
         leader = rig.joints[rig.index(joint.mimic.joint)]
-        units = [
-            self.meters if mimic_or_leader.type is JointType.PRISMATIC else self.radians
-            for mimic_or_leader in (joint, leader)
-        ]
-        gain = joint.mimic.gain * units[1] / units[0]
-        return _flow_mapping(
-            joint=yaml_scalar(leader.name),
-            gain=decimal_text(gain),
-            offset=scaled_decimal(joint.mimic.offset, units[0]),
+        unit, leader_unit = (
+            self.meters if type_ is JointType.PRISMATIC else self.radians
+            for type_ in (joint.type, leader.type)
         )
+        gain = decimal_text(joint.mimic.gain * leader_unit / unit)
+        offset = scaled_decimal(joint.mimic.offset, unit)
+        return _flow_mapping(joint=yaml_scalar(leader.name), gain=gain, offset=offset)
 
     def shape_entry(self, shape: Shape) -> str:
         """Return the entry of a shape."""
@@ -247,10 +244,8 @@ class _FileNumbers:
             return None
         units = {None: 1.0, JointType.PRISMATIC: self.meters}
         factor = driver.unit / units.get(joint_type, self.radians)
-        ratios = {
-            name: self.unit_of_coordinate(name) / driver.unit_of(name)
-            for name in driver.names
-        }
+        unit_of = self.unit_of_coordinate
+        ratios = {name: unit_of(name) / driver.unit_of(name) for name in driver.names}
         if driver.expression is not None:
             text = _expression_text(driver.expression, ratios, factor)
             return _flow_mapping(expr=text)
@@ -312,7 +307,7 @@ def _stretch_text(pose: Pose) -> str | None:
 
 
 def _poses_at_rest(rig: Rig) -> dict[str, Pose]:
-    """Return the rest poses of joints for which only the mirrored joint has a bind pose."""
+    """Return the rest poses of joints whose mirrored joint alone has a bind pose."""
     return {
         joint.name: Pose(joint.translation, joint.rotation)
         for joint in rig.joints
