@@ -73,7 +73,9 @@ def solve_take_controls(
             goals[f"shape/{shape}"] = value
     goals = {t: np.broadcast_to(value, (frames,)) for t, value in goals.items()}
     tolerance_of = {target: tolerances.tolerance_of(target) for target in goals}
-    solution = solve_controls(controls, goals, tolerance_of, start, keyed=unreachable)
+    solution = solve_controls(
+        controls, goals, tolerance_of, start, keyed_targets=unreachable
+    )
     values = {
         c.name: _snap_to_constant(solution.values[c.name], c.default) for c in controls
     }

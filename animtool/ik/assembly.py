@@ -248,7 +248,7 @@ def assemble(
 def _limbs(
     rig: Rig,
     goals: Sequence[Goal],
-    moving: set[int],
+    moving_joints: set[int],
     frames: dict[int, _Frame],
     local: LocalTransforms,
 ) -> tuple[list[tuple[int, int]], list[Fault]]:
@@ -264,7 +264,7 @@ def _limbs(
             continue
         tip = rig.index(goal.joint)
         point = origins[tip] + world.linear[0, tip] @ np.asarray(goal.offset)
-        limb = limb_joints(rig, goal, moving, origins, point)
+        limb = limb_joints(rig, goal, moving_joints, origins, point)
         if limb is None:
             message = f"the pole of {goal.joint!r} needs a limb of two bones that ends"
             faults.append(Fault("IK004", f"{message} there", where=f"goals[{i}]"))

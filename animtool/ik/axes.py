@@ -151,8 +151,8 @@ def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
         if left not in goal_of_joint or right not in goal_of_joint:
             continue
         goals = goal_of_joint[left], goal_of_joint[right]
-        paired = [j for j in rig.upwards(left) if pairs.partners[j] != j]
-        roots = paired[-1], int(pairs.partners[paired[-1]])
+        paired_joints = [j for j in rig.upwards(left) if pairs.partners[j] != j]
+        roots = paired_joints[-1], int(pairs.partners[paired_joints[-1]])
         frames = solved_take.active[:, goals, 0].all(axis=1)
         if world_positions is None:
             world_positions = solved_take.take.world().positions

@@ -68,11 +68,13 @@ class Interval:
         return self.problem.chain
 
     def solve_frames(
-        self, starts: FloatArray, frames: IntArray, steps: int = START_ITERATIONS
+        self, starts: FloatArray, frames: IntArray, iterations: int = START_ITERATIONS
     ) -> tuple[FloatArray, FloatArray]:
         """Solve frames of the clip from starts; return poses ``(B, C)`` and costs."""
         rows = self._rig_rows(starts)
-        frame_options = replace(self.options, warm=False, restarts=0, iterations=steps)
+        frame_options = replace(
+            self.options, warm=False, restarts=0, iterations=iterations
+        )
         result = self._solve(rows, frames, frame_options)
         poses = self.chain.from_rig(result.coordinates)
         targets = targets_of_frames(self.targets, frames)
@@ -223,8 +225,8 @@ def search_long_interval(
         )
         solutions, cost = interval.solve_frames(np.array(list(starts)), frames)
         layer = 1 + i % MAX_LAYERS * SOLUTIONS_PER_SAMPLE
-        nearby = slice(max(row - search_reach, 0), row + search_reach)
-        paths[layer : layer + SOLUTIONS_PER_SAMPLE, nearby] = solutions[:, None]
+        reach_rows = slice(max(row - search_reach, 0), row + search_reach)
+        paths[layer : layer + SOLUTIONS_PER_SAMPLE, reach_rows] = solutions[:, None]
         for k in np.flatnonzero(cost == 0):
             for rows in (
                 np.arange(row, min(row + search_reach, length)),
@@ -274,7 +276,10 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
 
 
 def track_both_directions(
-    interval: Interval, poses: FloatArray, start_row: int, steps: int = START_ITERATIONS
+    interval: Interval,
+    poses: FloatArray,
+    start_row: int,
+    iterations: int = START_ITERATIONS,
 ) -> tuple[FloatArray, FloatArray]:
     """Track poses ``(K, C)`` from a row to both ends; return paths and costs."""
     length = len(interval.frames)
@@ -288,7 +293,7 @@ def track_both_directions(
                 change = joint_steps(interval.chain, previous, current)
                 current = apply_steps(interval.chain, interval.reference[row], change)
             frames = np.full(len(current), interval.frames[row])
-            current, costs[:, row] = interval.solve_frames(current, frames, steps)
+            current, costs[:, row] = interval.solve_frames(current, frames, iterations)
             tracks[:, row] = current
     return tracks, costs
 

@@ -206,11 +206,11 @@ def _is_rotated(local: LocalTransforms) -> BoolArray:
 
 
 def _with_rest_pose(
-    rig: Rig, rest: LocalTransforms, frame: int, moving: Sequence[int]
+    rig: Rig, rest: LocalTransforms, frame: int, path_joints: Sequence[int]
 ) -> Rig:
     """Return the rig with its rest pose replaced by that of a frame, if different."""
     joints = list(rig.joints)
-    for j in moving:
+    for j in path_joints:
         translation, rotation = rest.translations[frame, j], rest.rotations[frame, j]
         differs = np.abs(translation - rig.rest_translations[j]).max() > EQUAL_TOLERANCE
         if (

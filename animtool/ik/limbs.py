@@ -23,7 +23,11 @@ STRAIGHT = 1e-9
 
 
 def limb_joints(
-    rig: Rig, goal: Goal, moving: set[int], origins: FloatArray, point: FloatArray
+    rig: Rig,
+    goal: Goal,
+    moving_joints: set[int],
+    origins: FloatArray,
+    point: FloatArray,
 ) -> tuple[int, int] | None:
     """Return the root and middle joint of a goal's limb.
 
@@ -39,7 +43,7 @@ def limb_joints(
     end_point, j = point, rig.index(goal.joint)
     while j >= 0 and (goal.root is not None or len(joints) < 2):
         bone = float(np.linalg.norm(origins[j] - end_point))
-        if j in moving and bone > min_bone:
+        if j in moving_joints and bone > min_bone:
             joints.append(j)
             lengths.append(bone + (lengths[-1] if lengths else 0.0))
             end_point = origins[j]
@@ -64,7 +68,7 @@ class GoalLimb:
 
 
 def find_limbs(
-    rig: Rig, goals: Sequence[Goal], moving: set[int], chain: Chain
+    rig: Rig, goals: Sequence[Goal], moving_joints: set[int], chain: Chain
 ) -> tuple[tuple[GoalLimb, ...], list[Fault]]:
     """Return the limbs of goals that are soft or stretch, and their faults.
 
@@ -76,8 +80,8 @@ def find_limbs(
     for e, goal in enumerate(goals):
         if not (goal.soft > 0 or goal.stretch > 0):
             continue
-        limb = _goal_limb(rig, goal, e, moving, chain)
-        message = _limb_fault(rig, goal, limb, moving, chain)
+        limb = _goal_limb(rig, goal, e, moving_joints, chain)
+        message = _limb_fault(rig, goal, limb, moving_joints, chain)
         if goal.stretch > 0 and stretched_joints & set(limb.joints):
             message = "another goal already stretches its bones"
         if goal.stretch > 0:
@@ -89,12 +93,12 @@ def find_limbs(
 
 
 def _goal_limb(
-    rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain
+    rig: Rig, goal: Goal, e: int, moving_joints: set[int], chain: Chain
 ) -> GoalLimb:
     """Return the limb of a goal, with its bones, reach and rest position."""
     path = _goal_nodes(chain, e)
     joints_above = rig.upwards(rig.index(goal.joint))
-    top_index = max(i for i, j in enumerate(joints_above) if j in moving)
+    top_index = max(i for i, j in enumerate(joints_above) if j in moving_joints)
     bone_offset, tool_offset = chain.goal_numbers[e, :3], chain.goal_numbers[e, 3:6]
     length_between = float(np.linalg.norm(chain.numbers[path[1:], 9:12], axis=1).sum())
     tip_offset = bone_offset + tool_offset
@@ -151,7 +155,7 @@ def _limb_reach(chain: Chain, path: list[int], end: FloatArray) -> float:
 
 
 def _limb_fault(
-    rig: Rig, goal: Goal, limb: GoalLimb, moving: set[int], chain: Chain
+    rig: Rig, goal: Goal, limb: GoalLimb, moving_joints: set[int], chain: Chain
 ) -> str | None:
     """Return why a goal's limb can be neither soft nor stretch; None if it can."""
     description = "a limb with soft or stretch"
@@ -161,7 +165,7 @@ def _limb_fault(
         return f"{description} needs joints that rotate, and a root that stays in place"
     if goal.root is not None:
         above_root = rig.upwards(rig.index(goal.root))[1:]
-        other_joints = [j for j in above_root if j in moving]
+        other_joints = [j for j in above_root if j in moving_joints]
         if other_joints:
             name = rig.joints[other_joints[0]].name
             return f"{description} needs a root that stays in place: {name!r} moves it"

@@ -47,9 +47,9 @@ def count_solves(tracks: TargetTracks) -> int:
     Goals with the same spans fade together and need one more solve if there are other
     goals. With several different spans, each needs one, with the others active.
     """
-    spans = len(_distinct_spans(tracks.goals))
-    needs_bare_take = spans > 0 and any(not track.during for track in tracks.goals)
-    return 1 + needs_bare_take + (spans if spans > 1 else 0)
+    span_count = len(_distinct_spans(tracks.goals))
+    needs_bare_take = span_count > 0 and any(not track.during for track in tracks.goals)
+    return 1 + needs_bare_take + (span_count if span_count > 1 else 0)
 
 
 def solve_fade_sources(

@@ -122,20 +122,20 @@ def build(
     pose_coordinates = np.zeros(rig.coordinates)
     if pose is not None:
         pose_coordinates = as_floats(pose, (rig.coordinates,), "pose")
-    moving = find_moving_joints(rig, goals, joints)
-    faults = _immovable_faults(rig, goals, moving)
+    moving_joints = find_moving_joints(rig, goals, joints)
+    faults = _immovable_faults(rig, goals, moving_joints)
     if faults:
         raise OptionError(faults)
-    chain, faults = assemble(rig, goals, moving, pose_coordinates)
+    chain, faults = assemble(rig, goals, moving_joints, pose_coordinates)
     limbs: tuple[GoalLimb, ...] = ()
     if not faults:
-        limbs, faults = find_limbs(rig, goals, moving, chain)
+        limbs, faults = find_limbs(rig, goals, moving_joints, chain)
     if faults:
         raise OptionError(faults)
     return Problem(
         rig,
         tuple(goals),
-        tuple(rig.joints[j].name for j in sorted(moving)),
+        tuple(rig.joints[j].name for j in sorted(moving_joints)),
         chain.degrees,
         sum(goal.rows for goal in goals),
         chain.length,
@@ -194,7 +194,7 @@ def find_moving_joints(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None = None
 ) -> set[int]:
     """Return the allowed joints that move a goal; None allows all joints."""
-    moving_indices: set[int] = set()
+    moving_joints: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)
         # A joint does not move a point at its origin.
@@ -205,22 +205,24 @@ def find_moving_joints(
             is_allowed = joints is None or joint.name in joints
             is_fixed = joint.type is JointType.FIXED
             if is_allowed and not is_fixed and not (ignores_rotation and is_rotating):
-                moving_indices.add(j)
+                moving_joints.add(j)
             is_sliding = joint.type in {JointType.FREE, JointType.PRISMATIC}
             if is_sliding or any(joint.translation):
                 ignores_rotation = False
             j = -1 if joint.name == goal.root else joint.parent
     if rig.is_driven:
-        return with_driver_sources(rig, moving_indices, goals, joints)
-    return moving_indices
+        return with_driver_sources(rig, moving_joints, goals, joints)
+    return moving_joints
 
 
-def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fault]:
+def _immovable_faults(
+    rig: Rig, goals: Sequence[Goal], moving_joints: set[int]
+) -> list[Fault]:
     """Return a fault for each goal that no joint moves."""
     faults = []
     for i, goal in enumerate(goals):
         joints_above = rig.upwards(rig.index(goal.joint))
-        if moving.intersection(joints_above):
+        if moving_joints.intersection(joints_above):
             continue
         movable_names = [
             rig.joints[j].name for j in sorted(find_moving_joints(rig, [goal]))

@@ -463,12 +463,12 @@ def independent_frame_notices(
         solved_take: The solved take.
         smooth: Whether smoothing was requested, which needs connected frames.
     """
-    frames = len(solved_take.statuses)
-    if not solved_take.moving_between or frames == 1:
+    frame_count = len(solved_take.statuses)
+    if not solved_take.moving_between or frame_count == 1:
         return []
     names = [repr(name) for name in solved_take.moving_between]
     message = (
-        f"each of {counted(frames, 'frame')} is solved on its own, as "
+        f"each of {counted(frame_count, 'frame')} is solved on its own, as "
         f"{listed(names, max_items=6)} between the joints that may move "
         f"{'moves' if len(names) == 1 else 'move'} too"
     )

@@ -270,9 +270,10 @@ class TargetTracks:
             for value in track.values.values():
                 if not isinstance(value, ArrayRows) or value.first is not None:
                     continue
-                rows = len(value.values)
-                if rows != count:
-                    message = f"{value.name!r} has {counted(rows, 'row')}, but the "
+                row_count = len(value.values)
+                if row_count != count:
+                    rows = counted(row_count, "row")
+                    message = f"{value.name!r} has {rows}, but the "
                     message += f"take has  {counted(count, 'frame')}"
                     hint = "write range to tell which frames the rows are for"
                     faults.append(value.rows_fault(message, hint, str(self.path)))

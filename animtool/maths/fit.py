@@ -112,13 +112,13 @@ def _check_tolerances(
     samples: FloatArray, tolerance: ArrayLike, scale: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the checked tolerance, scalar or ``(D,)``, and its factor ``(F,)``."""
-    tolerance, frames = np.asarray(tolerance, np.float64), len(samples)
+    tolerance, frame_count = np.asarray(tolerance, np.float64), len(samples)
     if tolerance.shape not in ((), samples.shape[1:]):
         shapes = f"{samples.shape[1:]}, not {tolerance.shape}"
         raise ValueError(f"tolerance must be a number or have shape {shapes}")
-    scales = np.ones(frames)
+    scales = np.ones(frame_count)
     if scale is not None:
-        scales = as_floats(scale, (frames,), "tolerance_scale")
+        scales = as_floats(scale, (frame_count,), "tolerance_scale")
     for name, array in (("tolerance", tolerance), ("tolerance_scale", scales)):
         if not ((array > 0) & np.isfinite(array)).all():
             raise ValueError(f"{name} must be above 0 and finite")

@@ -305,8 +305,8 @@ def _find_hips(search: _RoleSearch, fork: int, leg_fork: int) -> int:
     named_hips = _find_by_name(search, "hips")
     if fork < 0:
         return named_hips if named_hips >= 0 else leg_fork
-    nearby = set(body.rig.upwards(fork)) | set(body.path(fork, max(leg_fork, fork)))
-    candidates = [j for j in nearby if "hips" in body.votes[j]]
+    near_fork = set(body.rig.upwards(fork)) | set(body.path(fork, max(leg_fork, fork)))
+    candidates = [j for j in near_fork if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
     top_voted = [j for j in candidates if body.votes[j]["hips"] == weight]
     return max(top_voted, key=lambda j: (j == fork, j), default=fork)

@@ -139,7 +139,7 @@ def solve_within_limits(
     target: RoledSkeleton,
     sides: str,
     tracks: Sequence[LegTracks],
-    placed: PlacedFeet,
+    feet_paths: PlacedFeet,
     fps: float,
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Return hip positions ``(F, 3)`` [m] and knee swivels [rad] within joint limits.
@@ -148,12 +148,12 @@ def solve_within_limits(
         target: The skeleton.
         sides: Sides of the legs.
         tracks: Tracks of each leg.
-        placed: Goals of hips and feet.
+        feet_paths: Goals of hips and feet.
         fps: Frames a second.
     """
-    feet = (placed.ankles, placed.rotations, placed.is_planted)
+    feet = (feet_paths.ankles, feet_paths.rotations, feet_paths.is_planted)
     legs = [_Leg(target, *leg) for leg in zip(sides, tracks, *feet, strict=True)]
-    hips = placed.hips.copy()
+    hips = feet_paths.hips.copy()
     angles = [leg.solve_swivel(hips, fps) for leg in legs]
     for attempt in range(MAX_HIP_ITERATIONS):
         depths = [leg.ankle_depth(hips, a) for leg, a in zip(legs, angles, strict=True)]

@@ -144,7 +144,7 @@ class Retargeting:
         planted = None
         if legs and lock and (plant_similar_legs or not transfer.similar_legs):
             planted = self._plant_feet(legs, tracks, feet, fps)
-        floor = _ankle_heights(transfer, feet, placed=planted is not None)
+        floor = _ankle_heights(transfer, feet, are_planted=planted is not None)
         hand_goals = hand_contacts(
             transfer,
             arms,
@@ -414,14 +414,15 @@ class Retargeting:
 
 
 def _ankle_heights(
-    transfer: Transfer, feet: Sequence[Foot], *, placed: bool
+    transfer: Transfer, feet: Sequence[Foot], *, are_planted: bool
 ) -> AnkleHeights | None:
     """Return the mean ankle heights of planted feet; None if there are no feet."""
     if not feet:
         return None
     ground = float(np.mean([foot.contacts.ground for foot in feet]))
-    planted_height = float(np.mean([foot.height for foot in feet]))
-    return AnkleHeights(ground, planted_height if placed else transfer.scale * ground)
+    if not are_planted:
+        return AnkleHeights(ground, transfer.scale * ground)
+    return AnkleHeights(ground, float(np.mean([foot.height for foot in feet])))
 
 
 def split_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:

@@ -122,7 +122,7 @@ def local_rotations(
     transfer: Transfer,
     rotations: FloatArray,
     previous: LocalRotations | None = None,
-    changed: Collection[int] = (),
+    changed_joints: Collection[int] = (),
 ) -> LocalRotations:
     """Return local rotations within limits, from world rotations ``(F, K, 4)``.
 
@@ -133,7 +133,7 @@ def local_rotations(
         transfer: The transfer between the skeletons.
         rotations: World rotations of the target's joints.
         previous: Rotations of which only some joints are recomputed.
-        changed: The recomputed joints; their descendants change as well.
+        changed_joints: The recomputed joints; their descendants change as well.
     """
     target = transfer.target
     rig = target.rig
@@ -143,7 +143,7 @@ def local_rotations(
         outdated_joints = set(range(len(rig.joints)))
     else:
         local, world = previous.local.copy(), previous.world.copy()
-        clamped, outdated_joints = dict(previous.clamped), set(changed)
+        clamped, outdated_joints = dict(previous.clamped), set(changed_joints)
     for j, joint in enumerate(rig.joints):
         parent, rest_rotation = int(rig.parents[j]), rig.rest_rotations[j]
         if parent in outdated_joints:

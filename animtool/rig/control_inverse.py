@@ -71,7 +71,7 @@ def solve_controls(
     tolerances: Mapping[str, float],
     start: Mapping[str, FloatArray],
     *,
-    keyed: Set[str] = frozenset(),
+    keyed_targets: Set[str] = frozenset(),
 ) -> SolvedControls:
     """Solve for control values, within their ranges, that drive targets to goals.
 
@@ -84,8 +84,8 @@ def solve_controls(
 
     ``targets``: total contribution of all controls to each target ``(F,)`` [rad], [m],
     [1]; targets that it lacks are unconstrained. ``start``: keyed value of every
-    control ``(F,)``, not limited to the ranges. No control is solved from ``keyed``
-    targets, which get their own keys.
+    control ``(F,)``, not limited to the ranges. No control is solved from
+    ``keyed_targets`` targets, which get their own keys.
 
     Limits: if several values have the same effect, the result depends on the start.
     """
@@ -94,7 +94,7 @@ def solve_controls(
     released_names: set[str] = set()
     for group in _coupled_groups(controls):
         group_controls = [control for control in controls if control.name in group]
-        problem = _GroupProblem(group_controls, targets, tolerances, keyed)
+        problem = _GroupProblem(group_controls, targets, tolerances, keyed_targets)
         start_values = {name: values[name] for name in problem.by_name}
         solved_values, unsolved_names = _solve_group(problem, start_values)
         values |= solved_values
@@ -205,10 +205,10 @@ class _GroupProblem:
         controls: Sequence[Control],
         goals: Mapping[str, FloatArray],
         tolerances: Mapping[str, float],
-        keyed: Set[str],
+        keyed_targets: Set[str],
     ) -> None:
         self.controls = controls
-        self.keyed = keyed
+        self.keyed_targets = keyed_targets
         self.by_name = {control.name: control for control in controls}
         direct_targets = {c.name: {d.target for d in c.drives} for c in controls}
         self.targets_by_control = _all_targets_by_control(controls, direct_targets)
@@ -242,7 +242,9 @@ class _GroupProblem:
 
     def _with_goals(self, targets: Mapping[str, FloatArray]) -> _GroupProblem:
         """Return the problem with other goals: target values by name."""
-        return _GroupProblem(self.controls, targets, self.tolerances, self.keyed)
+        return _GroupProblem(
+            self.controls, targets, self.tolerances, self.keyed_targets
+        )
 
     def residuals(
         self,
@@ -273,7 +275,7 @@ class _GroupProblem:
         largest = np.abs(residuals).max(axis=0, initial=0.0)
         pairs = zip(self.targets_in_order, largest, strict=True)
         missed_targets = {target for target, residual in pairs if residual > 1.0}
-        return missed_targets | (self.keyed & {*self.targets_in_order})
+        return missed_targets | (self.keyed_targets & {*self.targets_in_order})
 
     def solve(
         self, start: Mapping[str, FloatArray], free_names: Sequence[str]

@@ -299,21 +299,21 @@ class PartReader:
         )
 
     def _read_skin(
-        self, location: Location, skin: SkinModel, vertices: int | None
+        self, location: Location, skin: SkinModel, point_count: int | None
     ) -> Skin:
         """Return the skin binding of a mesh; check its joints and arrays."""
         for k, name in enumerate(skin.joints):
             self.check_joint((*location, "joints", k), name)
-        joints = None
+        joint_count = None
         if not self.document.is_placeholder((*location, "joints")):
-            joints = len(skin.joints)
+            joint_count = len(skin.joints)
         indices = self.arrays.read_array(
-            location, skin.indices, "indices", (vertices, None), joints
+            location, skin.indices, "indices", (point_count, None), joint_count
         )
         shape = self.arrays.array_shape(indices) or ()
         influences = shape[1] if len(shape) == 2 else None
         weights = self.arrays.read_array(
-            location, skin.weights, "weights", (vertices, influences)
+            location, skin.weights, "weights", (point_count, influences)
         )
         return Skin(skin.method, tuple(skin.joints), indices, weights)
 
