@@ -85,7 +85,7 @@ def solve_controls(
     ``targets``: total contribution of all controls to each target ``(F,)`` [rad], [m],
     [1]; targets that it lacks are unconstrained. ``start``: keyed value of every
     control ``(F,)``, not limited to the ranges. No control is solved from
-    ``keyed_targets`` targets, which get their own keys.
+    ``keyed_targets``, which get their own keys.
 
     Limits: if several values have the same effect, the result depends on the start.
     """
