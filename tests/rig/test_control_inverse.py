@@ -87,7 +87,7 @@ def test_a_control_whose_targets_disagree_is_released_alone() -> None:
 
 def test_a_target_with_keys_of_its_own_is_no_evidence() -> None:
     control = Control("c", 0, 1, 0, (drive("joint/a.angle", "c"),))
-    found = solved([control], {"c": RAMP}, keyed={"joint/a.angle"})
+    found = solved([control], {"c": RAMP}, keyed_targets={"joint/a.angle"})
     assert found.released_names == ("c",)
 
 
