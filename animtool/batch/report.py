@@ -46,10 +46,12 @@ class ItemReport:
         "notices+ again=repeat_command+"
     )
 
-    def worded(self, namer: ArgumentNamer) -> ItemReport:
+    def with_argument_names(self, namer: ArgumentNamer) -> ItemReport:
         """Return a copy whose texts name arguments as an interface does."""
-        faults = tuple(fault.worded(namer) for fault in self.faults)
-        notices = tuple(notice.worded(namer) for notice in self.notices)
+        faults, notices = (
+            tuple(fault.with_argument_names(namer) for fault in fault_list)
+            for fault_list in (self.faults, self.notices)
+        )
         return replace(self, faults=faults, notices=notices)
 
     @property

@@ -282,7 +282,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
         from animtool.core.files.output import check_outputs, write_parts
 
         check_outputs([params["junit"]], [], overwrite=True)
-        reports = [entry.worded(console.namer) for entry in report.items]
+        reports = [entry.with_argument_names(console.namer) for entry in report.items]
         write_parts(params["junit"], [junit_report(reports).encode()])
     click.get_current_context().exit(int(report.exit_code))
 
@@ -447,7 +447,7 @@ def _print_notices(console: Console, report: BatchReport) -> None:
         if not is_located:
             item_lines = [f"  of {listed([entry.item.label for entry in entries])}"]
         if notice.severity is Severity.NOTE:
-            for line in (str(notice.worded(console.namer)), *item_lines):
+            for line in (str(notice.with_argument_names(console.namer)), *item_lines):
                 console.detail(line)
             continue
         console.faults([notice])

@@ -82,7 +82,7 @@ def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
             output, count = report.item.output, f"{self.ended_count} of {self.total}"
             if report.failed:
                 self.failed += 1
-                reason = report.worded(namer).failure_text
+                reason = report.with_argument_names(namer).failure_text
                 _write_openjd_line(
                     "fail", f"{self.failed} failed, the last is {output}: {reason}"
                 )
@@ -104,7 +104,7 @@ def openjd_failure(namer: ArgumentNamer, *, is_requested: bool) -> Iterator[None
         yield
     except AnimtoolError as error:
         if is_requested:
-            _write_openjd_line("fail", str(error.faults[0].worded(namer)))
+            _write_openjd_line("fail", str(error.faults[0].with_argument_names(namer)))
         raise
 
 
@@ -152,8 +152,8 @@ def _line_listener(console: Console, *, lines: bool) -> Listener:
             if lines:
                 console.result_json(report, line=True)
             else:
-                worded_report = report.worded(console.namer)
-                console.say(finished_text(worded_report, self.ended_count, self.due))
+                named_report = report.with_argument_names(console.namer)
+                console.say(finished_text(named_report, self.ended_count, self.due))
 
         def on_warning(self, notice: Fault) -> None:
             """Print a warning."""
@@ -200,7 +200,7 @@ def _table_listener(
 
         def on_warning(self, notice: Fault) -> None:
             """Record a warning, shown until an item ends and again at the end."""
-            self.warning = str(notice.worded(console.namer))
+            self.warning = str(notice.with_argument_names(console.namer))
 
     tracker = ProgressListener()
 

@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
-from animtool.core.arguments import Argument, ArgumentNamer, file_key, flag, worded
+from animtool.core.arguments import (
+    Argument,
+    ArgumentNamer,
+    file_key,
+    flag,
+    name_arguments,
+)
 from animtool.core.errors import Fault, Severity
 from animtool.core.plugins import load_object
 from animtool.core.process.supervisor import note_output
@@ -117,7 +123,7 @@ class Console:
 
     def result(self, *lines: str) -> None:
         """Write result lines to stdout, control characters escaped."""
-        escaped_lines = (escaped(worded(line, self.namer)) for line in lines)
+        escaped_lines = (escaped(name_arguments(line, self.namer)) for line in lines)
         sys.stdout.write("".join(f"{line}\n" for line in escaped_lines))
         note_output()
 
@@ -159,7 +165,7 @@ class Console:
         for raw_fault in faults:
             if raw_fault in self.early_faults:
                 continue
-            fault = raw_fault.worded(self.namer)
+            fault = raw_fault.with_argument_names(self.namer)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
                 code = self._colored(escaped(fault.code), _COLORS[fault.severity])
                 log_entry = {"level": str(fault.severity), **plain_value(fault)}
@@ -215,7 +221,7 @@ class Console:
         """Write an error without a code to stderr, with detail lines."""
         label = self._colored("error", _COLORS[Severity.ERROR])
         message, *other_texts = (
-            worded(text, self.namer) for text in (message, *details)
+            name_arguments(text, self.namer) for text in (message, *details)
         )
         lines = (f"{label}: {escaped(message)}", *map(escaped, other_texts))
         full_message = "\n".join((message, *other_texts))
@@ -260,7 +266,7 @@ class Console:
     def _with_flags(self, value: object) -> object:
         """Return plain values whose texts name arguments by flags."""
         if isinstance(value, str):
-            return worded(value, self.namer)
+            return name_arguments(value, self.namer)
         if isinstance(value, Mapping):
             return {key: self._with_flags(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
@@ -268,7 +274,7 @@ class Console:
         return value
 
     def _write_line(self, level: str, text: str) -> None:
-        text = worded(text, self.namer)
+        text = name_arguments(text, self.namer)
         self._write({"level": level, "message": text}, escaped(text))
 
     def _write(self, entry: dict[str, object], text: str) -> None:

@@ -12,7 +12,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.help import LazyGroup
-from animtool.core.arguments import worded
+from animtool.core.arguments import name_arguments
 from animtool.core.errors import (
     AnimtoolError,
     ExitCode,
@@ -409,7 +409,7 @@ def _report_usage_error(console: Console, error: click.ClickException) -> None:
     from animtool.cli.usage import with_suggestion
 
     error = with_suggestion(error)
-    text = worded(error.format_message(), console.namer)
+    text = name_arguments(error.format_message(), console.namer)
     if console.json_log:
         console.error(text)
         return

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from animtool.cli.console import SOURCE_NAMES, Console, FlagNamer, as_flag
-from animtool.core.arguments import worded
+from animtool.core.arguments import name_arguments
 from animtool.core.errors import Severity
 from animtool.core.names import is_variable_name
 from animtool.core.options import Option, options_of
@@ -315,7 +315,7 @@ def declare_option(
         help_text: Help text, if it differs from the record's.
     """
     flag_word, flag_and_metavar = option.flag or name.replace("_", "-"), option.metavar
-    flag, text = f"--{flag_word}", worded(help_text or option.help, as_flag)
+    flag, text = f"--{flag_word}", name_arguments(help_text or option.help, as_flag)
     param = param_name or name
     if option.kind == "answer":
         return click.option(f"{flag}/--no-{flag_word}", param, default=None, help=text)

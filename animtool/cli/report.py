@@ -96,7 +96,7 @@ def report(
 
         namer, overwrite = console.namer, params["overwrite"]
         written_size = write_tradeoff_page(
-            tradeoffs, output, overwrite=overwrite, calling=namer
+            tradeoffs, output, overwrite=overwrite, namer=namer
         )
         tables = counted(len(tradeoffs.tables), "table")
         console.say(f"{output}: {tables}, {written_size / 1e3:.0f} kB")

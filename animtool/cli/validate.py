@@ -183,7 +183,7 @@ def _print_report(
 
     console.faults(report.broken)
     verbose, namer = console.verbosity > 0, console.namer
-    text = written(report, report_options.report_format, repeats=verbose, calling=namer)
+    text = written(report, report_options.report_format, repeats=verbose, namer=namer)
     if report_options.output_file is None:
         console.document(text)
     else:

@@ -102,7 +102,7 @@ def file_key(argument: Argument) -> str:
 
 
 class TextWithArguments(str):
-    """A text that names arguments as in Python; `worded` names them for others.
+    """A text that names arguments as in Python; `name_arguments` names them for others.
 
     Attributes:
         parts: The joined parts.
@@ -131,7 +131,7 @@ class TextWithArguments(str):
 
 
 def argument(name: str, value: object = None) -> str:
-    """Return the marker of an argument in a text, for a `Text` to resolve.
+    """Return a marker that names an argument in a text; `as_text` resolves it.
 
     Args:
         name: Field name, with ``source.`` for inputs.
@@ -174,16 +174,16 @@ def as_text(text: str) -> str:
     return TextWithArguments(_split_clauses(text))
 
 
-def worded(text: str, namer: ArgumentNamer) -> str:
+def name_arguments(text: str, namer: ArgumentNamer) -> str:
     """Return a text with its arguments named as an interface names them.
 
-    >>> worded(as_text(f"{argument('up', 'Z')} says it"), file_key)
+    >>> name_arguments(as_text(f"{argument('up', 'Z')} says it"), file_key)
     'up: Z says it'
     """
     text = as_text(text)
-    return (
-        _join_parts(text.parts, namer) if isinstance(text, TextWithArguments) else text
-    )
+    if isinstance(text, TextWithArguments):
+        return _join_parts(text.parts, namer)
+    return text
 
 
 def _join_parts(parts: tuple[TextPart, ...], namer: ArgumentNamer) -> str:
@@ -194,11 +194,7 @@ def _part_text(part: TextPart, namer: ArgumentNamer) -> str:
     if isinstance(part, Argument):
         return namer(part) or getattr(namer, "name_elsewhere", file_key)(part)
     if isinstance(part, Clause):
-        arguments = [
-            argument_part
-            for argument_part in part.parts
-            if isinstance(argument_part, Argument)
-        ]
+        arguments = [inner for inner in part.parts if isinstance(inner, Argument)]
         return _join_parts(part.parts, namer) if all(map(namer, arguments)) else ""
     return part
 

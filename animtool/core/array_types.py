@@ -33,16 +33,16 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
         raise ValueError(f"{name} must be numbers of shape ({expected})") from error
     lengths = array.shape
     # Callers mostly know all lengths, or all but the first.
-    fits = lengths == shape or (
+    has_shape = lengths == shape or (
         lengths[1:] == shape[1:] and bool(lengths) and shape[0].__class__ is str
     )
-    if not fits and not _fits(lengths, shape):
+    if not has_shape and not _matches_shape(lengths, shape):
         expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must have shape ({expected}), not {array.shape}")
     return array
 
 
-def _fits(lengths: tuple[int, ...], shape: tuple[int | str, ...]) -> bool:
+def _matches_shape(lengths: tuple[int, ...], shape: tuple[int | str, ...]) -> bool:
     return len(lengths) == len(shape) and all(
         isinstance(expected, str) or expected == length
         for expected, length in zip(shape, lengths, strict=True)

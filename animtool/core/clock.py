@@ -29,17 +29,13 @@ def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
     """
     import numpy as np
 
-    common = start.denominator * step.denominator
-    start_numerator = start.numerator * step.denominator
-    step_numerator = step.numerator * start.denominator
+    denominator = start.denominator * step.denominator
+    first = start.numerator * step.denominator
+    increment = step.numerator * start.denominator
     # Integers of this size are exact in float64, so that one division rounds correctly.
-    if (
-        max(abs(start_numerator), abs(start_numerator + step_numerator * count), common)
-        < 2**53
-    ):
-        return (
-            start_numerator + step_numerator * np.arange(count, dtype=np.int64)
-        ) / float(common)
+    if max(abs(first), abs(first + increment * count), denominator) < 2**53:
+        numerators = first + increment * np.arange(count, dtype=np.int64)
+        return numerators / float(denominator)
     return np.array([float(start + i * step) for i in range(count)])
 
 

@@ -41,9 +41,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise _depth_error() from error
     values: list[Any] = [tables]
     for _ in range(MAX_DEPTH):
-        values = [
-            nested_value for value in values for nested_value in _nested_values(value)
-        ]
+        values = [inner for value in values for inner in _nested_values(value)]
         if not values:
             return tables
     raise _depth_error()
@@ -139,10 +137,8 @@ def _lower_first(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
-@lru_cache(maxsize=8)
-def _parse_toml(text: str) -> dict[str, Any]:
-    """Return parsed TOML; cached, since the files of a project share it."""
-    return parse_toml(text)
+# Cached, since the files of a project share their settings.
+_parse_toml = lru_cache(maxsize=8)(parse_toml)
 
 
 def _config(path: Path, table: Any) -> Config:
@@ -152,47 +148,45 @@ def _config(path: Path, table: Any) -> Config:
     names = [entry.name for entry in fields(Config) if entry.name != "path"]
     for name in table:
         if name not in names:
-            allowed_names = f"allowed: {', '.join(names)}"
-            raise OptionError(
-                Fault(
-                    "CFG002", f"unknown setting {name!r}", str(path), (), allowed_names
-                )
-            )
-    stated_start = table.get("start")
-    is_frame = isinstance(stated_start, int) and not isinstance(stated_start, bool)
-    if stated_start is not None and not (is_frame and abs(stated_start) <= MAX_FRAME):
-        message = f"start is {excerpt(str(stated_start))}, not a whole number from "
-        message += f"{-MAX_FRAME} to {MAX_FRAME}"
-        raise OptionError(Fault("CFG003", message, str(path)))
+            message, allowed = f"unknown setting {name!r}", ", ".join(names)
+            hint = f"allowed: {allowed}"
+            raise OptionError(Fault("CFG002", message, str(path), (), hint))
+    start = table.get("start")
+    if start is not None and not (_is_integer(start) and abs(start) <= MAX_FRAME):
+        message = f"start is {excerpt(str(start))}, not a whole number from "
+        raise _value_error(path, f"{message}{-MAX_FRAME} to {MAX_FRAME}")
     roots = table.get("roots", [])
-    if not isinstance(roots, list) or not all(
-        isinstance(root_name, str) for root_name in roots
-    ):
+    if not isinstance(roots, list) or not all(isinstance(root, str) for root in roots):
         message = f"roots is {excerpt(str(roots))}, not a list of folders"
-        hint = f'write roots = ["{roots}"]' if isinstance(roots, str) else None
-        raise OptionError(Fault("CFG003", message, str(path), hint=hint))
+        correction = f'write roots = ["{roots}"]' if isinstance(roots, str) else None
+        raise _value_error(path, message, correction)
     folders = (path.parent, *(path.parent / root for root in roots))
     validate = table.get("validate", {})
     if not isinstance(validate, dict):
-        message = f"validate is {validate!r}, not a table of settings"
-        raise OptionError(Fault("CFG003", message, str(path)))
-    max_array_mb = table.get("max_array_mb")
-    is_integer = isinstance(max_array_mb, int) and not isinstance(max_array_mb, bool)
-    if max_array_mb is not None and not (
-        is_integer and 0 < max_array_mb <= MAX_ARRAY_MB
-    ):
-        message = f"max_array_mb is {max_array_mb!r}, not a whole number from 1 to "
-        raise OptionError(Fault("CFG003", f"{message}{MAX_ARRAY_MB}", str(path)))
-    start_frame = None if stated_start is None else Fraction(stated_start)
+        raise _value_error(path, f"validate is {validate!r}, not a table of settings")
+    limit = table.get("max_array_mb")
+    if limit is not None and not (_is_integer(limit) and 0 < limit <= MAX_ARRAY_MB):
+        message = f"max_array_mb is {limit!r}, not a whole number from 1 to "
+        raise _value_error(path, f"{message}{MAX_ARRAY_MB}")
+    start_frame = None if start is None else Fraction(start)
     timeline = _timeline(path, table.get("timeline", {}))
-    return Config(start_frame, folders, validate, max_array_mb, path, timeline)
+    return Config(start_frame, folders, validate, limit, path, timeline)
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _value_error(path: Path, message: str, hint: str | None = None) -> OptionError:
+    """Return the error of a setting with an invalid value (CFG003)."""
+    return OptionError(Fault("CFG003", message, str(path), hint=hint))
 
 
 def _timeline(path: Path, table: Any) -> TimelineConfig:
     """Return the settings of timelines."""
     if not isinstance(table, dict):
         message = f"timeline is {excerpt(str(table))}, not a table of settings"
-        raise OptionError(Fault("CFG003", message, str(path)))
+        raise _value_error(path, message)
     names = [entry.name for entry in fields(TimelineConfig)]
     values: dict[str, Any] = {}
     for name, value in table.items():
@@ -200,20 +194,18 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
             message = f"unknown setting timeline.{name}"
             hint = f"allowed: {', '.join(names)}"
             raise OptionError(Fault("CFG002", message, str(path), (), hint))
-        message_prefix = f"timeline.{name} is {excerpt(str(value))}, not "
-        is_integer = isinstance(value, int) and not isinstance(value, bool)
+        message = f"timeline.{name} is {excerpt(str(value))}, not a "
+        is_frame = _is_integer(value) and abs(value) <= MAX_FRAME
         if name == "fps":
             try:
                 values[name] = parse_rate(value)
             except ValueError as error:
-                message = f"timeline.fps: {error}"
-                raise OptionError(Fault("CFG003", message, str(path))) from error
-        elif name == "cut_start" and not (is_integer and abs(value) <= MAX_FRAME):
-            message = f"{message_prefix}a whole number from {-MAX_FRAME} to {MAX_FRAME}"
-            raise OptionError(Fault("CFG003", message, str(path)))
+                raise _value_error(path, f"timeline.fps: {error}") from error
+        elif name == "cut_start" and not is_frame:
+            message += f"whole number from {-MAX_FRAME} to {MAX_FRAME}"
+            raise _value_error(path, message)
         elif name == "first_timecode" and not is_timecode(value):
-            message = f"{message_prefix}a time code such as '01:00:00:00'"
-            raise OptionError(Fault("CFG003", message, str(path)))
+            raise _value_error(path, f"{message}time code such as '01:00:00:00'")
         values.setdefault(name, value)
     return TimelineConfig(**values)
 
@@ -244,13 +236,10 @@ def _version_control_root(folder: Path) -> Path | None:
 
 def innermost_project(folder: Path, target: Path) -> Path | None:
     """Return the innermost project that contains both paths; None without one."""
-    parent_folders = (
-        parent_folder
-        for parent_folder in (folder, *folder.parents)
-        if target.is_relative_to(parent_folder)
-    )
-    project = next(parent_folders, None)
-    return project if project is not None and _may_be_project(project) else None
+    for project in (folder, *folder.parents):
+        if target.is_relative_to(project):
+            return project if _may_be_project(project) else None
+    return None
 
 
 def _may_be_project(folder: Path) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import field, replace
 from enum import IntEnum, StrEnum
 from typing import ClassVar, NoReturn, TypeAlias
 
-from animtool.core.arguments import ArgumentNamer, as_text, worded
+from animtool.core.arguments import ArgumentNamer, as_text, name_arguments
 from animtool.core.quantities import escaped
 from animtool.core.record import dataclass
 from animtool.core.values import template_values
@@ -79,10 +79,12 @@ class Fault:
             if text:
                 object.__setattr__(self, name, as_text(text))
 
-    def worded(self, namer: ArgumentNamer) -> Fault:
+    def with_argument_names(self, namer: ArgumentNamer) -> Fault:
         """Return a copy whose texts name arguments as an interface does."""
-        message, brief = (worded(text, namer) for text in (self.message, self.brief))
-        hint = self.hint and worded(self.hint, namer)
+        message, brief = (
+            name_arguments(text, namer) for text in (self.message, self.brief)
+        )
+        hint = self.hint and name_arguments(self.hint, namer)
         return replace(self, message=message, hint=hint, brief=brief)
 
     def in_file(self, path: object) -> Fault:
@@ -97,11 +99,8 @@ class Fault:
         """
         prefix = ""
         if self.path is not None:
-            positions = [
-                *self.lines[:1],
-                *([] if self.column is None else [self.column]),
-            ]
-            prefix = ":".join(map(str, [self.path, *positions])) + ": "
+            column = [] if self.column is None else [self.column]
+            prefix = ":".join(map(str, [self.path, *self.lines[:1], *column])) + ": "
         location = f"{self.where}: " if self.where else ""
         hint_text = f"; {self.hint}" if self.hint else ""
         kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
@@ -165,8 +164,6 @@ class OutputError(AnimtoolError):
 class LockedError(OutputError):
     """Another run holds the lock of this output."""
 
-    exit_code = ExitCode.MALFORMED
-
 
 class OptionError(AnimtoolError):
     """An option, or a combination of options, is invalid."""
@@ -176,7 +173,7 @@ class OptionError(AnimtoolError):
 
 @contextmanager
 def faults_in(path: object) -> Iterator[None]:
-    """In a block, add a file to the faults that name no file."""
+    """Add a file to the faults raised in the block that do not name one."""
     try:
         yield
     except (FormatError, OptionError) as error:
@@ -185,16 +182,11 @@ def faults_in(path: object) -> Iterator[None]:
 
 @contextmanager
 def with_notices(notices: Sequence[Fault]) -> Iterator[None]:
-    """In a block, add known warnings to errors, since they may be the cause."""
+    """Add earlier warnings to errors raised in the block; they may be the cause."""
     try:
         yield
     except (FormatError, OptionError, ToleranceError) as error:
-        warnings = [
-            notice
-            for notice in notices
-            if notice.severity is Severity.WARNING and notice not in error.faults
-        ]
-        error.add(warnings)
+        error.add([w for w in _warnings_of(notices) if w not in error.faults])
         raise
 
 
@@ -221,24 +213,21 @@ class Refusals:
 
     @contextmanager
     def collect(self) -> Iterator[None]:
-        """In a block, record the refusal of a check and skip the rest of the block."""
+        """Record an `OptionError` of the block, instead of raising it."""
         try:
             yield
         except OptionError as error:
             self.faults += error.faults
 
     def check(self) -> None:
-        """Raise `OptionError` with every distinct fault, if any."""
+        """Raise `OptionError` with every distinct fault, if there are any."""
         if self.faults:
             raise OptionError(list(dict.fromkeys(self.faults)))
 
 
 def refuse_all(code: str, problems: Iterable[Problem]) -> None:
     """Raise `OptionError` with one fault for each problem, if there are any."""
-    faults = [
-        Fault(code, message, where=where, hint=hint)
-        for message, where, hint in problems
-    ]
+    faults = [Fault(code, text, where=key, hint=hint) for text, key, hint in problems]
     if faults:
         raise OptionError(faults)
 
@@ -267,9 +256,9 @@ def first_faults(
     path: str | None = None,
     extra_text: str = "",
 ) -> list[Fault]:
-    """Return the first faults, with one more that states the number of the others.
+    """Return the first faults, and one more that counts the others.
 
-    extra_text: Text to append to the summary.
+    extra_text: Text to append to the count.
     """
     if len(faults) <= max_faults:
         return list(faults)
@@ -283,9 +272,8 @@ def listed(items: Sequence[object], max_items: int = 5) -> str:
     >>> listed(["a", "b"]), listed(range(9), max_items=2)
     ('a, b', '0, 1 …')
     """
-    return ", ".join(map(str, items[:max_items])) + (
-        " …" if len(items) > max_items else ""
-    )
+    ellipsis = " …" if len(items) > max_items else ""
+    return ", ".join(map(str, items[:max_items])) + ellipsis
 
 
 def names_fault(
@@ -343,9 +331,13 @@ def percent_text(fraction: float) -> str:
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:
     """Raise `StrictError` if there are warnings and ``strict`` is on."""
-    warnings = [notice for notice in notices if notice.severity is Severity.WARNING]
+    warnings = _warnings_of(notices)
     if strict and warnings:
         raise StrictError(warnings)
+
+
+def _warnings_of(notices: Iterable[Fault]) -> list[Fault]:
+    return [notice for notice in notices if notice.severity is Severity.WARNING]
 
 
 def excerpt(text: str, limit: int = 40) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
-from animtool.core.quantities import CONTROL
+from animtool.core.quantities import CONTROL_CHARACTERS
 
 # Placeholder of a missing name.
 UNKNOWN = "?"
@@ -87,8 +87,8 @@ def nearest(name: str, names: Iterable[str]) -> str:
     >>> nearest("arm", ["hip", "forearm"])
     'allowed: forearm, hip'
     """
-    unique_names = list(dict.fromkeys(islice(names, MAX_NAMES)))
-    unique_names = [known_name for known_name in unique_names if known_name != UNKNOWN]
+    unique_names = dict.fromkeys(islice(names, MAX_NAMES))
+    unique_names.pop(UNKNOWN, None)
     best_match = most_similar(name, unique_names)
     if best_match:
         return f"did you mean {best_match!r}?"
@@ -140,7 +140,7 @@ def check_unused(
 # Maximum number of digits of a float64, and the number that is usually enough.
 MAX_DIGITS, DEFAULT_DIGITS = 17, 15
 # Control characters except line ends and tabs.
-_UNREADABLE_CHARACTERS = re.compile(f"(?![\n\t])[{CONTROL}]")
+_UNREADABLE_CHARACTERS = re.compile(f"(?![\n\t])[{CONTROL_CHARACTERS}]")
 
 
 def decimal_text(value: float) -> str:
@@ -191,10 +191,8 @@ def yaml_scalar(value: str) -> str:
     if needs_no_quotes and value.lower() not in reserved_words:
         return value
     if problem := unreadable_character(value):
-        message = (
-            f"the name {excerpt(value)} contains {problem!r}, which file names may not"
-        )
-        raise FormatError(Fault("DOC023", message, hint="rename it"))
+        message = f"the name {excerpt(value)} contains {problem!r}, which file names "
+        raise FormatError(Fault("DOC023", f"{message}may not", hint="rename it"))
     escaped = value.replace("\\", "\\\\").replace('"', '\\"')
     escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)
     return f'"{escaped}"'
@@ -232,16 +230,10 @@ def most_similar(
     """
     if len(name) > MAX_LENGTH:
         return None
-    candidates = [
-        candidate
-        for candidate in islice(names, MAX_NAMES)
-        if len(candidate) <= MAX_LENGTH
-    ]
+    candidates = [n for n in islice(names, MAX_NAMES) if len(n) <= MAX_LENGTH]
     if len(candidates) > MAX_COMPARED_NAMES:
         pairs = _letter_pairs(name)
-        candidates.sort(
-            key=lambda candidate: len(pairs & _letter_pairs(candidate)), reverse=True
-        )
+        candidates.sort(key=lambda n: len(pairs & _letter_pairs(n)), reverse=True)
     folded_name = name.casefold()
     for candidate in candidates:
         if candidate.casefold() == folded_name:

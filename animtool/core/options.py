@@ -167,11 +167,12 @@ def option(
 
 def options_of(record: Any) -> dict[str, Option]:
     """Return the options of a record or its class by name, in order."""
-    return {
-        entry.name: entry.metadata["option"]
-        for entry in fields(record)
-        if "option" in entry.metadata
-    }
+    return _metadata_of(record, "option")
+
+
+def _metadata_of(record: Any, name: str) -> dict[str, Any]:
+    """Return an entry of the fields' metadata, by field name."""
+    return {e.name: e.metadata[name] for e in fields(record) if name in e.metadata}
 
 
 FileKind: TypeAlias = Literal["scene", "batch"]
@@ -183,11 +184,7 @@ def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]
     Without a kind, the keys of `key`, which any file may have.
     """
     if file_kind is None:
-        return {
-            record_field.name: record_field.metadata["key"]
-            for record_field in fields(record)
-            if "key" in record_field.metadata
-        }
+        return _metadata_of(record, "key")
     keys = {
         name: getattr(option, file_kind) for name, option in options_of(record).items()
     }
@@ -195,6 +192,7 @@ def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]
 
 
 Record = TypeVar("Record")
+_INHERITED_ATTRIBUTES = ("__module__", "__doc__")
 # Types of text values: lengths are text, angles are in degrees.
 _TEXT_VALUE_TYPES: dict[OptionKind, type] = {"length": str, "angle": float}
 
@@ -215,16 +213,10 @@ def with_text_values(
             default_value = record.__dataclass_fields__[name].default
             default = default_value if text_type is None else options[name].text_default
             new_fields.append((name, text_type or hints[name], default))
-        class_namespace = {
-            "__module__": record_type.__module__,
-            "__doc__": record_type.__doc__,
-        }
+        namespace = {name: getattr(record_type, name) for name in _INHERITED_ATTRIBUTES}
+        name, bases = record_type.__name__, (record_type,)
         text_record: type[Record] = make_dataclass(
-            record_type.__name__,
-            new_fields,
-            bases=(record_type,),
-            namespace=class_namespace,
-            frozen=True,
+            name, new_fields, bases=bases, namespace=namespace, frozen=True
         )
         return text_record
 
@@ -253,11 +245,8 @@ def refused_options(record: Any, use: str) -> dict[str, Option]:
     The result maps the marker of each to its reason.
     """
     changes = changed_options(record).items()
-    return {
-        option_marker(name, option): option
-        for name, option in changes
-        if use in option.not_for
-    }
+    refused = [change for change in changes if use in change[1].not_for]
+    return {option_marker(name, option): option for name, option in refused}
 
 
 def clash_messages(record: Any) -> list[str]:
@@ -268,10 +257,8 @@ def clash_messages(record: Any) -> list[str]:
     for name, changed_option in changes.items():
         for excluded_name, message in changed_option.excludes.items():
             if excluded_name in changes:
-                default_message = (
-                    f"{names[name]} and {names[excluded_name]} exclude each other"
-                )
-                messages.append(message or default_message)
+                pair_text = f"{names[name]} and {names[excluded_name]}"
+                messages.append(message or f"{pair_text} exclude each other")
         if changed_option.goes_with and changed_option.goes_with not in changes:
             default_message = f"{names[name]} needs {names[changed_option.goes_with]}"
             messages.append(changed_option.missing_message or default_message)
@@ -367,20 +354,15 @@ def ranges_of(record: type[Any]) -> Mapping[str, Range]:
     'above 1'
     """
     if hasattr(record, "model_fields"):
-        metadata_of_fields = {
-            name: model_field.metadata
-            for name, model_field in record.model_fields.items()
-        }
+        constraints = {name: e.metadata for name, e in record.model_fields.items()}
     else:
-        hints = get_type_hints(record, include_extras=True)
-        metadata_of_fields = {
-            name: getattr(hints[name], "__metadata__", ()) for name in hints
-        }
+        hints = get_type_hints(record, include_extras=True).items()
+        constraints = {name: getattr(h, "__metadata__", ()) for name, h in hints}
     return {
-        name: model_field
-        for name, metadata in metadata_of_fields.items()
-        for model_field in metadata
-        if isinstance(model_field, Range)
+        name: constraint
+        for name, field_constraints in constraints.items()
+        for constraint in field_constraints
+        if isinstance(constraint, Range)
     }
 
 

@@ -82,7 +82,7 @@ def page_markdown(page: PageEntry) -> str:
 
 
 def find_page(topic: str) -> PageEntry:
-    """Return the page whose name, or a part of it, is the topic, else that about it.
+    """Return the page that a topic names, or the only page about it (else CLI009).
 
     Args:
         topic: A topic such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
@@ -102,13 +102,12 @@ def find_page(topic: str) -> PageEntry:
         message = f"{topic!r} names several pages"
         hint = f"write one of {', '.join(page.name for page in matches)}"
         raise OptionError(Fault("CLI009", message, hint=hint))
-    defining_pages = _defining_pages(name) if name.strip() else []
-    if len(defining_pages) == 1:
-        return defining_pages[0]
-    mentioning_pages = defining_pages or (
-        _most_mentioning(name) if name.strip() else []
-    )
-    names = ", ".join(page.name for page in mentioning_pages[:MAX_MENTIONED])
+    pages_about = _defining_pages(name) if name.strip() else []
+    if len(pages_about) == 1:
+        return pages_about[0]
+    if name.strip() and not pages_about:
+        pages_about = _most_mentioning(name)
+    names = ", ".join(page.name for page in pages_about[:MAX_MENTIONED])
     hint = f"it is a subject of {names}"
     if not names:
         hint = nearest(name, [page.name.split("/")[-1] for page in pages])
@@ -133,7 +132,7 @@ def _defining_pages(topic: str) -> list[PageEntry]:
 
 
 def _most_mentioning(topic: str) -> list[PageEntry]:
-    """Return the page that has a topic most often; empty if none has it."""
+    """Return the page that mentions a topic most often, in a list; empty for none."""
     pages = [page for page in all_pages() if page.name != "changelog"]
     best_page = max(pages, key=lambda page: _count_mentions(page, topic))
     return [best_page] if _count_mentions(best_page, topic) else []

@@ -114,10 +114,8 @@ def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
 
 
 def _plugin_error(point: EntryPoint, kind: type[object], reason: str) -> OptionError:
-    description = (
-        f"plug-in {kind.__name__.lower()} {excerpt(point.name)} ({point.value})"
-    )
-    message = f"the {description} cannot be loaded: {reason}"
+    description = f"{kind.__name__.lower()} {excerpt(point.name)} ({point.value})"
+    message = f"the plug-in {description} cannot be loaded: {reason}"
     return OptionError(Fault("IO003", message, hint="repair or remove the plug-in"))
 
 
@@ -181,16 +179,12 @@ class FormatTable(Generic[Entry]):
 
     def _points_by_suffix(self) -> dict[str, EntryPoint]:
         """Return the entry points by suffix, including its dot."""
-        return {
-            f".{name}": point
-            for name, point in sorted(plugin_points(self.group).items())
-        }
+        points = sorted(plugin_points(self.group).items())
+        return {f".{name}": point for name, point in points}
 
     def plugin_suffixes(self) -> list[str]:
         """Return the suffixes that only plug-ins support."""
-        return [
-            suffix for suffix in self._points_by_suffix() if suffix not in self.builtin
-        ]
+        return [s for s in self._points_by_suffix() if s not in self.builtin]
 
     def listed(
         self, uses: Callable[[Entry], tuple[str, ...]], about: Callable[[Entry], str]

@@ -20,11 +20,11 @@ from collections.abc import Iterable
 # An integer of at least this many seconds may be meant in frames.
 MIN_FRAMES = 5
 # Character class of a regular expression: characters that names never need.
-CONTROL = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
+CONTROL_CHARACTERS = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
 # Control characters, line ends, zero-width characters, changes of text direction, and
 # joiners except between joined letters.
 _INVISIBLE = (
-    f"{CONTROL}\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f"
+    f"{CONTROL_CHARACTERS}\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f"
     "\ufeff\ufff9-\ufffb\ufffe\uffff\U000e0000-\U000e007f"
 )
 _JOINER = "(?<![^\x00-\x7f])[\u200c\u200d]|[\u200c\u200d](?![^\x00-\x7f])"

@@ -107,28 +107,19 @@ def rate_from_frame_time(text: str) -> RateChoice:
     exact_rate = 1 / Fraction(frame_time)
 
     matching_rates = _integers_that_print(Fraction(frame_time), digits)
+    if exact_rate in matching_rates:
+        return RateChoice(exact_rate, RateKind.REPRINTED)
     if matching_rates:
-        common_rates = (
-            []
-            if exact_rate in matching_rates
-            else [integer for integer in matching_rates if integer in COMMON_RATES]
-        )
+        common_rates = [n for n in matching_rates if n in COMMON_RATES]
         best_integer = min(
-            common_rates or matching_rates,
-            key=lambda integer: abs(integer - exact_rate),
+            common_rates or matching_rates, key=lambda n: abs(n - exact_rate)
         )
-        ambiguous_rates = (
-            ()
-            if best_integer == exact_rate
-            else tuple(integer for integer in matching_rates if integer != best_integer)
-        )
-        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, ambiguous_rates)
+        others = tuple(n for n in matching_rates if n != best_integer)
+        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, others)
 
-    candidates = [Fraction(integer) for integer in _adjacent_integers(exact_rate)]
-    candidates += [
-        Fraction(integer * 1000, 1001)
-        for integer in _adjacent_integers(exact_rate * 1001 / 1000)
-    ]
+    broadcast_counts = _adjacent_integers(exact_rate * 1001 / 1000)
+    candidates = [Fraction(n) for n in _adjacent_integers(exact_rate)]
+    candidates += [Fraction(n * 1000, 1001) for n in broadcast_counts]
     if candidates:
         best_rate = min(candidates, key=lambda rate: abs(rate - exact_rate))
         if abs(best_rate - exact_rate) <= NEAREST_RATE_TOLERANCE * best_rate:

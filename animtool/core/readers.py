@@ -339,7 +339,7 @@ def export_fault(path: Path) -> Fault:
 
 
 # What to give in place of a file without some content.
-_INSTEAD = {
+_ALTERNATIVE_HINTS = {
     "markers": "give a .c3d, .trc or .npz of markers; animtool bake takes joints",
     "motion": "give a take, such as .bvh, .fbx or .usd; animtool mocap solve moves a "
     "rig by markers",
@@ -351,7 +351,7 @@ _INSTEAD = {
 def _load_opener(target: str, content: str, path: Path) -> Callable[..., Any]:
     if not target:
         message = f"{path.suffix} files hold no {content}"
-        hint = _INSTEAD.get(content)
+        hint = _ALTERNATIVE_HINTS.get(content)
         raise OptionError(Fault("IO002", message, str(path), (), hint))
     try:
         return cast(Callable[..., Any], load_object(target))

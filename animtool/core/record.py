@@ -9,7 +9,7 @@ closures over the field names. Everything else is the same: `fields`, `replace`,
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING, Field, FrozenInstanceError, field
 from operator import attrgetter
 from types import FunctionType, MemberDescriptorType, SimpleNamespace
@@ -41,32 +41,36 @@ else:
         >>> replace(Span(2), first=3)
         Span(first=3, last=9)
         """
-        flags = SimpleNamespace(
+        params = SimpleNamespace(
             init=True, repr=repr, eq=eq, order=False, unsafe_hash=False,
             frozen=frozen, match_args=True, kw_only=kw_only, slots=slots,
             weakref_slot=False,
         )  # fmt: skip
         if cls is None:
-            return lambda decorated: _record(decorated, flags)
-        return _record(cls, flags)
+            return lambda decorated: _record(decorated, params)
+        return _record(cls, params)
 
 
-def _record(cls: type[Any], flags: Any) -> type[Any]:
+def _record(cls: type[Any], params: Any) -> type[Any]:
     """Return a class with the methods of a record added."""
     declared_fields: dict[str, Field[Any]] = {}
     for base in cls.__mro__[-1:0:-1]:
         declared_fields.update(getattr(base, "__dataclass_fields__", {}))
     for name, type_ in inspect.get_annotations(cls).items():
         if not _is_class_variable(type_):
-            declared_fields[name] = _declared_field(cls, name, type_, flags.kw_only)
+            declared_fields[name] = _declared_field(cls, name, type_, params.kw_only)
     # Fields of a frozen record without slots are filled in at once.
-    in_dict = flags.frozen and not flags.slots and not _inherited_slots(cls)
-    methods = _methods(declared_fields, flags, hasattr(cls, "__post_init__"), in_dict)
+    stores_in_dict = params.frozen and not params.slots and not _inherited_slots(cls)
+    methods = _methods(
+        declared_fields, params, hasattr(cls, "__post_init__"), stores_in_dict
+    )
     attributes = vars(cls)
-    if flags.eq and "__hash__" not in attributes:
-        methods["__hash__"] = methods["__hash__"] if flags.frozen else None
+    if params.eq and "__hash__" not in attributes:
+        methods["__hash__"] = methods["__hash__"] if params.frozen else None
     elif (
-        not flags.eq or attributes["__hash__"] is not None or "__eq__" not in attributes
+        not params.eq
+        or attributes["__hash__"] is not None
+        or "__eq__" not in attributes
     ):
         methods.pop("__hash__", None)
     methods_to_add = {
@@ -79,8 +83,8 @@ def _record(cls: type[Any], flags: Any) -> type[Any]:
             method.__qualname__ = f"{cls.__qualname__}.{name}"
             method.__module__ = cls.__module__
     methods_to_add["__dataclass_fields__"] = declared_fields
-    methods_to_add["__dataclass_params__"] = flags
-    if flags.slots:
+    methods_to_add["__dataclass_params__"] = params
+    if params.slots:
         return _class_with_slots(cls, declared_fields, methods_to_add)
     for name, method in methods_to_add.items():
         setattr(cls, name, method)
@@ -108,9 +112,8 @@ def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any
         entry = field(default=default)
     if type(entry.default).__hash__ is None:
         default_type = type(entry.default)
-        raise ValueError(
-            f"mutable default {default_type} of {name}: use default_factory"
-        )
+        message = f"mutable default {default_type} of {name}: use default_factory"
+        raise ValueError(message)
     entry.name, entry.type = name, type_
     entry._field_type = _FIELD  # as required by `fields` and `replace`
     if entry.kw_only is MISSING:
@@ -130,53 +133,35 @@ _FIELD = _field_marker()
 
 def _methods(
     declared_fields: Mapping[str, Field[Any]],
-    flags: Any,
+    params: Any,
     has_post_init: bool,
-    in_dict: bool,
+    stores_in_dict: bool,
 ) -> dict[str, Any]:
     """Return the methods of a record by name.
 
     has_post_init: Whether it has a ``__post_init__``.
     in_dict: Whether all fields are in the ``__dict__``.
     """
-    init_fields = [
-        record_field for record_field in declared_fields.values() if record_field.init
-    ]
-    positional_names = tuple(
-        record_field.name for record_field in init_fields if not record_field.kw_only
-    )
-    compared_fields = [
-        record_field
-        for record_field in declared_fields.values()
-        if record_field.compare
-    ]
-    hashed_fields = [
-        e for e in declared_fields.values() if (e.compare if e.hash is None else e.hash)
-    ]
+    entries = declared_fields.values()
+    positional_names = tuple(e.name for e in entries if e.init and not e.kw_only)
     methods: dict[str, Any] = {
         "__init__": _initializer(
-            *(declared_fields.values(), positional_names),
-            *(flags.frozen, has_post_init, in_dict),
+            entries, positional_names, params.frozen, has_post_init, stores_in_dict
         ),
         "__signature__": _Signature(),
         "__match_args__": positional_names,
     }
-    if flags.repr:
-        methods["__repr__"] = _repr_method(
-            [e.name for e in declared_fields.values() if e.repr]
-        )
-    if flags.eq:
-        methods["__eq__"] = _eq_method(
-            [record_field.name for record_field in compared_fields]
-        )
-        methods["__hash__"] = _hash_method(
-            [record_field.name for record_field in hashed_fields]
-        )
-    if flags.frozen:
+    if params.repr:
+        methods["__repr__"] = _repr_method([e.name for e in entries if e.repr])
+    if params.eq:
+        hashed = [e for e in entries if (e.compare if e.hash is None else e.hash)]
+        methods["__eq__"] = _eq_method([e.name for e in entries if e.compare])
+        methods["__hash__"] = _hash_method([e.name for e in hashed])
+    if params.frozen:
         methods["__setattr__"], methods["__delattr__"] = _frozen_methods(
             frozenset(declared_fields)
         )
-    if flags.frozen and flags.slots:
+    if params.frozen and params.slots:
         methods["__getstate__"], methods["__setstate__"] = _pickle_methods(
             tuple(declared_fields)
         )
@@ -184,39 +169,25 @@ def _methods(
 
 
 def _initializer(
-    field_list: Iterable[Field[Any]],
+    entries: Collection[Field[Any]],
     positional_names: tuple[str, ...],
     frozen: bool,
     has_post_init: bool,
-    in_dict: bool,
+    stores_in_dict: bool,
 ) -> Callable[..., None]:
     """Return the ``__init__`` method of a record's fields."""
-    field_list = list(field_list)
-    defaults = {e.name: e.default for e in field_list if e.default is not MISSING}
+    defaults = {e.name: e.default for e in entries if e.default is not MISSING}
     factories = [
-        (record_field.name, record_field.default_factory)
-        for record_field in field_list
-        if record_field.default_factory is not MISSING
+        (e.name, e.default_factory) for e in entries if e.default_factory is not MISSING
     ]
-    settable_names = {
-        record_field.name
-        for record_field in field_list
-        if record_field.init or record_field.name in defaults
-    }
+    settable_names = {e.name for e in entries if e.init or e.name in defaults}
     settable_names.update(name for name, _ in factories)
-    unset_names = [
-        record_field.name for record_field in field_list if not record_field.init
-    ]
+    unset_names = [e.name for e in entries if not e.init]
     # If all fields may be positional: the minimum number, and defaults of the others.
-    trailing_defaults = tuple(
-        defaults[name] for name in positional_names if name in defaults
-    )
-    max_positional = (
-        len(positional_names) if settable_names == set(positional_names) else -1
-    )
-    min_positional = (
-        max_positional if factories else max_positional - len(trailing_defaults)
-    )
+    trailing_defaults = tuple(defaults[n] for n in positional_names if n in defaults)
+    all_positional = settable_names == set(positional_names)
+    max_positional = len(positional_names) if all_positional else -1
+    min_positional = max_positional - (0 if factories else len(trailing_defaults))
     set_field: Callable[[Any, str, Any], None] = (
         object.__setattr__ if frozen else setattr
     )
@@ -226,7 +197,7 @@ def _initializer(
         if min_positional <= count <= max_positional and not keywords:
             if count < max_positional:
                 positional += trailing_defaults[count - min_positional :]
-            if in_dict:
+            if stores_in_dict:
                 self.__dict__.update(zip(positional_names, positional))  # noqa: B905
             else:
                 for name, value in zip(positional_names, positional):  # noqa: B905
@@ -279,20 +250,18 @@ def _raise_argument_error(
 
 def _signature(kind: type[Any]) -> inspect.Signature:
     parameters = []
-    for record_field in kind.__dataclass_fields__.values():
-        if record_field.init:
+    for entry in kind.__dataclass_fields__.values():
+        if entry.init:
             default: Any = inspect.Parameter.empty
-            if record_field.default is not MISSING:
-                default = record_field.default
-            elif record_field.default_factory is not MISSING:
+            if entry.default is not MISSING:
+                default = entry.default
+            elif entry.default_factory is not MISSING:
                 default = _FactoryDefault()
+            parameter_kind: Any = inspect.Parameter.POSITIONAL_OR_KEYWORD
+            if entry.kw_only:
+                parameter_kind = inspect.Parameter.KEYWORD_ONLY
             parameter = inspect.Parameter(
-                record_field.name,
-                inspect.Parameter.KEYWORD_ONLY
-                if record_field.kw_only
-                else inspect.Parameter.POSITIONAL_OR_KEYWORD,
-                default=default,
-                annotation=record_field.type,
+                entry.name, parameter_kind, default=default, annotation=entry.type
             )
             parameters.append(parameter)
     parameters.sort(key=lambda parameter: parameter.kind)

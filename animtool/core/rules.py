@@ -133,13 +133,8 @@ def finding(
     An explicit severity overrides that of the page.
     """
     rule = _builtin_rule(code)
-    return Fault(
-        code,
-        message,
-        hint=rule.hint,
-        severity=severity or rule.severity,
-        where=str(where),
-    )
+    severity = severity or rule.severity
+    return Fault(code, message, None, (), rule.hint, severity, where=str(where))
 
 
 @cache
@@ -244,13 +239,10 @@ def find_rule(code: str) -> Rule:
     if name not in rules:
         message = f"unknown code {code!r}"
         padded_code = re.sub(r"\d+$", lambda number: f"{int(number[0]):03d}", name[:20])
-        hint = nearest(
-            padded_code, [padded_code] if padded_code in rules else sorted(rules)
-        )
+        known_codes = [padded_code] if padded_code in rules else sorted(rules)
+        hint = nearest(padded_code, known_codes)
         family_prefix = re.match("[A-Z]*", name)[0]  # type: ignore[index]
-        family_codes = sorted(
-            known_code for known_code in rules if known_code.startswith(family_prefix)
-        )
+        family_codes = sorted(c for c in rules if c.startswith(family_prefix))
         suggested_code = corrected_code(name, rules)
         if suggested_code is not None:
             hint = f"did you mean {suggested_code!r}, with digits?"

@@ -51,18 +51,15 @@ def crop_line(line: str, column: int) -> Iterator[str]:
     stripped_line = line.rstrip()
     offset = 0
     if len(stripped_line) > MAX_WIDTH:
-        offset = max(
-            0, min(column - 1 - CONTEXT_BEFORE, len(stripped_line) - MAX_WIDTH)
-        )
-    shown_part = stripped_line[offset : offset + MAX_WIDTH]
-    shown_part = "".join(
-        character if character.isprintable() else " " for character in shown_part
-    )
+        last_offset = len(stripped_line) - MAX_WIDTH
+        offset = max(0, min(column - 1 - CONTEXT_BEFORE, last_offset))
+    excerpt = stripped_line[offset : offset + MAX_WIDTH]
+    excerpt = "".join(letter if letter.isprintable() else " " for letter in excerpt)
     if offset:
-        shown_part = "\N{HORIZONTAL ELLIPSIS}" + shown_part[1:]
+        excerpt = "\N{HORIZONTAL ELLIPSIS}" + excerpt[1:]
     if offset + MAX_WIDTH < len(stripped_line):
-        shown_part = shown_part[:-1] + "\N{HORIZONTAL ELLIPSIS}"
-    yield shown_part
+        excerpt = excerpt[:-1] + "\N{HORIZONTAL ELLIPSIS}"
+    yield excerpt
     yield " " * (column - 1 - offset) + "^"
 
 

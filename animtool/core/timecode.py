@@ -39,9 +39,8 @@ def day_frames(rate: Fraction, *, drop: bool = False) -> int:
     >>> day_frames(Fraction(30000, 1001), drop=True)
     2589408
     """
-    return 24 * 3600 * count_rate(rate) - (
-        24 * 54 * _labels_dropped_per_minute(rate) if drop else 0
-    )
+    dropped_labels = 24 * 54 * _labels_dropped_per_minute(rate) if drop else 0
+    return 24 * 3600 * count_rate(rate) - dropped_labels
 
 
 def parse_timecode(text: str, rate: Fraction) -> Fraction:
@@ -63,10 +62,8 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     limits = (("hour", hours, 24), ("minute", minutes, 60), ("second", seconds, 60))
     for component, value, limit in (*limits, ("frame", frames, labels_per_second)):
         if value >= limit:
-            message = (
-                f"{text!r} has {component} {value:02d}; the largest is {limit - 1:02d}"
-            )
-            raise ValueError(message)
+            message = f"{text!r} has {component} {value:02d}; the largest is "
+            raise ValueError(f"{message}{limit - 1:02d}")
     dropped_labels = _labels_dropped_per_minute(rate) if is_drop else 0
     if minutes % 10 and not seconds and frames < dropped_labels:
         first_label = f"{hours:02d}:{minutes:02d}:00;{dropped_labels:02d}"

@@ -120,18 +120,15 @@ def _tokens(template: str) -> Iterator[re.Match[str]]:
 
 def _parse_keys(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
     for token in tokens:
-        closing_brace, token_parts, asterisk, key, path, signs, opening_brace = (
-            token.groups()
-        )
-        if closing_brace:
+        closing, report_name, asterisk, key, path, signs, opening = token.groups()
+        if closing:
             return
-        if token_parts:
-            yield JsonKey(token_parts, "", "'")
+        if report_name:
+            yield JsonKey(report_name, "", "'")
             continue
-        inner_keys = tuple(_parse_keys(tokens)) if opening_brace else None
-        yield JsonKey(
-            "" if asterisk else key or path, path.strip("."), signs, inner_keys
-        )
+        inner_keys = tuple(_parse_keys(tokens)) if opening else None
+        name = "" if asterisk else key or path
+        yield JsonKey(name, path.strip("."), signs, inner_keys)
 
 
 def _values_of(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
@@ -155,8 +152,8 @@ def _inserted_values(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
         return _values_of(value, key.keys)
     if value is record:
         return _fields_of(record)
-    plain_values: dict[str, Any] = plain_value(value)
-    return plain_values
+    inserted: dict[str, Any] = plain_value(value)
+    return inserted
 
 
 def _is_omitted(value: Any, sign: str) -> bool:

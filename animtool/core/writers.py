@@ -179,14 +179,10 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     """
     writer = writer_of(path)
     if writer is not None and writer.holds_motion:
-        inner_suffix = Path(path.stem).suffix.lower().removeprefix(".")
-        if (
-            writer is not CLIP
-            or inner_suffix not in FILE_KINDS
-            or inner_suffix == "clip"
-        ):
+        kind = Path(path.stem).suffix.lower().removeprefix(".")
+        if writer is not CLIP or kind not in FILE_KINDS or kind == "clip":
             return writer
-        message = f"is the name of a {inner_suffix} file, which holds no motion"
+        message = f"is the name of a {kind} file, which holds no motion"
     elif writer is not None:
         message = f"holds {writer.about}, not motion of joints"
     else:
@@ -232,8 +228,13 @@ def holds_rig(path: Path) -> bool:
     >>> holds_rig(Path("arm.usda")), holds_rig(Path("arm.bvh"))
     (True, False)
     """
+    return bool(_rig_function(path))
+
+
+def _rig_function(path: Path) -> str:
+    """Return the ``module:object`` that writes a rig to a file; "" if none does."""
     writer = RIG if has_kind_suffix(path, "rig") else writer_of(path)
-    return writer is not None and bool(writer.rig)
+    return "" if writer is None else writer.rig
 
 
 def marker_writer(path: Path) -> Callable[..., list[Fault]]:
@@ -241,25 +242,23 @@ def marker_writer(path: Path) -> Callable[..., list[Fault]]:
     writer = writer_of(path)
     if writer is None or not writer.markers:
         message = f"{suffix_text(path)} is not a format for markers"
-        marker_suffixes = [
-            suffix for suffix, writer_ in WRITERS.items() if writer_.markers
-        ]
-        hint = f"allowed: {', '.join(marker_suffixes)}"
+        suffixes = [suffix for suffix, entry in WRITERS.items() if entry.markers]
+        hint = f"allowed: {', '.join(suffixes)}"
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
     return cast(Callable[..., list[Fault]], load_object(writer.markers))
 
 
 def rig_writer(path: Path) -> Callable[..., Any]:
     """Return the function that writes a rig to a file (else OUT004)."""
-    writer = RIG if has_kind_suffix(path, "rig") else writer_of(path)
-    if writer is None or not writer.rig:
+    function = _rig_function(path)
+    if not function:
         message = f"suffix {path.suffix!r} cannot hold a rig"
-        suffixes = [suffix for suffix, one in WRITERS.items() if one.rig]
+        suffixes = [suffix for suffix, entry in WRITERS.items() if entry.rig]
         hint = f"allowed: {', '.join(sorted(suffixes))}"
         if path.suffix.lower() in _READ_ONLY_FORMATS:
             message, hint = _read_only_error_parts(path)
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
-    return cast(Callable[..., Any], load_object(writer.rig))
+    return cast(Callable[..., Any], load_object(function))
 
 
 def writes_stage(path: Path) -> bool:

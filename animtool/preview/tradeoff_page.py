@@ -6,7 +6,7 @@ import html
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from animtool.core.arguments import ArgumentNamer, python_name, worded
+from animtool.core.arguments import ArgumentNamer, name_arguments, python_name
 from animtool.core.files.output import check_outputs, write_parts
 from animtool.preview.build import make_page
 from animtool.preview.options import PreviewOptions
@@ -29,7 +29,7 @@ def write_tradeoff_page(
     output: Path,
     *,
     overwrite: bool = False,
-    calling: ArgumentNamer = python_name,
+    namer: ArgumentNamer = python_name,
 ) -> int:
     """Write the HTML page of a tradeoff report; return its size [byte].
 
@@ -39,16 +39,14 @@ def write_tradeoff_page(
         report: The measurements.
         output: Path of the page.
         overwrite: Replace an existing page.
-        calling: How texts refer to arguments: as options or in Python.
+        namer: How texts refer to arguments: as options or in Python.
     """
     check_outputs([output], [report.source], overwrite=overwrite)
-    write_parts(output, (part.encode() for part in page_parts(report, calling)))
+    write_parts(output, (part.encode() for part in page_parts(report, namer)))
     return output.stat().st_size
 
 
-def page_parts(
-    report: Tradeoffs, calling: ArgumentNamer = python_name
-) -> Iterator[str]:
+def page_parts(report: Tradeoffs, namer: ArgumentNamer = python_name) -> Iterator[str]:
     """Yield the self-contained HTML of the page in pieces."""
     style = viewer_text("tradeoffs.css")
     title = html.escape(f"{report.source.name}: time against error")
@@ -61,7 +59,7 @@ def page_parts(
     )
     yield f'<p class="soft">{html.escape(LEGEND)}</p>\n'
     for notice in report.notices:
-        message = worded(notice.message, calling)
+        message = name_arguments(notice.message, namer)
         text = f"{notice.severity}: {notice.code} {message}"
         yield f"<p>{html.escape(text)}</p>\n"
     pairs_by_table = {
@@ -77,7 +75,7 @@ def page_parts(
         for line in texts.advice:
             yield f"<p>{html.escape(line.strip())}</p>\n"
         if table.lines:
-            lines = worded("\n".join(table.lines), calling)
+            lines = name_arguments("\n".join(table.lines), namer)
             yield f"<pre>{html.escape(lines)}</pre>\n"
         yield from _table_html(texts.rows, texts.left_columns, texts.classes)
         if i in pairs_by_table:

@@ -346,11 +346,14 @@ def with_source_warnings(
 
     def add_notices(notices: Iterable[Fault]) -> None:
         stream.notices.extend(
-            notice if namer is None else notice.worded(namer) for notice in notices
+            notice if namer is None else notice.with_argument_names(namer)
+            for notice in notices
         )
 
     if namer is not None:
-        stream.notices[:] = [notice.worded(namer) for notice in stream.notices]
+        stream.notices[:] = [
+            notice.with_argument_names(namer) for notice in stream.notices
+        ]
     if {*known_codes, *reported_codes}.isdisjoint({"BVH105", "TAKE009"}):
         add_notices(replace(notice, path=str(path)) for notice in rate_warnings)
     file_format = stream.details.get("format")

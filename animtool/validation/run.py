@@ -128,14 +128,17 @@ class Report:
         """Number of findings by severity."""
         return {str(kind): self.count(kind) for kind in Severity}
 
-    def worded(self, calling: ArgumentNamer) -> Report:
+    def with_argument_names(self, namer: ArgumentNamer) -> Report:
         """Return a copy whose texts name arguments as an interface does."""
         return replace(
             self,
-            findings=tuple(fault.worded(calling) for fault in self.findings),
-            fixable=frozenset(fault.worded(calling) for fault in self.fixable),
+            findings=tuple(fault.with_argument_names(namer) for fault in self.findings),
+            fixable=frozenset(
+                fault.with_argument_names(namer) for fault in self.fixable
+            ),
             mended=tuple(
-                (fault.worded(calling), fix_text) for fault, fix_text in self.mended
+                (fault.with_argument_names(namer), fix_text)
+                for fault, fix_text in self.mended
             ),
         )
 

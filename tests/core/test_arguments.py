@@ -15,8 +15,8 @@ from animtool.core.arguments import (
     as_text,
     clause,
     file_key,
+    name_arguments,
     python_name,
-    worded,
 )
 from animtool.core.errors import Fault, FormatError
 from animtool.core.options import keys_of
@@ -39,7 +39,7 @@ def test_an_argument_is_called_as_the_interface_calls_it(
 ) -> None:
     text = as_text(f"{argument(name, value)} says it")
     assert text == f"{python} says it"
-    assert worded(text, file_key) == f"{file} says it"
+    assert name_arguments(text, file_key) == f"{file} says it"
 
 
 def test_keys_are_those_that_scenes_have() -> None:
@@ -57,19 +57,19 @@ def test_text_that_looks_like_a_flag_stays() -> None:
 def test_a_clause_goes_where_its_argument_is_none() -> None:
     text = "a" + clause(f", not {argument('command.quiet')}")
     assert as_text(text) == "a"
-    assert worded(text, lambda found: f"-{found.field}") == "a, not -quiet"
-    assert worded(text, lambda _: None) == "a"
+    assert name_arguments(text, lambda found: f"-{found.field}") == "a, not -quiet"
+    assert name_arguments(text, lambda _: None) == "a"
 
 
 def test_an_argument_that_an_interface_lacks_is_a_key() -> None:
-    assert worded(argument("source.up", "Z"), lambda _: None) == "up: Z"
+    assert name_arguments(argument("source.up", "Z"), lambda _: None) == "up: Z"
 
 
 def test_a_fault_keeps_what_it_names() -> None:
     fault = Fault("MKR010", "no rate", hint=f"{argument('source.fps')} gives it")
     for kept in (fault, pickle.loads(pickle.dumps(fault)), replace(fault, path="a")):
         assert kept.hint == "fps gives it"
-        assert kept.worded(lambda found: f"--{found.name}").hint == (
+        assert kept.with_argument_names(lambda found: f"--{found.name}").hint == (
             "--source.fps gives it"
         )
 
@@ -77,7 +77,7 @@ def test_a_fault_keeps_what_it_names() -> None:
 def test_joined_texts_keep_what_they_name() -> None:
     text = as_text(argument("up"))
     assert isinstance("a " + text + " b", TextWithArguments)
-    assert worded("a " + text + " b", file_key) == "a up: b"
+    assert name_arguments("a " + text + " b", file_key) == "a up: b"
 
 
 def test_values_of_texts_may_hold_braces() -> None:

@@ -22,7 +22,7 @@ from typing import Any
 from uuid import uuid4
 
 from animtool.core.errors import FormatError
-from animtool.core.files.reading import open_input, read_input
+from animtool.core.files.reading import FileState, open_input, read_input
 from animtool.core.record import dataclass
 
 _OWNER_PATTERN = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
@@ -53,8 +53,7 @@ class PlacedFile:
 
     final: Path  # its final path
     temporary: Path  # its temporary path
-    # Inode, size [byte] and time of change [ns] of the written file.
-    written_status: tuple[int, int, int]
+    state: FileState  # of the written file
     backup: Path  # backup of the replaced file; unused if there was none
 
     def roll_back(self) -> None:
@@ -63,25 +62,16 @@ class PlacedFile:
         Does nothing if another process has replaced the file since. May be called
         again.
         """
-        final_status = _path_status(self.final)
-        backup_status = _path_status(self.backup)
-        if backup_status is not None and (
-            final_status is None or self._is_written_file(final_status)
-        ):
+        final_state = _state_of(self.final)
+        if _state_of(self.backup) is None:
+            if final_state == self.state:
+                self.final.unlink()
+        elif final_state is None or final_state == self.state:
             self.backup.replace(self.final)
-        elif backup_status is not None:
+        else:
             # The final path still has the old file, or a later one.
             self.backup.unlink()
-        elif final_status is not None and self._is_written_file(final_status):
-            self.final.unlink()
         self.temporary.unlink(missing_ok=True)
-
-    def _is_written_file(self, status: os.stat_result) -> bool:
-        return (
-            status.st_ino,
-            status.st_size,
-            status.st_mtime_ns,
-        ) == self.written_status
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +95,10 @@ class Journal:
         )
         try:
             for folder in folders:
-                folder_entries = [
-                    _journal_entry(file)
-                    for file in files
-                    if file.final.parent == folder
-                ]
+                in_folder = [file for file in files if file.final.parent == folder]
                 record = {
                     "folders": [os.fspath(path) for path in folders],
-                    "files": folder_entries,
+                    "files": [_journal_entry(file) for file in in_folder],
                 }
                 journal._write(folder, json.dumps(record).encode())
         except BaseException:
@@ -165,22 +151,22 @@ def _placed_file(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
     if not (_OWNER_PATTERN.match(temporary.name) and _OWNER_PATTERN.match(backup.name)):
         raise ValueError(f"{temporary.name!r} is not a temporary name")
     inode, size, changed_at = map(int, entry["state"])
-    return PlacedFile(final, temporary, (inode, size, changed_at), backup)
+    return PlacedFile(final, temporary, FileState(size, changed_at, inode), backup)
 
 
 def _journal_entry(file: PlacedFile) -> Mapping[str, Any]:
     return {
         "final": file.final.name,
         "temporary": file.temporary.name,
-        "state": list(file.written_status),
+        "state": [file.state.inode, file.state.size, file.state.changed_at],
         "old": file.backup.name,
     }
 
 
-def _path_status(path: Path) -> os.stat_result | None:
-    """Return the status of a path without following links; None if it is missing."""
+def _state_of(path: Path) -> FileState | None:
+    """Return the state of a path without following links; None if it is missing."""
     try:
-        return path.lstat()
+        return FileState.of_stat(path.lstat())
     except FileNotFoundError:
         return None
 
@@ -194,7 +180,7 @@ def roll_back_folder(folder: Path) -> None:
 def _roll_back_once(folder: str, process: int) -> None:
     del process
     for path in _temporary_files(Path(folder)):
-        if path.name.endswith(_JOURNAL_SUFFIX) and _owner_of(path, None):
+        if path.name.endswith(_JOURNAL_SUFFIX) and _is_orphan(path, None):
             _roll_back_journal(path)
 
 
@@ -246,24 +232,20 @@ def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> lis
     """
     removed_files = []
     for folder in dict.fromkeys(folders):
-        orphaned_files = [
-            path for path in _temporary_files(folder) if _owner_of(path, process)
-        ]
-        journals = [
-            path for path in orphaned_files if path.name.endswith(_JOURNAL_SUFFIX)
-        ]
+        orphans = [p for p in _temporary_files(folder) if _is_orphan(p, process)]
+        journals = [path for path in orphans if path.name.endswith(_JOURNAL_SUFFIX)]
         # If it cannot be rolled back now, it can be later, as long as its files are
         # kept.
         if not all([_roll_back_journal(path) for path in journals]):
             continue
-        for path in orphaned_files:
+        for path in orphans:
             with contextlib.suppress(OSError):
                 path.unlink()
                 removed_files.append(path)
     return removed_files
 
 
-def _owner_of(path: Path, process: int | None) -> bool:
+def _is_orphan(path: Path, process: int | None) -> bool:
     """Return whether a file belongs to a dead process of this host."""
     match = _OWNER_PATTERN.match(path.name)
     if match is None or match["host"] != _host_digest():

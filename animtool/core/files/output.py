@@ -156,10 +156,7 @@ def check_outputs(
             reported_paths = existing[:1]
             hint = hint.replace("s it", "s them")
         raise OptionError(
-            [
-                Fault("OUT001", message, str(existing_path), (), hint)
-                for existing_path in reported_paths
-            ]
+            [Fault("OUT001", message, str(path), (), hint) for path in reported_paths]
         )
     final_paths = {output.final for output in targets}
     _new_paths.set(
@@ -188,14 +185,14 @@ def _check_folder(folder: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
-    """In a block, raise OUT003 if an output was read as an input.
+    """Raise OUT003 at the end of the block if it read an output as an input.
 
     A layer that is included by a USD file may be an output, since a shot is read to
     bake one of its layers again.
     """
     with recorded_inputs() as inputs:
         yield
-    _refuse_inputs([output_target(path) for path in outputs], inputs.opened)
+    _refuse_inputs([output_target(path) for path in outputs], inputs.opened_paths)
 
 
 def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> None:
@@ -267,7 +264,7 @@ def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 
 @contextlib.contextmanager
 def _open_replacement(output: Path) -> Iterator[BinaryIO]:
-    """Return a context with an open file that replaces an output at the end."""
+    """Yield an open file that replaces an output at the end of the block."""
     with replacement_path(output) as temporary:
         try:
             with temporary.open("wb") as file:
@@ -278,7 +275,7 @@ def _open_replacement(output: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def replacement_path(path: Path) -> Iterator[Path]:
-    """In a block, use a temporary path that is renamed to ``path`` at the end.
+    """Yield a temporary path that is renamed to ``path`` at the end of the block.
 
     The file is flushed and renamed when the block succeeds, and removed when it fails,
     so that ``path`` is always absent, unchanged, or complete. Inside `atomic_outputs`,
@@ -329,7 +326,7 @@ def written_size(path: Path) -> int:
 
 @contextlib.contextmanager
 def atomic_outputs() -> Iterator[None]:
-    """In a block, write files that are committed together at its end.
+    """Commit all files that the block writes together, at its end.
 
     The files are renamed in the order of writing; if the block fails, none of them is.
     In a nested block, the outer one commits them. Inputs of the block must not change
@@ -361,7 +358,7 @@ def atomic_outputs() -> Iterator[None]:
 
 @contextlib.contextmanager
 def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
-    """In a block, write new files that are committed before the other files.
+    """Commit new files that the block writes at its end, before all others.
 
     This is for files that are read again before the files that refer to them are
     written. The files are removed if the block, or an enclosing `atomic_outputs`,

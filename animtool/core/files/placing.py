@@ -17,6 +17,7 @@ from animtool.core.files.leftovers import (
     PlacedFile,
     new_temporary,
 )
+from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
 
 # Error codes of disks without hard links.
@@ -79,16 +80,13 @@ _SPECIAL_FILES = {
 
 def _check_kind(path: Path, status: os.stat_result) -> None:
     """Raise an error if the path to overwrite is not a regular file."""
+    hint = "write the name of a file"
     if stat.S_ISDIR(status.st_mode):
-        raise OutputError(
-            Fault("OUT002", "is a folder", str(path), (), "write the name of a file")
-        )
+        raise OutputError(Fault("OUT002", "is a folder", str(path), (), hint))
     if not stat.S_ISREG(status.st_mode):
         kind = _SPECIAL_FILES.get(stat.S_IFMT(status.st_mode), "something else")
         message = f"is {kind}, not a file"
-        raise OutputError(
-            Fault("OUT005", message, str(path), (), "write the name of a file")
-        )
+        raise OutputError(Fault("OUT005", message, str(path), (), hint))
 
 
 @dataclass(slots=True)
@@ -98,8 +96,7 @@ class WrittenFile:
     path: Path  # the path as spelled by the user
     final: Path  # its final path
     temporary: Path  # its temporary path
-    # Inode, size [byte] and time of change [ns], after sealing.
-    state: tuple[int, int, int] = (0, 0, 0)
+    state: FileState = FileState(0, 0, 0)  # after sealing
 
     def seal(self) -> None:
         """Flush the file to disk, with the mode and owner of the replaced file."""
@@ -113,16 +110,11 @@ class WrittenFile:
                 if status is not None and os.name != "nt":
                     _inherit_mode(handle, status)
                 os.fsync(handle)
-                temporary_status = os.fstat(handle)
+                self.state = FileState.of_stat(os.fstat(handle))
             finally:
                 os.close(handle)
         except OSError as error:
             raise output_error(self.path, error) from error
-        self.state = (
-            temporary_status.st_ino,
-            temporary_status.st_size,
-            temporary_status.st_mtime_ns,
-        )
 
     def commit(self, *, must_be_new: bool) -> None:
         """Rename the temporary file to its final name.

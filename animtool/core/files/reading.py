@@ -53,9 +53,9 @@ class Inputs:
     # State of each file at its first access, by absolute path.
     states: dict[Path, FileState | None] = field(default_factory=dict)
     # Those that were opened directly, not only included by a USD layer.
-    opened: set[Path] = field(default_factory=set)
+    opened_paths: set[Path] = field(default_factory=set)
     # Those that had been replaced at a later access.
-    replaced: set[Path] = field(default_factory=set)
+    replaced_paths: set[Path] = field(default_factory=set)
 
     def record(
         self, path: Path, state: FileState | None = None, *, composed: bool = False
@@ -63,20 +63,20 @@ class Inputs:
         """Record a file before it is read; see `note_input`."""
         absolute_path = path.absolute()
         if not composed:
-            self.opened.add(absolute_path)
+            self.opened_paths.add(absolute_path)
         if absolute_path not in self.states:
             self.states[absolute_path] = (
                 FileState.of(absolute_path) if state is None else state
             )
         elif state is not None and state != self.states[absolute_path]:
-            self.replaced.add(absolute_path)
+            self.replaced_paths.add(absolute_path)
 
     def changed_paths(self) -> list[Path]:
         """Return the files that changed since they were recorded."""
         return [
             path
             for path, state in self.states.items()
-            if path in self.replaced or FileState.of(path) != state
+            if path in self.replaced_paths or FileState.of(path) != state
         ]
 
     def check(self) -> None:
@@ -100,7 +100,7 @@ _ACTIVE_RECORDS: ContextVar[tuple[Inputs, ...]] = ContextVar(
 
 @contextmanager
 def recorded_inputs() -> Iterator[Inputs]:
-    """Return a context with a record of the files that its block accesses.
+    """Yield a record of the files that the block accesses.
 
     Records of enclosing blocks include them too.
 
@@ -332,7 +332,7 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _non_file_kind(status: os.stat_result) -> str:
-    """Return text on what a path is instead of a file."""
+    """Return a phrase for a path that is not a regular file, such as "is a folder"."""
     return _NON_FILE_KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
 
 
@@ -364,30 +364,26 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     without one, it names the missing folder. Relative paths start in ``folder``. None
     if the file exists, or only the file is missing and no name is similar.
     """
-    self_and_parents = [path, *path.parents]
-    missing = next(
-        (
-            parent
-            for parent in reversed(self_and_parents)
-            if not exists(folder / parent)
-        ),
-        None,
-    )
-    if missing is None or not missing.name:
+    outermost_first = reversed([path, *path.parents])
+    missing_path = next((p for p in outermost_first if not exists(folder / p)), None)
+    if missing_path is None or not missing_path.name:
         return None
     try:
-        with os.scandir(folder / missing.parent) as entries:
-            names = sorted(entry.name for entry in islice(entries, MAX_NAMES))
+        with os.scandir(folder / missing_path.parent) as entries:
+            entry_names = sorted(entry.name for entry in islice(entries, MAX_NAMES))
     except OSError:
         return None
-    name_by_folded = {name.casefold(): name for name in reversed(names)}
-    similar_name = most_similar(missing.name.casefold(), sorted(name_by_folded), 0.7)
-    if not similar_name or not _equal_stems(missing.name, similar_name):
-        if missing is path or is_pattern(missing.name):
+    name_by_folded = {name.casefold(): name for name in reversed(entry_names)}
+    similar_name = most_similar(
+        missing_path.name.casefold(), sorted(name_by_folded), 0.7
+    )
+    if not similar_name or not _equal_stems(missing_path.name, similar_name):
+        if missing_path is path or is_pattern(missing_path.name):
             return None
-        return f"there is no folder {missing.as_posix()!r}"
-    suggested_path = missing.with_name(name_by_folded[similar_name]).as_posix()
-    return f"did you mean {'' if missing is path else 'the folder '}{suggested_path!r}?"
+        return f"there is no folder {missing_path.as_posix()!r}"
+    suggested_path = missing_path.with_name(name_by_folded[similar_name]).as_posix()
+    noun = "" if missing_path is path else "the folder "
+    return f"did you mean {noun}{suggested_path!r}?"
 
 
 def _equal_stems(name: str, other: str) -> bool:
@@ -417,19 +413,16 @@ def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
     """
     path = Path(text)
     if path.is_dir():
-        suffix_tuple = tuple(suffixes)
         for file in sorted(path.rglob("*")):
-            if file.name.lower().endswith(suffix_tuple) and _is_shown(file, path):
+            if file.name.lower().endswith(tuple(suffixes)) and _is_shown(file, path):
                 yield MatchedFile(file, path)
     elif is_pattern(text) and not path.exists():
         # Folders without a wildcard stay as the user spells them.
         parts = path.parts
-        wildcard_index = next(
-            i for i, part in enumerate(parts) if _WILDCARDS & set(part)
-        )
-        base = Path(*parts[:wildcard_index])
-        shows_hidden = any(part.startswith(".") for part in parts[wildcard_index:])
-        for file in sorted(base.glob("/".join(parts[wildcard_index:]))):
+        first = next(i for i, part in enumerate(parts) if is_pattern(part))
+        base = Path(*parts[:first])
+        shows_hidden = any(part.startswith(".") for part in parts[first:])
+        for file in sorted(base.glob("/".join(parts[first:]))):
             if file.is_file() if shows_hidden else _is_shown(file, base):
                 yield MatchedFile(file, base)
     else:
@@ -448,12 +441,8 @@ def path_from_folder(path: Path, folder: Path) -> str:
     '../rigs/hero.usda'
     """
     path, folder = path.resolve(), folder.resolve()
-    parents = (folder, *folder.parents)
-    common_parent = next(
-        (parent for parent in parents if path.is_relative_to(parent)), None
-    )
-    if common_parent is None:
-        # On another drive.
-        return path.as_posix()
-    steps = [".."] * len(folder.relative_to(common_parent).parts)
-    return "/".join([*steps, *path.relative_to(common_parent).parts])
+    for common_parent in (folder, *folder.parents):
+        if path.is_relative_to(common_parent):
+            steps = [".."] * len(folder.relative_to(common_parent).parts)
+            return "/".join([*steps, *path.relative_to(common_parent).parts])
+    return path.as_posix()  # on another drive

@@ -98,15 +98,10 @@ def signature_of(head: bytes) -> Signature | None:
     ('.bvh',)
     """
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
-    flags = re.IGNORECASE | re.DOTALL
-    return next(
-        (
-            signature
-            for signature in SIGNATURES
-            if re.match(signature.pattern, text, flags)
-        ),
-        None,
-    )
+    for signature in SIGNATURES:
+        if re.match(signature.pattern, text, re.IGNORECASE | re.DOTALL):
+            return signature
+    return None
 
 
 def format_mismatch(

@@ -22,7 +22,7 @@ _ThreadFunctions = tuple[Callable[[], int], Callable[[int], None]]
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """In a block, run linear algebra in one thread, if the library allows that.
+    """Run linear algebra in the block in one thread, if the library allows that.
 
     The threads of OpenBLAS busy-wait for each other: for matrices of some hundred rows
     on a busy machine that takes much longer than a single thread, and another number of

@@ -92,7 +92,7 @@ def obey_signals() -> None:
 
 @contextmanager
 def obey_signals_in_block() -> Iterator[None]:
-    """In a block, handle signals as `obey_signals` does, unless that is active."""
+    """Handle signals in the block as `obey_signals` does, unless that is active."""
     is_main_thread = threading.current_thread() is threading.main_thread()
     if _signal_state.is_installed or not is_main_thread:
         yield
@@ -120,7 +120,7 @@ def receive_signals() -> None:
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """In a block, start processes with SIGINT blocked.
+    """Block SIGINT for processes that the block starts.
 
     A terminal sends SIGINT to all processes of a command; the parent process ends its
     children.
@@ -146,7 +146,7 @@ def ignore_signals() -> None:
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """In a block, defer SIGINT, SIGTERM and SIGHUP to its end.
+    """Defer SIGINT, SIGTERM and SIGHUP to the end of the block.
 
     This is for steps of milliseconds that must not be interrupted: importing a library
     that swallows exceptions, or renaming files that belong together. Only the main

@@ -143,7 +143,7 @@ _lock = threading.Lock()
 
 @contextmanager
 def reading_file(path: Path) -> Iterator[None]:
-    """In a block, record the file that USD reads; refuse a known crasher (USD160)."""
+    """Record the file that USD reads in the block; refuse a known crasher (USD160)."""
     listener = _state.listener
     if listener is None:
         yield
@@ -213,10 +213,8 @@ def stdin_lines() -> list[str]:
 
             from animtool.core.files.reading import unreadable_error
 
-            reason = (
-                f"line {number} has {len(line)} characters, too many for a file name"
-            )
-            raise unreadable_error(Path("-"), reason)
+            reason = f"line {number} has {len(line)} characters, "
+            raise unreadable_error(Path("-"), f"{reason}too many for a file name")
     return lines
 
 
@@ -242,7 +240,7 @@ def follow_parent() -> None:
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """In a block, start processes that do not run the main script again.
+    """Keep processes that the block starts from running the main script again.
 
     Their tasks are in modules, and a script may start them without a guard. The
     script's module is replaced by one with the same names, which threads may look up,
@@ -252,11 +250,9 @@ def without_main() -> Iterator[None]:
         if not _state.starting_threads:
             _state.script_module = main = sys.modules["__main__"]
             replacement = ModuleType("__main__")
-            file_attributes = {"__spec__", "__file__", "__loader__"}
-            replacement.__dict__.update(
-                (name, value)
-                for name, value in vars(main).items()
-                if name not in file_attributes
+            attributes, hidden = vars(main).items(), {"__spec__", "__file__"}
+            vars(replacement).update(
+                (k, v) for k, v in attributes if k not in {*hidden, "__loader__"}
             )
             sys.modules["__main__"] = replacement
         _state.starting_threads += 1
@@ -298,11 +294,8 @@ def supervise(
         notes.read()
         remove_leftovers(notes.folders, child)
         if end_signal:
-            return int(
-                ExitCode.INTERRUPTED
-                if end_signal == signal.SIGINT
-                else ExitCode.TERMINATED
-            )
+            is_interrupt = end_signal == signal.SIGINT
+            return int(ExitCode.INTERRUPTED if is_interrupt else ExitCode.TERMINATED)
         if -code not in CRASH_SIGNALS:
             return 128 - code
         crash = Crash(-code, notes.path)

@@ -8,7 +8,7 @@ from dataclasses import field
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
 from animtool.core.names import most_similar
-from animtool.core.quantities import CONTROL
+from animtool.core.quantities import CONTROL_CHARACTERS
 from animtool.core.rates import (
     RateChoice,
     RateKind,
@@ -31,7 +31,7 @@ PLAUSIBLE_RATES = (4, 1000)
 _TOKENS_AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
 
 _TRUNCATED_HINT = "is it truncated? copy or export it again"
-_CONTROL_PATTERN = re.compile(f"[{CONTROL}]")
+_CONTROL_PATTERN = re.compile(f"[{CONTROL_CHARACTERS}]")
 _WORD_PATTERN = re.compile(r"[{}]|[^\s{}]+")
 
 

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
 from animtool.core.names import numbered_names
-from animtool.core.quantities import CONTROL
+from animtool.core.quantities import CONTROL_CHARACTERS
 from animtool.formats.characters.nodes import Node
 
 MAX_LISTED_JOINTS = 6
-_CONTROL_PATTERN = re.compile(f"[{CONTROL}]")
+_CONTROL_PATTERN = re.compile(f"[{CONTROL_CHARACTERS}]")
 
 
 def joint_names(

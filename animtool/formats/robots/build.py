@@ -15,7 +15,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.core.errors import Severity, counted, listed
-from animtool.core.quantities import CONTROL, length_text
+from animtool.core.quantities import CONTROL_CHARACTERS, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.robots.notes import XmlNotes
@@ -43,7 +43,7 @@ ROBOT_SIZES = (0.3, 10.0)
 MAX_NAME_LENGTH = 4000
 # Arbitrary: one frame has no rate.
 POSE_RATE = Fraction(24)
-_CONTROL = re.compile(f"[{CONTROL}]")
+_CONTROL = re.compile(f"[{CONTROL_CHARACTERS}]")
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,7 +117,7 @@ def rig_to_file(job: RigJob) -> RigReport:
     with recorded_inputs() as inputs:
         rig, notices = open_rig(job.source, job.prim_path)
     file = rig_file(rig, job.output, job.source)
-    read_files = [job.source, *inputs.opened]
+    read_files = [job.source, *inputs.opened_paths]
     check_outputs(file.outputs, read_files, overwrite=job.overwrite)
     refuse_warnings(notices, strict=job.strict)
     file.write()

@@ -18,7 +18,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, excerpt, listed
 from animtool.core.names import most_similar, numbered_names
-from animtool.core.quantities import CONTROL
+from animtool.core.quantities import CONTROL_CHARACTERS
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -84,7 +84,7 @@ def stored_data(prim: Any) -> dict[str, Any]:
     return data if isinstance(data, dict) else {}
 
 
-_CONTROL_CHARACTER = re.compile(f"[{CONTROL}]")
+_CONTROL_CHARACTER = re.compile(f"[{CONTROL_CHARACTERS}]")
 # Rest transforms are float32.
 MAX_REST_VALUE = float(np.finfo(np.float32).max)
 

@@ -26,7 +26,7 @@ def written(
     form: str,
     *,
     repeats: bool = False,
-    calling: ArgumentNamer = python_name,
+    namer: ArgumentNamer = python_name,
 ) -> str:
     """Return a report in one of `FORMATS`.
 
@@ -35,9 +35,9 @@ def written(
         form: Name in `FORMATS`.
         repeats: Whether the text format includes repeated findings of a file. Other
             formats always contain all findings.
-        calling: Returns the spelling of an argument in the caller's interface.
+        namer: Returns the spelling of an argument in the caller's interface.
     """
     if form == "text":
-        return text_report(report, repeats=repeats, calling=calling)
+        return text_report(report, repeats=repeats, namer=namer)
     write = cast(Callable[[Report], str], load_object(FORMATS[form]))
-    return write(report.worded(calling))
+    return write(report.with_argument_names(namer))

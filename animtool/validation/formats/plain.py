@@ -18,8 +18,8 @@ from animtool.core.arguments import (
     argument,
     as_text,
     clause,
+    name_arguments,
     python_name,
-    worded,
 )
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.junit import JunitCase, junit_xml
@@ -75,15 +75,15 @@ SUMMARY = Template(
 
 
 def text_report(
-    report: Report, *, repeats: bool = False, calling: ArgumentNamer = python_name
+    report: Report, *, repeats: bool = False, namer: ArgumentNamer = python_name
 ) -> str:
     """Return the findings, each with its source line, and a summary line."""
-    report = report.worded(calling)
+    report = report.with_argument_names(namer)
     lines = [
         *FINDINGS.text(Findings(_findings_to_print(report, repeats=repeats))),
         summary(report),
     ]
-    return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
+    return "".join(f"{escaped(name_arguments(line, namer))}\n" for line in lines)
 
 
 def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:

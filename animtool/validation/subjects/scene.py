@@ -171,7 +171,7 @@ def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fa
         bool(stream.control_curves),
         tuple(idle_passes),
         solved_takes,
-        frozenset(inputs.opened),
+        frozenset(inputs.opened_paths),
     )
     return subject, stream.notices
 

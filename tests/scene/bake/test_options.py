@@ -55,7 +55,7 @@ RIG = Path("rig.usda")
 def test_what_excludes_each_other(given: dict[str, Any], word: str) -> None:
     with pytest.raises(OptionError) as caught:
         check_options(BakeOptions(**given), to_stdout=False)
-    told = [fault.worded(FlagNamer(bake)) for fault in caught.value.faults]
+    told = [fault.with_argument_names(FlagNamer(bake)) for fault in caught.value.faults]
     assert any(word in fault.message for fault in told)
     assert {fault.code for fault in caught.value.faults} == {"CLI002"}
     assert "--" not in str(caught.value)
