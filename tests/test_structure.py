@@ -106,7 +106,7 @@ OPENED = {
     "animtool.batch.timeline": "a cut list that timeline_text has looked at",
     "animtool.batch.work": "/proc",
     "animtool.core.files.leftovers": "/proc",
-    "animtool.core.files.placing": "files that it writes, and their folders",
+    "animtool.core.files.commit": "files that it writes, and their folders",
     "animtool.scene.bake.progress": "/proc and cgroups",
     "animtool.usd.checks.value_clips": "layers that dependencies has looked at",
     "animtool.usd.layers.dependencies": "layers that it has looked at",

@@ -28,8 +28,8 @@ from animtool.batch.records import (
 from animtool.batch.work import ItemStatus
 from animtool.core.arguments import argument, flag
 from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.core.files.commit import output_error
 from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
-from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.documents.yaml_text import yaml_text
 

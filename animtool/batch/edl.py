@@ -22,7 +22,7 @@ from animtool.core.errors import Fault, FormatError, Severity, excerpt
 from animtool.core.files.reading import read_input
 from animtool.core.rates import parse_rate, rate_label
 from animtool.core.record import dataclass
-from animtool.core.timecode import count_rate, parse_timecode
+from animtool.core.timecode import nominal_rate, parse_timecode
 
 # Maximum size [bytes]; a feature film with all comments has a hundredth of it.
 MAX_BYTES = 100_000_000
@@ -279,12 +279,12 @@ class TimelineBuilder:
         if event.is_freeze_frame:
             return Fraction(0), record_frames or source_frames
         if event.speed is not None:
-            playback_speed = _event_speed(event) / count_rate(self.fps)
+            playback_speed = _event_speed(event) / nominal_rate(self.fps)
             if not record_frames or not source_frames:
                 return playback_speed, record_frames or source_frames
             # The printed speed has a tenth of a frame; source and record are exact.
             exact_speed = Fraction(source_frames, record_frames)
-            rounding_error = abs(exact_speed - abs(playback_speed)) * count_rate(
+            rounding_error = abs(exact_speed - abs(playback_speed)) * nominal_rate(
                 self.fps
             )
             if playback_speed and rounding_error <= Fraction(1, 10):

@@ -18,7 +18,7 @@ from animtool.core.plugins import (
     listed_entries,
     load_object,
     load_plugin,
-    plugin_points,
+    plugin_entry_points,
 )
 from animtool.core.record import dataclass
 
@@ -133,7 +133,7 @@ def find_executor(name: str) -> Executor:
     """
     if name in EXECUTORS:
         return EXECUTORS[name]
-    points = plugin_points(PLUGIN_GROUP)
+    points = plugin_entry_points(PLUGIN_GROUP)
     check_known(name, sorted({*EXECUTORS, *points}), "executor", "BAT030")
     return load_plugin(points[name], Executor)
 
@@ -144,7 +144,7 @@ def listed_executors() -> list[ListedEntry]:
     >>> [entry.name for entry in listed_executors()][:3]
     ['dask', 'processes', 'serial']
     """
-    points = plugin_points(PLUGIN_GROUP)
+    points = plugin_entry_points(PLUGIN_GROUP)
     return listed_entries(
         EXECUTORS, points, find_executor, lambda entry: (True, entry.about), False
     )

@@ -34,9 +34,9 @@ from animtool.batch.records import (
 )
 from animtool.batch.spec import path_of_name
 from animtool.core.errors import Fault, LockedError, OutputError, excerpt
+from animtool.core.files.commit import output_error
 from animtool.core.files.leftovers import is_running
 from animtool.core.files.output import replacement_path
-from animtool.core.files.placing import output_error
 from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
 

@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import IO, Any, NoReturn, Self
 
 from animtool.core.errors import Fault, FormatError, OutputError, Severity, counted
-from animtool.core.files.placing import output_error
+from animtool.core.files.commit import output_error
 from animtool.core.files.reading import open_input, read_input
 
 # Longer than the longest path on any system.

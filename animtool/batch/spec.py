@@ -126,7 +126,7 @@ def package_versions() -> dict[str, str]:
     """
     from importlib.metadata import PackageNotFoundError, version
 
-    from animtool.core.plugins import plugin_points
+    from animtool.core.plugins import plugin_entry_points
 
     versions = {}
     for name in VERSIONED_PACKAGES:
@@ -135,7 +135,7 @@ def package_versions() -> dict[str, str]:
         except PackageNotFoundError:
             versions[name] = ""
     for group in VERSIONED_PLUGIN_GROUPS:
-        for point in plugin_points(group).values():
+        for point in plugin_entry_points(group).values():
             if point.dist is not None:
                 versions[point.dist.name] = point.dist.version
     return versions

@@ -19,7 +19,7 @@ from animtool.batch.manifest import FileRecord, record_of
 from animtool.batch.spec import relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, excerpt
-from animtool.core.files.placing import output_error
+from animtool.core.files.commit import output_error
 from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
 from animtool.core.names import has_kind_suffix
 from animtool.core.process.supervisor import follow_parent, report_reading

@@ -25,10 +25,10 @@ from animtool.core.process.signals import (
     TerminatedError,
     ending_signal,
     ignore_signals,
-    obey_signals,
-    obey_signals_in_block,
-    receive_signals,
-    reraise_swallowed,
+    install_signal_handlers,
+    reraise_signal,
+    signal_handlers,
+    unblock_signals,
 )
 from animtool.core.process.supervisor import (
     Crash,
@@ -268,7 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         or HELP_FLAGS & {*argv}
         or not can_supervise()
     ):
-        obey_signals()
+        install_signal_handlers()
         exit_now(run(argv))
 
     def report_crash(crash: Crash) -> int:
@@ -303,7 +303,7 @@ def run(arguments: Sequence[str]) -> int:
         sys.stdout.reconfigure(encoding="utf-8", errors="backslashreplace")
     if hasattr(sys.stderr, "reconfigure"):
         sys.stderr.reconfigure(errors="backslashreplace")
-    with obey_signals_in_block():
+    with signal_handlers():
         try:
             return _run(arguments, console)
         except (KeyboardInterrupt, TerminatedError) as error:
@@ -314,11 +314,11 @@ def _run(arguments: Sequence[str], console: Console) -> int:
     """Run the command line and return its exit code; with `--debug`, raise errors."""
     streams = sys.stdout, sys.stderr
     try:
-        receive_signals()
+        unblock_signals()
         code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
         sys.stdout.flush()
         if ending_signal():
-            reraise_swallowed()
+            reraise_signal()
         ignore_signals()
     except SystemExit:
         if (sys.stdout, sys.stderr) == streams:
@@ -329,7 +329,7 @@ def _run(arguments: Sequence[str], console: Console) -> int:
     except (Exception, click.Abort) as error:
         if ending_signal():
             # The exception of the signal was swallowed, or replaced by another error.
-            reraise_swallowed()
+            reraise_signal()
         if console.debug:
             raise
         code = _report_error(console, error)

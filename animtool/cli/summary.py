@@ -220,7 +220,8 @@ BAKE_TEMPLATE = Template(
     (
         "{files:files}: {form}",
         "  [{?only}{only.written.samples:n sample}, [{?only.written.name}"
-        f"{{only.written.span.ends}} at {{fps:rate}}|{{span}}]{_frames_text('only.')}"
+        "{only.written.span.frames_text} at {fps:rate}|{span}]"
+        f"{_frames_text('only.')}"
         "|{takes:n take}, {span}]",
         SHOT_SUFFIX,
         "[{?posed}  {result.joints:n joint}, [{result.sampled:and}|nothing] animated]",
@@ -240,7 +241,7 @@ BAKE_TEMPLATE = Template(
             "library",
             (
                 "  take {written.name}: {written.samples:n sample}, "
-                f"{{written.span.ends}} at {{fps:rate}}{_frames_text('')}",
+                f"{{written.span.frames_text}} at {{fps:rate}}{_frames_text('')}",
                 "    error of {self:rounded}: {written.rounding.error:length 2}"
                 f"[{{?written.rounding.error}} ({_LOCATION.replace('@', '')})]",
                 *_reduction_lines("    "),

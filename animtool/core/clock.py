@@ -33,7 +33,14 @@ def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
     first = start.numerator * step.denominator
     increment = step.numerator * start.denominator
     # Integers of this size are exact in float64, so that one division rounds correctly.
-    if max(abs(first), abs(first + increment * count), denominator) < 2**53:
+    if (
+        max(
+            abs(first),
+            abs(first + increment * count),
+            denominator,
+        )
+        < 2**53
+    ):
         numerators = first + increment * np.arange(count, dtype=np.int64)
         return numerators / float(denominator)
     return np.array([float(start + i * step) for i in range(count)])
@@ -122,10 +129,10 @@ class FrameSpan:
         >>> str(FrameSpan(Fraction(1001), Fraction(2017, 2), Fraction(24)))
         'frames 1001 to 1008.5 at 24 fps'
         """
-        return f"{self.ends} at {rate_label(self.fps)}"
+        return f"{self.frames_text} at {rate_label(self.fps)}"
 
     @property
-    def ends(self) -> str:
+    def frames_text(self) -> str:
         """First and last frame as text."""
         labels = dict.fromkeys(map(frame_label, (self.first, self.last)))
         return f"{'frames' if len(labels) > 1 else 'frame'} {' to '.join(labels)}"

@@ -68,7 +68,7 @@ def load_object(path: str) -> object:
     return value
 
 
-def plugin_points(group: str) -> dict[str, EntryPoint]:
+def plugin_entry_points(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name.
 
     Reading them takes tens of milliseconds; it is therefore deferred until a table
@@ -174,23 +174,23 @@ class FormatTable(Generic[Entry]):
         suffix = path.suffix.lower()
         if suffix in self.builtin:
             return self.builtin[suffix]
-        point = self._points_by_suffix().get(suffix) if suffix else None
+        point = self._entry_points_by_suffix().get(suffix) if suffix else None
         return None if point is None else load_plugin(point, self.kind)
 
-    def _points_by_suffix(self) -> dict[str, EntryPoint]:
+    def _entry_points_by_suffix(self) -> dict[str, EntryPoint]:
         """Return the entry points by suffix, including its dot."""
-        points = sorted(plugin_points(self.group).items())
+        points = sorted(plugin_entry_points(self.group).items())
         return {f".{name}": point for name, point in points}
 
     def plugin_suffixes(self) -> list[str]:
         """Return the suffixes that only plug-ins support."""
-        return [s for s in self._points_by_suffix() if s not in self.builtin]
+        return [s for s in self._entry_points_by_suffix() if s not in self.builtin]
 
     def listed(
         self, uses: Callable[[Entry], tuple[str, ...]], about: Callable[[Entry], str]
     ) -> list[ListedEntry]:
         """Return all entries, built-in ones first, with plug-ins loaded."""
-        points = self._points_by_suffix()
+        points = self._entry_points_by_suffix()
 
         def find(suffix: str) -> Entry:
             if suffix in self.builtin:

@@ -16,7 +16,12 @@ from typing import TYPE_CHECKING, Any, cast
 
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
-from animtool.core.plugins import ListedEntry, load_object, load_plugin, plugin_points
+from animtool.core.plugins import (
+    ListedEntry,
+    load_object,
+    load_plugin,
+    plugin_entry_points,
+)
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -177,20 +182,20 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     The name of an entry point is the code of its rule.
     """
     rules = dict(builtin_rules())
-    failed: list[Fault] = []
-    for entry_point in _rule_points():
+    load_faults: list[Fault] = []
+    for entry_point in _rule_entry_points():
         rule_or_fault = _load_rule(entry_point)
         if isinstance(rule_or_fault, Rule):
             rules[rule_or_fault.code] = rule_or_fault
         else:
-            failed.append(rule_or_fault)
-    return rules, tuple(failed)
+            load_faults.append(rule_or_fault)
+    return rules, tuple(load_faults)
 
 
 def listed_rules() -> list[ListedEntry]:
     """Return the rules of plug-ins, loaded, with the kinds of files that they check."""
     entries = []
-    for point in _rule_points():
+    for point in _rule_entry_points():
         rule_or_fault = _load_rule(point)
         if isinstance(rule_or_fault, Rule):
             kind, about = ", ".join(sorted(rule_or_fault.kinds)), rule_or_fault.title
@@ -256,8 +261,8 @@ def find_rule(code: str) -> Rule:
     return rules[name]
 
 
-def _rule_points() -> list[EntryPoint]:
-    return [point for _, point in sorted(plugin_points(PLUGIN_GROUP).items())]
+def _rule_entry_points() -> list[EntryPoint]:
+    return [point for _, point in sorted(plugin_entry_points(PLUGIN_GROUP).items())]
 
 
 def _load_rule(point: EntryPoint) -> Rule | Fault:

@@ -20,10 +20,10 @@ def is_timecode(text: object) -> bool:
     return isinstance(text, str) and _LABEL.fullmatch(text.strip()) is not None
 
 
-def count_rate(rate: Fraction) -> int:
+def nominal_rate(rate: Fraction) -> int:
     """Return the number of labels per second: the rate, or 1001/1000 of it.
 
-    >>> count_rate(Fraction(24000, 1001)), count_rate(Fraction(25))
+    >>> nominal_rate(Fraction(24000, 1001)), nominal_rate(Fraction(25))
     (24, 25)
     """
     for labels in (rate, rate * Fraction(1001, 1000)):
@@ -33,14 +33,14 @@ def count_rate(rate: Fraction) -> int:
     raise ValueError(f"{message}: use a whole number, or 1000/1001 of one")
 
 
-def day_frames(rate: Fraction, *, drop: bool = False) -> int:
+def frames_per_day(rate: Fraction, *, drop: bool = False) -> int:
     """Return the number of time code labels in a day.
 
-    >>> day_frames(Fraction(30000, 1001), drop=True)
+    >>> frames_per_day(Fraction(30000, 1001), drop=True)
     2589408
     """
     dropped_labels = 24 * 54 * _labels_dropped_per_minute(rate) if drop else 0
-    return 24 * 3600 * count_rate(rate) - dropped_labels
+    return 24 * 3600 * nominal_rate(rate) - dropped_labels
 
 
 def parse_timecode(text: str, rate: Fraction) -> Fraction:
@@ -57,7 +57,7 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     if match is None:
         message = f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
         raise ValueError(message)
-    labels_per_second, is_drop = count_rate(rate), match[4] == ";"
+    labels_per_second, is_drop = nominal_rate(rate), match[4] == ";"
     hours, minutes, seconds, frames = (int(match[i]) for i in (1, 2, 3, 5))
     limits = (("hour", hours, 24), ("minute", minutes, 60), ("second", seconds, 60))
     for component, value, limit in (*limits, ("frame", frames, labels_per_second)):
@@ -88,9 +88,9 @@ def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
     >>> timecode_label(61, Fraction(24)), timecode_label(-1, Fraction(24))
     ('00:00:02:13', '23:59:59:23')
     """
-    labels_per_second = count_rate(rate)
+    labels_per_second = nominal_rate(rate)
     dropped_labels = _labels_dropped_per_minute(rate) if drop else 0
-    frame %= day_frames(rate, drop=drop)
+    frame %= frames_per_day(rate, drop=drop)
     if dropped_labels:
         ten_minutes, frame_in_ten_minutes = divmod(
             frame, 600 * labels_per_second - 9 * dropped_labels
@@ -119,7 +119,7 @@ def seconds_between(
     """
     difference = parse_timecode(second, second_rate) / second_rate
     difference -= parse_timecode(first, first_rate) / first_rate
-    day = day_frames(first_rate, drop=";" in first) / first_rate
+    day = frames_per_day(first_rate, drop=";" in first) / first_rate
     return (difference + day / 2) % day - day / 2
 
 

@@ -95,7 +95,7 @@ class JsonKey:
 
     key: str  # empty to insert the keys of a value
     path: str  # path of the field; empty for the record
-    sign: str = ""  # `?`, `+`, `#`, `~`; `'` for the name of a report
+    modifiers: str = ""  # `?`, `+`, `#`, `~`; `'` for the name of a report
     keys: tuple[JsonKey, ...] | None = None  # keys of the value
 
 
@@ -135,11 +135,11 @@ def _values_of(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for json_key in keys:
         value = value_at_path(record, json_key.path)
-        if json_key.sign == "'":
+        if json_key.modifiers == "'":
             values[json_key.key] = VERSION
         elif not json_key.key:
             values |= _inserted_values(record, value, json_key)
-        elif not _is_omitted(value, json_key.sign):
+        elif not _is_omitted(value, json_key.modifiers):
             values[json_key.key] = _value_of_key(value, json_key)
     return values
 
@@ -156,19 +156,19 @@ def _inserted_values(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
     return inserted
 
 
-def _is_omitted(value: Any, sign: str) -> bool:
+def _is_omitted(value: Any, modifiers: str) -> bool:
     """Return whether a sign of a template omits a value that is None or empty."""
     is_empty = value is None or (hasattr(value, "__len__") and not len(value))
-    return ("?" in sign and value is None) or ("+" in sign and is_empty)
+    return ("?" in modifiers and value is None) or ("+" in modifiers and is_empty)
 
 
 def _value_of_key(value: Any, key: JsonKey) -> Any:
     """Return a value converted as the signs of its template key say."""
     if value is None:
         return None
-    if "#" in key.sign:
+    if "#" in key.modifiers:
         return str(value)
-    if "~" in key.sign:
+    if "~" in key.modifiers:
         return _round_values(value)
     if key.keys is None:
         return plain_value(value)

@@ -76,7 +76,7 @@ class Archives:
         """Return an array as read-only float64.
 
         Raises:
-            ValueError: As `stored`, or a value is not finite.
+            ValueError: The array cannot be read, or a value is not finite.
             FormatError: The file changed while it was read (IO004).
         """
         values = np.asarray(self.load_stored(path, key), np.float64)

@@ -22,7 +22,12 @@ from animtool.documents.model_faults import (
     wrong_values,
 )
 from animtool.documents.placeholders import set_value_at
-from animtool.documents.versions import MIGRATION_STEPS, newest, renamed_key, version_of
+from animtool.documents.versions import (
+    MIGRATION_STEPS,
+    newest_version_of,
+    renamed_key,
+    version_of,
+)
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -64,7 +69,7 @@ class FileModel(BaseModel, metaclass=_KeyedModels):
 def check_version(document: Document, kind: str) -> None:
     """Raise `FormatError` unless a document has the kind and its newest version."""
     _, version = version_of(document, MIGRATION_STEPS, kind)
-    if version < newest(MIGRATION_STEPS[kind]):
+    if version < newest_version_of(MIGRATION_STEPS[kind]):
         message = f"animtool/{version} is an older version"
         document.add("DOC013", (kind,), message, "animtool migrate rewrites it")
         document.check()

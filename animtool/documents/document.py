@@ -144,7 +144,7 @@ class Document:
     def is_placeholder(self, location: Location) -> bool:
         """Return whether a value or an ancestor is a placeholder.
 
-        That is, it replaced a faulty value, or its key was guessed from a misspelling.
+        A placeholder replaced a faulty value, or its key was guessed from a misspelling.
         """
         unknown = self.placeholders | self.guessed_keys
         return bool(unknown) and any(
@@ -168,14 +168,14 @@ class Document:
         """
         names = name_keys or ("name",)
         return key in self.partial_lists or any(
-            doubt[0] == key and (len(doubt) < 3 or doubt[2] in names)
-            for doubt in self.placeholders
+            location[0] == key and (len(location) < 3 or location[2] in names)
+            for location in self.placeholders
         )
 
     def not_ascending(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield the index of each entry not above its predecessor, and the latter's.
+        """Yield the indices of each entry that is not above its predecessor, and of that.
 
         Args:
             location: Location of the list.
@@ -383,6 +383,6 @@ def _merge_unknown_keys(faults: Sequence[Fault]) -> list[Fault]:
 
 
 def _first_faults(faults: Sequence[Fault]) -> list[Fault]:
-    """Return the first faults, with one more that states the number of the others."""
+    """Return the first faults, and one more that counts the others."""
     suffix = ", and the rest was not checked" if len(faults) >= MAX_COLLECTED else ""
     return first_faults(faults, MAX_FAULTS, faults[0].path, suffix)

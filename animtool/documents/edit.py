@@ -75,7 +75,7 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
         edits: At most one per location.
     """
     edits = list(edits)
-    source = _SourceText.of(text, json=path.suffix == ".json")
+    source = _SourceText.from_text(text, json=path.suffix == ".json")
     splices = sorted((source.splice_of(e) for e in edits), key=lambda splice: splice[0])
     edited_text = text
     for start, end, replacement in reversed(splices):
@@ -128,13 +128,13 @@ class _SourceText:
     newline: str  # line separator
 
     @classmethod
-    def of(cls, text: str, *, json: bool) -> _SourceText:
+    def from_text(cls, text: str, *, json: bool) -> _SourceText:
         yaml_text = _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text)
         root = compose_yaml(yaml_text if json else text)
         return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
 
     def splice_of(self, edit: Edit) -> TextSplice:
-        """Return the text range to replace, and its new text."""
+        """Return the range of the text that an edit replaces, and its new text."""
         match edit:
             case Replace(location, value):
                 return self._replacement_text(self._node_at(location), value)

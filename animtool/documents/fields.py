@@ -83,13 +83,10 @@ def check_numbers(value: Any) -> Any:
         if not -limit <= number <= limit:
             name = ".".join(keys)
             # Formatting a very long integer as decimal takes quadratic time.
-            number_text = (
-                f"{number:g}"
-                if isinstance(number, float)
-                else f"{number:#x}"[:20] + "…"
-            )
-            range_text = f"a finite number up to {limit:g}"
-            raise ValueError(f"{name} is {number_text}, not {range_text}")
+            is_float = isinstance(number, float)
+            text = f"{number:g}" if is_float else f"{number:#x}"[:20] + "…"
+            message = f"{name} is {text}, not a finite number up to {limit:g}"
+            raise ValueError(message)
     return value
 
 
@@ -195,12 +192,8 @@ def with_fields(
                 type_, default = _type_and_default(record, name, keys[name], ranges)
                 new_fields[key] = type_, model_field(keys[name], default)
         definitions = [*declared[:index], *new_fields.items(), *declared[index:]]
-        if order:
-            definitions.sort(
-                key=lambda definition: (
-                    order.index(definition[0]) if definition[0] in order else len(order)
-                )
-            )
+        ranks = {key: rank for rank, key in enumerate(order)}
+        definitions.sort(key=lambda entry: ranks.get(entry[0], len(order)))
         model_type: Any = create_model(
             model.__name__,
             __base__=model.__bases__,
@@ -224,17 +217,15 @@ def record_of(
     """Return a record from the equally named fields of a model and extra arguments."""
     kind, arguments = cast(Any, record), extra_arguments
     keys = keys_of(kind)
-    for record_field in fields(kind):
-        if (
-            record_field.name in extra_arguments
-            or record_field.name not in type(model).model_fields
-        ):
+    for entry in fields(kind):
+        name = entry.name
+        if name in extra_arguments or name not in type(model).model_fields:
             continue
-        value = getattr(model, record_field.name)
-        if value is None and _is_infinite(record_field.default):
+        value = getattr(model, name)
+        if value is None and _is_infinite(entry.default):
             continue
-        convert = keys[record_field.name].read if record_field.name in keys else None
-        arguments[record_field.name] = value if convert is None else convert(value)
+        convert = keys[name].read if name in keys else None
+        arguments[name] = value if convert is None else convert(value)
     return record(**arguments)
 
 
@@ -260,12 +251,10 @@ def _type_and_default(
     elif default == ():
         default = []
     for constraint in constraints:
-        if isinstance(constraint, Range) and ranges == "schema":
-            type_ = Annotated[
-                type_, (Ge if constraint.includes_minimum else Gt)(constraint.minimum)
-            ]
-        elif isinstance(constraint, Le) or (
-            isinstance(constraint, Range) and ranges == "model"
-        ):
+        is_range = isinstance(constraint, Range)
+        if is_range and ranges == "schema":
+            minimum_type = Ge if constraint.includes_minimum else Gt
+            type_ = Annotated[type_, minimum_type(constraint.minimum)]
+        elif isinstance(constraint, Le) or (is_range and ranges == "model"):
             type_ = Annotated[type_, constraint]
     return type_, default

@@ -37,7 +37,7 @@ class EntryExamples:
     options: Mapping[str, Any] = field(hash=False)
 
 
-def form_hint(
+def syntax_hint(
     model: type[BaseModel], value: Any, location: Location, *, expects_list: bool
 ) -> str | None:
     """Return a hint that shows how to write a key; None if its example is too long.
@@ -155,9 +155,12 @@ def missing_key_hint(
     """Return a hint that adds a missing key with its example; None if that is long."""
     match = field_at(model, value, location)
     example = None if match is None else (match[1].examples or [None])[0]
-    if example is None:
-        return None
-    text = flow_text(str(location[-1]), example)
+    return None if example is None else _example_text(location[-1], example)
+
+
+def _example_text(key: str | int, example: Any) -> str | None:
+    """Return a hint with an example of a key; None if that is long."""
+    text = flow_text(str(key), example)
     return f"for example {text}" if len(text) <= MAX_EXAMPLE else None
 
 
@@ -186,8 +189,7 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
         return f"add a unit, such as {entry}{unit[1]}"
     if example is None or isinstance(example, bool | list | tuple | dict):
         return None
-    text = flow_text(str(location[-1]), example)
-    return f"for example {text}" if len(text) <= MAX_EXAMPLE else None
+    return _example_text(location[-1], example)
 
 
 def paired_entries(
@@ -293,8 +295,8 @@ def _entry_examples(annotation: Any) -> EntryExamples | None:
     for constraint in getattr(annotation, "__metadata__", ()):
         if isinstance(constraint, EntryExamples):
             return constraint
-    member_forms = (_entry_examples(member) for member in get_args(annotation))
-    return next((member for member in member_forms if member is not None), None)
+    members = map(_entry_examples, get_args(annotation))
+    return next((examples for examples in members if examples is not None), None)
 
 
 def _takes_file(annotation: Any) -> bool:

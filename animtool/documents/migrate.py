@@ -32,7 +32,7 @@ from animtool.documents.edit import EditError, Rename, apply_edits
 from animtool.documents.versions import (
     MIGRATION_STEPS,
     MigrationSteps,
-    newest,
+    newest_version_of,
     renamed_keys,
     version_of,
 )
@@ -97,7 +97,7 @@ def plan_migration(
     path = Path(path)
     document, old_text = read_document(path), read_text(path)
     kind, version = version_of(document, table)
-    newest_version = newest(table[kind])
+    newest_version = newest_version_of(table[kind])
     plan = Migration(path, kind, version, newest_version, old_text, old_text)
     if version == newest_version:
         return _rename_keys(plan)

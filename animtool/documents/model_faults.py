@@ -14,11 +14,11 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location, location_text
 from animtool.documents.forms import (
     example_hint,
-    form_hint,
     key_named_by,
     missing_key_hint,
     named_options_hint,
     paired_entries,
+    syntax_hint,
     vector_components,
 )
 from animtool.documents.other_words import AXES, OTHER_KEYS, intended_options
@@ -123,11 +123,7 @@ class ModelFaults:
         known_placeholders = frozenset(self.document.placeholders)
         # In this order: a misspelt key is not missing too.
         unknown = [key[0] for key in faults_by_type.pop("extra_forbidden", ())]
-        entries = {
-            location[:-1]
-            for location in unknown
-            if location[:-1] and isinstance(location[-2], int)
-        }
+        entries = {path[:-1] for path in unknown if _is_list_entry(path[:-1])}
         unrecognised_entries = {
             location
             for location in sorted(entries, key=str)
@@ -167,7 +163,7 @@ class ModelFaults:
         if self._depends_on_kind(location):
             return
         if str(key).startswith("-"):
-            self._record_tight_dash(location, node)
+            self._record_bad_dash(location, node)
             return
         message = f"unknown key {excerpt(str(key))}"
         hint, meant_key = intended_key_hint(str(key), names)
@@ -245,9 +241,7 @@ class ModelFaults:
             elif faults[0]["type"] != "too_long":
                 continue
             entry = value_at(self.value, location)
-            is_entry = (
-                isinstance(entry, dict) and location and isinstance(location[-1], int)
-            )
+            is_entry = isinstance(entry, dict) and _is_list_entry(location)
             if location in locations or not is_entry or len(entry) < 2:
                 continue
             name, *options = entry
@@ -292,7 +286,7 @@ class ModelFaults:
             self._insert_placeholder(location)
         return locations
 
-    def _record_tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
+    def _record_bad_dash(self, location: Location, mapping: dict[str, Any]) -> None:
         """Record a list entry that was read as a key, for lack of a space after "-"."""
         *parent_path, key = location
         hint = f"write '- {str(key)[1:].strip()}: …'"
@@ -333,7 +327,7 @@ class ModelFaults:
             return False
         if not expected_structures(faults):
             return False
-        hint = form_hint(self.model, self.value, parent, expects_list=True)
+        hint = syntax_hint(self.model, self.value, parent, expects_list=True)
         if hint is None:
             return False
         entries, message = value_at(self.value, parent), values_message(faults)
@@ -379,14 +373,14 @@ class ModelFaults:
         if self._record_wrong_entry(location, faults):
             return
         if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
-            self._record_tight_dash((*location, next(iter(value))), {})
+            self._record_bad_dash((*location, next(iter(value))), {})
         elif not self._depends_on_kind(location):
             hint = _entry_hint(location, faults[0]) or value_hint(location[-1], faults)
-            hint = hint or self._form_hint(location, faults)
+            hint = hint or self._syntax_hint(location, faults)
             self.document.add("DOC022", location, values_message(faults), hint)
         self._insert_placeholder(location)
 
-    def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
+    def _syntax_hint(self, location: Location, faults: list[Any]) -> str | None:
         """Return a hint with the correct form of a key's value."""
         value, structures = faults[0]["input"], expected_structures(faults)
         comma_hint = self.document.decimal_commas(location)
@@ -404,7 +398,7 @@ class ModelFaults:
             return f"write three numbers: {value} is {numbers}"
         if structures:
             expects_list = structures == {"a list"}
-            return form_hint(
+            return syntax_hint(
                 self.model, self.value, location, expects_list=expects_list
             )
         if is_type_fault(faults):
@@ -444,6 +438,10 @@ def _group_by_location(
         key = _fault_location(value, fault), missing_key
         groups.setdefault(key, []).append(fault)
     return groups
+
+
+def _is_list_entry(location: Location) -> bool:
+    return bool(location) and isinstance(location[-1], int)
 
 
 def _ancestors(faults_by_location: Iterable[tuple[Location, str]]) -> set[Location]:

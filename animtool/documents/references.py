@@ -45,7 +45,7 @@ def resolve_reference(
     *,
     is_output: bool = False,
 ) -> Path | None:
-    """Resolve a file reference of a document; None and a fault if it is not allowed.
+    """Resolve a file reference of a document; record a fault if it is not allowed.
 
     Args:
         document: The file that has the reference.
@@ -96,13 +96,9 @@ def missing_hint(document: Document, name: str) -> str | None:
 def resolve_input(
     document: Document, location: Location, name: str, roots: Sequence[Path]
 ) -> Path | None:
-    """Resolve an input file of a document; None and a fault if it cannot be read.
+    """Resolve an input file of a document; record a fault if it cannot be read.
 
-    Args:
-        document: The file that has the reference.
-        location: Location of the reference.
-        name: The reference as written.
-        roots: Folders that references may lead into.
+    The arguments and the result are those of `resolve_reference`.
     """
     path = resolve_reference(document, location, name, roots)
     if path is not None and not exists(path):

@@ -221,12 +221,10 @@ def _value_fault(value_text: str, pydantic_error: Any) -> str:
 def _choice_hint(faults: Sequence[Any]) -> str | None:
     """Return a hint with the nearest allowed value."""
     for pydantic_error in faults:
-        context = pydantic_error.get("ctx", {})
-        value = context.get("tag", pydantic_error["input"])
-        allowed = context.get("expected", context.get("expected_tags"))
+        value = pydantic_error.get("ctx", {}).get("tag", pydantic_error["input"])
         if pydantic_error["type"] in _CHOICE_FAULTS and isinstance(value, str):
-            names = re.findall(r"'([^']*)'", str(allowed))
-            if _is_repeated(value, names):
+            names = _allowed_values(pydantic_error)
+            if _repeats_axis(value, names):
                 return "name each axis once"
             ignoring_case = _name_ignoring_case(value, names)
             if ignoring_case is not None:
@@ -247,12 +245,19 @@ def intended_choice(faults: Sequence[Any]) -> str | None:
     Euler orders are excluded, since some tools write extrinsic ones in lower case.
     """
     fault, *other_faults = faults
-    value, allowed = fault["input"], fault.get("ctx", {}).get("expected", "")
+    value = fault["input"]
     is_choice = fault["type"] in _CHOICE_FAULTS and isinstance(value, str)
-    if other_faults or not is_choice:
+    if other_faults or not is_choice or "expected" not in fault["ctx"]:
         return None
-    names = re.findall(r"'([^']*)'", str(allowed))
+    names = _allowed_values(fault)
     return None if "XYZ" in names else _name_ignoring_case(value, names)
+
+
+def _allowed_values(fault: Any) -> list[str]:
+    """Return the values of the enumeration that a value is outside of."""
+    context = fault.get("ctx", {})
+    allowed = context.get("expected", context.get("expected_tags"))
+    return re.findall(r"'([^']*)'", str(allowed))
 
 
 def _name_ignoring_case(value: str, names: Sequence[str]) -> str | None:
@@ -260,7 +265,7 @@ def _name_ignoring_case(value: str, names: Sequence[str]) -> str | None:
     return next((name for name in names if name.lower() == value.lower()), None)
 
 
-def _is_repeated(value: str, names: Sequence[str]) -> bool:
+def _repeats_axis(value: str, names: Sequence[str]) -> bool:
     """Return whether a value is an axis order that repeats an axis."""
     is_order = re.fullmatch("[XYZ]{3}", value.upper()) is not None
     return is_order and "XYZ" in names and len(set(value.upper())) < len(value)

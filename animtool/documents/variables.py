@@ -32,7 +32,7 @@ OUTPUT_PATH_KEYS = frozenset({(OUTPUT_KEY, "file"), ("passes", "save")})
 # Longest text [character]: longer than any path or number.
 MAX_TEXT_LENGTH = 10_000
 # `$$` is an escaped dollar.
-_VARIABLE_USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
+_VARIABLE_USE = re.compile(rf"\$(?P<escape>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,15 +78,14 @@ def resolve_variables(
             without a slash.
     """
     resolver = _Resolver(document, model, dict(variables), component_names=set(parts))
-    resolver.defaults()
+    resolver.read_defaults()
     for location, text in list(_texts(document.value, ())):
         if location[0] != DEFAULTS_KEY:
             resolver.substitute(location, text)
     defined_names = frozenset(resolver.defined_names)
     used_names = frozenset().union(*resolver.uses.values())
-    return Variables(
-        defined_names | used_names, defined_names - used_names, resolver.effective()
-    )
+    names, unused_names = defined_names | used_names, defined_names - used_names
+    return Variables(names, unused_names, resolver.effective_names())
 
 
 # JSON Schema of a variable: text that becomes another type.
@@ -156,7 +155,7 @@ class _Resolver:
     # Variables whose value another file sets, directly or through other variables.
     component_names: set[str] = field(default_factory=set)
 
-    def defaults(self) -> None:
+    def read_defaults(self) -> None:
         """Read the default values of variables; each may use the ones before it."""
         default_values = self.document.value.get(DEFAULTS_KEY)
         if not isinstance(default_values, dict):
@@ -181,7 +180,7 @@ class _Resolver:
                 if self.uses.get(location, set()) & self.component_names:
                     self.component_names.add(name)
 
-    def effective(self) -> frozenset[str]:
+    def effective_names(self) -> frozenset[str]:
         """Return the variables that affect more than the name of the output."""
         pending_names = {
             name
@@ -263,7 +262,7 @@ class _Resolver:
 
     def _value(self, location: Location, match: re.Match[str]) -> str | None:
         """Return the value of a variable; None with a fault if it is unknown."""
-        if match["kept"]:
+        if match["escape"]:
             return match[0][1:]
         name = match["name"]
         if name is None:

@@ -51,10 +51,10 @@ _WRONG_KIND_HINTS = {
 _VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")
 
 
-def newest(steps: MigrationSteps) -> int:
+def newest_version_of(steps: MigrationSteps) -> int:
     """Return the newest version of a format.
 
-    >>> newest({}), newest({1: dict, 2: dict})
+    >>> newest_version_of({}), newest_version_of({1: dict, 2: dict})
     (1, 3)
     """
     return max(steps, default=0) + 1
@@ -129,7 +129,8 @@ def version_of(
                 hint += "; end its name in .scene.yaml"
         document.add("DOC009", (), message, hint)
         document.check()
-    newest_version, file_version = newest(table[named_kind]), document.value[named_kind]
+    newest_version = newest_version_of(table[named_kind])
+    file_version = document.value[named_kind]
     number = _VERSION.fullmatch(file_version) if isinstance(file_version, str) else None
     version = int(number[1]) if number else newest_version + 1
     if version <= newest_version and all(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from animtool.documents.yaml_slips import YamlFault, find_typing_mistake
+from animtool.documents.yaml_mistakes import YamlFault, find_typing_mistake
 
 # An entry whose keys are on its line: `- trim: first: 5, last: 60`.
 _ENTRY_ON_A_LINE = re.compile(r"\s*-\s+(\w+):\s+(\w+:\s[^#{}\[\]]*[^\s#{}\[\]])\s*")

@@ -21,7 +21,7 @@ from animtool.core.names import FILE_KINDS, VARIABLE_NAME, unreadable_character
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
 from animtool.documents.yaml_faults import yaml_fault
-from animtool.documents.yaml_slips import YamlFault
+from animtool.documents.yaml_mistakes import YamlFault
 
 # Hand-written files nest five or six deep.
 MAX_DEPTH = 50
@@ -49,7 +49,7 @@ _NUMBER = re.compile(
 )
 _INTEGER_BASES = {"octal": 8, "hexadecimal": 16}
 # A key that lacks a space: `{t:25}`.
-_TIGHT_KEY = re.compile(r"([A-Za-z_][\w.]*):([^\s/\\].*)")
+_UNSPACED_KEY = re.compile(r"([A-Za-z_][\w.]*):([^\s/\\].*)")
 _NUMBER_STARTS = frozenset("+-.0123456789")
 _CONSTANTS = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
@@ -116,7 +116,7 @@ def _read_yaml(text: str, path: Path) -> ParsedValues:
         position = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         problem = " ".join(filter(None, (error.context, error.problem)))
         if "maximum nesting depth" in problem:  # libyaml reached its own limit first
-            reader.fault("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
+            reader.add_fault("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
             raise FormatError(reader.faults) from error
         fault = yaml_fault(text, problem, *position)
         hint = fault.hint
@@ -128,9 +128,9 @@ def _read_yaml(text: str, path: Path) -> ParsedValues:
         elif _is_variable(text, mark):
             fault = fault._replace(message="'${' without the name of a variable")
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
-        reader.fault("DOC001", fault.message, (fault.line, fault.column), hint)
+        reader.add_fault("DOC001", fault.message, (fault.line, fault.column), hint)
     except yaml.YAMLError as error:
-        reader.fault("DOC001", f"invalid YAML: {error}".split("\n", 1)[0], (1, 1))
+        reader.add_fault("DOC001", f"invalid YAML: {error}".split("\n", 1)[0], (1, 1))
     if reader.faults:
         raise FormatError(reader.faults)
     marks = SourceMarks(reader.positions, reader.unquoted)
@@ -212,7 +212,7 @@ class _YamlReader:
         self.unquoted: dict[int, str] = {}
         self.faults: list[Fault] = []
 
-    def fault(
+    def add_fault(
         self,
         code: str,
         message: str,
@@ -236,7 +236,7 @@ class _YamlReader:
         parser = cast("Any", yaml.CSafeLoader(masked_text))
         root: list[Any] = []
         stack: list[_OpenCollection] = [_OpenCollection(root)]
-        documents = 0
+        document_count = 0
         while (event := parser.get_event()) is not None:
             kind = type(event)
             if kind is yaml.ScalarEvent:
@@ -252,7 +252,7 @@ class _YamlReader:
                 position = self._node_position(event)
                 value: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > MAX_DEPTH:
-                    self._stop("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
+                    self._fail("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
                 collection = _OpenCollection(value, is_flow=bool(event.flow_style))
                 collection.is_keys_value = stack[-1].key == TIMED_KEY
                 stack[-1].add_node(value, position, self)
@@ -263,17 +263,17 @@ class _YamlReader:
                 position = self._event_position(event)
                 self.positions.append(position)
                 message = f"alias *{_shortened_name(event.anchor)} is not allowed"
-                self.fault("DOC002", message, position, "write the value itself")
+                self.add_fault("DOC002", message, position, "write the value itself")
                 stack[-1].add_node(None, position, self)
             elif kind is yaml.DocumentStartEvent:
-                documents += 1
-                if documents > 1:
+                document_count += 1
+                if document_count > 1:
                     position = self._event_position(event)
-                    self._stop("DOC007", "contains more than one document", position)
+                    self._fail("DOC007", "contains more than one document", position)
         return root[0] if root else None
 
-    def _stop(self, code: str, message: str, position: tuple[int, int]) -> NoReturn:
-        self.fault(code, message, position)
+    def _fail(self, code: str, message: str, position: tuple[int, int]) -> NoReturn:
+        self.add_fault(code, message, position)
         raise FormatError(self.faults)
 
     @staticmethod
@@ -286,10 +286,10 @@ class _YamlReader:
         self.positions.append(position)
         if event.anchor is not None:
             message = f"anchor &{_shortened_name(event.anchor)} is not allowed"
-            self.fault("DOC002", message, position, "write the value itself")
+            self.add_fault("DOC002", message, position, "write the value itself")
         if event.tag is not None:
             message = f"tag {_shortened_name(event.tag)} is not allowed"
-            self.fault("DOC003", message, position, "remove it")
+            self.add_fault("DOC003", message, position, "remove it")
         return position
 
     def _scalar(self, event: Any, position: tuple[int, int]) -> Any:
@@ -298,12 +298,12 @@ class _YamlReader:
             # Only quoted escapes can produce one.
             if problem := unreadable_character(text):
                 message = f"a text contains the control character {problem!r}"
-                self.fault("DOC023", message, position, "remove it")
+                self.add_fault("DOC023", message, position, "remove it")
             return text
         try:
             return plain_scalar(text)
         except OverflowError:
-            self.fault("DOC001", f"a number of {len(text)} characters", position)
+            self.add_fault("DOC001", f"a number of {len(text)} characters", position)
             return 0
 
 
@@ -323,7 +323,7 @@ class _OpenCollection:
     text_pieces: list[str] = field(default_factory=list)
     bracket_depth: int = 0  # open brackets in the pieces
     pieces_position: tuple[int, int] = (1, 1)  # position of the first piece
-    faults: int = 0  # number of faults before the first piece
+    fault_count: int = 0  # number of faults before the first piece
 
     def add_node(
         self,
@@ -337,11 +337,11 @@ class _OpenCollection:
             return
         if self.key is not None:
             if value is None and not unquoted and self.is_flow:
-                self._tight_key(reader)
+                self._report_unspaced_key(reader)
             self.value[self.key] = value
             self.key = None
             if self.is_flow and (self.text_pieces or "(" in unquoted):
-                self._rejoin_piece(value, position, reader, unquoted)
+                self._rejoin_text(value, position, reader, unquoted)
             return
         placeholder = f"\0{position}"
         if self.is_keys_value and type(value) in (int, float):
@@ -351,40 +351,40 @@ class _OpenCollection:
             digits, number_position = reader.previous_node()
             message = f"'{digits},{unquoted}' has a decimal comma"
             hint = f"write {digits}.{unquoted}, with a decimal point"
-            reader.fault("DOC010", message, number_position, hint)
+            reader.add_fault("DOC010", message, number_position, hint)
             value = placeholder
         elif not isinstance(value, str):
             is_collection = isinstance(value, dict | list)
             value_text = "a collection" if is_collection else repr(value)
             message = f"a key is {value_text}, not text"
-            reader.fault("DOC010", message, position, "quote it")
+            reader.add_fault("DOC010", message, position, "quote it")
             value = placeholder
         elif len(value) > MAX_KEY_LENGTH:
             message = f"a key of {len(value)} characters; the limit is {MAX_KEY_LENGTH}"
-            reader.fault("DOC025", message, position)
+            reader.add_fault("DOC025", message, position)
             value = placeholder
         elif "\n" in value or "\t" in value:
             message = f"key {excerpt(value)} contains a line end or a tab"
-            reader.fault("DOC023", message, position, "remove it")
+            reader.add_fault("DOC023", message, position, "remove it")
         elif value in self.keys:
             message = f"duplicate key {excerpt(value)}"
             hint = f"the first is on line {self.keys[value]}"
             if self.keys[value] == 1 and value in FILE_KINDS:
                 hint += ", and states what the file is"
-            reader.fault("DOC004", message, position, hint)
+            reader.add_fault("DOC004", message, position, hint)
         self.keys.setdefault(value, position[0])
         self.key = value
         if self.text_pieces:
             self.text_pieces.append(unquoted)
             self.bracket_depth += _open_brackets(unquoted)
 
-    def _tight_key(self, reader: _YamlReader) -> None:
+    def _report_unspaced_key(self, reader: _YamlReader) -> None:
         """Report a key that includes its value because a space is missing."""
         key, position = reader.previous_node()
-        match = _TIGHT_KEY.fullmatch(key)
+        match = _UNSPACED_KEY.fullmatch(key)
         if match is not None:
             message, hint = f"no space after '{match[1]}:'", f"write '{match[1]}: "
-            reader.fault("DOC001", message, position, f"{hint}{match[2]}'")
+            reader.add_fault("DOC001", message, position, f"{hint}{match[2]}'")
 
     def _is_decimal(self, position: tuple[int, int], reader: _YamlReader) -> bool:
         """Return whether a key is the fractional part of the number before it."""
@@ -405,22 +405,22 @@ class _OpenCollection:
         if len(hint) > MAX_HINT_LENGTH:
             hint = f"write {TIMED_KEY}: {flow_value(entries[:1])[:-1]}, …]"
         message = f"a key is {self.times[0][0]!r}, not text: {TIMED_KEY} must be a list"
-        reader.fault("DOC010", message, self.times[0][1], hint[:MAX_HINT_LENGTH])
+        reader.add_fault("DOC010", message, self.times[0][1], hint[:MAX_HINT_LENGTH])
 
-    def _rejoin_piece(
+    def _rejoin_text(
         self, value: Any, position: tuple[int, int], reader: _YamlReader, unquoted: str
     ) -> None:
         """Rejoin a text that commas inside it split into a value and keys."""
         if value is not None or unquoted or not self.text_pieces:
             self.bracket_depth = _open_brackets(unquoted)
             self.text_pieces = [unquoted] if self.bracket_depth > 0 else []
-            self.pieces_position, self.faults = position, len(reader.faults)
+            self.pieces_position, self.fault_count = position, len(reader.faults)
         elif self.bracket_depth <= 0:
             # One fault replaces those of the pieces.
-            del reader.faults[self.faults :]
+            del reader.faults[self.fault_count :]
             message = f"{excerpt(self.text_pieces[0])} ends at a comma"
             hint = f'quote all of it: "{", ".join(self.text_pieces)}"'[:MAX_HINT_LENGTH]
-            reader.fault("DOC010", message, self.pieces_position, hint)
+            reader.add_fault("DOC010", message, self.pieces_position, hint)
             self.text_pieces = []
 
 

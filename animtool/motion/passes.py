@@ -24,7 +24,7 @@ from animtool.core.plugins import (
     listed_entries,
     load_object,
     load_plugin,
-    plugin_points,
+    plugin_entry_points,
 )
 from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
@@ -304,7 +304,7 @@ def find_pass(name: str) -> Pass:
     """
     if name in PASSES:
         return cast(Pass, load_object(PASSES[name]))
-    points = plugin_points(PLUGIN_GROUP)
+    points = plugin_entry_points(PLUGIN_GROUP)
     if name in points:
         return load_plugin(points[name], Pass)
     allowed_names = sorted({*PASSES, *points})
@@ -320,7 +320,7 @@ def listed_passes() -> list[ListedEntry]:
     >>> listed_passes()[0].name
     'blend'
     """
-    points = plugin_points(PLUGIN_GROUP)
+    points = plugin_entry_points(PLUGIN_GROUP)
     return listed_entries(
         sorted(PASSES), points, find_pass, lambda p: (p.scope, p.summary), None
     )

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
+from animtool.core.files.commit import output_error
 from animtool.core.files.output import replacement_path
-from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.sim.trials.trial import CostMeasure
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from support.timecodes import timecode_label
 
 from animtool.core.timecode import (
-    count_rate,
-    day_frames,
+    frames_per_day,
+    nominal_rate,
     parse_timecode,
     seconds_between,
 )
@@ -37,13 +37,13 @@ def test_labels_are_those_of_another_count(frame: int, rate: Fraction) -> None:
 
 @given(RATES, st.integers(0, 10**9), PARTS)
 def test_labels_come_back_as_frames(rate: Fraction, frame: int, part: Fraction) -> None:
-    frames = frame % day_frames(rate) + part
+    frames = frame % frames_per_day(rate) + part
     assert parse_timecode(timecode_label(frames, rate), rate) == frames
 
 
 @given(DROPS, st.integers(0, 10**9), PARTS)
 def test_dropped_labels_come_back(rate: Fraction, frame: int, part: Fraction) -> None:
-    frames = frame % day_frames(rate, drop=True) + part
+    frames = frame % frames_per_day(rate, drop=True) + part
     label = timecode_label(frames, rate, drop=True)
     assert parse_timecode(label, rate) == frames
 
@@ -56,14 +56,14 @@ def test_drop_frame_counts_every_label_that_is(rate: Fraction, left_out: int) ->
         for hour in (0, 1)
         for minute in range(60)
         for second in (0, 59)
-        for frame in (0, 1, 2, 3, 4, count_rate(rate) - 1)
+        for frame in (0, 1, 2, 3, 4, nominal_rate(rate) - 1)
         if not (minute % 10 and second == 0 and frame < left_out)
     ]
     counted, number = {}, 0
     for hour in (0, 1):
         for minute in range(60):
             for second in range(60):
-                for frame in range(count_rate(rate)):
+                for frame in range(nominal_rate(rate)):
                     if minute % 10 and second == 0 and frame < left_out:
                         continue
                     counted[f"{hour:02d}:{minute:02d}:{second:02d};{frame:02d}"] = (
@@ -122,8 +122,8 @@ def test_what_is_no_time_code(label: str, rate: Fraction, word: str) -> None:
 def test_the_shorter_way_around_the_clock(rate: Fraction, a: int, b: int) -> None:
     first, other = (timecode_label(Fraction(n), rate) for n in (a, b))
     apart = seconds_between(first, rate, other, rate)
-    assert -day_frames(rate) <= 2 * apart * rate < day_frames(rate)
-    assert (a + apart * rate - b) % day_frames(rate) == 0
+    assert -frames_per_day(rate) <= 2 * apart * rate < frames_per_day(rate)
+    assert (a + apart * rate - b) % frames_per_day(rate) == 0
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_drop_frame_counts_on_over_midnight(
 def test_what_is_counted_over_midnight_is_counted_back(
     rate: Fraction, frame: int, apart: int
 ) -> None:
-    day = day_frames(rate, drop=True)
+    day = frames_per_day(rate, drop=True)
     first, other = (
         timecode_label(Fraction(n % day), rate, drop=True)
         for n in (frame, frame + apart)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, Field
 
-from animtool.documents.forms import form_hint
+from animtool.documents.forms import syntax_hint
 
 
 class Shown(BaseModel):
@@ -37,7 +37,7 @@ class Shown(BaseModel):
     ],
 )
 def test_a_hint_is_made_of_what_was_written(key: str, given: Any, hint: str) -> None:
-    assert form_hint(Shown, {key: given}, (key,), expects_list=True) == hint
+    assert syntax_hint(Shown, {key: given}, (key,), expects_list=True) == hint
 
 
 class Pair(BaseModel):
@@ -77,4 +77,4 @@ class Lists(BaseModel):
 def test_a_mapping_becomes_the_entries_of_a_list(
     key: str, given: Any, hint: str
 ) -> None:
-    assert form_hint(Lists, {key: given}, (key,), expects_list=True) == hint
+    assert syntax_hint(Lists, {key: given}, (key,), expects_list=True) == hint

@@ -17,7 +17,7 @@ from animtool.capture.templates import TemplateMarker, load_template
 from animtool.clip.file import load_clip, open_clip
 from animtool.core.shot import FrameRange, Shot
 from animtool.documents.migrate import plan_migration
-from animtool.documents.versions import MIGRATION_STEPS, newest
+from animtool.documents.versions import MIGRATION_STEPS, newest_version_of
 from animtool.ik.file import load_targets
 from animtool.retarget import TwistFraction
 from animtool.retarget.file import load_map, resolve_map
@@ -33,8 +33,8 @@ FROZEN = Path(__file__).parent / "frozen"
 
 @pytest.mark.parametrize("kind", sorted(MIGRATION_STEPS))
 def test_there_is_a_file_of_every_version(kind: str) -> None:
-    first = min(MIGRATION_STEPS[kind], default=newest(MIGRATION_STEPS[kind]))
-    for version in range(first, newest(MIGRATION_STEPS[kind]) + 1):
+    first = min(MIGRATION_STEPS[kind], default=newest_version_of(MIGRATION_STEPS[kind]))
+    for version in range(first, newest_version_of(MIGRATION_STEPS[kind]) + 1):
         plan = plan_migration(FROZEN / f"{kind}-{version}.{kind}.yaml")
         assert (plan.kind, plan.version) == (kind, version)
 

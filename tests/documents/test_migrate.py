@@ -14,7 +14,7 @@ from animtool.documents.document import read_document
 from animtool.documents.edit import EditError
 from animtool.documents.migrate import migrate, plan_migration
 from animtool.documents.versions import MIGRATION_STEPS as TABLES
-from animtool.documents.versions import MigrationSteps, newest, version_of
+from animtool.documents.versions import MigrationSteps, newest_version_of, version_of
 from animtool.scene.file.read import load_scene
 
 
@@ -177,7 +177,7 @@ def test_reading_an_older_version_names_the_command(
 
 
 def test_the_newest_follows_the_last_step() -> None:
-    assert {kind: newest(steps) for kind, steps in TABLE.items()} == {
+    assert {kind: newest_version_of(steps) for kind, steps in TABLE.items()} == {
         "rig": 3,
         "clip": 2,
         "scene": 1,

@@ -11,7 +11,7 @@ from support.cli import animtool
 from support.page_stage import make_stage
 from support.skinned_rig import write_pair
 
-from animtool.core.files.placing import WrittenFile, output_error
+from animtool.core.files.commit import WrittenFile, output_error
 from faults.calls import Files, files_in
 
 FAULTS = "fault | what happened | what was lost"

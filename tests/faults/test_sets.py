@@ -18,6 +18,7 @@ from support.small_takes import small
 
 from animtool.batch.bundle import Bundle, write_bundle
 from animtool.core.errors import AnimtoolError, OptionError, OutputError
+from animtool.core.files.commit import output_error
 from animtool.core.files.leftovers import (
     remove_leftovers,
     roll_back_folder,
@@ -29,7 +30,6 @@ from animtool.core.files.output import (
     early_outputs,
     replacement_path,
 )
-from animtool.core.files.placing import output_error
 from faults.calls import (
     Calls,
     Children,

@@ -16,8 +16,8 @@ from pxr import Sdf
 from support.bvh import random_rows, small_bvh
 from support.cli import TIMEOUT, animtool, killable
 
+from animtool.core.files.commit import WrittenFile
 from animtool.core.files.leftovers import roll_back_folder
-from animtool.core.files.placing import WrittenFile
 
 TRIES = 10
 

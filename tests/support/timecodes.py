@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from animtool.core.timecode import count_rate, day_frames
+from animtool.core.timecode import frames_per_day, nominal_rate
 
 __all__ = ["timecode_label"]
 
@@ -19,8 +19,8 @@ def timecode_label(frames: Fraction, rate: Fraction, *, drop: bool = False) -> s
 
     Parts of a frame are rounded to a millionth; all else is exact.
     """
-    count, left_out = count_rate(rate), DROPPED[rate] if drop else 0
-    parts = round(frames * 10**SHOWN) % (day_frames(rate, drop=drop) * 10**SHOWN)
+    count, left_out = nominal_rate(rate), DROPPED[rate] if drop else 0
+    parts = round(frames * 10**SHOWN) % (frames_per_day(rate, drop=drop) * 10**SHOWN)
     whole, part = divmod(parts, 10**SHOWN)
     if left_out:
         # A minute that leaves labels out is shorter by these, ten minutes by nine such.

@@ -48,7 +48,7 @@ def new_temporary(final: Path) -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class PlacedFile:
+class StagedFile:
     """One file of a set that is being committed."""
 
     final: Path  # its final path
@@ -87,7 +87,7 @@ class Journal:
     _handles: list[int] = field(default_factory=list, compare=False, repr=False)
 
     @classmethod
-    def begin(cls, files: Sequence[PlacedFile]) -> Journal:
+    def begin(cls, files: Sequence[StagedFile]) -> Journal:
         """Write the journal of a file set before any of its files is renamed."""
         folders = tuple(dict.fromkeys(file.final.parent for file in files))
         journal = cls(
@@ -134,27 +134,27 @@ class Journal:
                     file.roll_back()
         self.end()
 
-    def _files(self, folder: Path) -> list[PlacedFile]:
+    def _files(self, folder: Path) -> list[StagedFile]:
         content = read_input(folder / self.name, _MAX_BYTES, recorded=False)
         try:
             entries = json.loads(content)["files"]
-            return [_placed_file(folder, entry) for entry in entries]
+            return [_staged_file(folder, entry) for entry in entries]
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             # It was incomplete, so that no file had been renamed.
             return []
 
 
-def _placed_file(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
+def _staged_file(folder: Path, entry: Mapping[str, Any]) -> StagedFile:
     names = [entry[key] for key in ("final", "temporary", "old")]
     # Names in a journal must not lead out of its folder.
     final, temporary, backup = (folder / Path(name).name for name in names)
     if not (_OWNER_PATTERN.match(temporary.name) and _OWNER_PATTERN.match(backup.name)):
         raise ValueError(f"{temporary.name!r} is not a temporary name")
     inode, size, changed_at = map(int, entry["state"])
-    return PlacedFile(final, temporary, FileState(size, changed_at, inode), backup)
+    return StagedFile(final, temporary, FileState(size, changed_at, inode), backup)
 
 
-def _journal_entry(file: PlacedFile) -> Mapping[str, Any]:
+def _journal_entry(file: StagedFile) -> Mapping[str, Any]:
     return {
         "final": file.final.name,
         "temporary": file.temporary.name,

@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, OptionError, OutputError, counted
-from animtool.core.files.leftovers import new_temporary, roll_back_folder
-from animtool.core.files.placing import (
+from animtool.core.files.commit import (
     OutputTarget,
     WrittenFile,
     commit_files,
     output_error,
     output_target,
 )
+from animtool.core.files.leftovers import new_temporary, roll_back_folder
 from animtool.core.files.reading import check_inputs, recorded_inputs
 from animtool.core.process.signals import (
     deferred_signals,
     ending_signal,
-    reraise_swallowed,
+    reraise_signal,
 )
 from animtool.core.process.supervisor import note_folder, note_output
 from animtool.core.record import dataclass
@@ -57,7 +57,7 @@ def name_problem(name: str) -> str | None:
     >>> name_problem("aux.usdc"), name_problem("walk.")
     ('is the name of a device on Windows', 'ends with a dot or a space')
     """
-    return next((text for problem, text in _name_problems(name) if problem), None)
+    return next((text for applies, text in _name_problems(name) if applies), None)
 
 
 def _name_problems(name: str) -> Iterator[tuple[bool, str]]:
@@ -292,7 +292,7 @@ def replacement_path(path: Path) -> Iterator[Path]:
         yield written_file.temporary
         if ending_signal() and not initial_signal:
             # A library swallowed the signal's exception.
-            reraise_swallowed()
+            reraise_signal()
         check_inputs()
         written_file.seal()
         if pending_set is None:

@@ -43,7 +43,7 @@ def ending_signal() -> int:
     return _signal_state.number
 
 
-def reraise_swallowed() -> NoReturn:
+def reraise_signal() -> NoReturn:
     """Raise the exception of the received signal again after it was swallowed."""
     if _signal_state.number == signal.SIGINT:
         raise KeyboardInterrupt
@@ -56,13 +56,13 @@ def _raise_first_signal(signum: int, frame: FrameType | None) -> None:
     if _signal_state.has_written_all or _signal_state.number:
         return
     _signal_state.number = signum
-    reraise_swallowed()
+    reraise_signal()
 
 
 def _raise_for_swallowed_signal(signum: int, frame: FrameType | None) -> None:
     del signum, frame
     if _signal_state.number and not _signal_state.has_written_all:
-        reraise_swallowed()
+        reraise_signal()
 
 
 def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
@@ -75,7 +75,7 @@ def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
         signal.setitimer(signal.ITIMER_REAL, _RESEND_INTERVAL)
 
 
-def obey_signals() -> None:
+def install_signal_handlers() -> None:
     """From now on, raise an exception at the first SIGINT, SIGTERM or SIGHUP.
 
     The exception is `KeyboardInterrupt` or `TerminatedError`. Ignored signals stay
@@ -91,15 +91,15 @@ def obey_signals() -> None:
 
 
 @contextmanager
-def obey_signals_in_block() -> Iterator[None]:
-    """Handle signals in the block as `obey_signals` does, unless that is active."""
+def signal_handlers() -> Iterator[None]:
+    """Install the signal handlers for the block, unless they are installed."""
     is_main_thread = threading.current_thread() is threading.main_thread()
     if _signal_state.is_installed or not is_main_thread:
         yield
         return
     handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
     hook = sys.unraisablehook
-    obey_signals()
+    install_signal_handlers()
     try:
         yield
     finally:
@@ -112,7 +112,7 @@ def obey_signals_in_block() -> Iterator[None]:
         _signal_state.is_installed = False
 
 
-def receive_signals() -> None:
+def unblock_signals() -> None:
     """Unblock signals that were blocked when the process started."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, TERMINATION_SIGNALS)

@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import ExitCode, Fault, FormatError
-from animtool.core.process.signals import TERMINATION_SIGNALS, obey_signals
+from animtool.core.process.signals import TERMINATION_SIGNALS, install_signal_handlers
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -354,7 +354,7 @@ def _run_child(
     threading.Thread(target=_end_with_parent, args=(alive_pipe,), daemon=True).start()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked_signals)
-    obey_signals()
+    install_signal_handlers()
     code = 1
     try:
         code = work()
@@ -399,7 +399,7 @@ def _wait(child: int, signals_to_wait: set[int]) -> tuple[int, int]:
             return os.waitstatus_to_exitcode(status), received_signal
         number = signal.sigwait(signals_to_wait)
         if number == signal.SIGTSTP:
-            _stop(child)
+            _suspend(child)
         elif number == signal.SIGALRM:
             os.kill(child, signal.SIGKILL)
         elif number != signal.SIGCHLD:
@@ -409,7 +409,7 @@ def _wait(child: int, signals_to_wait: set[int]) -> tuple[int, int]:
             os.kill(child, number)
 
 
-def _stop(child: int) -> None:
+def _suspend(child: int) -> None:
     """Stop the child and this process until they are continued by a signal."""
     os.kill(child, signal.SIGSTOP)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTSTP})

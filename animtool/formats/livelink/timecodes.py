@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, counted, excerpt, listed
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.core.timecode import count_rate, day_frames, parse_timecode
+from animtool.core.timecode import nominal_rate, frames_per_day, parse_timecode
 from animtool.formats.trajectories import CaptureFile
 
 # Clock rates of recorders [1/s], and the app's default.
@@ -85,7 +85,7 @@ def find_row_frames(
         _check_stated_rate(file, fields, line_numbers, label_rate, is_drop_frame)
     rate = label_rate or _fit_timecode_rate(file, fields, is_drop_frame)
     label_counts, fractions = _timecode_numbers(file, timecodes, rate, line_numbers)
-    labels_per_day = day_frames(rate, drop=is_drop_frame)
+    labels_per_day = frames_per_day(rate, drop=is_drop_frame)
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
     half_day = labels_per_day // 2
     steps = (np.diff(label_counts) + half_day) % labels_per_day - half_day
@@ -149,7 +149,7 @@ def _check_stated_rate(
 ) -> None:
     """Refuse a stated rate that many time codes exceed (LLF005)."""
     try:
-        limit = count_rate(label_rate)
+        limit = nominal_rate(label_rate)
     except ValueError:
         return  # reported where labels are counted
     is_above_limit = fields[:, 3] >= limit

@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, names_fault
-from animtool.core.timecode import count_rate, timecode_label
+from animtool.core.timecode import nominal_rate, timecode_label
 from animtool.formats.livelink.columns import (
     ANGLE_COLUMNS,
     APP_SHAPES,
@@ -46,7 +46,7 @@ def build_livelink_text(take: Take) -> TakeText:
         raise OptionError(Fault("LLF008", message, hint=hint))
     rate = take.clock.rate
     try:
-        count_rate(rate)
+        nominal_rate(rate)
     except ValueError as error:
         hint = f"{argument('fps', '60')} gives it a rate that time codes can count"
         raise OptionError(Fault("LLF009", str(error), hint=hint)) from error

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from animtool.core.files.commit import output_error
 from animtool.core.files.output import replacement_path
-from animtool.core.files.placing import output_error
 from animtool.preview.pictures.device import Array, import_package
 from animtool.preview.pictures.kinds import PictureKind
 

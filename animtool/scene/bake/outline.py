@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, cast
 
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
+from animtool.core.files.commit import output_target
 from animtool.core.files.output import STDOUT, check_outputs, name_key
-from animtool.core.files.placing import output_target
 from animtool.core.readers import USD_PACKAGE_SUFFIX
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer, writer_of, writes_stage

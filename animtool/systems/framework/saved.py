@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OptionError, listed
+from animtool.core.files.commit import output_error
 from animtool.core.files.output import replacement_path
-from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.systems.framework.run import ReachedState

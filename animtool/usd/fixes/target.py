@@ -18,8 +18,8 @@ from pxr import Sdf, Usd, UsdUtils
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.files.commit import output_error
 from animtool.core.files.output import after_commit, replacement_path
-from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass

@@ -18,8 +18,8 @@ import numpy as np
 from pxr import Sdf, Tf, Vt
 
 from animtool.core.clock import FrameSpan
+from animtool.core.files.commit import output_error
 from animtool.core.files.output import STDOUT, after_commit, replacement_path
-from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.usd.layers.sdf import (
     StageMetadata,

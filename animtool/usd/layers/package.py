@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pxr import Sdf, Tf
 
-from animtool.core.files.placing import output_error
+from animtool.core.files.commit import output_error
 
 PACK_ERROR = "USD could not pack it"
 # Earliest timestamp that a zip file can store.

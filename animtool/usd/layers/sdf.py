@@ -19,8 +19,8 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import FrameSpan, time_fraction
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
+from animtool.core.files.commit import output_error
 from animtool.core.files.output import STDOUT, replacement_path
-from animtool.core.files.placing import output_error
 from animtool.core.files.reading import (
     FileState,
     changed_error,

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.errors import AnimtoolError, Fault, excerpt
+from animtool.core.files.commit import output_error
 from animtool.core.files.output import (
     atomic_outputs,
     early_outputs,
@@ -22,7 +23,6 @@ from animtool.core.files.output import (
     write_arrays,
     write_parts,
 )
-from animtool.core.files.placing import output_error
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 from animtool.documents.document import document_of, read_text

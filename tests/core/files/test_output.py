@@ -9,6 +9,7 @@ import pytest
 from support.faults import raises
 
 from animtool.core.errors import AnimtoolError, OptionError, OutputError
+from animtool.core.files.commit import output_error
 from animtool.core.files.leftovers import (
     new_temporary,
     remove_leftovers,
@@ -22,7 +23,6 @@ from animtool.core.files.output import (
     replacement_path,
     written_size,
 )
-from animtool.core.files.placing import output_error
 from animtool.core.files.reading import note_input
 
 

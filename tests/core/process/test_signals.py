@@ -16,7 +16,7 @@ from animtool.core.process.signals import (
     deferred_signals,
     ending_signal,
     ignore_signals,
-    obey_signals_in_block,
+    signal_handlers,
 )
 
 
@@ -82,7 +82,7 @@ def test_the_first_signal_raises_and_none_after_it() -> None:
     steps = []
 
     def work() -> None:
-        with obey_signals_in_block():
+        with signal_handlers():
             try:
                 signal.raise_signal(signal.SIGTERM)
             finally:
@@ -97,7 +97,7 @@ def test_the_first_signal_raises_and_none_after_it() -> None:
 
 
 def test_signals_come_too_late_once_all_is_written() -> None:
-    with obey_signals_in_block():
+    with signal_handlers():
         ignore_signals()
         signal.raise_signal(signal.SIGINT)
         assert not ending_signal()
@@ -110,7 +110,7 @@ def test_an_interrupt_that_python_ignores_comes_again() -> None:
             signal.raise_signal(signal.SIGINT)
 
     def work() -> None:
-        with obey_signals_in_block():
+        with signal_handlers():
             del lost[0]
             threading.Event().wait(TIMEOUT)
 
@@ -121,7 +121,10 @@ def test_an_interrupt_that_python_ignores_comes_again() -> None:
 
 def test_an_output_gets_no_name_after_a_swallowed_interrupt(tmp_path: Path) -> None:
     def work() -> None:
-        with obey_signals_in_block(), replacement_path(tmp_path / "o.txt") as temporary:
+        with (
+            signal_handlers(),
+            replacement_path(tmp_path / "o.txt") as temporary,
+        ):
             temporary.write_text("whole")
             with suppress(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)

@@ -28,7 +28,7 @@ from animtool.core.process import supervisor
 from animtool.core.errors import FormatError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.files.output import replacement_path
-from animtool.core.process.signals import TerminatedError, receive_signals
+from animtool.core.process.signals import TerminatedError, unblock_signals
 
 def crash():
     os.kill(os.getpid(), signal.SIGSEGV)
@@ -41,7 +41,7 @@ def clean(folders, process):
     remove_leftovers(map(Path, folders), process)
 
 def work():
-    receive_signals()
+    unblock_signals()
     try:
         return child()
     except FormatError as error:

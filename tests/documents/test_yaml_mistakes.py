@@ -8,7 +8,7 @@ import pytest
 
 from animtool.core.errors import FormatError
 from animtool.documents.document import read_document
-from animtool.documents.yaml_slips import MAX_SCANNED_CHARACTERS, find_typing_mistake
+from animtool.documents.yaml_mistakes import MAX_SCANNED_CHARACTERS, find_typing_mistake
 
 SLIPS = [
     # text, line and column, what the hint shows

@@ -16,9 +16,9 @@ _KEY_PATTERN = r"[A-Za-z_][\w.]*"
 _BLOCK_TEXT = re.compile(r"(?:: |- |^)[|>][-+0-9]*\s*(?:#.*)?$")
 _ENTRY_START = re.compile(rf"- |{_KEY_PATTERN}:(?:\s|$)")
 _FLOW_KEY = re.compile(rf'({_KEY_PATTERN}|"[^"]*"):(?:\s|$)')
-_TIGHT_DASH = re.compile(r"-(?=[\[{\"'A-Za-z_])")
-_TIGHT_KEY = re.compile(rf"(?:- )*({_KEY_PATTERN}):(?![\s/\\])(\S.*)")
-_TIGHT_FLOW_KEY = re.compile(rf"({_KEY_PATTERN}):(?![\s/\\])([^,\]}}]+[\]}}]?)")
+_UNSPACED_DASH = re.compile(r"-(?=[\[{\"'A-Za-z_])")
+_UNSPACED_KEY = re.compile(rf"(?:- )*({_KEY_PATTERN}):(?![\s/\\])(\S.*)")
+_UNSPACED_FLOW_KEY = re.compile(rf"({_KEY_PATTERN}):(?![\s/\\])([^,\]}}]+[\]}}]?)")
 # What may follow a value in brackets, and one that is text.
 _AFTER_VALUE = re.compile(r"\s*(?:[,\]}:]|#|$)")
 _FLOW_TEXT = re.compile(r"(?:[^,\[\]{}#:]|:(?=\S)|(?<=\S)#)*")
@@ -47,10 +47,10 @@ def find_typing_mistake(text: str, stop: int) -> YamlFault | None:
     """
     if len(text) > MAX_SCANNED_CHARACTERS:
         return None
-    return _SlipFinder(text.splitlines(), stop).find_fault()
+    return _MistakeFinder(text.splitlines(), stop).find_fault()
 
 
-class _SlipFinder:
+class _MistakeFinder:
     """Reads lines as the YAML scanner does, and tracks open brackets and quotes."""
 
     def __init__(self, lines: list[str], stop: int) -> None:
@@ -72,9 +72,9 @@ class _SlipFinder:
             if text_indent is not None and (indent > text_indent or not line.strip()):
                 continue
             text_indent = None
-            slip = self._line_start_fault(indent) or self._slip_after_indent(indent)
-            if slip is not None:
-                return slip
+            fault = self._line_start_fault(indent) or self._fault_after_indent(indent)
+            if fault is not None:
+                return fault
             is_open = self.open_brackets or self.open_quote
             if not is_open and _BLOCK_TEXT.search(line):
                 text_indent = indent
@@ -99,12 +99,12 @@ class _SlipFinder:
             return self._fault_here(message, "write '#'", indent)
         if self.open_brackets:
             return self._line_in_brackets_fault(line_text, indent)
-        if _TIGHT_DASH.match(line_text):
+        if _UNSPACED_DASH.match(line_text):
             hint = f"write '- {line_text[1:].split(' ')[0]}'"
             return self._fault_here("no space after '-'", hint, indent)
-        key = _TIGHT_KEY.fullmatch(line_text.split(" #")[0].rstrip())
+        key = _UNSPACED_KEY.fullmatch(line_text.split(" #")[0].rstrip())
         if key and self._is_last():
-            return self._tight_fault(key[1], key[2], indent + key.start(1))
+            return self._missing_space_fault(key[1], key[2], indent + key.start(1))
         return None
 
     def _line_in_brackets_fault(self, line_text: str, indent: int) -> YamlFault | None:
@@ -124,7 +124,7 @@ class _SlipFinder:
         lines_between = self.lines[self.line_number : self.stop - 1]
         return not any(line.split("#")[0].strip() for line in lines_between)
 
-    def _tight_fault(self, key: str, value: str, column: int) -> YamlFault:
+    def _missing_space_fault(self, key: str, value: str, column: int) -> YamlFault:
         short_value = value if len(value) <= 20 else value[:20] + "…"
         hint = f"write '{key}: {short_value}'"
         return self._fault_here(f"no space after '{key}:'", hint, column)
@@ -140,7 +140,7 @@ class _SlipFinder:
         hint = f"add '{closers}' at the end of {end}"
         return YamlFault(f"'{bracket}' is not closed", hint, start, column)
 
-    def _slip_after_indent(self, indent: int) -> YamlFault | None:
+    def _fault_after_indent(self, indent: int) -> YamlFault | None:
         """Return the first mistake in a line, and track its brackets and quotes."""
         line = self.line
         column = self._quoted_end(0) if self.open_quote else 0
@@ -152,33 +152,33 @@ class _SlipFinder:
             if letter in " \t":
                 column += 1
                 continue
-            slip = self._missing_comma_fault(letter)
-            if slip is not None:
-                return slip
+            fault = self._missing_comma_fault(letter)
+            if fault is not None:
+                return fault
             if letter in "[{" and (may_start_value or self.open_brackets):
                 column_number = column + 1
                 bracket = letter, self.line_number, column_number, indent
                 self.open_brackets.append(bracket)
                 may_start_value, column = True, column + 1
             elif letter in "]}" and self.open_brackets:
-                slip = self._close_bracket(letter, column)
+                fault = self._close_bracket(letter, column)
                 may_start_value, column = False, column + 1
                 ended_value = self.line_number, column, letter
                 self.ended_value = ended_value if self.open_brackets else None
             elif letter in "\"'" and may_start_value:
                 start, column = column, self._quoted_end(column)
-                may_start_value, slip = False, self._after_quote_fault(start, column)
+                may_start_value, fault = False, self._after_quote_fault(start, column)
             elif may_start_value and _RESERVED_CHARACTER.match(line[column:]):
-                slip = self._reserved_fault(column)
+                fault = self._reserved_fault(column)
             else:
                 if may_start_value and self.open_brackets:
-                    slip = self._flow_key_slip(column)
+                    fault = self._flow_key_fault(column)
                 is_separator = bool(self.open_brackets) and letter == ","
                 is_indicator = line[column : column + 2] in {": ", "- ", ":"}
                 may_start_value = is_separator or is_indicator
                 column += 1
-            if slip is not None:
-                return slip
+            if fault is not None:
+                return fault
         return None
 
     def _missing_comma_fault(self, letter: str) -> YamlFault | None:
@@ -268,13 +268,13 @@ class _SlipFinder:
         hint = f'put it in quotes: "{self._scalar_text(column)}"'
         return self._fault_here(message, hint, column)
 
-    def _flow_key_slip(self, column: int) -> YamlFault | None:
+    def _flow_key_fault(self, column: int) -> YamlFault | None:
         """Return the mistake in a key or a value inside brackets, if any."""
         text_after = self.line[column:]
-        tight_match = _TIGHT_FLOW_KEY.match(text_after)
+        match = _UNSPACED_FLOW_KEY.match(text_after)
         is_in_mapping = self.open_brackets[-1][0] == "{"
-        if tight_match and is_in_mapping and re.search(r"[{,]\s*$", self.line[:column]):
-            return self._tight_fault(tight_match[1], tight_match[2], column)
+        if match and is_in_mapping and re.search(r"[{,]\s*$", self.line[:column]):
+            return self._missing_space_fault(match[1], match[2], column)
         text = _FLOW_TEXT.match(text_after)
         key_match = re.search(rf"\s({_KEY_PATTERN}):(?:\s|$)", text_after)
         if text and key_match and key_match.start() < text.end():

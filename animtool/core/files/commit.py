@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, OptionError, OutputError
 from animtool.core.files.leftovers import (
     TEMPORARY_NAME,
     Journal,
-    PlacedFile,
+    StagedFile,
     new_temporary,
 )
 from animtool.core.files.reading import FileState
@@ -192,51 +192,51 @@ def commit_files(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> No
 
 
 def _commit_set(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> None:
-    placed_files = [
-        PlacedFile(file.final, file.temporary, file.state, new_temporary(file.final))
+    staged_files = [
+        StagedFile(file.final, file.temporary, file.state, new_temporary(file.final))
         for file in files
     ]
     try:
-        journal = Journal.begin(placed_files)
+        journal = Journal.begin(staged_files)
     except OSError as error:
         raise output_error(files[0].path, error) from error
     try:
-        for file, placed_file in zip(files, placed_files, strict=True):
+        for file, staged_file in zip(files, staged_files, strict=True):
             if file.final not in new_paths:
-                _back_up(file, placed_file)
+                _back_up(file, staged_file)
             file.commit(must_be_new=file.final in new_paths)
     except BaseException:
-        if all([_try_roll_back(placed_file) for placed_file in reversed(placed_files)]):
+        if all([_try_roll_back(staged_file) for staged_file in reversed(staged_files)]):
             journal.end()
         raise
     for folder in journal.folders:
         _flush_folder(folder)
     journal.end()
-    for placed_file in placed_files:
+    for staged_file in staged_files:
         with contextlib.suppress(OSError):
-            placed_file.backup.unlink(missing_ok=True)
+            staged_file.backup.unlink(missing_ok=True)
 
 
-def _try_roll_back(placed_file: PlacedFile) -> bool:
+def _try_roll_back(staged_file: StagedFile) -> bool:
     try:
-        placed_file.roll_back()
+        staged_file.roll_back()
     except OSError:
         # The journal stays, so that a later process can roll it back.
         return False
     return True
 
 
-def _back_up(file: WrittenFile, placed_file: PlacedFile) -> None:
+def _back_up(file: WrittenFile, staged_file: StagedFile) -> None:
     """Rename a file that will be replaced to its backup name."""
     try:
-        os.link(placed_file.final, placed_file.backup)
+        os.link(staged_file.final, staged_file.backup)
     except FileNotFoundError:
         return
     except OSError as error:
         if error.errno not in _NO_LINKS:
             raise output_error(file.path, error) from error
         try:
-            placed_file.final.replace(placed_file.backup)
+            staged_file.final.replace(staged_file.backup)
         except OSError as link_error:
             raise output_error(file.path, link_error) from link_error
 
