@@ -10,12 +10,12 @@ import click
 
 from animtool.cli.bake_options import (
     bake_options,
-    bake_options_record,
-    bake_shot,
     default_bake_output,
     load_sources,
-    only_scene,
-    until_pass,
+    read_bake_options,
+    replace_timeline,
+    single_scene,
+    stop_after_pass,
 )
 from animtool.cli.console import Console
 from animtool.cli.help import command
@@ -131,22 +131,22 @@ def bake(
         _refuse_swapped(sources, output)
         if not params["skip_existing"] and output is not None:
             _refuse_capture(sources[0], output)
-    sources, output = bake_shot(console, sources, output, params)
+    sources, output = replace_timeline(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
     loaded_sources = load_sources(sources, dict(params["variables"]))
-    loaded_sources = until_pass(loaded_sources, params["until"])
+    loaded_sources = stop_after_pass(loaded_sources, params["until"])
     if params["table"]:
         _measure(console, loaded_sources, output, params)
         return
-    scene = only_scene(loaded_sources)
+    scene = single_scene(loaded_sources)
     if scene is not None and output is not None and len(scene.outputs) > 1:
         raise click.UsageError("The scene names its outputs: remove -o.")
     if output is None and (scene is None or scene.output is None):
         output = default_bake_output(loaded_sources[0])
     from animtool.scene.bake.outline import create_outline
 
-    outline = create_outline(loaded_sources, output, bake_options_record(params))
+    outline = create_outline(loaded_sources, output, read_bake_options(params))
     if params["plan"]:
         _print_plan(console, outline, params)
         return
@@ -191,13 +191,10 @@ def _check_usage(params: dict[str, Any]) -> None:
 
 def _check_library(scene: Scene, params: dict[str, Any]) -> None:
     """Refuse `--skip-existing` if a take is added to a clip library."""
-    if params["skip_existing"] and any(
-        output.bake.form == "library" for output in scene.outputs
-    ):
-        message = (
-            "--skip-existing works on whole files, but the scene adds a take to one."
-        )
-        raise click.UsageError(message)
+    has_library = any(output.bake.form == "library" for output in scene.outputs)
+    if params["skip_existing"] and has_library:
+        message = "--skip-existing works on whole files, but the scene adds a take to "
+        raise click.UsageError(f"{message}one.")
 
 
 def _print_plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
@@ -215,13 +212,12 @@ def _bake_outputs(
     from animtool.scene.bake.bake import bake_outline
 
     scene, files = outline.scene, outline.source_set.files
+    first_output = outline.outputs[0]
     has_several = any(entry.location is not None for entry in outline.outputs) and (
-        len(outline.outputs) > 1 or not outline.outputs[0].is_stage
+        len(outline.outputs) > 1 or not first_output.is_stage
     )
-    shown_output = files[0] if has_several else outline.outputs[0].path
-    if skip_existing_outputs(
-        console, "bake", params, shown_output, lambda: outline.files
-    ):
+    shown = files[0] if has_several else first_output.path
+    if skip_existing_outputs(console, "bake", params, shown, lambda: outline.files):
         return
     if scene is not None and (
         scene.systems or any(entry.pass_.name in SIMULATING for entry in scene.passes)
@@ -269,7 +265,7 @@ def _print_reports(
 ) -> None:
     """Print the reports of all outputs, as JSON or as text.
 
-    Without a scene, the costs of stages are left out.
+    Without a scene, the costs of stages are omitted.
     """
     from animtool.cli.summary import STATS, template_of
     from animtool.scene.bake.prims import raise_stopped
@@ -312,7 +308,7 @@ def _measure(
     from animtool.scene.tables.simulation import simulates
     from animtool.scene.tables.tradeoffs import simulation_tradeoffs, take_tradeoffs
 
-    options, scene = bake_options_record(params), only_scene(sources)
+    options, scene = read_bake_options(params), single_scene(sources)
     name = source.name if isinstance(source, Path) else source.path.name
     with console.progress(f"measure {name}") as progress:
         if scene is not None and simulates(scene):

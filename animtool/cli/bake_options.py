@@ -15,12 +15,12 @@ from animtool.cli.options import (
     Command,
     Count,
     bake_option,
+    read_source_options,
     read_values,
-    set_option,
     source_option,
     source_options,
-    source_options_record,
     stack_options,
+    variables_option,
 )
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import exists
@@ -59,19 +59,19 @@ def load_sources(
     return loaded_sources
 
 
-def until_pass(
+def stop_after_pass(
     sources: list[Path | Scene], last_pass: str | None
 ) -> list[Path | Scene]:
     """Return the sources, the scene without the passes after the named one."""
     if last_pass is None:
         return sources
-    scene = only_scene(sources)
+    scene = single_scene(sources)
     if scene is None:
         raise click.UsageError("--until needs a SOURCE that is one scene.")
     return [scene.until(last_pass)]
 
 
-def only_scene(sources: Sequence[Path | Scene]) -> Scene | None:
+def single_scene(sources: Sequence[Path | Scene]) -> Scene | None:
     """Return the scene if it is the only source, else None."""
     if len(sources) > 1 or isinstance(sources[0], Path):
         return None
@@ -113,7 +113,7 @@ _OPTION_ORDER: tuple[str | Callable[[Command], Command], ...] = (
     ),
     *("rig_layer", "prim_path", "force_fit", "bones", "strip_namespace", "rest_frame"),
     source_option("rig", "template", "cameras", "clamp"),
-    set_option,
+    variables_option,
     source_options,
     source_option("prim_path", "take", "remap", "dropped", "positions"),
     *("to_units", "to_up", "fps", "frame_range", "start"),
@@ -128,27 +128,22 @@ _SOURCE_OPTIONS = (
 _DECLARED_ELSEWHERE = {"strict", "overwrite", "take"}
 
 
-_OTHER_OPTIONS = [
-    name
-    for name in options_of(BakeOptions)
-    if name not in {*_OPTION_ORDER, *_DECLARED_ELSEWHERE}
+_ALL_OPTIONS = [
+    entry
+    for entry in dict.fromkeys((*_OPTION_ORDER, *options_of(BakeOptions)))
+    if entry not in _DECLARED_ELSEWHERE
 ]
 # All options of `BakeOptions`, and those that describe the source.
 bake_options = stack_options(
-    *(
-        bake_option(entry) if isinstance(entry, str) else entry
-        for entry in (*_OPTION_ORDER, *_OTHER_OPTIONS)
-    )
+    *(bake_option(e) if isinstance(e, str) else e for e in _ALL_OPTIONS)
 )
 
 
-def bake_options_record(params: Mapping[str, Any]) -> BakeOptions:
+def read_bake_options(params: Mapping[str, Any]) -> BakeOptions:
     """Return the `BakeOptions` that the parameters of a command state."""
-    source = source_options_record(params, *_SOURCE_OPTIONS)
+    source = read_source_options(params, *_SOURCE_OPTIONS)
     # --take names the source's take, not the written one.
-    values = read_values(
-        BakeOptions, {name: value for name, value in params.items() if name != "take"}
-    )
+    values = read_values(BakeOptions, {n: v for n, v in params.items() if n != "take"})
     values["form"] = "split" if params["split"] else values["form"]
     return BakeOptions(source=source, shot=params["shot"], **values)
 
@@ -164,14 +159,12 @@ def timeline_shot(
     if path is None or not is_timeline(path):
         for name in ("shot", "handles", "cut_start", "first_timecode"):
             if params[name] is not None:
-                flag = name.replace("_", "-")
-                message = f"--{flag} needs a timeline, such as edit.otio."
-                raise click.UsageError(message)
+                message = f"--{name.replace('_', '-')} needs a timeline, such as "
+                raise click.UsageError(f"{message}edit.otio.")
         return None
     if params["table"]:
-        raise click.UsageError(
-            "--table measures a take: pass the media, not the timeline."
-        )
+        message = "--table measures a take: pass the media, not the timeline."
+        raise click.UsageError(message)
     if start is not None and start.denominator != 1:
         raise click.UsageError(f"--start {start}: a shot begins at a whole frame.")
     from animtool.batch.cut_frames import CutOptions
@@ -192,7 +185,7 @@ def timeline_shot(
     return cuts.shots[0]
 
 
-def bake_shot(
+def replace_timeline(
     console: Console,
     sources: Sequence[Path],
     output: Path | None,

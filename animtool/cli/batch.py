@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.batch_options import (
+    cut_arguments,
     cut_options,
-    cut_words,
+    variant_arguments,
     variant_options,
-    variant_words,
     with_cuts,
     with_variants,
 )
@@ -29,7 +29,7 @@ from animtool.cli.options import (
     common_options,
     count_or_auto,
     listed_paths,
-    set_option,
+    variables_option,
 )
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.names import has_kind_suffix
@@ -47,11 +47,11 @@ class _ItemRange:
 
     first: int
     last: int
-    open: bool = False
+    is_open: bool = False
 
     def clamp(self, count: int) -> tuple[int, int]:
         """Return the first and last item number, clamped to the number of items."""
-        open_end = self.open and self.first <= count
+        open_end = self.is_open and self.first <= count
         return self.first, min(self.last, count) if open_end else self.last
 
 
@@ -62,15 +62,14 @@ def _parse_item_range(text: str) -> _ItemRange:
         raise ValueError(message)
     first, last = int(match[1]), int(match[3] or match[1])
     if match[2] == "+":
-        return _ItemRange(first, first + last - 1, open=True)
+        return _ItemRange(first, first + last - 1, is_open=True)
     return _ItemRange(first, last)
 
 
 def _parse_record_name(text: str) -> str:
     if re.fullmatch(r"[\w-][\w.-]*", text) is None:
-        raise ValueError(
-            f"{text!r} is not a valid name: use letters, digits, '_', '-' and '.'"
-        )
+        message = f"{text!r} is not a valid name: use letters, digits, '_', '-' and '.'"
+        raise ValueError(message)
     return text
 
 
@@ -115,7 +114,7 @@ Examples:
     metavar="FILE",
     help="A scene to run for each input, which it names as ${input}.",
 )
-@set_option
+@variables_option
 @cut_options
 @variant_options
 @click.option(
@@ -266,16 +265,12 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
             openjd_failure(console.namer, is_requested=openjd),
             show_progress(console, lines=is_jsonl) as listener,
         ):
-            openjd_listener = (
-                openjd_lines(listener, console.namer) if openjd else listener
-            )
-            report = run_batch(resolved_batch, options, openjd_listener)
+            outer = openjd_lines(listener, console.namer) if openjd else listener
+            report = run_batch(resolved_batch, options, outer)
     except (KeyboardInterrupt, TerminatedError):
         console.say("finished items are recorded; run the same command again to resume")
         raise
-    remaining = [
-        notice for notice in report.notices if notice not in listener.shown_warnings
-    ]
+    remaining = [n for n in report.notices if n not in listener.shown_warnings]
     _print_results(console, report, params, _RepeatCommand(inputs, params), remaining)
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
@@ -297,16 +292,13 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
     last_input, path = inputs[-1], Path(inputs[-1])
     readable_suffixes = (*INPUT_SUFFIXES, *SCENE_SUFFIXES)
     if path.is_dir():
-        is_output = any(matching_files(last_input, readable_suffixes))
+        is_input = any(matching_files(last_input, readable_suffixes))
         state = "has no file to bake"
     else:
-        is_output = (
-            path.exists()
-            or is_pattern(last_input)
-            or last_input.lower().endswith(readable_suffixes)
-        )
+        is_input = path.exists() or is_pattern(last_input)
+        is_input = is_input or last_input.lower().endswith(readable_suffixes)
         state = "does not exist"
-    if not is_output or "{" in last_input:
+    if not is_input or "{" in last_input:
         output_text = last_input if path.suffix else f"{last_input.rstrip('/')}/"
         hint = f"to write there, use -o {shlex.quote(output_text)}"
         raise click.UsageError(f"{last_input} {state}; {hint}")
@@ -346,14 +338,11 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
         spec = replace(spec, scene=params["scene"])
     spec = with_variants(with_cuts(spec, params), params)
     excluded = tuple(str(folder / text) if jobs else text for text in params["exclude"])
-    limits = replace(
-        spec.limits,
-        **{
-            name: params[option]
-            for name, option in (("seconds", "time_limit"), ("memory", "memory_limit"))
-            if params[option] is not None
-        },
-    )
+    limits = spec.limits
+    if params["time_limit"] is not None:
+        limits = replace(limits, seconds=params["time_limit"])
+    if params["memory_limit"] is not None:
+        limits = replace(limits, memory=params["memory_limit"])
     names = dict(params["variables"])
     overrides = tuple(override.without_names(names) for override in spec.overrides)
     if params["strict"]:
@@ -397,15 +386,15 @@ class _RepeatCommand:
         words += [] if params["scene"] is None else ["--scene", str(params["scene"])]
         if params["cuts"] is not None:
             words += ["--cut", str(params["cuts"])]
-        words += cut_words(params)
+        words += cut_arguments(params)
         for name, value in params["variables"]:
             words += ["--set", f"{name}={value}"]
-        words += variant_words(params)
-        for text in () if reads_stdin else params["exclude"]:
-            words += ["--exclude", text]
-        return shlex.join(
-            words + ([] if reads_stdin else ["--items", str(item.number)])
-        )
+        words += variant_arguments(params)
+        if not reads_stdin:
+            for text in params["exclude"]:
+                words += ["--exclude", text]
+            words += ["--items", str(item.number)]
+        return shlex.join(words)
 
 
 def _print_results(
@@ -443,13 +432,11 @@ def _print_notices(console: Console, report: BatchReport) -> None:
         paths = {entry.item.file.path.absolute() for entry in entries}
         # A notice located in the only input needs no item line.
         is_located = notice.path is not None and paths == {Path(notice.path).absolute()}
-        item_lines = []
-        if not is_located:
-            item_lines = [f"  of {listed([entry.item.label for entry in entries])}"]
+        items = f"  of {listed([entry.item.label for entry in entries])}"
+        item_lines = [] if is_located else [items]
         if notice.severity is Severity.NOTE:
-            for line in (str(notice.with_argument_names(console.namer)), *item_lines):
-                console.detail(line)
+            text = str(notice.with_argument_names(console.namer))
+            console.details([text, *item_lines])
             continue
         console.faults([notice])
-        for line in item_lines:
-            console.say(line)
+        console.lines(item_lines)

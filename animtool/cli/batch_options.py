@@ -63,15 +63,11 @@ variant_options = stack_options(
 
 def with_cuts(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
     """Return a batch with the timeline of the command line, if there is one."""
-    if params["cuts"] is not None:
-        spec = replace(spec, cuts=params["cuts"])
-    cut_options = {
-        name: params[name] for name in CUT_OPTIONS if params[name] is not None
-    }
-    return replace(spec, **cut_options)
+    names = [name for name in ("cuts", *CUT_OPTIONS) if params[name] is not None]
+    return replace(spec, **{name: params[name] for name in names})
 
 
-def cut_words(params: Mapping[str, Any]) -> list[str]:
+def cut_arguments(params: Mapping[str, Any]) -> list[str]:
     """Return the shot options as command-line words."""
     words = []
     for name in CUT_OPTIONS:
@@ -80,7 +76,7 @@ def cut_words(params: Mapping[str, Any]) -> list[str]:
     return words
 
 
-def variant_words(params: Mapping[str, Any]) -> list[str]:
+def variant_arguments(params: Mapping[str, Any]) -> list[str]:
     """Return the variant options as command-line words."""
     words = [] if params["table"] is None else ["--variants", str(params["table"])]
     for text in params["columns"]:
@@ -91,9 +87,8 @@ def variant_words(params: Mapping[str, Any]) -> list[str]:
 def with_variants(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
     """Return a batch with the variants of the command line, if there are any."""
     if params["table"] is not None and params["columns"]:
-        raise click.UsageError(
-            "--variants and --vary both set values: use one of them."
-        )
+        message = "--variants and --vary both set values: use one of them."
+        raise click.UsageError(message)
     if params["table"] is not None:
         from animtool.batch.variants import read_variants
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MAX_TABLE_ROWS = 20  # maximum number of items in a table
 
 
-def _count_text(
+def _counts_text(
     report: BatchReport, not_run_text: str = str(ItemStatus.NOT_RUN)
 ) -> str:
     counts = ((report.count(status), status) for status in ItemStatus)
@@ -43,9 +43,8 @@ def _item_text(entry: ItemReport) -> str:
 
 def _error_text(entry: ItemReport) -> str:
     assert entry.measured is not None
-    measured_value = entry.measured
-    error = length_text(measured_value.error, 2)
-    return f"{entry.item.output} {error} (joint {measured_value.joint!r})"
+    error = length_text(entry.measured.error, 2)
+    return f"{entry.item.output} {error} (joint {entry.measured.joint!r})"
 
 
 def finished_text(entry: ItemReport, number: int, total: int) -> str:
@@ -99,7 +98,7 @@ def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
 
 @contextmanager
 def openjd_failure(namer: ArgumentNamer, *, is_requested: bool) -> Iterator[None]:
-    """In a block, print a fatal error as an OpenJD line too, if requested."""
+    """Print a fatal error of the block as an OpenJD line too, if requested."""
     try:
         yield
     except AnimtoolError as error:
@@ -118,7 +117,7 @@ BAR_WIDTH = 40
 
 @contextmanager
 def show_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
-    """Return a context with a listener that shows the progress of a run."""
+    """Yield a listener that shows the progress of a run."""
     if not console.is_live():
         yield _line_listener(console, lines=lines)
         return
@@ -213,10 +212,9 @@ def _table_listener(
         bar = ProgressBar(tracker.due, tracker.ended_count, width=BAR_WIDTH)
         header.add_row(bar, Text(caption))
         running_rows = Table.grid(padding=(0, 1))
-        for name, began in list(tracker.running.values()):
-            running_rows.add_row(
-                Text(f"{time.perf_counter() - began:6.1f} s"), Text(escaped(name))
-            )
+        for name, start_time in list(tracker.running.values()):
+            seconds = Text(f"{time.perf_counter() - start_time:6.1f} s")
+            running_rows.add_row(seconds, Text(escaped(name)))
         return Group(header, running_rows, Text(tracker.warning))
 
     return tracker, draw
@@ -249,13 +247,8 @@ def _pass_table(
     for entry, pass_score in table_rows[:MAX_TABLE_ROWS]:
         texts = {score.name: score.text for score in pass_score.scores}
         worse_names = ", ".join(score.name for score in pass_score.exceeded_scores)
-        score_rows.append(
-            (
-                f"  {_item_text(entry)}",
-                *(texts.get(name, "") for name in names),
-                worse_names,
-            )
-        )
+        values = (texts.get(name, "") for name in names)
+        score_rows.append((f"  {_item_text(entry)}", *values, worse_names))
     yield f"{pass_key[0]} ({pass_key[1]}), worst first:"
     yield from columns(score_rows, {0, len(names) + 1})
     if len(table_rows) > MAX_TABLE_ROWS:
@@ -274,7 +267,7 @@ SUMMARY = Template(
         Each("items_with_scores:tables", ("{self}",)),
     ),
     {
-        "counts": _count_text,
+        "counts": _counts_text,
         "common": lambda reasons: ", ".join(
             f"{count} {reason}" for reason, count in reasons.most_common()
         ),
@@ -290,7 +283,7 @@ DRY_RUN = replace(
     SUMMARY,
     printers={
         **SUMMARY.printers,
-        "counts": lambda report: _count_text(report, "to build"),
+        "counts": lambda report: _counts_text(report, "to build"),
     },
 )
 PLANNED = Template(

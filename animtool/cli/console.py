@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 SOURCE_NAMES = {"fps": "source_fps", "prim_path": "source_prim", "unit": "units"}
 
 
-def as_flag(argument: Argument) -> str:
+def flag_of(argument: Argument) -> str:
     """Return an argument as a flag of the same name.
 
-    >>> as_flag(Argument("rig_layer")), as_flag(Argument("normals", "false"))
+    >>> flag_of(Argument("rig_layer")), flag_of(Argument("normals", "false"))
     ('--rig-layer', '--no-normals')
     """
     word = argument.field.replace("_", "-")
@@ -54,10 +54,8 @@ class FlagNamer:
     def __call__(self, argument: Argument) -> str | None:
         """Return the flag of an argument; None if the command has none."""
         value = argument.value or ""
-        if (
-            argument.field == "form"
-            and _find_option(self.command, (value,)) is not None
-        ):
+        is_form = argument.field == "form"
+        if is_form and _find_option(self.command, (value,)) is not None:
             return flag(value)  # --split
         option = _find_option(self.command, _option_names(argument))
         if option is None:
@@ -83,10 +81,8 @@ class FlagNamer:
 def _option_names(argument: Argument) -> tuple[str, ...]:
     """Return the possible option names of an argument, the most common one first."""
     field = argument.field
-    source_name = (
-        SOURCE_NAMES.get(field) if argument.name.startswith("source.") else None
-    )
-    if source_name is None:
+    source_name = SOURCE_NAMES.get(field)
+    if source_name is None or not argument.name.startswith("source."):
         return (field,)
     # Without `source.` the name is the output's; paths may be either.
     return (source_name,) if field == "fps" else (source_name, field)
@@ -94,11 +90,7 @@ def _option_names(argument: Argument) -> tuple[str, ...]:
 
 def _find_option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
     """Return the option of a command with the first known name; None without any."""
-    options = [
-        command_option
-        for command_option in command.params
-        if isinstance(command_option, click.Option)
-    ]
+    options = [param for param in command.params if isinstance(param, click.Option)]
     for name in names:
         for option in options:
             if option.name == name or f"--{name.replace('_', '-')}" in option.opts:
@@ -116,7 +108,7 @@ class Console:
     verbosity: int = 0  # -1 for errors only, 0 by default, 1 with notes and timings
     json_log: bool = False  # write each line on stderr as a JSON object
     debug: bool = False  # whether Python tracebacks are shown
-    namer: ArgumentNamer = as_flag  # names arguments by flags of the command
+    namer: ArgumentNamer = flag_of  # names arguments by flags of the command
     context: click.Context | None = None  # of the command
     # Warnings that were written early, and are not repeated.
     early_faults: set[Fault] = field(default_factory=set)
@@ -151,7 +143,7 @@ class Console:
 
     def warn_early(self, faults: Iterable[Fault]) -> None:
         """Write warnings before long work, so that they are not written again later."""
-        warnings = [one for one in faults if one.severity is Severity.WARNING]
+        warnings = [f for f in faults if f.severity is Severity.WARNING]
         if self.verbosity >= 0:
             self.faults(warnings)
             self.early_faults.update(warnings)
@@ -173,18 +165,12 @@ class Console:
                 if fault.brief and self.verbosity <= 0:
                     shown_fault = replace(fault, message=fault.brief)
                 text = str(shown_fault).replace(escaped(fault.code), code, 1)
-                if (
-                    fault.column
-                    and fault.severity is not Severity.NOTE
-                    and not self.json_log
-                ):
-                    from animtool.core.source_lines import (
-                        SourceLineCache,
-                        excerpt_lines,
-                    )
+                has_line = fault.column and fault.severity is not Severity.NOTE
+                if has_line and not self.json_log:
+                    from animtool.core import source_lines
 
-                    sources = sources or SourceLineCache()
-                    lines = map(escaped, excerpt_lines(fault, sources))
+                    sources = sources or source_lines.SourceLineCache()
+                    lines = map(escaped, source_lines.excerpt_lines(fault, sources))
                     text = "\n".join([text, *lines])
                 self._write(log_entry, text)
 
@@ -220,12 +206,10 @@ class Console:
     def error(self, message: str, *details: str) -> None:
         """Write an error without a code to stderr, with detail lines."""
         label = self._colored("error", _COLORS[Severity.ERROR])
-        message, *other_texts = (
-            name_arguments(text, self.namer) for text in (message, *details)
-        )
-        lines = (f"{label}: {escaped(message)}", *map(escaped, other_texts))
-        full_message = "\n".join((message, *other_texts))
-        self._write({"level": "error", "message": full_message}, "\n".join(lines))
+        texts = [name_arguments(text, self.namer) for text in (message, *details)]
+        lines = "\n".join(map(escaped, texts))
+        entry: dict[str, object] = {"level": "error", "message": "\n".join(texts)}
+        self._write(entry, f"{label}: {lines}")
 
     def is_live(self) -> bool:
         """Return whether stderr is a terminal that can show live updates."""
@@ -235,7 +219,7 @@ class Console:
     def progress(
         self, label: str, *, stdout: bool = False
     ) -> Iterator[Callable[[float], None] | None]:
-        """Return a context with a progress callback; None without a terminal."""
+        """Yield a progress callback, or None without a terminal."""
         if not self.is_live() or (stdout and sys.stdout.isatty()):
             yield None
             return

@@ -12,10 +12,10 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     bake_option,
+    read_source_options,
     source_option,
     source_options,
-    source_options_record,
-    stage_option,
+    source_prim_option,
     strict_option,
 )
 from animtool.cli.outputs import (
@@ -55,7 +55,7 @@ Examples:
     help="OUTPUT, as other commands name it.",
 )
 @source_options
-@stage_option
+@source_prim_option
 @source_option("rig", "take", "dropped", "positions")
 @bake_option(
     "reduce",
@@ -97,11 +97,8 @@ def convert(
     if is_marker_file(source) and is_marker_file(output):
         _convert_markers(console, source, output, params)
         return
-    if (
-        not output.suffix
-        and params["take"] is None
-        and _convert_all_takes(source, output, params)
-    ):
+    may_be_folder = not output.suffix and params["take"] is None
+    if may_be_folder and _convert_all_takes(source, output, params):
         return
     from animtool.core.readers import is_rig_only
     from animtool.core.writers import holds_rig, take_writer
@@ -124,7 +121,7 @@ def convert(
     if is_rig_conversion:
         _convert_rig(console, source, output, params)
         return
-    options = source_options_record(
+    options = read_source_options(
         params,
         *("rig", "take", "dropped", "positions"),
         prim_path=params["prim_path"],
@@ -154,12 +151,12 @@ def _resolve_output(
     """Return OUTPUT from the argument or from -o; refuse swapped arguments."""
     if output is not None and output_option is not None:
         raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
-    argument_or_option = output or output_option
-    if argument_or_option is None:
+    output = output or output_option
+    if output is None:
         context = click.get_current_context()
         raise click.MissingParameter(None, context, None, "'OUTPUT'", "argument")
-    refuse_swapped(source, argument_or_option, "SOURCE and OUTPUT")
-    return argument_or_option
+    refuse_swapped(source, output, "SOURCE and OUTPUT")
+    return output
 
 
 def _convert_all_takes(source: Path, folder: Path, params: dict[str, Any]) -> bool:

@@ -18,9 +18,9 @@ from animtool.cli.options import (
     Command,
     common_options,
     format_option,
+    read_source_options,
     source_option,
     source_options,
-    source_options_record,
 )
 from animtool.core.errors import ExitCode, counted
 from animtool.core.record import dataclass
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from animtool.report.compare_points import PointsDifference
 
 
-def _largest_difference(kind: str, size: str, where: str) -> str:
+def _difference_template(kind: str, size: str, where: str) -> str:
     """Return the text template of the largest difference of one quantity."""
     label_width = 14 if "prim" in where else 12
     location = where.replace("@", kind)
@@ -51,15 +51,15 @@ _TAKES = Template(
         "[{!joints}{!shapes}no joint is in both files|"
         "[{skeletons:several}, ]{joints:n joint}, [{?shapes}{shapes:n shape}, ]"
         "{frames:n frame} compared]",
-        f"[{{?joints}}{_largest_difference('world', 'length', _JOINT)}]",
-        f"[{{?joints}}{_largest_difference('translation', 'length', _JOINT)}]",
+        f"[{{?joints}}{_difference_template('world', 'length', _JOINT)}]",
+        f"[{{?joints}}{_difference_template('translation', 'length', _JOINT)}]",
         "[{?joints}"
-        + _largest_difference("rotation", "plain", _JOINT).replace(
+        + _difference_template("rotation", "plain", _JOINT).replace(
             "plain}", "plain} deg"
         )
         + "]",
-        f"[{{?joints}}{_largest_difference('scale', 'plain', _JOINT)}]",
-        f"[{{?shapes}}{_largest_difference('weight', 'plain', _SHAPE)}]",
+        f"[{{?joints}}{_difference_template('scale', 'plain', _JOINT)}]",
+        f"[{{?shapes}}{_difference_template('weight', 'plain', _SHAPE)}]",
         *_DIFFERENCES,
     ),
     {"several": lambda count: counted(count, "skeleton") if count > 1 else ""},
@@ -68,11 +68,11 @@ _POINTS = Template(
     "animtool.report.compare_points:PointsDifference",
     (
         "{prims:n prim}, {samples:n sample} compared",
-        _largest_difference("points", "length", _POINT),
-        _largest_difference("orientations", "plain", _POINT).replace(
+        _difference_template("points", "length", _POINT),
+        _difference_template("orientations", "plain", _POINT).replace(
             "plain}", "plain} deg"
         ),
-        _largest_difference("scales", "plain", _POINT),
+        _difference_template("scales", "plain", _POINT),
         *_DIFFERENCES,
     ),
 )
@@ -93,17 +93,13 @@ def _source_choices(command: Command) -> Command:
         ("take", "take", "NAME", "The take to read from clip libraries in USD"),
         ("source-prim", "prim_path", "PATH", "The character, where a file has several"),
     ):
-        for suffix, file_label in (("-b", "SECOND"), ("-a", "FIRST")):
-            help_text = f"The same, for {file_label} only."
-            param = f"{field}_{suffix[-1]}"
-            option = click.option(
-                f"--{name}{suffix}", param, metavar=metavar, help=help_text
-            )
+        for flag, param, help_text in (
+            (f"--{name}-b", f"{field}_b", "The same, for SECOND only."),
+            (f"--{name}-a", f"{field}_a", "The same, for FIRST only."),
+            (f"--{name}", field, f"{description}."),
+        ):
+            option = click.option(flag, param, metavar=metavar, help=help_text)
             command = option(command)
-        option = click.option(
-            f"--{name}", field, metavar=metavar, help=f"{description}."
-        )
-        command = option(command)
     return command
 
 
@@ -182,29 +178,21 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     else:
         console.result(*template.text(difference), "same" if is_within else "different")
     console.faults(notices)
-    click.get_current_context().exit(
-        int(ExitCode.OK if is_within else ExitCode.FINDINGS)
-    )
+    code = ExitCode.OK if is_within else ExitCode.FINDINGS
+    click.get_current_context().exit(int(code))
 
 
 def _source_options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
     """Return the source options of either file; specific ones override shared ones."""
     from animtool.scene.sources.open import fitting_options
 
-    shared_options = source_options_record(
+    shared_options = read_source_options(
         params, "take", "positions", prim_path=params["prim_path"]
     )
     options = []
     for path, letter in ((first, "a"), (second, "b")):
-        names = ("take", "prim_path")
-        side_options = {
-            name: value
-            for name in names
-            if (value := params[f"{name}_{letter}"]) is not None
-        }
-        options.append(
-            replace(
-                fitting_options(shared_options, path, [first, second]), **side_options
-            )
-        )
+        values = {name: params[f"{name}_{letter}"] for name in ("take", "prim_path")}
+        specific = {name: value for name, value in values.items() if value is not None}
+        shared = fitting_options(shared_options, path, [first, second])
+        options.append(replace(shared, **specific))
     return options

@@ -87,10 +87,9 @@ def docs(
         _print_page_list(console)
         return
     page = COMMANDS_PAGE if topic is None else _page_of(topic)
+    site_page = "index" if topic is None else page.name
     opens_browser = not print_only and sys.stdout.isatty()
-    if opens_browser and _open_in_browser(
-        console, "index" if topic is None else page.name
-    ):
+    if opens_browser and _open_in_browser(console, site_page):
         return
     if topic is None:
         _print_page_list(console)

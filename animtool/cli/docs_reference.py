@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 import click
@@ -18,26 +18,19 @@ def commands_markdown(name: str | None = None) -> str:
     context = click.Context(cli, info_name="animtool")
     paragraphs: list[str] = []
     if name is None:
+        rows = [
+            (f"[`{n}`](#animtool-{n})", help_) for n, (_, help_) in COMMANDS.items()
+        ]
         paragraphs += [
             "# Commands",
             "Every command with its arguments and options, as `--help` has them.",
-            *_table(
-                ("command", "what it does"),
-                [
-                    (
-                        f"[`{command_name}`](#animtool-{command_name})",
-                        COMMANDS[command_name][1],
-                    )
-                    for command_name in COMMANDS
-                ],
-            ),
+            *_table(("command", "what it does"), rows),
         ]
     for command_name in sorted(COMMANDS) if name is None else [name]:
         command = cli.get_command(context, command_name)
         assert command is not None
-        paragraphs += _command_paragraphs(
-            command, click.Context(command, context, command_name), 2
-        )
+        command_context = click.Context(command, context, command_name)
+        paragraphs += _command_paragraphs(command, command_context, 2)
     return "\n\n".join(paragraphs) + "\n"
 
 
@@ -47,23 +40,16 @@ def _command_paragraphs(
     """Yield the paragraphs of a command and its subcommands."""
     yield f"{'#' * level} {context.command_path}"
     yield _escape_prose(command.help or "")
-    yield f"```text\n{' '.join(command.collect_usage_pieces(context))}\n```".replace(
-        "```text\n", f"```text\n{context.command_path} "
-    )
-    option_rows = [
-        record
+    pieces = command.collect_usage_pieces(context)
+    yield f"```text\n{' '.join([context.command_path, *pieces])}\n```"
+    rows = [
+        ("`{}`".format(record[0].replace("|", "\\|")), _escape_prose(record[1]))
         for parameter in command.get_params(context)
         if isinstance(parameter, click.Option)
         if (record := parameter.get_help_record(context))
     ]
-    if option_rows:
-        yield from _table(
-            ("option", "what it does"),
-            [
-                ("`{}`".format(option_text.replace("|", "\\|")), _escape_prose(text))
-                for option_text, text in option_rows
-            ],
-        )
+    if rows:
+        yield from _table(("option", "what it does"), rows)
     if isinstance(command, click.Group):
         for name in command.list_commands(context):
             subcommand = command.get_command(context, name)
@@ -84,18 +70,12 @@ def codes_markdown() -> str:
         return code.rstrip("0123456789")
 
     for name, codes in groupby(sorted(rules), family):
-        paragraphs.append(f"## {name}")
-        paragraphs += _table(
-            ("code", "severity", "what it says"),
-            [
-                (
-                    f"[{other}](../rules/{other}.md)",
-                    rules[other].severity,
-                    rules[other].title,
-                )
-                for other in codes
-            ],
-        )
+        rows = [
+            (f"[{code}](../rules/{code}.md)", rules[code].severity, rules[code].title)
+            for code in codes
+        ]
+        header = ("code", "severity", "what it says")
+        paragraphs += [f"## {name}", *_table(header, rows)]
     return "\n\n".join(paragraphs) + "\n"
 
 
@@ -105,7 +85,7 @@ def _escape_prose(text: str) -> str:
     return re.sub(r"([<>*_|\[\]])", r"\\\1", single_line)
 
 
-def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     """Return a Markdown table as one paragraph."""
-    table_rows = [header, ("---",) * len(header), *rows]
-    return ["\n".join(f"| {' | '.join(line)} |" for line in table_rows)]
+    lines = [header, ("---",) * len(header), *rows]
+    return ["\n".join(f"| {' | '.join(cells)} |" for cells in lines)]

@@ -100,7 +100,7 @@ def parse_codes(arguments: Sequence[str]) -> list[str]:
     return codes
 
 
-PAGES = Template(
+CODES_TEMPLATE = Template(
     "animtool.cli.explain:CodesReport",
     (Each("rules", ("{rule.code:<8} {rule.severity:<8} {rule.title}",)),),
     is_result=True,
@@ -143,11 +143,8 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
         # RIG2 means all codes with that prefix.
         prefix = code.upper()
         rules_by_code = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}
-        matching_rules = [
-            rules_by_code[name]
-            for name in sorted(rules_by_code)
-            if name.startswith(prefix)
-        ]
+        names = sorted(name for name in rules_by_code if name.startswith(prefix))
+        matching_rules = [rules_by_code[name] for name in names]
         if not matching_rules:
             _check_not_command(code)
         is_listing = is_listing or len(matching_rules) > 1
@@ -161,18 +158,15 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
             console.document(RulePage(rule).page or escaped_lines(_default_page(rule)))
         return
     pages = CodesReport([RulePage(rule) for rule in rules])
-    console.report(report_format, pages, PAGES)
+    console.report(report_format, pages, CODES_TEMPLATE)
 
 
 def _default_page(rule: Rule) -> str:
     """Return a generated page for a code that has no page."""
     origin = "Readers and commands report it."
     if rule.kinds:
-        uppercase_kinds = {"bvh", "usd"}
-        kinds = [
-            kind.upper() if kind in uppercase_kinds else str(kind)
-            for kind in sorted(rule.kinds)
-        ]
+        acronyms = {"bvh": "BVH", "usd": "USD"}
+        kinds = [acronyms.get(kind, str(kind)) for kind in sorted(rule.kinds)]
         origin = f"animtool validate looks for it in {' and '.join(kinds)} files."
     article = "An" if rule.severity == "error" else "A"
     return (

@@ -148,11 +148,8 @@ class Command(click.Command):
         formatter.write_paragraph()
         with formatter.indentation():
             formatter.write_text(" ".join(first_paragraph.split()))
-        common_words = common_options(self.name or "")
-        records = {
-            _option_word(option): record for option, record in self._help_records(ctx)
-        }
-        shown_options = common_words or [
+        records = {_option_word(option): r for option, r in self._help_records(ctx)}
+        shown_options = common_options(self.name or "") or [
             word for word in records if _GROUP_BY_OPTION.get(word) != "Report"
         ]
         first_sentences = [
@@ -169,15 +166,9 @@ class Command(click.Command):
         shown_examples = examples[: max(free_lines, 2)] if examples else []
         while shown_examples and shown_examples[-1].rstrip().endswith("\\"):
             shown_examples.pop()
-        return "\n".join(
-            [
-                *help_lines,
-                "",
-                *shown_examples,
-                *([""] if shown_examples else []),
-                last_line,
-            ]
-        )
+        if shown_examples:
+            shown_examples.append("")
+        return "\n".join([*help_lines, "", *shown_examples, last_line])
 
     def _help_records(
         self, ctx: click.Context
@@ -216,15 +207,10 @@ def write_sections(
     formatter: click.HelpFormatter, sections: Mapping[str, list[tuple[str, str]]]
 ) -> None:
     """Write commands in groups, with aligned texts."""
-    name_width = max(
-        len(name) for section_rows in sections.values() for name, _ in section_rows
-    )
-    for title, section_rows in sections.items():
-        _write_section(
-            formatter,
-            title,
-            [(name.ljust(name_width), text) for name, text in section_rows],
-        )
+    width = max(len(name) for records in sections.values() for name, _ in records)
+    for title, records in sections.items():
+        aligned_records = [(name.ljust(width), text) for name, text in records]
+        _write_section(formatter, title, aligned_records)
 
 
 def group_of(command: str, option: click.Option) -> str:
@@ -295,9 +281,9 @@ class LazyGroup(click.Group):
     Attributes:
         sections: Below each heading of the help, its commands: ``module:object`` and
             a one-line help by name.
-        table: All commands.
+        entries: All commands.
         other_names: What users of other tools type, and the command for it.
-        takes_files: Command to suggest for a file in place of a command.
+        file_command: Command to suggest for a file in place of a command.
     """
 
     def __init__(
@@ -305,30 +291,30 @@ class LazyGroup(click.Group):
         *args: Any,
         sections: Mapping[str, Mapping[str, tuple[str, str]]],
         other_names: Mapping[str, str] | None = None,
-        takes_files: str = "",
+        file_command: str = "",
         **options: Any,
     ) -> None:
         super().__init__(*args, **options)
         self.sections = sections
-        self.table = {
+        self.entries = {
             name: entry
             for section in sections.values()
             for name, entry in section.items()
         }
         self.other_names = other_names or {}
-        self.takes_files = takes_files
+        self.file_command = file_command
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands."""
         del ctx
-        return sorted(self.table)
+        return sorted(self.entries)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import the module of a command and return the command."""
         del ctx
-        if cmd_name not in self.table:
+        if cmd_name not in self.entries:
             return None
-        module, _, name = self.table[cmd_name][0].partition(":")
+        module, _, name = self.entries[cmd_name][0].partition(":")
         command: click.Command = getattr(importlib.import_module(module), name)
         return command
 
@@ -337,30 +323,28 @@ class LazyGroup(click.Group):
     ) -> None:
         """Write the list of commands without importing them."""
         del ctx
-        write_sections(
-            formatter,
-            {
-                title: [(name, text) for name, (_, text) in section.items()]
-                for title, section in self.sections.items()
-            },
-        )
+        sections = {
+            title: [(name, text) for name, (_, text) in section.items()]
+            for title, section in self.sections.items()
+        }
+        write_sections(formatter, sections)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return a command, also for ``help COMMAND``; suggest one if it is unknown."""
-        if args[:1] == ["help"] and "help" not in self.table:
+        if args[:1] == ["help"] and "help" not in self.entries:
             args = [*args[1:2], "--help"]
             if len(args) == 1:
                 click.echo(ctx.get_help(), color=ctx.color)
                 ctx.exit()
-        if args and args[0] not in self.table and not args[0].startswith("-"):
+        if args and args[0] not in self.entries and not args[0].startswith("-"):
             from difflib import get_close_matches
 
-            if self.takes_files and "." in args[0]:
-                hint = f"{ctx.command_path} {self.takes_files} {args[0]}"
+            if self.file_command and "." in args[0]:
+                hint = f"{ctx.command_path} {self.file_command} {args[0]}"
                 ctx.fail(f"{args[0]!r} is not a command; did you mean {hint!r}?")
-            close_names = get_close_matches(args[0], self.table, 1)
+            close_names = get_close_matches(args[0], self.entries, 1)
             suggestion = self.other_names.get(args[0]) or next(iter(close_names), "")
             hint = f"; did you mean {suggestion!r}?" if suggestion else ""
             hint = hint or f"; {ctx.command_path} --help lists the commands"

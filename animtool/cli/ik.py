@@ -18,14 +18,14 @@ from animtool.cli.options import (
     TOLERANCE,
     ParsedType,
     bake_option,
-    names_of,
     output_option,
+    parse_names,
+    read_source_options,
     read_values,
     record_option,
     rig_layer_options,
     source_option,
     source_options,
-    source_options_record,
     stack_options,
 )
 from animtool.cli.outputs import (
@@ -34,11 +34,11 @@ from animtool.cli.outputs import (
     goes_to_stdout,
     plot_option,
     print_tradeoffs,
+    read_output_options,
     refuse_plot_without_table,
     skip_existing_outputs,
     split_option,
     writing_options,
-    written_options_record,
 )
 from animtool.core.names import has_kind_suffix
 from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES, TakeOptions
@@ -239,7 +239,7 @@ def _run_match_command(console: Console, params: dict[str, Any], source: Any) ->
         take=params["start"],
         output=output,
         source=source,
-        chains=names_of(params["chains"]),
+        chains=parse_names(params["chains"]),
         pose=pose is not None,
         frame=None if isinstance(pose, str) else pose,
         write_options=BakeOptions(
@@ -280,7 +280,7 @@ def _start_options(params: dict[str, Any]) -> Any:
     """Return the options for reading the start take."""
     source_keys = ("prim_path", "take", "positions")
     extra = {"shot": params["shot"], "placement": params["placement"]}
-    return source_options_record(params, *source_keys, **extra)
+    return read_source_options(params, *source_keys, **extra)
 
 
 def _print_table(console: Console, params: dict[str, Any]) -> None:
@@ -333,7 +333,7 @@ def _bake_options(params: dict[str, Any]) -> Any:
         raise click.UsageError(f"{set_flags[0]} needs an output: pass -o.")
     if set_flags and str(output) != "-" and not is_usd(output):
         raise click.UsageError(f"{set_flags[0]} applies to USD, not to {output}.")
-    return written_options_record(
+    return read_output_options(
         params,
         start=params["first_code"],
         sparse=params["sparse"],

@@ -14,11 +14,11 @@ from animtool.cli.options import (
     INPUT,
     common_options,
     format_option,
-    set_option,
+    read_source_options,
     source_option,
     source_options,
-    source_options_record,
-    stage_option,
+    source_prim_option,
+    variables_option,
 )
 from animtool.core.errors import counted, listed, percent_text
 from animtool.core.names import check_unused, has_kind_suffix
@@ -167,9 +167,9 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
 }
 
 
-def _range_text(bounds: tuple[int, int], noun: str, plural: str = "") -> str:
-    text = counted(bounds[1], noun, plural)
-    return text if bounds[0] == bounds[1] else f"{bounds[0]} to {text}"
+def _range_text(limits: tuple[int, int], noun: str, plural: str = "") -> str:
+    text = counted(limits[1], noun, plural)
+    return text if limits[0] == limits[1] else f"{limits[0]} to {text}"
 
 
 def _pieces_text(prim: PointPrimSummary) -> str:
@@ -186,10 +186,8 @@ def _content_text(prim: PointPrimSummary) -> str:
 
 def _extreme_text(extreme: Extreme, unit: str) -> str:
     """Return an extreme value with its character and frame as text."""
-    path_parts = extreme.character.strip("/").split("/")
-    name = next(
-        (part for part in path_parts if part.startswith("agent")), path_parts[0]
-    )
+    parts = extreme.character.strip("/").split("/")
+    name = next((part for part in parts if part.startswith("agent")), parts[0])
     return f"{plain_number(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
 
 
@@ -263,9 +261,9 @@ Examples:
 )
 @click.argument("files", nargs=-1, required=True, type=INPUT)
 @source_options
-@stage_option
+@source_prim_option
 @source_option("take", "positions")
-@set_option
+@variables_option
 @format_option
 @common_options
 @click.pass_obj
@@ -339,7 +337,7 @@ def _describe_take(path: Path, params: dict[str, Any]) -> Any:
         description = describe_without_nodes(path)
         if description is not None:
             return description
-    options = source_options_record(
+    options = read_source_options(
         params, "positions", "take", prim_path=params["prim_path"]
     )
     return describe(path, options)
@@ -353,9 +351,9 @@ def _describe_stage(path: Path, params: dict[str, Any]) -> Any:
     if params["prim_path"] is None and params["take"] is None:
         from animtool.usd.caches.info import describe_points
 
-        points_description = describe_points(path)
-        if points_description is not None:
-            return points_description
+        description = describe_points(path)
+        if description is not None:
+            return description
     options = SourceOptions(prim_path=params["prim_path"], take=params["take"])
     return describe(path, options)
 

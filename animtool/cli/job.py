@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from animtool.cli.batch_options import cut_options, cut_words, with_cuts
+from animtool.cli.batch_options import cut_arguments, cut_options, with_cuts
 from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import (
@@ -110,7 +110,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     chunk_items = params["chunk"] or chunk_size(
         item_count, seconds, params["task_seconds"]
     )
-    cuts = CutArguments(params["cuts"], tuple(cut_words(params)))
+    cuts = CutArguments(params["cuts"], tuple(cut_arguments(params)))
     bundle = batch_bundle(
         resolved_batch, batch_file, min(chunk_items, item_count), cuts
     )

@@ -13,11 +13,11 @@ from animtool.cli.options import (
     INPUT,
     bake_option,
     output_option,
+    read_source_options,
     read_values,
     record_option,
     source_option,
     source_options,
-    source_options_record,
     strict_option,
 )
 from animtool.cli.outputs import atomic_command, skip_existing_outputs, writing_options
@@ -56,17 +56,15 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
     ):
         return
     values = read_values(LoopOptions, params)
-    for option_name in ("first", "last"):
-        values[option_name] = (
-            None if values[option_name] is None else float(values[option_name])
-        )
+    for name in ("first", "last"):
+        values[name] = None if values[name] is None else float(values[name])
     searches = values["first"] is None or values["last"] is None
     with atomic_command(), console.progress(f"loop {source.name}") as progress:
         result = loop_source(
             source,
             output,
             LoopOptions(find=searches, **values),
-            source_options_record(
+            read_source_options(
                 params,
                 *("prim_path", "take", "positions"),
                 placement=params["placement"],

@@ -92,9 +92,8 @@ def _innermost_function(error: BaseException) -> str:
         path = code.co_filename.replace("\\", "/")
         prefix, _, module_path = path.rpartition("/animtool/")
         if prefix and module_path.endswith(".py"):
-            innermost = (
-                f"{module_path.removesuffix('.py').replace('/', '.')} ({code.co_name})"
-            )
+            module = module_path.removesuffix(".py").replace("/", ".")
+            innermost = f"{module} ({code.co_name})"
         trace = trace.tb_next
     return innermost
 
@@ -105,12 +104,9 @@ def memory_limit_bytes() -> int | None:
         import resource
     except ImportError:  # not on Windows
         return None
-    soft_limits = [
-        resource.getrlimit(kind)[0]
-        for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA)
-    ]
-    limits = [limit for limit in soft_limits if limit != resource.RLIM_INFINITY]
-    return min(limits) if limits else None
+    kinds = resource.RLIMIT_AS, resource.RLIMIT_DATA
+    limits = {resource.getrlimit(kind)[0] for kind in kinds}
+    return min(limits - {resource.RLIM_INFINITY}, default=None)
 
 
 def crash_reason(name: str, path: str = "") -> Fault | None:
@@ -232,7 +228,7 @@ def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     cls=LazyGroup,
     sections=SECTIONS,
     other_names=OTHER_NAMES,
-    takes_files="bake",
+    file_command="bake",
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start here: animtool bake walk.bvh -o walk.usdc",
 )

@@ -11,8 +11,8 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     output_option,
+    read_source_options,
     source_options,
-    source_options_record,
     stack_options,
     strict_option,
 )
@@ -69,7 +69,7 @@ def read_marker_file(path: Path, params: Mapping[str, Any]) -> Any:
     """Read a marker file with the source options of a command."""
     from animtool.formats.marker_files import open_markers
 
-    options = source_options_record(params)
+    options = read_source_options(params)
     return open_markers(
         path,
         unit=options.unit,
@@ -106,12 +106,11 @@ def run_on_markers(
     with atomic_command(), console.progress(f"{command} {sources[0].name}"):
         marker_sets = [read_marker_file(path, params) for path in sources]
         markers, report = process(*marker_sets)
+        results = [*marker_sets, report]
+        result_files = [*sources, sources[0]]
         notices = [
             notice.in_file(path)
-            for path, result in (
-                *zip(sources, marker_sets, strict=True),
-                (sources[0], report),
-            )
+            for path, result in zip(result_files, results, strict=True)
             for notice in result.notices
         ]
         refuse_warnings(notices, strict=params["strict"])

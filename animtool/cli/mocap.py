@@ -31,7 +31,7 @@ COMMANDS = {
 @click.group(
     cls=LazyGroup,
     sections={"Commands": dict(sorted(COMMANDS.items()))},
-    takes_files="clean",
+    file_command="clean",
     epilog="""\b
 Examples:
   animtool mocap clean take.bvh -o clean.usdc

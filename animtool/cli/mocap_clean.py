@@ -14,11 +14,11 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     output_option,
+    read_source_options,
     read_values,
     record_option,
     source_option,
     source_options,
-    source_options_record,
     strict_option,
 )
 from animtool.cli.outputs import atomic_command, skip_existing_outputs, writing_options
@@ -80,18 +80,16 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
         raise OptionError(Fault("SOL007", message, str(source), (), hint))
     options = CleanOptions(**read_values(CleanOptions, params))
     passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]
-    pass_switches = {
-        "root_drift": params["drift"] == "remove",
-        "feet": params["feet"] == "hold",
-    }
-    for name in (name for name, is_enabled in pass_switches.items() if is_enabled):
-        passes.append((find_pass(name), find_pass(name).options()))
+    if params["drift"] == "remove":
+        passes.append((find_pass("root_drift"), find_pass("root_drift").options()))
+    if params["feet"] == "hold":
+        passes.append((find_pass("feet"), find_pass("feet").options()))
     with atomic_command(), console.progress(f"clean {source.name}") as progress:
         report = convert_with_passes(
             source,
             output,
             passes,
-            source_options_record(params, "take", "prim_path", "positions"),
+            read_source_options(params, "take", "prim_path", "positions"),
             overwrite=params["overwrite"],
             strict=params["strict"],
             progress=progress,

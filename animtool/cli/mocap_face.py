@@ -16,11 +16,11 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     output_option,
+    read_source_options,
     read_values,
     record_option,
     source_option,
     source_options,
-    source_options_record,
     strict_option,
 )
 from animtool.cli.outputs import atomic_command, skip_existing_outputs, writing_options
@@ -92,7 +92,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
         params["camera"],
         params["camera_name"],
         FaceOptions(**read_values(FaceOptions, params)),
-        source_options_record(params),
+        read_source_options(params),
         BakeOptions(overwrite=params["overwrite"], strict=params["strict"]),
     )
     if skip_existing_outputs(

@@ -109,11 +109,8 @@ _METHODS = {
 def _method_counts(gaps: Any) -> str:
     """Format the number of filled gaps for each method."""
     counts = Counter(gap.method for gap in gaps)
-    return ", ".join(
-        f"{counts[method]} {word}"
-        for method, word in _METHODS.items()
-        if counts[method]
-    )
+    methods = [method for method in _METHODS if counts[method]]
+    return ", ".join(f"{counts[method]} {_METHODS[method]}" for method in methods)
 
 
 _TEMPLATE = Template(

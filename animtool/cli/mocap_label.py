@@ -56,13 +56,11 @@ def label(
 
 def _rarely_visible_markers(coverage: dict[str, float]) -> list[str]:
     """Return the markers that are visible in less than half of the frames."""
-    rare_markers = [
-        (name, fraction) for name, fraction in coverage.items() if fraction < 0.5
-    ]
-    rare_markers.sort(key=lambda entry: entry[1])
+    rarest_first = sorted(coverage.items(), key=lambda entry: entry[1])
     return [
         f"{name}: seen in {100 * fraction:.0f}% of the frames"
-        for name, fraction in rare_markers
+        for name, fraction in rarest_first
+        if fraction < 0.5
     ]
 
 

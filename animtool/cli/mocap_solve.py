@@ -14,18 +14,18 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
+    read_source_options,
     read_values,
     record_option,
     source_options,
-    source_options_record,
 )
 from animtool.cli.outputs import (
     goes_to_stdout,
+    read_output_options,
     skip_existing_outputs,
     take_output_option,
+    take_output_options,
     writing_options,
-    written_options,
-    written_options_record,
 )
 from animtool.core.errors import percent_text
 from animtool.core.quantities import length_text
@@ -85,7 +85,7 @@ Examples:
     help="After calibration: write the subject's template (.markers.yaml).",
 )
 @record_option(SolveOptions)
-@written_options
+@take_output_options
 @source_options
 @writing_options
 def solve(
@@ -107,12 +107,12 @@ def solve(
         params["rig"],
         params["static"],
         params["calibrate"],
-        source_options_record(params),
+        read_source_options(params),
         SolveOptions(**read_values(SolveOptions, params)),
         output,
         params["write_rig"],
         params["write_template"],
-        written_options_record(params, strict=params["strict"]),
+        read_output_options(params, strict=params["strict"]),
     )
     if skip_existing_outputs(
         console, "mocap solve", params, output, lambda: job.target.files
@@ -124,7 +124,7 @@ def solve(
     console.report(params["report_format"], report, _TEMPLATE)
 
 
-def _bone_scale_range(calibration: Calibration) -> str:
+def _bone_scale_text(calibration: Calibration) -> str:
     """Format the smallest and largest bone scale."""
     scales = calibration.scales[calibration.scales != 1.0]
     return f"{scales.min(initial=1.0):.3g} to {scales.max(initial=1.0):.3g}"
@@ -132,19 +132,15 @@ def _bone_scale_range(calibration: Calibration) -> str:
 
 def _worst_markers(markers: Sequence[MarkerScore]) -> list[str]:
     """Return the markers with the largest residuals."""
-    worst_markers = sorted(
-        markers, key=lambda marker: -marker.rms if marker.seen else 1.0
-    )
-    return [f"{marker.name} {length_text(marker.rms)}" for marker in worst_markers[:3]]
+    worst_first = sorted(markers, key=lambda m: -m.rms if m.seen else 1.0)
+    return [f"{marker.name} {length_text(marker.rms)}" for marker in worst_first[:3]]
 
 
 def _outlier_markers(markers: Sequence[MarkerScore]) -> list[str]:
     """Return the markers rejected as outliers in over 1 % of the frames."""
     outlier_markers = [marker for marker in markers if marker.outliers > 0.01]
     outlier_markers.sort(key=lambda marker: -marker.outliers)
-    return [
-        f"{marker.name} ({percent_text(marker.outliers)})" for marker in outlier_markers
-    ]
+    return [f"{m.name} ({percent_text(m.outliers)})" for m in outlier_markers]
 
 
 def _swapped_markers(solve: MarkerSolve) -> list[str]:
@@ -173,7 +169,7 @@ _TEMPLATE = Template(
         "[  written: {outputs:join}]",
     ),
     {
-        "bones": _bone_scale_range,
+        "bones": _bone_scale_text,
         "worst": _worst_markers,
         "strays": _outlier_markers,
         "exchanged": _swapped_markers,

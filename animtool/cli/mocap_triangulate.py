@@ -70,9 +70,8 @@ def triangulate(
     folder for each camera. Wrong observations are excluded, and cameras that moved
     after calibration are reported.
     """
-    if skip_existing_outputs(
-        console, "mocap triangulate", params, output, lambda: [output]
-    ):
+    label = "mocap triangulate"
+    if skip_existing_outputs(console, label, params, output, lambda: [output]):
         return
     from animtool.capture.cameras.file import load_all_cameras
     from animtool.capture.cameras.observations import read_observations
@@ -92,25 +91,16 @@ def triangulate(
     cameras = load_all_cameras(calibrations, unit=unit, up=up_axis)
     name = observations.name
     with atomic_command(), console.progress(f"triangulate {name}") as progress:
+        fps, people = params["source_fps"], params["people"]
         if observations.is_dir():
-            loaded_observations = read_keypoints(
-                observations, cameras, fps=params["source_fps"], people=params["people"]
-            )
+            loaded = read_keypoints(observations, cameras, fps=fps, people=people)
         else:
-            loaded_observations = read_observations(
-                observations, fps=params["source_fps"]
-            )
-        result = solve(loaded_observations, cameras, options, progress=progress)
+            loaded = read_observations(observations, fps=fps)
+        result = solve(loaded, cameras, options, progress=progress)
         refuse_warnings(result.notices, strict=params["strict"])
-        written_notices = write_markers(
-            result.markers, output, overwrite=params["overwrite"]
-        )
-    result = replace(
-        result,
-        source=observations,
-        output=output,
-        notices=(*result.notices, *written_notices),
-    )
+        losses = write_markers(result.markers, output, overwrite=params["overwrite"])
+    notices = (*result.notices, *losses)
+    result = replace(result, source=observations, output=output, notices=notices)
     console.faults(result.notices)
     console.report(params["report_format"], result, _TEMPLATE)
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from animtool.cli.console import SOURCE_NAMES, Console, FlagNamer, as_flag
+from animtool.cli.console import SOURCE_NAMES, Console, FlagNamer, flag_of
 from animtool.core.arguments import name_arguments
 from animtool.core.errors import Severity
 from animtool.core.names import is_variable_name
@@ -54,9 +54,8 @@ class ParsedType(click.ParamType[Any]):
 
 def _parse_timecode(text: str) -> str:
     if not is_timecode(text):
-        raise ValueError(
-            f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
-        )
+        message = f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
+        raise ValueError(message)
     return text.strip()
 
 
@@ -92,7 +91,7 @@ def count_or_auto(text: str) -> int | None:
     return int(text)
 
 
-def names_of(text: str | None) -> tuple[str, ...]:
+def parse_names(text: str | None) -> tuple[str, ...]:
     """Parse comma-separated names."""
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
@@ -150,7 +149,7 @@ def _parse_variable(text: str) -> tuple[str, str]:
 
 
 def _parse_codes(text: str) -> tuple[str, ...]:
-    return tuple(code.upper() for code in names_of(text))
+    return tuple(code.upper() for code in parse_names(text))
 
 
 def _parse_severity(text: str) -> tuple[str, Severity]:
@@ -264,7 +263,7 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "offsets": (ParsedType("offsets", parse_offsets), "OFFSETS"),
     "length": (LENGTH, "LENGTH"),
     "lengths": (ParsedType("joint_length", _parse_joint_length), "JOINT=LENGTH"),
-    "names": (ParsedType("text", names_of), "NAME,..."),
+    "names": (ParsedType("text", parse_names), "NAME,..."),
     "angle": (TOLERANCE, "DEGREES"),
     "amount": (TOLERANCE, None),
     "seed": (ParsedType("whole number", _parse_integer), None),
@@ -315,7 +314,7 @@ def declare_option(
         help_text: Help text, if it differs from the record's.
     """
     flag_word, flag_and_metavar = option.flag or name.replace("_", "-"), option.metavar
-    flag, text = f"--{flag_word}", name_arguments(help_text or option.help, as_flag)
+    flag, text = f"--{flag_word}", name_arguments(help_text or option.help, flag_of)
     param = param_name or name
     if option.kind == "answer":
         return click.option(f"{flag}/--no-{flag_word}", param, default=None, help=text)
@@ -366,18 +365,14 @@ def record_option(
     param_names: Names in the command that differ from the fields'.
     help_text: Help texts that differ from the record's.
     """
-    options = options_of(record)
+    options, params = options_of(record), param_names or {}
     defaults = {
-        entry.name: None if entry.default is MISSING else entry.default
-        for entry in fields(record)
+        e.name: None if e.default is MISSING else e.default for e in fields(record)
     }
-    param_names = param_names or {}
     return stack_options(
         *(
-            declare_option(
-                options[name], name, defaults[name], param_names.get(name), help_text
-            )
-            for name in names or options
+            declare_option(options[n], n, defaults[n], params.get(n), help_text)
+            for n in names or options
         )
     )
 
@@ -428,7 +423,7 @@ def bake_option(
 rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
 source_options = source_option("unit", "up", "fps")
 # For commands without an option for the output's prim path.
-stage_option = click.option(
+source_prim_option = click.option(
     "--source-prim",
     "prim_path",
     metavar="PATH",
@@ -436,7 +431,7 @@ stage_option = click.option(
 )
 
 
-set_option = click.option(
+variables_option = click.option(
     "--set",
     "variables",
     type=ParsedType("variable", _parse_variable),
@@ -466,7 +461,7 @@ def listed_paths(texts: Iterable[str]) -> Iterator[str]:
             yield text
 
 
-def source_options_record(
+def read_source_options(
     params: Mapping[str, Any], *names: str, **values: Any
 ) -> SourceOptions:
     """Return `SourceOptions` from the parameters of a command and other values."""

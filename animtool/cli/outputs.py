@@ -47,7 +47,7 @@ split_option = click.option(
     "--split", is_flag=True, help="Write USD in three files, as bake does."
 )
 # Output options of commands that write a take.
-written_options = stack_options(
+take_output_options = stack_options(
     split_option,
     rig_layer_options,
     bake_option(
@@ -59,7 +59,7 @@ written_options = stack_options(
 )
 
 
-def written_options_record(
+def read_output_options(
     params: Mapping[str, Any], *more_options: str, **values: Any
 ) -> BakeOptions:
     """Return the `BakeOptions` of a command that writes a take.
@@ -73,7 +73,7 @@ def written_options_record(
 
 @contextmanager
 def atomic_command() -> Iterator[None]:
-    """In a block, write the outputs of a command, which are committed at its end.
+    """Commit the outputs that the block of a command writes, at its end.
 
     The command may only print after that: if it ends with 130 or 143, it has written
     nothing.
@@ -94,10 +94,8 @@ def skip_existing_outputs(
     if output in {None, STDOUT} or not params["skip_existing"]:
         return False
     if params["overwrite"]:
-        raise click.UsageError(
-            "--overwrite replaces outputs, but --skip-existing keeps them: use one "
-            "of them."
-        )
+        message = "--overwrite replaces outputs, but --skip-existing keeps them: use "
+        raise click.UsageError(f"{message}one of them.")
     if not all(path.exists() for path in outputs()):
         return False
     console.say(f"{output} exists: skipped")

@@ -40,7 +40,7 @@ def _table_lines(table: str, kind: str) -> Each:
     return Each(table, (first_column + " {about} ({source})",))
 
 
-PLUGINS = Template(
+PLUGINS_TEMPLATE = Template(
     "animtool.cli.plugins:Plugins",
     (
         _table_lines("passes", "{uses:<11}"),
@@ -83,4 +83,4 @@ def plugins(console: Console, /, report_format: str) -> None:
         listed_executors(),
         listed_rules(),
     )
-    console.report(report_format, entries, PLUGINS)
+    console.report(report_format, entries, PLUGINS_TEMPLATE)

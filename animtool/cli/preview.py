@@ -15,12 +15,12 @@ from animtool.cli.options import (
     common_options,
     format_option,
     output_option,
+    read_source_options,
     read_values,
     record_option,
-    set_option,
     source_option,
     source_options,
-    source_options_record,
+    variables_option,
 )
 from animtool.core.options import changed_options
 from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
@@ -54,7 +54,7 @@ Examples:
 @record_option(PreviewOptions, "prim_path", "over")
 @record_option(PictureOptions)
 @source_option(*_SOURCE_OPTIONS)
-@set_option
+@variables_option
 @bake_option("overwrite", help_text="Replace a page or picture that exists.")
 @format_option
 @common_options
@@ -64,7 +64,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
 
     Shows BVH, USD, clips, rigs, scenes, targets, markers and motion files; several
     takes are compared. The page is one file that needs no network. A scene is baked
-    first. Pictures need the extra `pictures`, but no graphics card.
+    first. Pictures need the extra `picture_options`, but no graphics card.
     """
     from animtool.cli import preview_page
     from animtool.preview.pictures.kinds import picture_kind
@@ -72,19 +72,17 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     output, report_format = params["output"], params["report_format"]
     show_options = ShowOptions(**read_values(ShowOptions, params))
     preview_values = read_values(PreviewOptions, params)
-    pictures = PictureOptions(**read_values(PictureOptions, params))
+    picture_options = PictureOptions(**read_values(PictureOptions, params))
     is_picture = output is not None and picture_kind(output) is not None
-    if not is_picture and (picture_flags := changed_options(pictures)):
-        message = (
-            f"--{next(iter(picture_flags))} applies to pictures, such as -o walk.png."
-        )
-        raise click.UsageError(message)
+    if not is_picture and (picture_flags := changed_options(picture_options)):
+        flag = next(iter(picture_flags))
+        raise click.UsageError(f"--{flag} applies to pictures, such as -o walk.png.")
     is_json = report_format == "json"
     if show_options.watch and (output is not None or is_json or show_options.plan):
         message = "--watch serves the page: remove -o, --plan and --format json."
         raise click.UsageError(message)
     options = PreviewOptions(
-        source=source_options_record(params, *_SOURCE_OPTIONS),
+        source=read_source_options(params, *_SOURCE_OPTIONS),
         variables=dict(params["variables"]),
         **{name: value for name, value in preview_values.items() if value is not None},
     )
@@ -98,7 +96,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
             files,
             output,
             options,
-            pictures,
+            picture_options,
             report_format,
             overwrite=params["overwrite"],
         )

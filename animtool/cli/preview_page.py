@@ -96,7 +96,7 @@ def write_picture(
     files: tuple[Path, ...],
     output: Path,
     options: PreviewOptions,
-    pictures: PictureOptions,
+    picture_options: PictureOptions,
     report_format: str,
     *,
     overwrite: bool,
@@ -104,7 +104,12 @@ def write_picture(
     """Write a still picture, a contact sheet or a film."""
     with console.progress(f"preview {files[0].name}") as progress:
         report = write_pictures(
-            files, output, options, pictures, overwrite=overwrite, progress=progress
+            files,
+            output,
+            options,
+            picture_options,
+            overwrite=overwrite,
+            progress=progress,
         )
     console.faults(report.page.notices)
     console.report(report_format, report, PICTURE)
@@ -120,11 +125,11 @@ def serve_preview(
     opens_browser = (
         has_browser() if show_options.opened is None else show_options.opened
     )
-    page_watcher = WatchedPage(lambda: make_page(files, options))
-    page_watcher.build()
-    assert page_watcher.page is not None
-    console.faults(page_watcher.page.notices)
-    with PageServer(page_watcher) as server:
+    watched_page = WatchedPage(lambda: make_page(files, options))
+    watched_page.build()
+    assert watched_page.page is not None
+    console.faults(watched_page.page.notices)
+    with PageServer(watched_page) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         if not opens_browser or not open_browser(server.address):
             console.result(server.address)
@@ -133,11 +138,11 @@ def serve_preview(
 
         def report_built(page: PreviewPage) -> None:
             console.faults(page.notices)
-            console.say(f"reloaded: page {page_watcher.version}")
+            console.say(f"reloaded: page {watched_page.version}")
 
         try:
             rebuild_on_changes(
-                page_watcher,
+                watched_page,
                 lambda error: console.faults(error.faults),
                 report_built,
                 threading.Event().wait,

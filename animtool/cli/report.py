@@ -19,12 +19,12 @@ from animtool.cli.options import (
     common_options,
     format_option,
     output_option,
+    read_source_options,
     read_values,
     record_option,
-    set_option,
     source_option,
     source_options,
-    source_options_record,
+    variables_option,
 )
 from animtool.cli.outputs import print_tradeoffs
 from animtool.core.errors import counted
@@ -66,7 +66,7 @@ Examples:
     metavar="FILE",
 )
 @record_option(BakeOptions, *_OUTPUT_OPTIONS)
-@set_option
+@variables_option
 @source_options
 @source_option(*_SOURCE_OPTIONS)
 @bake_option("overwrite", help_text="Replace a page that exists.")
@@ -94,12 +94,11 @@ def report(
             return
         from animtool.preview.tradeoff_page import write_tradeoff_page
 
-        namer, overwrite = console.namer, params["overwrite"]
-        written_size = write_tradeoff_page(
-            tradeoffs, output, overwrite=overwrite, namer=namer
+        size = write_tradeoff_page(
+            tradeoffs, output, overwrite=params["overwrite"], namer=console.namer
         )
         tables = counted(len(tradeoffs.tables), "table")
-        console.say(f"{output}: {tables}, {written_size / 1e3:.0f} kB")
+        console.say(f"{output}: {tables}, {size / 1e3:.0f} kB")
 
 
 def _measure_tradeoffs(
@@ -117,18 +116,16 @@ def _measure_tradeoffs(
     loaded_source: Path | Scene | None = None
     if source is not None:
         (loaded_source,) = load_sources([source], dict(params["variables"]))
-        inputs = (
-            [loaded_source]
-            if isinstance(loaded_source, Path)
-            else list(loaded_source.inputs)
-        )
+        inputs = [source]
+        if not isinstance(loaded_source, Path):
+            inputs = list(loaded_source.inputs)
     if output is not None:
         check_outputs([output], inputs, overwrite=params["overwrite"])
     name = "the suite" if source is None else source.name
     with console.progress(f"measure {name}") as progress:
         if loaded_source is None:
             return suite_tradeoffs(budget=budget, progress=progress)
-        source_options = source_options_record(params, *_SOURCE_OPTIONS)
+        source_options = read_source_options(params, *_SOURCE_OPTIONS)
         values = {name: params[name] for name in _OUTPUT_OPTIONS}
         options = BakeOptions(source=source_options, **read_values(BakeOptions, values))
         return measure_tradeoffs(

@@ -15,19 +15,19 @@ from animtool.cli.options import (
     INPUT,
     OUTPUT,
     bake_option,
+    read_source_options,
     read_values,
     record_option,
     source_option,
     source_options,
-    source_options_record,
 )
 from animtool.cli.outputs import (
     goes_to_stdout,
+    read_output_options,
     skip_existing_outputs,
     take_output_option,
+    take_output_options,
     writing_options,
-    written_options,
-    written_options_record,
 )
 from animtool.core.errors import listed, percent_text
 from animtool.core.options import options_of
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from animtool.retarget.verdict import Verdict
 
 
-MAX_LISTED_RUNS = 6
+MAX_LISTED_RANGES = 6
 # Rounding noise of lengths and angles [m, rad].
 NEGLIGIBLE_ERROR = 1e-9
 
@@ -50,11 +50,8 @@ def _verdict_text(verdict: Verdict) -> str:
     for reason in verdict.reasons:
         text = f"{reason.what} {reason.text}".rstrip()
         if reason.frames:
-            frame_ranges = [
-                f"{first}" if first == last else f"{first}-{last}"
-                for first, last in reason.frames
-            ]
-            text = f"{listed(frame_ranges, MAX_LISTED_RUNS)} ({text})"
+            ranges = ["-".join(map(str, dict.fromkeys(ends))) for ends in reason.frames]
+            text = f"{listed(ranges, MAX_LISTED_RANGES)} ({text})"
         reasons.append(text)
     if not reasons:
         return str(verdict.status)
@@ -69,12 +66,9 @@ def _angle_text(radians: float) -> str:
     return angle_text(math.degrees(radians if radians > NEGLIGIBLE_ERROR else 0.0))
 
 
-def _stopped_joints(clamped_joints: Mapping[str, float]) -> list[str]:
+def _clamped_joints_text(clamped_joints: Mapping[str, float]) -> list[str]:
     most_clamped = sorted(clamped_joints.items(), key=lambda item: -item[1])
-    return [
-        f"{name} ({percent_text(fraction)} of frames)"
-        for name, fraction in most_clamped
-    ]
+    return [f"{name} ({percent_text(part)} of frames)" for name, part in most_clamped]
 
 
 def _score_text(value: float, printer: str) -> str:
@@ -112,7 +106,7 @@ _TEMPLATE = Template(
     {
         "verdict": _verdict_text,
         "metres": _length_text,
-        "held": _stopped_joints,
+        "held": _clamped_joints_text,
         "scored": _score_text,
     },
     (SECONDS,),
@@ -154,7 +148,7 @@ Examples:
     metavar="FILE",
     help="Write the joint map that was used (.map.yaml), for editing.",
 )
-@written_options
+@take_output_options
 @source_options
 @source_option("prim_path", "take", "positions")
 @bake_option("fps", "frame_range", "start", "placement")
@@ -177,11 +171,11 @@ def retarget(
     job = RetargetJob(
         source,
         params["rig"],
-        source_options_record(params, "prim_path", "take", "positions"),
+        read_source_options(params, "prim_path", "take", "positions"),
         RetargetOptions(**read_values(RetargetOptions, params)),
         output,
         params["write_map"],
-        written_options_record(
+        read_output_options(
             params,
             *("fps", "frame_range", "start", "placement"),
             strict=params["strict"],

@@ -1,4 +1,4 @@
-"""``animtool schema``, ``explain`` and ``completion``."""
+"""``animtool schema`` and ``completion``."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ def completion(console: Console, shell: str) -> None:
     root = click.get_current_context().find_root().command
     completion_class = get_completion_class(shell)
     assert completion_class is not None
-    console.document(
-        completion_class(root, {}, "animtool", "_ANIMTOOL_COMPLETE").source()
-    )
+    completer = completion_class(root, {}, "animtool", "_ANIMTOOL_COMPLETE")
+    console.document(completer.source())
 
 
 # Models by kind of file, or functions that return one.
@@ -54,9 +53,8 @@ REPORT_MODELS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
 
 def model_of(kind: str) -> type[BaseModel]:
     """Return the model of a kind of file."""
-    model_or_function: Any = load_object({**MODELS, **REPORT_MODELS}[kind])
-    model: type[BaseModel] = model_or_function
-    return model if isinstance(model, type) else model_or_function()
+    model: Any = load_object({**MODELS, **REPORT_MODELS}[kind])
+    return model if isinstance(model, type) else model()
 
 
 @command(
@@ -81,5 +79,5 @@ def schema(console: Console, /, kind: str) -> None:
         from animtool.documents.variables import with_variables
 
         json_schema = with_variables(json_schema)
-    schema_header = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    console.result_json({**schema_header, **json_schema})
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    console.result_json({"$schema": dialect, **json_schema})

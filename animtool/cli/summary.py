@@ -48,16 +48,15 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
         key = error.unit, error.target.startswith("control/")
         if key not in largest_by_unit or error.error > largest_by_unit[key].error:
             largest_by_unit[key] = error
-    error_texts = [
+    errors_text = ", ".join(
         f"{plain_number(error.error)} {error.unit or ''}".rstrip()
         + f" ({error.target})"
         for error in largest_by_unit.values()
         if error.error > NEGLIGIBLE_ERROR
-    ]
-    summary_lines = [f"keys on {', '.join(counts)}"]
-    if error_texts:
-        return [*summary_lines, f"largest errors of channels: {', '.join(error_texts)}"]
-    return summary_lines
+    )
+    keys_line = f"keys on {', '.join(counts)}"
+    error_lines = [f"largest errors of channels: {errors_text}"] if errors_text else []
+    return [keys_line, *error_lines]
 
 
 _PRINTERS: Mapping[str, Callable[..., Any]] = {
@@ -166,10 +165,10 @@ def _precision_text(take: TakeReport) -> str:
 def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
     """Return the deformed and the simulated meshes as groups with titles."""
     groups = []
-    for is_simulated, print_title in ((False, _deformed_text), (True, _simulated_text)):
+    for is_simulated, title_of in ((False, _deformed_text), (True, _simulated_text)):
         group_meshes = [mesh for mesh in meshes if mesh.simulated is is_simulated]
         if group_meshes:
-            groups.append({"title": print_title(group_meshes), "meshes": group_meshes})
+            groups.append({"title": title_of(group_meshes), "meshes": group_meshes})
     return groups
 
 

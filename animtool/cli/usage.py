@@ -47,7 +47,7 @@ OTHER_OPTIONS = {
     "--code": ("--select",),
 }
 # Similarity from which an option is suggested, or if another command has the name.
-CUTOFF, SURE = 0.75, 0.9
+CUTOFF, HIGH_CUTOFF = 0.75, 0.9
 # Names of a command's first argument in other tools.
 _FIRST_ARGUMENT_NAMES = {"input", "in", "source", "src", "file", "i", "path"}
 # Kinds of files by their names, and the option that takes one.
@@ -87,8 +87,7 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
     elif extra_match := _EXTRA_ARGUMENTS.search(error.message):
         first = extra_match[1].split()[0]
         hint = _argument_hint(first, context)
-        if hint is None:
-            hint = f"{context.command_path} -h shows what it takes"
+        hint = hint or f"{context.command_path} -h shows what it takes"
         if len(_options(context.command)) == len(context.command.params):
             hint = f"{context.command_path} takes options only"
         text = f"Unexpected argument {first!r}; {hint}"
@@ -105,17 +104,12 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
             flag = param.opts[-1]
             text = f"Option {flag!r} needs a value: {' or '.join(names)}."
             return click.UsageError(text, context)
-        other_value = OTHER_VALUES.get(choice[1].lower())
-        close_matches = (
-            [other_value]
-            if other_value in names
-            else get_close_matches(choice[1], names, 1)
-        )
-        if not close_matches:
+        meant = OTHER_VALUES.get(choice[1].lower())
+        if meant not in names:
+            meant = next(iter(get_close_matches(choice[1], names, 1)), None)
+        if meant is None:
             return error
-        text = (
-            f"{error.format_message().rstrip('.')}; did you mean {close_matches[0]!r}?"
-        )
+        text = f"{error.format_message().rstrip('.')}; did you mean {meant!r}?"
     else:
         return error
     ends_sentence = text.endswith("?") or isinstance(error, click.MissingParameter)
@@ -182,7 +176,7 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     """Yield hints for an unknown option, the best hint first."""
     command, path = context.command, context.command_path
     bare_name = name.lstrip("-")
-    if isinstance(command, LazyGroup) and bare_name in command.table:
+    if isinstance(command, LazyGroup) and bare_name in command.entries:
         yield f"write {path} {bare_name}"
     output = _argument_named("output", command) if bare_name == "to" else None
     if output is not None:
@@ -195,9 +189,8 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     if argument is not None:
         yield f"{argument} is an argument: {path} {argument}"
     owning_command = next(_commands_with_option(name, context), None)
-    close_matches = get_close_matches(
-        name, flags, 1, SURE if owning_command else CUTOFF
-    )
+    cutoff = HIGH_CUTOFF if owning_command else CUTOFF
+    close_matches = get_close_matches(name, flags, 1, cutoff)
     if close_matches:
         yield f"did you mean {close_matches[0]!r}?"
     if bare_name in {"o", "output"}:
@@ -214,7 +207,7 @@ def _commands_with_option(name: str, context: click.Context) -> Iterator[str]:
     group = root.command
     if not isinstance(group, LazyGroup):
         return
-    for command_name in dict.fromkeys((*_SUGGESTED_COMMANDS, *group.table)):
+    for command_name in dict.fromkeys((*_SUGGESTED_COMMANDS, *group.entries)):
         command = group.get_command(root, command_name)
         if command is None or isinstance(command, click.Group):
             continue
@@ -228,18 +221,12 @@ def _options(command: click.Command) -> list[click.Option]:
 
 def _argument_named(name: str, command: click.Command) -> str | None:
     """Return the placeholder of the argument with the name of an option, else None."""
-    arguments = [
-        parameter
-        for parameter in command.params
-        if isinstance(parameter, click.Argument)
-    ]
+    arguments = [param for param in command.params if isinstance(param, click.Argument)]
     for i, argument in enumerate(arguments):
         placeholder = (argument.metavar or argument.human_readable_name).rstrip(".")
-        names = {
-            str(argument.name).lower(),
-            *re.findall(r"[a-z]+", placeholder.lower()),
-        }
-        if name in names or (i == 0 and name in _FIRST_ARGUMENT_NAMES):
+        words = re.findall(r"[a-z]+", placeholder.lower())
+        is_first_name = i == 0 and name in _FIRST_ARGUMENT_NAMES
+        if is_first_name or name in {str(argument.name).lower(), *words}:
             return placeholder
     return None
 
@@ -250,12 +237,8 @@ def _argument_hint(text: str, context: click.Context) -> str | None:
         return f"write number and unit in one word, such as 1{text}"
     flags = {flag for param in _options(context.command) for flag in param.opts}
     path = Path(text)
-    suffixes = [suffix[1:] for suffix in path.suffixes]
-    accepting_flags = [
-        flag for kind, flag in _OPTION_BY_FILE_KIND.items() if kind in suffixes
-    ]
-    for flag in accepting_flags:
-        if flag in flags:
+    for kind, flag in _OPTION_BY_FILE_KIND.items():
+        if f".{kind}" in path.suffixes and flag in flags:
             return f"write {flag} {text}"
     if "--clip" in flags and path.suffix and path.exists():
         return f"to start from it, write --clip {text}"

@@ -56,9 +56,8 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
     """
     from animtool.validation.run import match_files
 
-    options = ValidateOptions(
-        **read_values(ValidateOptions, params)
-    ).with_profile_levels()
+    options = ValidateOptions(**read_values(ValidateOptions, params))
+    options = options.with_profile_levels()
     report_options = ReportOptions(**read_values(ReportOptions, params))
     for message in clash_messages(report_options):
         raise click.UsageError(f"{message}.")
@@ -153,13 +152,7 @@ def _show_difference(
             console.say(f"{path} would be written")
         if code is ExitCode.OK and not report_options.exit_zero:
             code = ExitCode.FINDINGS
-    console.faults(
-        [
-            finding
-            for finding in report.findings
-            if _identity(finding) not in fixed_identities
-        ]
-    )
+    console.faults(f for f in report.findings if _identity(f) not in fixed_identities)
     if report.findings and not has_changes:
         console.say("nothing to change: no finding has a safe fix")
     console.say(summary(report))

@@ -144,7 +144,7 @@ class Document:
     def is_placeholder(self, location: Location) -> bool:
         """Return whether a value or an ancestor is a placeholder.
 
-        A placeholder replaced a faulty value, or its key was guessed from a misspelling.
+        A placeholder replaced a faulty value, or its key was a misspelling.
         """
         unknown = self.placeholders | self.guessed_keys
         return bool(unknown) and any(
@@ -175,7 +175,7 @@ class Document:
     def not_ascending(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield the indices of each entry that is not above its predecessor, and of that.
+        """Yield the index of each entry not above its predecessor, and of the latter.
 
         Args:
             location: Location of the list.

@@ -13,7 +13,7 @@ from support.bvh import HEADER, random_rows, small_bvh
 from support.cli import animtool
 
 from animtool.cli.bake import bake
-from animtool.cli.bake_options import bake_options_record
+from animtool.cli.bake_options import read_bake_options
 from animtool.core.errors import ExitCode
 from animtool.scene.bake.options import BakeOptions
 
@@ -27,7 +27,7 @@ def take(tmp_path: Path) -> Path:
 
 def test_defaults_are_those_of_the_options() -> None:
     context = bake.make_context("bake", ["take.bvh"])
-    assert bake_options_record(context.params) == BakeOptions()
+    assert read_bake_options(context.params) == BakeOptions()
 
 
 def test_every_option_is_reachable() -> None:
