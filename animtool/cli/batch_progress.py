@@ -17,7 +17,7 @@ from animtool.cli.console import Console
 from animtool.core.arguments import ArgumentNamer
 from animtool.core.errors import AnimtoolError, Fault, counted
 from animtool.core.quantities import escaped, length_text
-from animtool.report.text import Each, Template, columns
+from animtool.report.text import Each, Template, aligned_lines
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -250,7 +250,7 @@ def _pass_table(
         values = (texts.get(name, "") for name in names)
         score_rows.append((f"  {_item_text(entry)}", *values, worse_names))
     yield f"{pass_key[0]} ({pass_key[1]}), worst first:"
-    yield from columns(score_rows, {0, len(names) + 1})
+    yield from aligned_lines(score_rows, {0, len(names) + 1})
     if len(table_rows) > MAX_TABLE_ROWS:
         omitted = counted(len(table_rows) - MAX_TABLE_ROWS, "item")
         yield f"  {omitted} more, which are better; --format json lists all"

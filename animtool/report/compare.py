@@ -20,9 +20,9 @@ from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.report.tolerances import (
     WEIGHT_TOLERANCE,
-    hidden_angle,
-    hidden_length,
-    hidden_weight,
+    angle_warnings,
+    length_warnings,
+    weight_warnings,
 )
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.shapes import arkit_name
@@ -56,19 +56,15 @@ def compare_weights(
 
     Returns the largest difference, the number of shapes compared, and the mismatches.
     """
-    first_weights, second_weights = (_weights(take) for take in (first, second))
+    first_weights, second_weights = (_dense_weights(take) for take in (first, second))
     names = [[shape.name for shape in take.rig.shapes] for take in (first, second)]
     pairs = _shape_pairs(*names)
     unmatched_names = []
     for side, weights in enumerate((first_weights, second_weights)):
         matched_shapes = {pair[side] for pair in pairs}
-        unmatched_names.append(
-            [
-                name
-                for s, name in enumerate(names[side])
-                if s not in matched_shapes and weights[:, s].any()
-            ]
-        )
+        moving = np.flatnonzero(weights.any(axis=0)).tolist()
+        unmatched = [names[side][s] for s in moving if s not in matched_shapes]
+        unmatched_names.append(unmatched)
     mismatches = missing_texts("shape", *unmatched_names)
     first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
     difference = np.abs(
@@ -98,7 +94,7 @@ def missing_texts(
     return texts
 
 
-def _weights(take: Take) -> FloatArray:
+def _dense_weights(take: Take) -> FloatArray:
     """Return the weight of every shape ``(F, S)``; 0 for shapes without weights."""
     if take.motion.weights is None:
         return np.zeros((take.clock.count, len(take.rig.shapes)))
@@ -115,11 +111,10 @@ def _shape_pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int,
         if second_index not in used_second and (arkit := arkit_name(name)) is not None
     }
     for i, name in enumerate(first):
-        match = (
-            None if i in used_first else by_arkit_name.pop(arkit_name(name) or "", None)
-        )
-        if match is not None:
-            pairs.append((i, match))
+        if i not in used_first:
+            match = by_arkit_name.pop(arkit_name(name) or "", None)
+            if match is not None:
+                pairs.append((i, match))
     return sorted(pairs)
 
 
@@ -164,9 +159,9 @@ class TakeDifference:
         """Return warnings about tolerances that hide every difference (CLI107)."""
         largest = max(self.world.value, self.translation.value)
         return [
-            *hidden_length(meters, largest, self.size),
-            *hidden_angle(degrees, self.rotation.value),
-            *hidden_weight(weights, self.weight.value),
+            *length_warnings(meters, largest, self.size),
+            *angle_warnings(degrees, self.rotation.value),
+            *weight_warnings(weights, self.weight.value),
         ]
 
     def within(
@@ -211,19 +206,12 @@ def compare(
     first_options = options or SourceOptions()
     options_by_file = [first_options, second_options]
     if second_options is None:
-        options_by_file = [
-            fitting_options(first_options, path, paths) for path in paths
-        ]
+        options_by_file = [fitting_options(first_options, p, paths) for p in paths]
     if all(is_usd(path) for path in paths) and options_by_file == 2 * [SourceOptions()]:
         characters = [open_characters(path) for path in paths]
         if max(map(len, characters)) > 1:
             return _character_difference(*characters)
-    return _stream_difference(
-        *(
-            open_source(path, file_options)
-            for path, file_options in zip(paths, options_by_file, strict=True)
-        )
-    )
+    return _stream_difference(*map(open_source, paths, options_by_file))
 
 
 def _stream_difference(first: TakeStream, second: TakeStream) -> TakeDifference:
@@ -287,17 +275,12 @@ def _merged_difference(
     total: TakeDifference, added: TakeDifference, skeleton: str
 ) -> TakeDifference:
     """Return the total difference, extended by the difference of another skeleton."""
-    quantities = ("world", "translation", "rotation", "scale", "weight")
-    larger_differences = {
-        quantity: replace(difference, skeleton=skeleton)
-        for quantity in quantities
-        if (difference := getattr(added, quantity)).value
-        > getattr(total, quantity).value
-    }
-    with_skeleton = {
-        name: [f"{skeleton}: {line}" for line in getattr(added, name)]
-        for name in ("mismatches", "notes")
-    }
+    larger_differences = {}
+    for quantity in ("world", "translation", "rotation", "scale", "weight"):
+        difference = getattr(added, quantity)
+        if difference.value > getattr(total, quantity).value:
+            larger_differences[quantity] = replace(difference, skeleton=skeleton)
+    new_notices = [notice for notice in added.notices if notice not in total.notices]
     return replace(
         total,
         **larger_differences,
@@ -305,10 +288,9 @@ def _merged_difference(
         size=max(total.size, added.size),
         joints=total.joints + added.joints,
         shapes=total.shapes + added.shapes,
-        mismatches=total.mismatches + with_skeleton["mismatches"],
-        notes=total.notes + with_skeleton["notes"],
-        notices=total.notices
-        + [notice for notice in added.notices if notice not in total.notices],
+        mismatches=total.mismatches + [f"{skeleton}: {m}" for m in added.mismatches],
+        notes=total.notes + [f"{skeleton}: {note}" for note in added.notes],
+        notices=total.notices + new_notices,
     )
 
 
@@ -330,8 +312,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     if first.clock.rate != second.clock.rate:
         second = resampled(second, first.clock.rate)
     frames = min(first.clock.count, second.clock.count)
-    first_joints = [first_joint for first_joint, _ in pairs]
-    second_joints = [second_joint for _, second_joint in pairs]
+    first_joints, second_joints = ([pair[side] for pair in pairs] for side in (0, 1))
     codes = first.clock.times
 
     weight, shapes, missing_shapes = compare_weights(first, second, frames)
@@ -353,16 +334,13 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     rotation = so3.angle_between(
         first_joint[1][:, first_joints], second_joint[1][:, second_joints]
     )
+    first_scales, second_scales = map(_dense_scales, (first_joint, second_joint))
+    scale = first_scales[:, first_joints] - second_scales[:, second_joints]
     return TakeDifference(
         largest(np.linalg.norm(difference, axis=-1)),
         largest(np.linalg.norm(translation, axis=-1)),
         largest(np.degrees(rotation)),
-        largest(
-            np.abs(
-                _dense_scales(first_joint)[:, first_joints]
-                - _dense_scales(second_joint)[:, second_joints]
-            ).max(axis=-1)
-        ),
+        largest(np.abs(scale).max(axis=-1)),
         weight,
         frames,
         len(pairs),
@@ -398,16 +376,13 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
     pairs: list[tuple[int, int]] = []
     used_indices: set[int] = set()
     for i, joint in enumerate(first.joints):
-        keys = (joint.source_name or joint.name, joint.name)
-        candidates = [
-            second_index
-            for key in keys
-            for second_index in indices_by_name.get(key, [])
-            if second_index not in used_indices
-        ]
-        if candidates:
-            used_indices.add(candidates[0])
-            pairs.append((i, candidates[0]))
+        for key in (joint.source_name or joint.name, joint.name):
+            candidates = indices_by_name.get(key, [])
+            match = next((j for j in candidates if j not in used_indices), None)
+            if match is not None:
+                used_indices.add(match)
+                pairs.append((i, match))
+                break
     return pairs
 
 

@@ -15,7 +15,10 @@ from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
 from animtool.maths import so3
 from animtool.report.compare import SCALE_TOLERANCE, missing_texts, space_notes
-from animtool.report.tolerances import hidden_angle, hidden_length
+from animtool.report.tolerances import (
+    angle_warnings,
+    length_warnings,
+)
 
 if TYPE_CHECKING:
     from animtool.usd.caches.reader import PointSample, PointSource
@@ -52,8 +55,8 @@ class PointsDifference:
     def tolerance_warnings(self, meters: float, degrees: float) -> list[Fault]:
         """Return warnings about tolerances that hide every difference (CLI107)."""
         return [
-            *hidden_length(meters, self.points.value, self.size),
-            *hidden_angle(degrees, self.orientations.value),
+            *length_warnings(meters, self.points.value, self.size),
+            *angle_warnings(degrees, self.orientations.value),
         ]
 
     def within(self, meters: float, degrees: float) -> bool:
@@ -89,35 +92,27 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     samples, size = 0, 0.0
     for name in common_names:
         codes = source_a.codes(name), source_b.codes(name)
-        if source_a.type(name) != source_b.type(name):
-            mismatches.append(
-                f"{name}: {source_a.type(name)} instead of {source_b.type(name)}"
-            )
+        types = source_a.type(name), source_b.type(name)
+        if types[0] != types[1]:
+            mismatches.append(f"{name}: {types[0]} instead of {types[1]}")
         if len(codes[0]) != len(codes[1]):
             counts = f"{counted(len(codes[0]), 'sample')} instead of {len(codes[1])}"
             mismatches.append(f"{name}: {counts}")
-        for code, first_sample, second_sample in _sample_pairs(
-            source_a, source_b, name, codes
-        ):
+        for code, *pair in _sample_pairs(source_a, source_b, name, codes):
             samples += 1
-            size = max(
-                size, _bounds_diagonal(first_sample), _bounds_diagonal(second_sample)
-            )
-            mismatch = _point_mismatch(first_sample, second_sample)
+            size = max(size, *map(_bounds_diagonal, pair))
+            mismatch = _point_mismatch(*pair)
             if mismatch:
                 mismatches.append(f"{name} at time code {code:g}: {mismatch}")
                 break
-            for quantity, (values, ids) in _distances(
-                first_sample, second_sample
-            ).items():
+            for quantity, (values, ids) in _distances(*pair).items():
                 worst_index = int(np.argmax(values)) if len(values) else 0
                 if len(values) and values[worst_index] > largest[quantity].value:
                     worst, point = float(values[worst_index]), int(ids[worst_index])
                     largest[quantity] = PointDifference(worst, name, point, code)
     if source_a.fps != source_b.fps:
-        mismatches.append(
-            f"{source_a.fps} time codes per second instead of {source_b.fps}"
-        )
+        rates = f"{source_a.fps} time codes per second instead of {source_b.fps}"
+        mismatches.append(rates)
     return PointsDifference(
         "points",
         **largest,
@@ -148,41 +143,31 @@ def _sample_pairs(
     """Yield common time codes of the first stage, with a sample of either stage."""
     first_codes, second_codes = codes
     if not first_codes or not second_codes:
-        yield (
-            0.0,
-            source_a.sample(name, None),
-            _in_axes_of_first(source_a, source_b, source_b.sample(name, None)),
-        )
+        first_sample = source_a.sample(name, None)
+        yield 0.0, first_sample, _in_axes_of_first(source_a, source_b, name, None)
         return
     duration = float((second_codes[-1] - second_codes[0]) / source_b.fps) + 1e-9
     for code in first_codes:
         elapsed = float((code - first_codes[0]) / source_a.fps)
         if elapsed <= duration:
-            second_sample = source_b.sample(
-                name, second_codes[0] + elapsed * float(source_b.fps)
-            )
-            yield (
-                code,
-                source_a.sample(name, code),
-                _in_axes_of_first(source_a, source_b, second_sample),
-            )
+            second_code = second_codes[0] + elapsed * float(source_b.fps)
+            second_sample = _in_axes_of_first(source_a, source_b, name, second_code)
+            yield code, source_a.sample(name, code), second_sample
 
 
 def _in_axes_of_first(
-    source_a: PointSource, source_b: PointSource, sample: PointSample
+    source_a: PointSource, source_b: PointSource, name: str, code: float | None
 ) -> PointSample:
     """Return a sample of the second stage in the up axis of the first."""
+    sample = source_b.sample(name, code)
     up_rotation = up_from_up(source_a.up, source_b.up)
     if up_rotation is None:
         return sample
-    orientations = sample.orientations
-    return replace(
-        sample,
-        points=so3.rotate(np.array(up_rotation), sample.points),
-        orientations=None
-        if orientations is None
-        else so3.multiply(np.array(up_rotation), orientations),
-    )
+    rotation, orientations = np.array(up_rotation), sample.orientations
+    if orientations is not None:
+        orientations = so3.multiply(rotation, orientations)
+    points = so3.rotate(rotation, sample.points)
+    return replace(sample, points=points, orientations=orientations)
 
 
 def _point_mismatch(first: PointSample, second: PointSample) -> str:
@@ -212,10 +197,8 @@ def _matched_indices(
     ids = np.arange(len(first.points)) if first.ids is None else first.ids
     first_indices = second_indices = np.arange(len(ids))
     if first.ids is not None and second.ids is not None:
-        first_indices, second_indices = (
-            np.argsort(sample_ids, kind="stable")
-            for sample_ids in (first.ids, second.ids)
-        )
+        first_indices = np.argsort(first.ids, kind="stable")
+        second_indices = np.argsort(second.ids, kind="stable")
     return ids[first_indices], first_indices, second_indices
 
 

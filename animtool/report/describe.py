@@ -114,6 +114,8 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     if stream.details.get("format") == "BVH" and (options is None or not options.up):
         stream.notices.extend(lying_body_notices(Path(path), rig, motion))
     take_names = stream.details.get("takes")
+    moving_shapes = [] if motion.weights is None else motion.weights.animated.tolist()
+    bounds = np.min(block_minima, axis=0), np.max(block_maxima, axis=0)
     return TakeDescription(
         str(path),
         str(stream.details.get("format", "")),
@@ -128,24 +130,19 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         channel_count if isinstance(channel_count, int) else None,
         animated_counts,
         len(rig.shapes),
-        []
-        if motion.weights is None
-        else [rig.shapes[shape].name for shape in motion.weights.animated.tolist()],
-        (
-            (np.min(block_minima, axis=0) / meters).tolist(),
-            (np.max(block_maxima, axis=0) / meters).tolist(),
-        ),
+        [rig.shapes[shape].name for shape in moving_shapes],
+        ((bounds[0] / meters).tolist(), (bounds[1] / meters).tolist()),
         unit_name(meters),
         rig.up.value,
         take_names if isinstance(take_names, list) else [],
         str(stream.details.get("take", "")),
-        _points(Path(path)),
+        _describe_points(Path(path)),
         stream.notices,
-        _shot(Path(path)),
+        _recorded_shot(Path(path)),
         capture,
-        None if capture is None else _cycle(take),
-        _characters(Path(path), options),
-        _contents(Path(path)),
+        None if capture is None else _find_cycle(take),
+        _all_characters(Path(path), options),
+        _describe_contents(Path(path)),
     )
 
 
@@ -160,7 +157,7 @@ def _open_take(path: Path | str, options: SourceOptions | None) -> TakeStream:
         return open_source(path, dropped_placement)
 
 
-def _cycle(take: Take) -> Cycle | None:
+def _find_cycle(take: Take) -> Cycle | None:
     """Return the motion cycle of a take if its ends match closely enough."""
     from animtool.edit.cycle import find_cycle
     from animtool.edit.looping import MAX_GOOD_SEAM
@@ -173,7 +170,7 @@ def _cycle(take: Take) -> Cycle | None:
     return cycle if cycle.share <= MAX_GOOD_SEAM else None
 
 
-def _shot(path: Path) -> dict[str, object] | None:
+def _recorded_shot(path: Path) -> dict[str, object] | None:
     """Return the shot that a USD file stores."""
     if not is_usd(path):
         return None
@@ -182,7 +179,7 @@ def _shot(path: Path) -> dict[str, object] | None:
     return layer_shot(find_layer(path))
 
 
-def _points(path: Path) -> list[PointPrimSummary]:
+def _describe_points(path: Path) -> list[PointPrimSummary]:
     """Return the description of a USD file's animated points."""
     if not is_usd(path):
         return []
@@ -191,7 +188,9 @@ def _points(path: Path) -> list[PointPrimSummary]:
     return animated_point_prims(path)
 
 
-def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | None:
+def _all_characters(
+    path: Path, options: SourceOptions | None
+) -> CharactersFacts | None:
     """Return a summary of several characters; None for one or a selected character."""
     is_selected = options is not None and (options.prim_path or options.take)
     if not is_usd(path) or is_selected:
@@ -201,7 +200,7 @@ def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | 
     return describe_characters(path)
 
 
-def _contents(path: Path) -> GltfContents | None:
+def _describe_contents(path: Path) -> GltfContents | None:
     """Return the contents of a glTF or FBX file."""
     if reader_of(path) not in {FBX, GLTF}:
         return None

@@ -74,16 +74,9 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
         joints += len(take.rig.joints)
         if take.rig.joints:
             summaries.append(_summarize(name, take))
-    mean_speeds = [
-        summary.mean_speed for summary in summaries if summary.mean_speed is not None
-    ]
-    speeds, heights, rises = (
-        [
-            value
-            for summary in summaries
-            if (value := getattr(summary, name)) is not None
-        ]
-        for name in ("speed", "lowest", "rise")
+    mean_speeds, speeds, heights, rises = (
+        [v for v in map(attrgetter(name), summaries) if v is not None]
+        for name in ("mean_speed", "speed", "lowest", "rise")
     )
     value_of = attrgetter("value")
     bounds = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from animtool.core.errors import Fault
 from animtool.core.files.reading import note_input
@@ -49,7 +50,7 @@ class GltfDescription:
 
 def gltf_contents(path: Path | str) -> GltfContents:
     """Return the contents of a glTF file."""
-    return _contents(open_gltf(path))
+    return _gltf_contents(open_gltf(path))
 
 
 def describe_without_nodes(path: Path) -> GltfDescription | None:
@@ -58,26 +59,34 @@ def describe_without_nodes(path: Path) -> GltfDescription | None:
     gltf = open_gltf(path)
     if gltf.nodes:
         return None
-    return GltfDescription(str(path), "glTF", _contents(gltf), gltf.notes.notices)
+    return GltfDescription(str(path), "glTF", _gltf_contents(gltf), gltf.notes.notices)
 
 
-def _contents(gltf: Gltf) -> GltfContents:
-    skeletons = find_characters(gltf) if gltf.nodes else ()
+def _gltf_contents(gltf: Gltf) -> GltfContents:
     names = unique_clip_names(gltf.animations)
     clips = [
         GltfClip(name, *animation.span, len(animation.tracks))
         for name, animation in zip(names, gltf.animations, strict=True)
     ]
+    bones = {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)}
+    return _contents(gltf, clips, len(gltf.scenes), bones)
+
+
+def _contents(
+    file: Any, clips: list[GltfClip], scene_count: int, bones: dict[str, str]
+) -> GltfContents:
+    """Return the contents of a glTF or FBX file with its clips and VRM bones."""
+    skeletons = find_characters(file) if file.nodes else ()
     return GltfContents(
-        len(gltf.nodes),
-        len(gltf.meshes),
-        len(gltf.skins),
-        len(gltf.animations),
-        len(gltf.scenes),
+        len(file.nodes),
+        len(file.meshes),
+        len(file.skins),
+        len(clips),
+        scene_count,
         [skeleton.path for skeleton in skeletons] if len(skeletons) > 1 else [],
         clips,
-        {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)},
-        list(gltf.ignored_contents),
+        bones,
+        list(file.ignored_contents),
     )
 
 
@@ -88,24 +97,8 @@ def fbx_contents(path: Path | str) -> GltfContents:
     from animtool.formats.fbx.settings import TICKS_PER_SECOND
 
     scene = open_fbx(path)
-    skeletons = find_characters(scene) if scene.nodes else ()
-    clips = [
-        GltfClip(
-            name,
-            take.start_ticks / TICKS_PER_SECOND,
-            take.end_ticks / TICKS_PER_SECOND,
-            len(take.curves()),
-        )
-        for name, take in zip(scene_take_names(scene), scene.takes, strict=True)
-    ]
-    return GltfContents(
-        len(scene.nodes),
-        len(scene.meshes),
-        len(scene.skins),
-        len(scene.takes),
-        1,
-        [skeleton.path for skeleton in skeletons] if len(skeletons) > 1 else [],
-        clips,
-        {},
-        list(scene.ignored_contents),
-    )
+    clips = []
+    for name, take in zip(scene_take_names(scene), scene.takes, strict=True):
+        start, end = (t / TICKS_PER_SECOND for t in (take.start_ticks, take.end_ticks))
+        clips.append(GltfClip(name, start, end, len(take.curves())))
+    return _contents(scene, clips, 1, {})

@@ -14,7 +14,7 @@ from animtool.rig.drivers import Driver
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import surfaces_of
+from animtool.rig.surfaces import Surface, surfaces_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,27 +68,13 @@ class RigDescription:
 def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescription:
     """Describe an open rig, with its notices."""
     types = Counter(str(joint.type) for joint in rig.joints)
-    meshes = [
-        MeshDescription(
-            surface.name,
-            len(surface.points),
-            len(surface.counts),
-            None if surface.skin is None else surface.skin.method,
-            0 if surface.skin is None else len(surface.skin.joints),
-            0
-            if surface.skin is None
-            else int((surface.skin.weights > 0).sum(axis=1).max(initial=0)),
-            len(surface.shapes),
-        )
-        for surface in surfaces_of(rig)
-    ]
     return RigDescription(
         str(path),
         rig.name,
         dict(types),
         sum(joint.limits is not None for joint in rig.joints),
         rest_size(rig) / rig.meters_per_unit,
-        meshes,
+        list(map(_describe_mesh, surfaces_of(rig))),
         len(rig.shapes),
         sum(bool(shape.combine) for shape in rig.shapes),
         len({arkit_name(shape.name) for shape in rig.shapes} - {None}),
@@ -103,6 +89,16 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
         rig.up.value,
         notices,
     )
+
+
+def _describe_mesh(surface: Surface) -> MeshDescription:
+    name, points, faces = surface.name, len(surface.points), len(surface.counts)
+    method, joints, influences = None, 0, 0
+    if surface.skin is not None:
+        method, joints = surface.skin.method, len(surface.skin.joints)
+        influences = int((surface.skin.weights > 0).sum(axis=1).max(initial=0))
+    shapes = len(surface.shapes)
+    return MeshDescription(name, points, faces, method, joints, influences, shapes)
 
 
 def _driver_formulas(rig: Rig) -> list[str]:
@@ -153,11 +149,10 @@ def describe_targets(path: Path) -> TargetsDescription:
     """Return the description of a targets file; raise an error for its faults."""
     tracks = load_targets(path)
     clock = tracks.clock
+    kinds = [tuple(kind.name for kind in track.goal.kinds) for track in tracks.goals]
     goals = tuple(
-        GoalDescription(
-            track.name, tuple(kind.name for kind in track.goal.kinds), track.spans
-        )
-        for track in tracks.goals
+        GoalDescription(track.name, names, track.spans)
+        for track, names in zip(tracks.goals, kinds, strict=True)
     )
     return TargetsDescription(
         path,

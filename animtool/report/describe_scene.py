@@ -105,19 +105,16 @@ def describe_scene(scene: Scene) -> SceneDescription:
         [str(source.path) for source in scene.sources],
         None if scene.rig is None else str(scene.rig),
         [PropDescription(str(prop.file), prop.prim, prop.path) for prop in scene.props],
-        [
-            PassDescription(entry.pass_.name, entry.location.line)
-            for entry in scene.passes
-        ],
-        [_system(scene, system) for system in scene.systems],
-        [_output(scene, output) for output in scene.outputs],
+        [PassDescription(e.pass_.name, e.location.line) for e in scene.passes],
+        [_describe_system(scene, system) for system in scene.systems],
+        [_describe_output(scene, output) for output in scene.outputs],
         scene.bake.fps,
         scene.bake.frame_range,
         sorted(scene.variables),
     )
 
 
-def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
+def _describe_system(scene: Scene, system: SceneSystem) -> SystemDescription:
     setup = system.setup
     facts = setup.facts
     return SystemDescription(
@@ -136,7 +133,7 @@ def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
     )
 
 
-def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
+def _describe_output(scene: Scene, output: SceneOutput) -> OutputDescription:
     path, bake = output.path or default_output(scene.path), output.bake
     writer = writer_of(path)
     is_usd = writer is None or writer.stage

@@ -52,8 +52,8 @@ class Each:
 
     name: str
     lines: tuple[Line, ...]
-    most: int | None = None
-    rest: str = ""
+    max_entries: int | None = None
+    omitted: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class Template:
 
     def text(self, record: object, *, all_names: bool = False) -> list[str]:
         """Return the lines of a record; ``all_names`` prints lists of names in full."""
-        names = _names(None if all_names else MAX_NAMED)
+        names = _names_printer(None if all_names else MAX_NAMED)
         return render(record, self.lines, {**self.printers, "names": names})
 
     def detail_lines(self, record: object) -> list[str]:
@@ -114,7 +114,7 @@ class Template:
         return render(record, self.details, self.printers)
 
 
-def _names(max_count: int | None) -> Callable[..., str]:
+def _names_printer(max_count: int | None) -> Callable[..., str]:
     def print_names(value: Any, default: str = "") -> str:
         return listed(list(value), max_count or int(default or len(value)))
 
@@ -135,9 +135,7 @@ def render(
     >>> render({"path": "a.bvh", "joints": 1, "notes": []}, lines)
     ['a.bvh: 1 joint', '  notes  none']
     """
-    return list(
-        _Renderer({**DEFAULT_PRINTERS, **(printers or {})}).lines((record,), lines)
-    )
+    return list(_renderer(printers).lines((record,), lines))
 
 
 def table_cells(
@@ -147,7 +145,11 @@ def table_cells(
 
     Arguments as in `render`.
     """
-    return _Renderer({**DEFAULT_PRINTERS, **(printers or {})}).cells((record,), table)
+    return _renderer(printers).cells((record,), table)
+
+
+def _renderer(printers: Printers | None) -> _Renderer:
+    return _Renderer({**DEFAULT_PRINTERS, **(printers or {})})
 
 
 _Scope: TypeAlias = tuple[Any, ...]  # records, the innermost first
@@ -173,11 +175,11 @@ class _Renderer:
 
     def _each(self, scope: _Scope, line: Each) -> Iterator[str]:
         entries = self._entries(scope, line.name)
-        for number, entry in enumerate(entries[: line.most], 1):
+        for number, entry in enumerate(entries[: line.max_entries], 1):
             yield from self.lines((entry, {"number": number}, *scope), line.lines)
-        omitted_count = len(entries) - (line.most or len(entries))
+        omitted_count = len(entries) - (line.max_entries or len(entries))
         if omitted_count > 0:
-            yield from self.lines(({"left": omitted_count}, *scope), (line.rest,))
+            yield from self.lines(({"left": omitted_count}, *scope), (line.omitted,))
 
     def _entries(self, scope: _Scope, name: str) -> list[Any]:
         name, _, spec = name.partition(":")
@@ -189,7 +191,7 @@ class _Renderer:
         return list(value or ())
 
     def _table(self, scope: _Scope, table: Table) -> Iterator[str]:
-        for text in columns(*self.cells(scope, table)):
+        for text in aligned_lines(*self.cells(scope, table)):
             yield table.indent + text
 
     def cells(self, scope: _Scope, table: Table) -> tuple[list[list[str]], set[int]]:
@@ -199,27 +201,23 @@ class _Renderer:
             [self.fill_template((entry, *scope), cell) or "" for cell in templates]
             for entry in self._entries(scope, table.name)
         ]
-        shown_columns = [
-            (i, header)
+        shown_columns = {
+            header: i
             for i, header in enumerate(table.columns)
             if header not in table.optional or any(row[i] for row in cells)
-        ]
-        rows = [[header.strip() for _, header in shown_columns]]
-        rows += [[row[i] for i, _ in shown_columns] for row in cells]
-        return rows, {
-            i for i, (_, header) in enumerate(shown_columns) if header in table.left
         }
+        rows = [[header.strip() for header in shown_columns]]
+        rows += [[row[i] for i in shown_columns.values()] for row in cells]
+        return rows, {i for i, name in enumerate(shown_columns) if name in table.left}
 
     def fill_template(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
         """Return the text of template nodes; None if a required field is missing."""
         texts = []
         for node in nodes:
             if isinstance(node, _Alternatives):
-                alternative_texts = (
-                    self.fill_template(scope, alternative) for alternative in node.parts
-                )
+                part_texts = (self.fill_template(scope, part) for part in node.parts)
                 texts.append(
-                    next((text for text in alternative_texts if text is not None), "")
+                    next((part for part in part_texts if part is not None), "")
                 )
                 continue
             text = node if isinstance(node, str) else self._field_text(scope, node)
@@ -245,7 +243,7 @@ class _Renderer:
         return format(value, width) or None
 
 
-def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
+def aligned_lines(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
     """Align rows of cells as lines; the columns in ``left`` are left-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
@@ -310,11 +308,8 @@ def _value(scope: _Scope, name: str) -> Any:
     for record in scope:
         if field_name == "self":
             return value_at_path(record, attributes_path)
-        if (
-            field_name in record
-            if isinstance(record, Mapping)
-            else hasattr(record, field_name)
-        ):
+        is_mapping = isinstance(record, Mapping)
+        if field_name in record if is_mapping else hasattr(record, field_name):
             return value_at_path(record, name)
     record_types = ", ".join(type(record).__name__ for record in scope)
     raise AttributeError(f"{record_types}: no field {field_name!r}")

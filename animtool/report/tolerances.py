@@ -16,7 +16,7 @@ MAX_FRACTION = 0.25
 MAX_ANGLE, MAX_WEIGHT = 180.0, 1.0
 
 
-def hidden_length(tolerance: float, largest: float, size: float) -> list[Fault]:
+def length_warnings(tolerance: float, largest: float, size: float) -> list[Fault]:
     """Warn if a tolerance is a large fraction of the compared size (CLI107).
 
     Args:
@@ -28,36 +28,34 @@ def hidden_length(tolerance: float, largest: float, size: float) -> list[Fault]:
         return []
     if not LENGTH_TOLERANCE < largest <= tolerance:
         return []
-    message = (
-        f"{argument('tolerance')} {length_text(tolerance)} hides every difference: the "
-        f"largest is {length_text(largest)}, and all that is compared measures "
-        f"{length_text(size)}"
-    )
+    setting = f"{argument('tolerance')} {length_text(tolerance)}"
+    rest = f"all that is compared measures {length_text(size)}"
     hint = f"a number alone is in metres: for millimetres write {tolerance:g}mm"
-    return [warning("CLI107", message, hint)]
+    return [_warning(setting, length_text(largest), rest, hint)]
 
 
-def hidden_angle(tolerance: float, largest: float) -> list[Fault]:
+def _warning(setting: str, largest: str, rest: str, hint: str) -> Fault:
+    """Return a warning about a tolerance that hides every difference (CLI107)."""
+    message = f"{setting} hides every difference: the largest is {largest}, and {rest}"
+    return warning("CLI107", message, hint)
+
+
+def angle_warnings(tolerance: float, largest: float) -> list[Fault]:
     """Warn if no rotation can exceed a tolerance [deg] (CLI107)."""
     if not (MAX_ANGLE <= tolerance < math.inf and largest > ANGLE_TOLERANCE):
         return []
-    message = (
-        f"{argument('angle_tolerance')} {tolerance:g} hides every difference: the "
-        f"largest is {largest:.3g}°, and no rotation differs by more than 180°"
-    )
+    setting = f"{argument('angle_tolerance')} {tolerance:g}"
     hint = "use a smaller angle, or inf to ignore rotations"
-    return [warning("CLI107", message, hint)]
+    rest = "no rotation differs by more than 180°"
+    return [_warning(setting, f"{largest:.3g}°", rest, hint)]
 
 
-def hidden_weight(tolerance: float, largest: float) -> list[Fault]:
-    """Return a warning if the tolerance hides every weight difference (CLI107)."""
+def weight_warnings(tolerance: float, largest: float) -> list[Fault]:
+    """Warn if a tolerance hides every difference of weights (CLI107)."""
     if not MAX_WEIGHT <= tolerance < math.inf:
         return []
     if not WEIGHT_TOLERANCE < largest <= tolerance:
         return []
-    message = (
-        f"{argument('weight_tolerance')} {tolerance:g} hides every difference: the "
-        f"largest is {largest:.3g}, and weights are from 0 to 1"
-    )
+    setting = f"{argument('weight_tolerance')} {tolerance:g}"
     hint = f"{percent_hint(tolerance)}, or inf to ignore weights"
-    return [warning("CLI107", message, hint)]
+    return [_warning(setting, f"{largest:.3g}", "weights are from 0 to 1", hint)]

@@ -61,12 +61,12 @@ _ADVICE_LINES: tuple[Line, ...] = (
 )
 
 
-def _marks(row: TrialRow) -> str:
+def _marks_text(row: TrialRow) -> str:
     marks = {">": row.chosen, "*": row.best, "+": row.recommended}
     return "".join(mark for mark, is_marked in marks.items() if is_marked)
 
 
-def _missing_error(row: TrialRow) -> str:
+def _missing_error_text(row: TrialRow) -> str:
     """Return why a row has no error; "" if it has one."""
     if not row.reason:
         return ""
@@ -90,7 +90,7 @@ def _exclusion_reasons(table: TrialTable) -> dict[str, list[str]]:
     return {reason: list(methods) for reason, methods in causes.items()}
 
 
-def _advice(table: TrialTable) -> str:
+def _advice_text(table: TrialTable) -> str:
     """Return a text that recommends a setting; "" if there is no recommendation."""
     if table.reference is None or table.reference.sensitive:
         return ""
@@ -124,7 +124,7 @@ def _cost(row: TrialRow, measure: CostMeasure) -> float:
     return value
 
 
-def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
+def _figure_printer(name: str, scale: float) -> Callable[[TrialRow], str]:
     """Return a function that formats a figure of a row, or returns "" without it."""
 
     def figure_text(row: TrialRow) -> str:
@@ -135,22 +135,22 @@ def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
 
 
 _PRINTERS: dict[str, Callable[..., Any]] = {
-    "marks": _marks,
-    "ending": _missing_error,
+    "marks": _marks_text,
+    "ending": _missing_error_text,
     "left_out": _exclusion_reasons,
-    "advice": _advice,
+    "advice": _advice_text,
     # Errors span many decades.
     "milli": lambda length: f"{1e3 * length:.3g}",
     "share": lambda fraction: f"{1e2 * fraction:.3g}",
     "options": lambda options: ", ".join(
         f"{name} {value:.6g}" for name, value in options
     ),
-    "stretch": _figure("stretch", 1e2),
-    "depth": _figure("depth", 1e3),
-    "pierced": _figure("pierced", 1.0),
-    "miss": _figure("miss", 1e3),
-    "miss_angle": _figure("miss_angle", math.degrees(1.0)),
-    "reached": _figure("reached", 1e2),
+    "stretch": _figure_printer("stretch", 1e2),
+    "depth": _figure_printer("depth", 1e3),
+    "pierced": _figure_printer("pierced", 1.0),
+    "miss": _figure_printer("miss", 1e3),
+    "miss_angle": _figure_printer("miss_angle", math.degrees(1.0)),
+    "reached": _figure_printer("reached", 1e2),
 }
 TABLES = Template(
     "animtool.scene.tables.tradeoffs:Tradeoffs",

@@ -200,7 +200,7 @@ class _Checker:
                     self.lines(inner, list(line.columns.values()))
                 else:
                     self.lines(inner, line.lines)
-                    self.lines((LEFT, *scope), (line.rest,))
+                    self.lines((LEFT, *scope), (line.omitted,))
 
     def _part(self, scope: tuple[Any, ...], nodes: tuple[Any, ...]) -> None:
         for node in nodes:

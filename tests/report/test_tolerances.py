@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from animtool.report.tolerances import hidden_angle, hidden_length, hidden_weight
+from animtool.report.tolerances import angle_warnings, length_warnings, weight_warnings
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from animtool.report.tolerances import hidden_angle, hidden_length, hidden_weigh
     ],
 )
 def test_lengths(tolerance: float, largest: float, size: float, found: bool) -> None:
-    assert [one.code for one in hidden_length(tolerance, largest, size)] == (
+    assert [one.code for one in length_warnings(tolerance, largest, size)] == (
         ["CLI107"] * found
     )
 
@@ -33,7 +33,9 @@ def test_lengths(tolerance: float, largest: float, size: float, found: bool) -> 
     [(360.0, 5.0, True), (90.0, 5.0, False), (360.0, 0.0, False), (math.inf, 5, False)],
 )
 def test_angles(tolerance: float, largest: float, found: bool) -> None:
-    assert [one.code for one in hidden_angle(tolerance, largest)] == ["CLI107"] * found
+    assert [w.code for w in angle_warnings(tolerance, largest)] == [
+        "CLI107"
+    ] * found
 
 
 @pytest.mark.parametrize(
@@ -41,4 +43,6 @@ def test_angles(tolerance: float, largest: float, found: bool) -> None:
     [(5.0, 0.2, True), (0.05, 0.2, False), (5.0, 0.0, False)],
 )
 def test_weights(tolerance: float, largest: float, found: bool) -> None:
-    assert [one.code for one in hidden_weight(tolerance, largest)] == ["CLI107"] * found
+    assert [w.code for w in weight_warnings(tolerance, largest)] == [
+        "CLI107"
+    ] * found
