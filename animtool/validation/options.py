@@ -73,9 +73,8 @@ class ValidateOptions:
         if level_prefix is None or self.levels[level_prefix] is not None:
             return True
         # A more specific selection overrides the profile.
-        return max(
-            selected_length, _prefix_length(code, self.severity)
-        ) >= _prefix_length_of(level_prefix)
+        specific_length = max(selected_length, _prefix_length(code, self.severity))
+        return specific_length >= _prefix_length_of(level_prefix)
 
     def with_severity(self, fault: Fault) -> Fault:
         """Return a finding with its configured severity."""
@@ -177,10 +176,8 @@ class ReportOptions:
 
 def _longest_prefix(code: str, prefixes: Iterable[str]) -> str | None:
     """Return the longest matching prefix of a code, in current or old spelling."""
-    matching_prefixes = [
-        prefix for prefix in prefixes if code.startswith(current_codes(prefix))
-    ]
-    return max(matching_prefixes, key=_prefix_length_of, default=None)
+    matches = [prefix for prefix in prefixes if code.startswith(current_codes(prefix))]
+    return max(matches, key=_prefix_length_of, default=None)
 
 
 def _prefix_length_of(prefix: str) -> int:
@@ -198,9 +195,8 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     """Raise OptionError if a prefix matches no code (VAL005)."""
     faults = []
     for prefix in (*options.select, *options.ignore, *options.severity):
-        if prefix and any(
-            code.startswith(current_codes(prefix)) for code in builtin_rules()
-        ):
+        codes = current_codes(prefix)
+        if prefix and any(code.startswith(codes) for code in builtin_rules()):
             continue
         rules, _ = all_rules()
         if prefix and any(code.startswith(prefix) for code in rules):
@@ -222,9 +218,7 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
 
 _LIST_SETTINGS = ("select", "ignore")
 # Settings that a project may have, in the order of their faults.
-_PROJECT_SETTINGS = tuple(
-    name for name in options_of(ValidateOptions) if name != "jobs"
-)
+_PROJECT_SETTINGS = tuple(n for n in options_of(ValidateOptions) if n != "jobs")
 
 
 def settings_of(path: Path) -> ValidateOptions:
@@ -242,9 +236,8 @@ def _parse_options(table: Any, path: str) -> ValidateOptions:
             raise OptionError(Fault("CFG002", message, path, (), hint))
     for name in _LIST_SETTINGS:
         codes = table.get(name, [])
-        if not isinstance(codes, list) or not all(
-            isinstance(code_text, str) for code_text in codes
-        ):
+        is_list = isinstance(codes, list)
+        if not is_list or not all(isinstance(code, str) for code in codes):
             message = f"validate.{name} is {codes!r}, not a list of codes"
             raise OptionError(Fault("CFG003", message, path))
         lists[name] = tuple(codes)

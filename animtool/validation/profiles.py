@@ -137,9 +137,8 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
 def _parse_levels(profile: Mapping[str, Any], path: str) -> Levels:
     for key in profile:
         if key not in _PROFILE_KEYS:
-            raise _profile_error(
-                f"unknown key {key!r}", path, f"allowed: {', '.join(_PROFILE_KEYS)}"
-            )
+            hint = f"allowed: {', '.join(_PROFILE_KEYS)}"
+            raise _profile_error(f"unknown key {key!r}", path, hint)
     version = profile.get("profile", _VERSION)
     if version != _VERSION:
         raise _profile_error(f"profile is {version!r}", path, f"write {_VERSION}")
@@ -149,10 +148,9 @@ def _parse_levels(profile: Mapping[str, Any], path: str) -> Levels:
         raise _profile_error(f"extends is {base!r}", path, hint)
     severities = profile.get("severity", {})
     if not isinstance(severities, dict):
+        message = f"severity is {severities!r}, not a table of codes"
         hint = "write codes and severities, such as USD25: note"
-        raise _profile_error(
-            f"severity is {severities!r}, not a table of codes", path, hint
-        )
+        raise _profile_error(message, path, hint)
     levels = {
         str(code).upper(): _parse_level(code, value, path)
         for code, value in severities.items()
@@ -181,10 +179,8 @@ def _check_codes(levels: Levels, path: str) -> None:
     for code in levels:
         is_known = code and any(rule.startswith(current_codes(code)) for rule in rules)
         if not is_known:
-            message = f"no code matches {code!r}"
-            raise OptionError(
-                Fault("VAL005", message, path, (), nearest(code, [*rules]))
-            )
+            message, hint = f"no code matches {code!r}", nearest(code, [*rules])
+            raise OptionError(Fault("VAL005", message, path, (), hint))
 
 
 def _profile_error(message: str, path: str, hint: str | None = None) -> OptionError:

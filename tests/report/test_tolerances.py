@@ -33,9 +33,7 @@ def test_lengths(tolerance: float, largest: float, size: float, found: bool) -> 
     [(360.0, 5.0, True), (90.0, 5.0, False), (360.0, 0.0, False), (math.inf, 5, False)],
 )
 def test_angles(tolerance: float, largest: float, found: bool) -> None:
-    assert [w.code for w in angle_warnings(tolerance, largest)] == [
-        "CLI107"
-    ] * found
+    assert [w.code for w in angle_warnings(tolerance, largest)] == ["CLI107"] * found
 
 
 @pytest.mark.parametrize(
@@ -43,6 +41,4 @@ def test_angles(tolerance: float, largest: float, found: bool) -> None:
     [(5.0, 0.2, True), (0.05, 0.2, False), (5.0, 0.0, False)],
 )
 def test_weights(tolerance: float, largest: float, found: bool) -> None:
-    assert [w.code for w in weight_warnings(tolerance, largest)] == [
-        "CLI107"
-    ] * found
+    assert [w.code for w in weight_warnings(tolerance, largest)] == ["CLI107"] * found

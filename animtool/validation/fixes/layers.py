@@ -59,9 +59,8 @@ class LayerDraft:
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
                 reason, remedy = _apply_fix(layer, fault)
-                (refused_findings if reason else fixes).append(
-                    (fault, reason or remedy)
-                )
+                entries = refused_findings if reason else fixes
+                entries.append((fault, reason or remedy))
             content = layer.content()
         edit_lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixes]
         edited_draft = LayerDraft(self.path, content, (*self.edits, *edit_lines))

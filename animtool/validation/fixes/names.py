@@ -136,10 +136,11 @@ def make_names_legal(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the edits that make every name of a list legal in USD."""
     rig = _complete_rig(checked)
     key = str(pointer_of(fault)[0])
-    illegal_names = [
-        name for name in group_names(rig, key) if legal_usd_name(name) != name
-    ]
-    return _rename_entries(rig, key, illegal_names)
+    return _rename_entries(rig, key, _illegal_names(group_names(rig, key)))
+
+
+def _illegal_names(names: Sequence[str]) -> list[str]:
+    return [name for name in names if legal_usd_name(name) != name]
 
 
 def make_name_unique(checked: CheckedFile, fault: Fault) -> FixEdits:
@@ -152,18 +153,11 @@ def make_name_unique(checked: CheckedFile, fault: Fault) -> FixEdits:
     entry = rig.file_entries(str(key))[number]
     names = group_names(rig, key)
     for name in (entry["name"], entry.get("mirror")):
-        equal_names = [
-            other_name
-            for other_name in names
-            if name and legal_usd_name(other_name) == legal_usd_name(name)
-        ]
+        usd_name = legal_usd_name(name) if name else None
+        equal_names = [other for other in names if legal_usd_name(other) == usd_name]
         if len(equal_names) > 1:
-            forbidden = [
-                other_name
-                for other_name in equal_names
-                if legal_usd_name(other_name) != other_name
-            ]
-            return _rename_entries(rig, str(key), forbidden[-1:])
+            illegal_names = _illegal_names(equal_names)
+            return _rename_entries(rig, str(key), illegal_names[-1:])
     raise NotFixedError(f"renames {entry['name']!r} to make it unique")
 
 
@@ -179,18 +173,16 @@ def _rename_entries(rig: RigSubject, key: str, old_names: list[str]) -> FixEdits
         raise NotFixedError(f"{path.name} also uses {name!r}")
     new_names = _unused_names(old_names, group_names(rig, key))
     renamings = [f"{name!r} to {new_names[name]!r}" for name in old_names]
-    remedy = (
-        f"renames {counted(len(old_names), 'name')} of {key}: {listed(renamings, 3)}"
-    )
+    count_text = counted(len(old_names), "name")
+    remedy = f"renames {count_text} of {key}: {listed(renamings, 3)}"
     return FixEdits(remedy, tuple(rename_edits(rig.document.value, key, new_names)))
 
 
 def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
     """Return a unique, legal USD name for each old name."""
     new_names: dict[str, str] = {}
-    other_names = {legal_usd_name(name) for name in names if name not in old_names} | {
-        *names
-    }
+    legal_names = (legal_usd_name(name) for name in names if name not in old_names)
+    other_names = {*names, *legal_names}
     for name in old_names:
         used_names = {*other_names, *new_names.values()}
         candidate, number = legal_usd_name(name), 2
@@ -216,12 +208,8 @@ def rename_edits(
             elif path_pattern.endswith("driven/by"):
                 joint, coordinate = split_coordinate(name)
             if joint in new_names:
-                yield Replace(
-                    value_path,
-                    f"{new_names[joint]}.{coordinate}"
-                    if coordinate
-                    else new_names[joint],
-                )
+                suffix = f".{coordinate}" if coordinate else ""
+                yield Replace(value_path, f"{new_names[joint]}{suffix}")
     if key == "joints":
         yield from _expression_edits(value, new_names)
     for value_path, ignore_location in _names_at(value, ("ignore", "*", "where"), ()):
@@ -242,9 +230,8 @@ def _expression_edits(
     for path_pattern in EXPRESSION_PATHS:
         for location, text in _names_at(value, tuple(path_pattern.split("/")), ()):
             expression = parse_expression(text, coordinates=True)
-            new_expression = expression.with_renamed_inputs(
-                renamed_coordinates(expression.names, new_names)
-            )
+            new_inputs = renamed_coordinates(expression.names, new_names)
+            new_expression = expression.with_renamed_inputs(new_inputs)
             if new_expression != expression:
                 yield Replace(location, new_expression.text)
 

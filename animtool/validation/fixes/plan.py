@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
+from typing import TypeAlias
 
 from animtool.core.errors import Fault
 from animtool.core.readers import READERS, USD
@@ -35,10 +36,8 @@ def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
     """
     plan = PlannedFix(path, _open_draft(path))
     options = options.with_profile(plan.draft.checked.profile)
-    unfixable_findings: set[tuple[str, str | None, str]] = set()
-    while findings := list(
-        _untried_findings(plan.draft.findings, options, unfixable_findings)
-    ):
+    tried_keys: set[_FaultKey] = set()
+    while findings := _untried_findings(plan.draft.findings, options, tried_keys):
         findings_to_fix = plan.draft.batch(findings)
         step = plan.draft.step(findings_to_fix)
         reason = _reason_to_reject(plan.draft, step)
@@ -46,17 +45,14 @@ def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
             plan.draft = step.draft
             plan.fixed_findings.extend(step.fixed_findings)
             # Other findings may have moved, and may be fixable now.
-            unfixable_findings.clear()
+            tried_keys.clear()
             plan.unfixed_findings.clear()
             continue
-        unfixable_findings.update(map(_fault_key, findings_to_fix))
+        tried_keys.update(map(_fault_key, findings_to_fix))
         plan.unfixed_findings.extend(step.unfixed_findings)
-        plan.unfixed_findings.extend(
-            (fault, reason) for fault, _ in step.fixed_findings
-        )
-    final_step = plan.draft.finish(
-        list(_untried_findings(plan.draft.findings, options, set()))
-    )
+        plan.unfixed_findings.extend((f, reason) for f, _ in step.fixed_findings)
+    remaining = _untried_findings(plan.draft.findings, options, set())
+    final_step = plan.draft.finish(remaining)
     plan.draft = final_step.draft
     plan.fixed_findings.extend(final_step.fixed_findings)
     return plan
@@ -115,19 +111,18 @@ def _open_draft(path: Path) -> FileDraft:
     return TextDraft.read(path)
 
 
+_FaultKey: TypeAlias = tuple[str, str | None, str]
+
+
 def _untried_findings(
-    faults: Sequence[Fault],
-    options: ValidateOptions,
-    known_unfixable: set[tuple[str, str | None, str]],
-) -> Iterator[Fault]:
-    """Yield selected findings that have a fix which was not tried yet."""
-    for fault in faults:
-        is_fixable = has_fix(fault.code) and options.selects(fault.code)
-        if is_fixable and _fault_key(fault) not in known_unfixable:
-            yield fault
+    faults: Sequence[Fault], options: ValidateOptions, tried_keys: set[_FaultKey]
+) -> list[Fault]:
+    """Return the selected findings that have a fix which was not tried yet."""
+    fixable = [f for f in faults if has_fix(f.code) and options.selects(f.code)]
+    return [fault for fault in fixable if _fault_key(fault) not in tried_keys]
 
 
-def _fault_key(fault: Fault) -> tuple[str, str | None, str]:
+def _fault_key(fault: Fault) -> _FaultKey:
     return fault.code, fault.where, fault.message
 
 
@@ -137,14 +132,10 @@ def _reason_to_reject(old_draft: FileDraft, step: FixStep) -> str:
         return ""
     old_counts = Counter(fault.code for fault in old_draft.findings)
     new_counts = Counter(fault.code for fault in step.draft.findings)
-    added_codes = sorted(
-        code for code in new_counts if new_counts[code] > old_counts[code]
-    )
+    added_codes = sorted(new_counts - old_counts)
     if added_codes:
         return f"the fix would cause {added_codes[0]}"
-    if any(
-        new_counts[fault.code] >= old_counts[fault.code]
-        for fault, _ in step.fixed_findings
-    ):
+    fixed_codes = {fault.code for fault, _ in step.fixed_findings}
+    if any(new_counts[code] >= old_counts[code] for code in fixed_codes):
         return "the finding would remain"
     return ""

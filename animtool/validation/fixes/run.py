@@ -68,22 +68,16 @@ def fix_files(
     fixable_files = _with_fixes(report)
     kept_files = [path for path in fixable_files if is_layer(path) and not overwrite]
     # A file and a link to it are the same file.
-    targets = {
-        path.resolve(): path
-        for path in reversed(fixable_files)
-        if path not in kept_files
-    }
-    changed_files = list(reversed(targets.values()))
+    files_to_fix = [path for path in reversed(fixable_files) if path not in kept_files]
+    changed_files = list(reversed({p.resolve(): p for p in files_to_fix}.values()))
     check_outputs(changed_files, [], overwrite=True)
     plans = [_plan_file(path, options) for path in changed_files]
     with atomic_outputs():
         for plan in plans:
             if plan.fixed_findings:
                 plan.draft.write(plan.path)
-    package_note = "packages are not edited: unpack it, and fix its layers"
-    packages = [
-        f"{path}: {package_note}" for path in _with_fixes(report, packages=True)
-    ]
+    note = "packages are not edited: unpack it, and fix its layers"
+    packages = [f"{path}: {note}" for path in _with_fixes(report, packages=True)]
     notes = (*_unfixed_findings(report, kept_files), *packages)
     if any(plan.fixed_findings for plan in plans):
         report = validate_files(files, options)
@@ -123,9 +117,8 @@ def fix_copy(
     plan = _plan_file(source, options)
     notes = plan.draft.write(output)
     report = validate_files([output], options)
-    return FixResult(
-        (plan,), replace(report, mended=tuple(plan.fixed_findings)), tuple(notes)
-    )
+    report = replace(report, mended=tuple(plan.fixed_findings))
+    return FixResult((plan,), report, tuple(notes))
 
 
 def _plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
@@ -135,12 +128,8 @@ def _plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
 def _with_fixes(report: Report, *, packages: bool = False) -> list[Path]:
     """Return the files with fixable findings: either packages or other files."""
     named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
-    fixable_files = (path for path in report.files if str(path) in named_paths)
-    return [
-        path
-        for path in fixable_files
-        if has_fixes(path) and is_package(path) is packages
-    ]
+    fixable_files = [path for path in report.files if str(path) in named_paths]
+    return [p for p in fixable_files if has_fixes(p) and is_package(p) is packages]
 
 
 def _unfixed_findings(report: Report, paths: Sequence[Path]) -> Iterator[str]:

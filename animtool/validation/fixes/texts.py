@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import difflib
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from functools import cached_property
@@ -25,7 +24,7 @@ from animtool.core.files.output import (
 )
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
-from animtool.documents.document import document_of, read_text
+from animtool.documents.document import document_of, parse_location, read_text
 from animtool.documents.edit import Add, EditError, Remove, Replace, apply_edits
 from animtool.documents.references import split_reference
 from animtool.rig.parts import ArrayRef
@@ -35,8 +34,6 @@ from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import CheckedFile
 
-_LOCATION_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
-
 
 def pointer_of(fault: Fault) -> tuple[Any, ...]:
     """Return the keys and numbers of a finding's ``where``.
@@ -44,8 +41,7 @@ def pointer_of(fault: Fault) -> tuple[Any, ...]:
     >>> pointer_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
     ('meshes', 2, 'skin', 'weights')
     """
-    steps = _LOCATION_STEP.findall(fault.where or "")
-    return tuple(int(number) if number else key for key, number in steps)
+    return parse_location(fault.where or "")
 
 
 def remove_entry(checked: CheckedFile, fault: Fault) -> FixEdits:
@@ -115,9 +111,8 @@ class TextDraft:
     original_text: str  # the file's original text
     # Arrays of new npz files that the text refers to, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
-    fixed_by_arrays: frozenset[str] = (
-        frozenset()
-    )  # codes of findings that these files fix
+    # Codes of findings that these files fix.
+    fixed_by_arrays: frozenset[str] = frozenset()
 
     @classmethod
     def read(cls, path: Path) -> TextDraft:
@@ -174,9 +169,8 @@ class TextDraft:
             for path, arrays in fix.arrays.items():
                 new_arrays.setdefault(path, {}).update(arrays)
         codes = frozenset(fault.code for fault, _ in fixes)
-        return FixStep(
-            replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes), fixes
-        )
+        draft = replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes)
+        return FixStep(draft, fixes)
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed one by one."""
@@ -190,12 +184,8 @@ class TextDraft:
     def diff_text(self) -> str:
         """Return the changes as a unified diff."""
         name = self.path.as_posix()
-        lines = difflib.unified_diff(
-            _split_lines(self.original_text),
-            _split_lines(self.text),
-            f"a/{name}",
-            f"b/{name}",
-        )
+        before, after = map(_split_lines, (self.original_text, self.text))
+        lines = difflib.unified_diff(before, after, f"a/{name}", f"b/{name}")
         return "".join(
             line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n"
             for line in lines
@@ -236,6 +226,5 @@ class TextDraft:
 
 def _split_lines(text: str) -> list[str]:
     r"""Split text into lines that keep their ends; only ``\n`` separates lines."""
-    return [line + "\n" for line in text.split("\n")[:-1]] + [
-        last_line for last_line in text.split("\n")[-1:] if last_line
-    ]
+    *lines, last_line = text.split("\n")
+    return [*(f"{line}\n" for line in lines), *([last_line] if last_line else [])]

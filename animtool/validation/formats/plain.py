@@ -95,9 +95,8 @@ def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
     for fault in report.findings:
         kind = _repeat_key(fault)
         if repeats or fault.lines:
-            shown_findings.append(
-                ShownFinding(fault, excerpt=excerpt_lines(fault, sources))
-            )
+            excerpt = excerpt_lines(fault, sources)
+            shown_findings.append(ShownFinding(fault, excerpt=excerpt))
         elif first_of_kind.setdefault(kind, fault) is fault:
             shown_findings.append(ShownFinding(fault, counts[kind] - 1))
     return shown_findings

@@ -81,43 +81,26 @@ def contacts_of(subject: MotionSubject) -> FootStances | None:
     is_static = is_carrying & _is_static(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
     floor = np.full(len(feet), np.inf)
-    is_flat = np.zeros(len(feet), bool)
+    is_level = np.zeros(len(feet), bool)
+    tolerance = PLANTED_HEIGHT * subject.size
+    min_contacts = max(MIN_CONTACTS, MIN_CONTACT_FRACTION * subject.frames)
     for column in range(len(feet)):
         static_heights = heights[is_static[:, column], column]
-        if len(static_heights) >= max(
-            MIN_CONTACTS, MIN_CONTACT_FRACTION * subject.frames
-        ):
-            ground[column], fraction = _common_height(
-                static_heights, PLANTED_HEIGHT * subject.size
-            )
-            is_flat[column] = fraction > ONE_HEIGHT_FRACTION
-            floor[column] = _lower_ground_height(
-                static_heights, PLANTED_HEIGHT * subject.size
-            )
+        if len(static_heights) >= min_contacts:
+            ground[column], fraction = _common_height(static_heights, tolerance)
+            is_level[column] = fraction > ONE_HEIGHT_FRACTION
+            floor[column] = _lower_ground_height(static_heights, tolerance)
         else:
             ground[column] = np.percentile(heights[:, column], 5)
-            is_low = (
-                np.abs(heights[:, column] - ground[column])
-                < PLANTED_HEIGHT * subject.size
-            )
-            is_flat[column] = is_low.mean() > MIN_LOW_FRACTION
-            floor[column] = ground[column] if is_flat[column] else np.inf
+            is_low = np.abs(heights[:, column] - ground[column]) < tolerance
+            is_level[column] = is_low.mean() > MIN_LOW_FRACTION
+            floor[column] = ground[column] if is_level[column] else np.inf
     partners = _opposite_feet(subject, feet)
-    is_level, tolerance = is_flat, PLANTED_HEIGHT * subject.size
-    is_flat = is_level & _is_at_opposite_height(ground, partners, tolerance)
+    has_same_height = is_level & _is_at_opposite_height(ground, partners, tolerance)
     floor[~_is_at_opposite_height(floor, partners, tolerance)] = np.inf
-    is_near = is_carrying & is_flat & (np.abs(heights - ground) < tolerance)
-    return FootStances(
-        feet,
-        partners,
-        ground,
-        is_level,
-        is_flat,
-        floor,
-        is_carrying,
-        is_near,
-        is_static,
-    )
+    is_near = is_carrying & has_same_height & (np.abs(heights - ground) < tolerance)
+    ground_facts = ground, is_level, has_same_height, floor
+    return FootStances(feet, partners, *ground_facts, is_carrying, is_near, is_static)
 
 
 def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]:
@@ -126,16 +109,11 @@ def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]
     >>> _common_height(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
     (0.1, 0.75)
     """
-    sorted_heights = np.sort(heights)
-    range_ends = np.searchsorted(
-        sorted_heights, sorted_heights + 2.0 * tolerance, "right"
-    )
-    range_counts = range_ends - np.arange(len(sorted_heights))
-    best_start = int(range_counts.argmax())
-    values_near = sorted_heights[
-        best_start : best_start + int(range_counts[best_start])
-    ]
-    return float(np.median(values_near)), len(values_near) / len(sorted_heights)
+    heights = np.sort(heights)
+    range_ends = np.searchsorted(heights, heights + 2.0 * tolerance, "right")
+    start = int((range_ends - np.arange(len(heights))).argmax())
+    nearby_heights = heights[start : int(range_ends[start])]
+    return float(np.median(nearby_heights)), len(nearby_heights) / len(heights)
 
 
 def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
@@ -145,16 +123,16 @@ def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
     0.05
     """
     first_height, fraction = _common_height(heights, tolerance)
+    only_height = first_height if fraction > ONE_HEIGHT_FRACTION else np.inf
     other_heights = heights[np.abs(heights - first_height) > 2.0 * tolerance]
     if len(other_heights) < EACH_HEIGHT_FRACTION * len(heights):
-        return first_height if fraction > ONE_HEIGHT_FRACTION else np.inf
+        return only_height
     second_height, second_fraction = _common_height(other_heights, tolerance)
     second_fraction *= len(other_heights) / len(heights)
     if second_fraction < EACH_HEIGHT_FRACTION:
-        return first_height if fraction > ONE_HEIGHT_FRACTION else np.inf
-    if fraction + second_fraction > TWO_HEIGHTS_FRACTION:
-        return min(first_height, second_height)
-    return np.inf
+        return only_height
+    is_common = fraction + second_fraction > TWO_HEIGHTS_FRACTION
+    return min(first_height, second_height) if is_common else np.inf
 
 
 def _is_lying(subject: MotionSubject, feet: IntArray) -> BoolArray:
@@ -168,19 +146,16 @@ def _is_lying(subject: MotionSubject, feet: IntArray) -> BoolArray:
     other_joints[list(leg_joints)] = False
     if subject.has_rest:
         rest_heights = subject.rest @ subject.up
-        other_joints &= (
-            rest_heights
-            > rest_heights[feet].min() + MIN_HEIGHT_ABOVE_FEET * subject.rest_size
-        )
+        min_distance = MIN_HEIGHT_ABOVE_FEET * subject.rest_size
+        other_joints &= rest_heights > rest_heights[feet].min() + min_distance
     if not other_joints.any():
         return np.zeros(subject.frames, bool)
     lowest_foot = subject.heights[:, feet].min(axis=1)
     lowest_other = subject.heights[:, other_joints].min(axis=1)
     ground = _frame_windows(lowest_foot, STRIDE_SECONDS / subject.interval).min(axis=1)
     is_lying = lowest_other < ground + LYING_HEIGHT * subject.size
-    return np.asarray(
-        _frame_windows(is_lying, TRANSITION_SECONDS / subject.interval).any(axis=1)
-    )
+    windows = _frame_windows(is_lying, TRANSITION_SECONDS / subject.interval)
+    return np.asarray(windows.any(axis=1))
 
 
 def _frame_windows(values: NDArray[Scalar], half_width: float) -> NDArray[Scalar]:

@@ -43,24 +43,16 @@ def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
     hip_path = float(weights.sum()) * subject.interval / subject.size
     if len(ratios) * subject.interval < MIN_SECONDS:
         return None
-    sort_order = np.argsort(ratios, kind="stable")
-    totals = np.cumsum(weights[sort_order]) / weights.sum()
-    percentile_indices = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(
-        0, len(sort_order) - 1
-    )
-    low_ratio, median_ratio, high_ratio = ratios[sort_order][
-        percentile_indices
-    ].tolist()
-    is_dragged = (
-        low_ratio > MIN_ALONG
-        and median_ratio - low_ratio < EVEN_ALONG
-        and median_ratio < 1.0
-    )
-    is_slipping = median_ratio < MAX_AGAINST and high_ratio < MAX_AGAINST_QUARTILE
-    is_slipping &= median_ratio - low_ratio < EVEN_AGAINST * max(1.0, -median_ratio)
-    if hip_path * abs(median_ratio) < MIN_SLIDE or not (is_dragged or is_slipping):
+    order = np.argsort(ratios, kind="stable")
+    totals = np.cumsum(weights[order]) / weights.sum()
+    indices = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(order) - 1)
+    low, median, high = ratios[order][indices].tolist()
+    is_dragged = low > MIN_ALONG and median - low < EVEN_ALONG and median < 1.0
+    is_slipping = median < MAX_AGAINST and high < MAX_AGAINST_QUARTILE
+    is_slipping &= median - low < EVEN_AGAINST * max(1.0, -median)
+    if hip_path * abs(median) < MIN_SLIDE or not (is_dragged or is_slipping):
         return None
-    return float(1.0 / (1.0 - median_ratio))
+    return float(1.0 / (1.0 - median))
 
 
 def _velocity_ratios(
@@ -76,15 +68,13 @@ def _velocity_ratios(
     velocities = travels / (step_counts * subject.interval)[:, None, None]
     foot_velocities, hip_velocities = velocities[:, :-1], velocities[:, -1]
     speeds = np.where(contacts.is_near, np.linalg.norm(foot_velocities, axis=2), np.inf)
-    stance_velocity = foot_velocities[
-        np.arange(len(foot_velocities)), speeds.argmin(axis=1)
-    ]
+    frames = np.arange(len(foot_velocities))
+    stance_velocity = foot_velocities[frames, speeds.argmin(axis=1)]
     hip_speed = np.linalg.norm(hip_velocities, axis=1)
     is_used = contacts.is_near.any(axis=1) & (hip_speed > MIN_HIP_SPEED * subject.size)
     foot_along_hips = np.einsum("fc,fc->f", stance_velocity, hip_velocities)[is_used]
-    return np.asarray(foot_along_hips / hip_speed[is_used] ** 2), np.asarray(
-        hip_speed[is_used]
-    )
+    hip_speed = np.asarray(hip_speed[is_used])
+    return np.asarray(foot_along_hips / hip_speed**2), hip_speed
 
 
 # A take that travels less is in place, and its feet slide intentionally [size].
@@ -117,11 +107,9 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     """
     subject = subject.without_first_pose
     contacts = contacts_of(subject)
-    if (
-        contacts is None
-        or body_axis(subject)
-        or _travel_size(subject) < MIN_TRAVEL * subject.size
-    ):
+    if contacts is None or body_axis(subject):
+        return
+    if _travel_size(subject) < MIN_TRAVEL * subject.size:
         return
     speeds, slide_speeds = _foot_speeds(subject, contacts.feet)
     speeds = np.where(contacts.is_carrying, speeds, np.inf)
@@ -130,40 +118,34 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     is_fast = np.minimum(slowest_speeds, slide_speeds) > SLIDE_SPEED * subject.size
     is_sliding = contacts.is_near.any(axis=1) & is_fast
     lowest_heights = subject.heights[:, contacts.feet].min(axis=1) / subject.size
-    long_slides = []
-    for first_frame, end_frame in runs(is_sliding):
-        last_frame = end_frame - 1
-        seconds = (end_frame - first_frame) * subject.interval
-        if _is_landing(
-            slowest_speeds[first_frame:end_frame], lowest_heights[first_frame:end_frame]
-        ):
+    slides = []
+    for first, end in runs(is_sliding):
+        seconds = (end - first) * subject.interval
+        if _is_landing(slowest_speeds[first:end], lowest_heights[first:end]):
             continue
         if seconds <= MAX_SKID and _is_skid(
-            subject, contacts, slowest_speeds, first_frame, last_frame
+            subject, contacts, slowest_speeds, first, end - 1
         ):
             continue
-        length = _slide_length(subject, contacts, first_frame, last_frame)
+        length = _slide_length(subject, contacts, first, end - 1)
         if length >= REPEATED_LENGTH * subject.size and seconds >= SLIDE_SECONDS:
-            long_slides.append((length, first_frame, last_frame))
-    if len(long_slides) < MIN_SLIDES and not any(
-        slide_length >= SLIDE_LENGTH * subject.size for slide_length, *_ in long_slides
-    ):
+            slides.append((length, first, end - 1))
+    longest = max(slides, default=(0.0, 0, 0))
+    if len(slides) < MIN_SLIDES and longest[0] < SLIDE_LENGTH * subject.size:
         yield from _travel_scale_fault(subject, contacts)
         return
-    length, first_frame, last_frame = max(long_slides)
-    joint = int(
-        contacts.feet[int(speeds[first_frame : last_frame + 1].mean(axis=0).argmin())]
-    )
+    length, first, last = longest
+    joint = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
     repeat_text = ""
-    if len(long_slides) > 1:
-        repeat_text = f"; feet slide {len(long_slides) - 1} more times"
+    if len(slides) > 1:
+        repeat_text = f"; feet slide {len(slides) - 1} more times"
     message = (
         f"planted foot {subject.take.rig.joints[joint].name!r} slides {length:.3g} m "
-        f"from frame {subject.time_text(first_frame)} to "
-        f"{subject.time_text(last_frame)}{repeat_text}"
+        f"from frame {subject.time_text(first)} to {subject.time_text(last)}"
+        f"{repeat_text}"
     )
     hint = "hold it with IK, or make the cycle in place"
-    yield subject.fault("MOT208", joint, first_frame, message, hint)
+    yield subject.fault("MOT208", joint, first, message, hint)
 
 
 def _slowest_slides(
@@ -177,24 +159,22 @@ def _slowest_slides(
     All joints of a foot near the ground count: a planted toe makes the foot slow, and a
     heel that rotates about it does not slide.
     """
-    feet, parents = contacts.feet.tolist(), subject.take.rig.parents
-    column_of = {foot: column for column, foot in enumerate(feet)}
-    top_columns: list[int] = []
-    for column, foot in enumerate(feet):
-        parent_column = column_of.get(int(parents[foot]))
-        top_columns.append(
-            column if parent_column is None else top_columns[parent_column]
-        )
+    parents = subject.take.rig.parents
+    feet: list[list[int]] = []  # columns of the joints of each foot
+    foot_of_joint: dict[int, list[int]] = {}
+    for column, joint in enumerate(contacts.feet.tolist()):
+        if int(parents[joint]) not in foot_of_joint:
+            feet.append([])
+        foot_of_joint[joint] = foot_of_joint.get(int(parents[joint]), feet[-1])
+        foot_of_joint[joint].append(column)
     slowest_slides, slowest_speeds = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
-    for top_column in sorted(set(top_columns)):
-        columns = np.flatnonzero(np.array(top_columns) == top_column)
+    for columns in feet:
         is_near = contacts.is_near[:, columns]
-        top_speeds = np.where(is_near, speeds[:, columns], np.inf).min(axis=1)
-        top_slides = np.where(is_near, slide_speeds[:, columns], 0.0).max(axis=1)
-        slowest_slides = np.where(
-            top_speeds < slowest_speeds, top_slides, slowest_slides
-        )
-        slowest_speeds = np.minimum(slowest_speeds, top_speeds)
+        foot_speeds = np.where(is_near, speeds[:, columns], np.inf).min(axis=1)
+        foot_slides = np.where(is_near, slide_speeds[:, columns], 0.0).max(axis=1)
+        is_slower = foot_speeds < slowest_speeds
+        slowest_slides = np.where(is_slower, foot_slides, slowest_slides)
+        slowest_speeds = np.minimum(slowest_speeds, foot_speeds)
     return slowest_slides
 
 
@@ -211,11 +191,8 @@ def _is_landing(speeds: FloatArray, heights: FloatArray) -> bool:
     height_change = float(heights[-1] - heights[0])
     changes = np.diff(speeds) * np.sign(height_change)
     is_slowing = float(speeds.min()) < LANDING_RATIO * float(speeds.max())
-    return (
-        abs(height_change) > LANDING_HEIGHT
-        and is_slowing
-        and bool((changes >= 0.0).all())
-    )
+    is_steady = bool((changes >= 0.0).all())
+    return abs(height_change) > LANDING_HEIGHT and is_slowing and is_steady
 
 
 def _is_skid(
@@ -232,15 +209,11 @@ def _is_skid(
     is_airborne = ~np.asarray(contacts.is_near.any(axis=1))
     window = max(1, round(SKID_SECONDS / subject.interval))
     start_speed, end_speed = float(speeds[first]), float(speeds[last])
-    is_landing = (
-        bool(is_airborne[max(first - window, 0) : first].any())
-        and end_speed < SKID_RATIO * start_speed
+    has_landed = bool(is_airborne[max(first - window, 0) : first].any())
+    takes_off = bool(is_airborne[last + 1 :][:window].any())
+    return (has_landed and end_speed < SKID_RATIO * start_speed) or (
+        takes_off and start_speed < SKID_RATIO * end_speed
     )
-    is_taking_off = (
-        bool(is_airborne[last + 1 :][:window].any())
-        and start_speed < SKID_RATIO * end_speed
-    )
-    return is_landing or is_taking_off
 
 
 def _slide_length(
@@ -253,10 +226,8 @@ def _slide_length(
     half_window = max(1, round(0.5 * SPEED_SECONDS / subject.interval))
     frame_slice = slice(max(first - half_window, 0), last + half_window + 1)
     feet = contacts.feet[contacts.is_near[first : last + 1].any(axis=0)]
-    ground_positions = subject.ground_positions(feet)[frame_slice]
-    return float(
-        np.linalg.norm(np.diff(ground_positions, axis=0), axis=2).sum(axis=0).min()
-    )
+    steps = np.diff(subject.ground_positions(feet)[frame_slice], axis=0)
+    return float(np.linalg.norm(steps, axis=2).sum(axis=0).min())
 
 
 def _travel_scale_fault(
@@ -291,31 +262,24 @@ def _foot_speeds(
     The lower of the distances a short time before and after each frame counts, since a
     foot that reverses is not planted. Slides exclude rotation and lifting of the foot.
     """
-    frame_count = subject.frames
+    frames = np.arange(subject.frames)
     max_offset = max(1, round(SPEED_SECONDS / subject.interval))
-    ground_positions, heights = subject.ground_positions(feet), subject.heights[:, feet]
+    positions, heights = subject.ground_positions(feet), subject.heights[:, feet]
     rotations = subject.world.rotations[:, feet]
-    speeds = np.full((2, frame_count, len(feet)), np.inf)
+    speeds = np.full((2, subject.frames, len(feet)), np.inf)
     for sign in (-1, 1):
-        max_distances = np.zeros((2, frame_count, len(feet)))
-        for frame_offset in range(1, max_offset + 1):
-            other_frames = np.clip(
-                np.arange(frame_count) + sign * frame_offset, 0, frame_count - 1
-            )
-            distances = np.linalg.norm(
-                ground_positions[other_frames] - ground_positions, axis=2
-            )
-            lift_distances = LIFT_RATIO * np.abs(heights[other_frames] - heights)
-            angles = so3.angle_between(rotations[other_frames], rotations)
+        max_distances = np.zeros(speeds.shape)
+        for offset in range(1, max_offset + 1):
+            others = np.clip(frames + sign * offset, 0, subject.frames - 1)
+            distances = np.linalg.norm(positions[others] - positions, axis=2)
+            lift_distances = LIFT_RATIO * np.abs(heights[others] - heights)
+            angles = so3.angle_between(rotations[others], rotations)
             lift_distances += ROLL_LEVER * subject.size * angles
-            max_distances = np.maximum(
-                max_distances, np.stack([distances, distances - lift_distances])
-            )
+            offset_distances = np.stack([distances, distances - lift_distances])
+            max_distances = np.maximum(max_distances, offset_distances)
         # The first frame has nothing before it, and the last one nothing after it.
-        seconds = np.abs(other_frames - np.arange(frame_count)) * subject.interval
-        has_neighbour = seconds > 0.0
-        speeds[:, has_neighbour] = np.minimum(
-            speeds[:, has_neighbour],
-            max_distances[:, has_neighbour] / seconds[has_neighbour, None],
-        )
+        seconds = np.abs(others - frames) * subject.interval
+        has_other = seconds > 0.0
+        side_speeds = max_distances[:, has_other] / seconds[has_other, None]
+        speeds[:, has_other] = np.minimum(speeds[:, has_other], side_speeds)
     return speeds[0], speeds[1]

@@ -96,9 +96,7 @@ def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[
     if not rests_at_zero and abs(offset) > OTHER_ORIGIN_OFFSET * subject.size:
         return
     joint = int(contacts.feet[feet_with_contacts[nearest_foot]])
-    frame = int(
-        np.flatnonzero(contacts.is_static[:, feet_with_contacts].any(axis=1))[0]
-    )
+    frame = int(contacts.is_static[:, feet_with_contacts].any(axis=1).argmax())
     side = "below" if offset < 0.0 else "above"
     message = (
         f"the feet are {abs(offset):.3g} m {side} the ground, 0 of the up axis; "
@@ -129,11 +127,8 @@ def _clearances(
     for column, joint in enumerate(feet.tolist()):
         is_toe = int(parents[joint]) in foot_joints
         max_clearance[column] = (MAX_TOE if is_toe else MAX_ANKLE) * rest_size
-        if _is_hanging(
-            rest_positions,
-            heights,
-            _leg_joints(parents.tolist(), foot_joints, hips, joint),
-        ):
+        leg = _leg_joints(parents.tolist(), foot_joints, hips, joint)
+        if _is_hanging(rest_positions, heights, leg):
             min_clearance[column] = heights[joint] - lowest
         else:
             are_hanging = False
@@ -143,10 +138,9 @@ def _clearances(
     if rests_at_zero:
         min_clearance = max_clearance = heights[feet]
     else:
-        min_clearance, max_clearance = (
-            np.maximum(min_clearance, MIN_HEIGHT_FRACTION * max_clearance),
-            np.maximum(min_clearance, max_clearance),
-        )
+        min_ankle_height = MIN_HEIGHT_FRACTION * max_clearance
+        max_clearance = np.maximum(min_clearance, max_clearance)
+        min_clearance = np.maximum(min_clearance, min_ankle_height)
     return min_clearance * scale, max_clearance * scale, rests_at_zero
 
 
@@ -171,9 +165,8 @@ def _is_hanging(
 ) -> bool:
     """Return whether a leg hangs straight down in the rest pose."""
     bones = np.linalg.norm(np.diff(rest_positions[leg], axis=0), axis=1)
-    return bool(
-        heights[leg[-1]] - heights[leg[0]] > HANGING_FRACTION * bones.sum() > 0.0
-    )
+    height = heights[leg[-1]] - heights[leg[0]]
+    return bool(height > HANGING_FRACTION * bones.sum() > 0.0)
 
 
 def _deepest_foot(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
@@ -233,9 +226,8 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
     ground = float(contacts.floor[has_floor].min())
     clearance = subject.heights[:, contacts.feet[has_floor]] - contacts.floor[has_floor]
     lowest_heights = subject.heights[:, body_joints(subject)].min(axis=1) - ground
-    is_airborne = (clearance.min(axis=1) > AIR_HEIGHT * subject.size) & (
-        lowest_heights > AIR_HEIGHT * subject.size
-    )
+    is_airborne = clearance.min(axis=1) > AIR_HEIGHT * subject.size
+    is_airborne &= lowest_heights > AIR_HEIGHT * subject.size
     static = contacts.is_static[:, has_floor]
     # A file without units may contain a person, whatever its numbers.
     body_size = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
@@ -276,20 +268,18 @@ def _is_climbing(
     window = max(1, round(STEP_SECONDS / subject.interval))
     is_high = clearance > AIR_HEIGHT * size
     is_low = np.abs(clearance) < PLANTED_HEIGHT * size
-    is_step = (static & is_high).any(axis=1) & (static & is_low).any(axis=1)
-    is_step = np.asarray(is_step)
-    if (
-        is_step[max(first - window, 0) : first].any()
-        or is_step[last + 1 :][:window].any()
-    ):
+    is_step = np.asarray((static & is_high).any(axis=1) & (static & is_low).any(axis=1))
+    steps_before, steps_after = (
+        is_step[max(first - window, 0) : first],
+        is_step[last + 1 :],
+    )
+    if steps_before.any() or steps_after[:window].any():
         return True
     run_contacts, run_heights = static[first : last + 1], clearance[first : last + 1]
     has_contact = np.flatnonzero(run_contacts.any(axis=0))
     for direction in (slice(None), slice(None, None, -1)):
-        first_contacts = np.argmax(run_contacts[direction], axis=0)
-        contact_heights = run_heights[direction][
-            first_contacts, np.arange(run_contacts.shape[1])
-        ][has_contact]
+        first_contacts = np.argmax(run_contacts[direction], axis=0)[has_contact]
+        contact_heights = run_heights[direction][first_contacts, has_contact]
         if len(has_contact) and float(np.ptp(contact_heights)) > STEP_HEIGHT * size:
             return True
     return False

@@ -35,10 +35,8 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
     if codes is None or len(codes) < 2:
         return
     offsets = codes - np.round(codes)
-    is_misaligned = (np.abs(offsets) > CODE_ROUNDING) & (
-        np.abs(offsets) < REGULAR_SAMPLE
-    )
     is_off_frame = np.abs(offsets) > CODE_ROUNDING
+    is_misaligned = is_off_frame & (np.abs(offsets) < REGULAR_SAMPLE)
     if float(is_off_frame.mean()) < MIN_OFF_FRAME_FRACTION:
         is_misaligned = is_off_frame
     if is_misaligned.any():
@@ -170,9 +168,8 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
         return
     gap_index = int(gap_indices[0])
     count = max(1, round(float(ratios[gap_index])) - 1)
-    repeat_text = (
-        f"; there are {len(gap_indices) - 1} more gaps" if len(gap_indices) > 1 else ""
-    )
+    other_count = len(gap_indices) - 1
+    repeat_text = f"; there are {other_count} more gaps" if other_count else ""
     message = (
         f"no sample between time codes {subject.time_text(gap_index)} and "
         f"{subject.time_text(gap_index + 1)}, though one is due every {typical_gap:g}: "
@@ -225,47 +222,34 @@ def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     )
     is_possible &= total_steps > MIN_LOSS_PACE * np.median(total_steps)
     is_possible &= ~(subject.cuts() | _near_repeats(subject))[2:-2]
-    is_contradicting = (
-        np.einsum("snc,snc->sn", middle_steps, predicted_step)
-        < CONTRADICTING_STEPS * squared_steps
-    )
-    contradicting_weight = (shows_loss * is_contradicting * squared_steps).sum(
-        axis=1
-    ) / np.maximum((shows_loss * squared_steps).sum(axis=1), np.finfo(float).tiny)
+    products = np.einsum("snc,snc->sn", middle_steps, predicted_step)
+    is_contradicting = products < CONTRADICTING_STEPS * squared_steps
+    loss_weight = (shows_loss * squared_steps).sum(axis=1)
+    contradicting_weight = (shows_loss * is_contradicting * squared_steps).sum(axis=1)
+    contradicting_weight /= np.maximum(loss_weight, np.finfo(float).tiny)
     is_possible &= contradicting_weight < CERTAIN_CONTRADICTING
+    is_consistent = contradicting_weight < MAX_CONTRADICTING_FEW
+    max_remainder = np.where(is_consistent, MAX_REMAINDER, GOOD_REMAINDER)
+    max_remainder = max_remainder * weighted_deviation
     for lost_count in range(1, MAX_LOST_FRAMES + 1):
-        remaining_squares = _squared_lengths(
-            middle_steps - _predicted_step(near_steps, far_steps, lost_count)
-        )
+        prediction = _predicted_step(near_steps, far_steps, lost_count)
+        remaining_squares = _squared_lengths(middle_steps - prediction)
         weighted_remaining = (shows_loss * remaining_squares / noise).sum(axis=1)
         is_better = shows_loss & (remaining_squares < 0.5 * deviations)
         better_count = is_better.sum(axis=1)
-        max_remainder = (
-            np.where(
-                contradicting_weight < MAX_CONTRADICTING_FEW,
-                MAX_REMAINDER,
-                GOOD_REMAINDER,
-            )
-            * weighted_deviation
-        )
-        is_loss = (
-            (weighted_remaining < max_remainder)
-            & (better_count > MIN_JOINT_FRACTION * showing_count)
-            & (contradicting_weight < MAX_CONTRADICTING)
-        )
+        is_loss = weighted_remaining < max_remainder
+        is_loss &= better_count > MIN_JOINT_FRACTION * showing_count
+        is_loss &= contradicting_weight < MAX_CONTRADICTING
         is_loss |= (weighted_remaining < CERTAIN_REMAINDER * weighted_deviation) & (
             better_count > CERTAIN_JOINTS * showing_count
         )
-        is_few_loss = (weighted_remaining < MAX_FEW_REMAINDER * weighted_deviation) & (
-            better_count == showing_count
-        )
-        is_few_loss &= (is_better * squared_steps).sum(
-            axis=1
-        ) > MIN_FEW_PACE * squared_steps.sum(axis=1)
+        better_steps = (is_better * squared_steps).sum(axis=1)
+        is_few_loss = weighted_remaining < MAX_FEW_REMAINDER * weighted_deviation
+        is_few_loss &= better_count == showing_count
+        is_few_loss &= better_steps > MIN_FEW_PACE * squared_steps.sum(axis=1)
         is_few_loss &= _in_two_limbs(subject, is_better)
-        is_loss = is_possible & np.where(
-            showing_count >= MIN_JOINTS, is_loss, is_few_loss
-        )
+        is_loss = np.where(showing_count >= MIN_JOINTS, is_loss, is_few_loss)
+        is_loss &= is_possible
         ratios[2:-2][is_loss & ~is_lost[2:-2]] = lost_count + 1.0
         is_lost[2:-2] |= is_loss
     return ratios, is_lost
@@ -281,10 +265,8 @@ def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
     limbs = limbs_of(subject.take.rig.parents)[_animated_columns(subject)]
     is_translating = np.arange(len(limbs)) >= len(subject.rotating_joints)
     limbs = np.where(is_translating & (limbs < 0), -2, limbs)
-    flags_by_limb = [
-        is_flagged[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)
-    ]
-    return np.asarray(np.sum(flags_by_limb, axis=0) > 1)
+    flags = [is_flagged[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)]
+    return np.asarray(np.sum(flags, axis=0) > 1)
 
 
 def _predicted_step(
@@ -317,26 +299,19 @@ def _typical_squares(squares: FloatArray) -> FloatArray:
     """
     count = len(squares)
     block_count = max(1, count // BLOCK_FRAMES)
-    block_edges = np.linspace(0, count, block_count + 1).astype(int)
-    medians = np.stack(
-        [
-            np.median(squares[start:end], axis=0)
-            for start, end in pairwise(block_edges.tolist())
-        ]
-    )
-    padded_medians = np.pad(medians, ((1, 1), (0, 0)), mode="edge")
-    largest_medians = np.maximum(
-        np.maximum(padded_medians[:-2], padded_medians[1:-1]), padded_medians[2:]
-    )
-    return np.asarray(np.repeat(largest_medians, np.diff(block_edges), axis=0))
+    edges = np.linspace(0, count, block_count + 1).astype(int)
+    blocks = [squares[start:end] for start, end in pairwise(edges.tolist())]
+    medians = np.stack([np.median(block, axis=0) for block in blocks])
+    padded = np.pad(medians, ((1, 1), (0, 0)), mode="edge")
+    largest_medians = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
+    return np.asarray(np.repeat(largest_medians, np.diff(edges), axis=0))
 
 
 def _near_repeats(subject: MotionSubject) -> BoolArray:
     """Return a mask of steps near a repeated frame, where speeds are unreliable."""
     is_static = subject.speeds < STATIC_SPEED * np.median(subject.speeds)
-    windows = sliding_window_view(
-        np.pad(is_static, REPEAT_WINDOW), 2 * REPEAT_WINDOW + 1
-    )
+    padded = np.pad(is_static, REPEAT_WINDOW)
+    windows = sliding_window_view(padded, 2 * REPEAT_WINDOW + 1)
     return np.asarray(windows.any(axis=1))
 
 
@@ -358,15 +333,13 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
         return np.zeros(0, bool), False
     speeds = subject.speeds
     typical_speed = float(np.median(speeds[speeds > STATIC_SPEED * speeds.max()]))
+    min_speed = MIN_LOSS_PACE * typical_speed
     is_repeat = np.zeros(len(is_static), bool)
     starts = []
     for first, end in runs(is_static):
         # The motion stops abruptly before these steps, and resumes after.
-        if (
-            first
-            and end < len(speeds)
-            and min(speeds[first - 1], speeds[end]) > MIN_LOSS_PACE * typical_speed
-        ):
+        is_inside = first > 0 and end < len(speeds)
+        if is_inside and min(speeds[first - 1], speeds[end]) > min_speed:
             is_repeat[first:end] = True
             starts.append(first)
     gaps = np.diff(starts)
@@ -380,11 +353,9 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
     """Yield frames in which all motion stops abruptly and then resumes (MOT206)."""
     is_repeat, is_regular = _repeated_frames(subject)
-    if (
-        is_regular
-        or not is_repeat.any()
-        or float(is_repeat.mean()) > MAX_STATIC_FRACTION
-    ):
+    if is_regular or not is_repeat.any():
+        return
+    if float(is_repeat.mean()) > MAX_STATIC_FRACTION:
         return
     frozen_runs = runs(is_repeat)
     first_frame, end_frame = max(frozen_runs, key=lambda run: run[1] - run[0])
@@ -443,9 +414,8 @@ def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
         hint = "author the same framesPerSecond and timeCodesPerSecond"
         yield subject.fault("MOT207", None, 0, message, hint)
         return
-    if np.abs(gaps - typical_step).max() > 0.02 * typical_step or _is_multiple(
-        typical_step
-    ):
+    is_uneven = np.abs(gaps - typical_step).max() > 0.02 * typical_step
+    if is_uneven or _is_multiple(typical_step):
         return
     message = (
         f"samples are {typical_step:.6g} time codes apart: {fps / typical_step:.4g} "

@@ -84,13 +84,11 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     is_large = (values > MAX_WEIGHT) | (values < MIN_WEIGHT)
     if not is_large.any():
         return
-    frame, shape = np.unravel_index(int(np.where(is_large, np.abs(values), 0).argmax()),
-                                    values.shape)  # fmt: skip
-    names = [
-        subject.take.rig.shapes[shape_index].name
-        for shape_index in np.flatnonzero(is_large.any(axis=0))
-    ]
-    name = subject.take.rig.shapes[int(shape)].name
+    largest_index = int(np.where(is_large, np.abs(values), 0).argmax())
+    frame, shape = np.unravel_index(largest_index, values.shape)
+    shapes = subject.take.rig.shapes
+    names = [shapes[s].name for s in np.flatnonzero(is_large.any(axis=0))]
+    name = shapes[int(shape)].name
     other_names = [repr(other_name) for other_name in names if other_name != name]
     message = (
         f"shape {name!r} has weight {values[frame, shape]:.4g} at frame "
@@ -108,21 +106,14 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if bind and rest pose differ in size or position (MOT220)."""
     if subject.bind is None or not subject.has_rest:
         return
-    rig, bind_positions, rest_positions = subject.take.rig, subject.bind, subject.rest
-    distance = float(
-        np.linalg.norm(bind_positions.mean(axis=0) - rest_positions.mean(axis=0))
-    )
+    rig, bind, rest = subject.take.rig, subject.bind, subject.rest
+    distance = float(np.linalg.norm(bind.mean(axis=0) - rest.mean(axis=0)))
     parents = rig.parents
     bones = np.flatnonzero(parents >= 0)
-    lengths = np.linalg.norm(
-        rest_positions[bones] - rest_positions[parents[bones]], axis=1
-    )
+    lengths = np.linalg.norm(rest[bones] - rest[parents[bones]], axis=1)
     is_measured = lengths > MIN_BONE_LENGTH * subject.size
     bones, lengths = bones[is_measured], lengths[is_measured]
-    ratios = (
-        np.linalg.norm(bind_positions[bones] - bind_positions[parents[bones]], axis=1)
-        / lengths
-    )
+    ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / lengths
     is_different = (ratios > MAX_LENGTH_RATIO) | (ratios < 1.0 / MAX_LENGTH_RATIO)
     hint = "bind transforms are in world space, in the pose in which the mesh was bound"
     if len(bones) and float(is_different.mean()) > MAX_BONES:
@@ -142,7 +133,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
         return
-    offsets = np.linalg.norm(bind_positions - rest_positions, axis=1)
+    offsets = np.linalg.norm(bind - rest, axis=1)
     joint = int(offsets.argmax())
     if offsets[joint] > MAX_BIND_DISTANCE * subject.size:
         message = (
@@ -233,9 +224,8 @@ def _full_take_swap(
     )
     is_used = np.linalg.norm(facing_direction, axis=1) > MIN_FACING * subject.size
     # The feet of a crawling or lying body are next to its hips and point anywhere.
-    is_used &= up_directions @ subject.up > MIN_UPRIGHT * np.linalg.norm(
-        up_directions, axis=1
-    )
+    leg_lengths = np.linalg.norm(up_directions, axis=1)
+    is_used &= up_directions @ subject.up > MIN_UPRIGHT * leg_lengths
     if np.count_nonzero(is_used) < max(1.0, MIN_UPRIGHT_FRACTION * len(is_used)):
         return
     is_swapped = is_used & (left_distance < 0.0)
@@ -248,9 +238,7 @@ def _full_take_swap(
         "the direction of the feet"
     )
     hint = "the names are swapped, or the motion is mirrored: the pass mirror swaps it"
-    yield subject.fault(
-        "MOT210", left_hip, int(np.flatnonzero(is_swapped)[0]), message, hint
-    )
+    yield subject.fault("MOT210", left_hip, int(is_swapped.argmax()), message, hint)
 
 
 def _facing_direction(subject: MotionSubject) -> FloatArray | None:
@@ -285,10 +273,10 @@ def _hip_pair(
                 chain.append(joint)
             joint = rig.joints[joint].parent
         # Joints nearest to the root may be at its position.
-        for joint_in_chain in reversed(chain):
-            bone = subject.rest[joint_in_chain] - subject.rest[partners[joint_in_chain]]
-            if np.linalg.norm(bone) > MIN_FACING * subject.size:
-                return joint_in_chain, partners[joint_in_chain]
+        for hip in reversed(chain):
+            width = np.linalg.norm(subject.rest[hip] - subject.rest[partners[hip]])
+            if width > MIN_FACING * subject.size:
+                return hip, partners[hip]
     return None
 
 
@@ -301,63 +289,50 @@ def _side_swaps(
     pairs = [pair for pair in pairs if moving_joints.issuperset(pair)]
     if not pairs or subject.frames < MIN_STEPS:
         return
-    left_rotations = rotations.gather(np.array([pair[0] for pair in pairs]))
-    right_rotations = rotations.gather(np.array([pair[1] for pair in pairs]))
-    steps = so3.angle_between(left_rotations[1:], left_rotations[:-1])
+    left = rotations.gather(np.array([pair[0] for pair in pairs]))
+    right = rotations.gather(np.array([pair[1] for pair in pairs]))
     steps = np.minimum(
-        steps, so3.angle_between(right_rotations[1:], right_rotations[:-1])
+        *(so3.angle_between(side[1:], side[:-1]) for side in (left, right))
     )
-    from_same_side, from_other_side = _side_deviations(left_rotations, right_rotations)
-    reverse_from_same, reverse_from_other = (
-        reverse_deviation[::-1]
-        for reverse_deviation in _side_deviations(
-            left_rotations[::-1], right_rotations[::-1]
-        )
-    )
-    from_other_side = np.minimum(from_other_side, reverse_from_other)
-    is_swapped = (from_same_side > MIN_SWAP_ANGLE) & (
-        from_other_side < MAX_SWAP_RATIO * from_same_side
-    )
-    is_swapped &= (
-        _neighbor_moves(steps, from_same_side, reverse_from_same)
-        & ~subject.cuts()[:, None]
-    )
-    is_large_swap = (
-        np.where(is_swapped, from_same_side, 0.0).sum(axis=1) > MIN_TOTAL_SWAP_ANGLE
-    )
+    from_same_side, from_other_side = _side_deviations(left, right)
+    reverse_from_same, reverse_from_other = _side_deviations(left[::-1], right[::-1])
+    from_other_side = np.minimum(from_other_side, reverse_from_other[::-1])
+    is_swapped = from_same_side > MIN_SWAP_ANGLE
+    is_swapped &= from_other_side < MAX_SWAP_RATIO * from_same_side
+    is_swapped &= _neighbor_moves(steps, from_same_side, reverse_from_same[::-1])
+    is_swapped &= ~subject.cuts()[:, None]
+    total_angle = np.where(is_swapped, from_same_side, 0.0).sum(axis=1)
     has_enough_pairs = is_swapped.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
-    is_certain = (from_same_side > MIN_SINGLE_EXCHANGE) & (
-        from_other_side < MAX_SINGLE_SWAP_RATIO * from_same_side
-    )
-    is_swapped &= (is_large_swap & has_enough_pairs)[:, None] | is_certain
+    is_certain = from_same_side > MIN_SINGLE_EXCHANGE
+    is_certain &= from_other_side < MAX_SINGLE_SWAP_RATIO * from_same_side
+    is_large_swap = (total_angle > MIN_TOTAL_SWAP_ANGLE) & has_enough_pairs
+    is_swapped &= is_large_swap[:, None] | is_certain
     swap_steps = np.flatnonzero(is_swapped.any(axis=1))
     if not len(swap_steps):
         return
-    step = int(swap_steps[0])
-    names = [
-        f"{subject.take.rig.names[pairs[i][0]]!r} and "
-        f"{subject.take.rig.names[pairs[i][1]]!r}"
-        for i in np.flatnonzero(is_swapped[step]).tolist()
-    ]
+    step, names = int(swap_steps[0]), subject.take.rig.names
+    swapped_pairs = [pairs[i] for i in np.flatnonzero(is_swapped[step]).tolist()]
+    pair_texts = [f"{names[i]!r} and {names[j]!r}" for i, j in swapped_pairs]
     until_text = ""
     if len(swap_steps) > 1:
         until_text = f", until frame {subject.time_text(int(swap_steps[1]))}"
-    message = f"{listed(names)} swap at frame {subject.time_text(step + 1)}{until_text}"
+    frame_text = f"at frame {subject.time_text(step + 1)}{until_text}"
+    message = f"{listed(pair_texts)} swap {frame_text}"
     hint = "swap their channels there; markers of the two sides were mixed up"
-    joint = pairs[int(np.flatnonzero(is_swapped[step])[0])][0]
-    yield subject.fault("MOT210", joint, step, message, hint)
+    yield subject.fault("MOT210", swapped_pairs[0][0], step, message, hint)
 
 
 def _side_deviations(
     left: FloatArray, right: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return deviations from the motion of the same and of the opposite side [rad]."""
-    same_side_deviations = np.minimum(
+    same_side = np.minimum(
         _extrapolation_error(left, left), _extrapolation_error(right, right)
     )
-    return same_side_deviations, np.maximum(
+    other_side = np.maximum(
         _extrapolation_error(left, right), _extrapolation_error(right, left)
     )
+    return same_side, other_side
 
 
 def _extrapolation_error(rotations: FloatArray, predictors: FloatArray) -> FloatArray:
@@ -387,20 +362,18 @@ def _neighbor_moves(
     zero_row = np.zeros((1, steps.shape[1]))
     deviation_before = np.concatenate([zero_row, deviation[:-1]])
     deviation_after = np.concatenate([reverse_deviation[1:], zero_row])
-    return np.asarray(
-        is_moving
-        & (np.maximum(deviation_before, deviation_after) < MAX_SWAP_RATIO * deviation)
-    )
+    largest = np.maximum(deviation_before, deviation_after)
+    return np.asarray(is_moving & (largest < MAX_SWAP_RATIO * deviation))
 
 
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     """Yield joints that never rotate although their opposites do (MOT211)."""
     channel = subject.take.motion.rotations
-    roots = {*subject.take.rig.roots, *body_carriers(subject)}
+    roots = [*subject.take.rig.roots, *body_carriers(subject)]
+    moving_joints = [*subject.rotating_joints, *subject.translating_joints]
     # With a static root, parts were keyed one by one, and one arm may wave alone.
-    if (subject.frames - 1) * subject.interval < MIN_SECONDS or roots.isdisjoint(
-        [*subject.rotating_joints.tolist(), *subject.translating_joints.tolist()]
-    ):
+    has_static_root = set(roots).isdisjoint(moving_joints)
+    if (subject.frames - 1) * subject.interval < MIN_SECONDS or has_static_root:
         return
     ranges = np.zeros(len(subject.take.rig.joints))
     angles = so3.angle_between(channel.values, channel.values[:1])

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -62,36 +63,26 @@ def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
     is_positioned = positioned_joints(subject)
-    largest: tuple[float, int, int, float, float] | None = None
-    bone_count = 0
+    stretched: list[tuple[float, int, int, float, float]] = []
     channel = subject.take.motion.translations
     for column, joint_index in enumerate(channel.animated.tolist()):
         joint = subject.take.rig.joints[joint_index]
         rest_length = math.hypot(*joint.translation)
-        is_prismatic = joint.type is JointType.PRISMATIC
-        if (
-            is_prismatic
-            or is_positioned[joint_index]
-            or rest_length <= MIN_BONE_LENGTH * subject.rest_size
-        ):
+        if joint.type is JointType.PRISMATIC or is_positioned[joint_index]:
+            continue
+        if rest_length <= MIN_BONE_LENGTH * subject.rest_size:
             continue
         lengths = np.linalg.norm(channel.values[:, column], axis=1)
         strains = np.abs(lengths / rest_length - 1.0)
         frame = int(strains.argmax())
         if strains[frame] > MAX_STRETCH:
-            bone_count += 1
-            strain = (
-                float(strains[frame]),
-                joint_index,
-                frame,
-                float(lengths[frame]),
-                rest_length,
-            )
-            largest = strain if largest is None or strain[0] > largest[0] else largest
-    if largest is None:
+            strain, length = float(strains[frame]), float(lengths[frame])
+            stretched.append((strain, joint_index, frame, length, rest_length))
+    if not stretched:
         return
-    _, joint_index, frame, length, rest_length = largest
-    repeat_text = f"; {bone_count - 1} more bones change too" if bone_count > 1 else ""
+    _, joint_index, frame, length, rest_length = max(stretched, key=itemgetter(0))
+    other_count = len(stretched) - 1
+    repeat_text = f"; {other_count} more bones change too" if other_count else ""
     message = (
         f"the bone to {subject.take.rig.joints[joint_index].name!r} is {length:.3g} m "
         f"long at frame {subject.time_text(frame)}, but {rest_length:.3g} m at "
@@ -147,8 +138,8 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         root, factor = root_factor
         message = (
             f"the root {subject.take.rig.joints[root].name!r} is "
-            f"{_factor_text(factor)} as "
-            "high as at rest: its translation uses another unit"
+            f"{_factor_text(factor)} as high as at rest: its translation uses another "
+            "unit"
         )
         hint = "convert the root's translations to the unit of the rig"
         yield subject.fault("MOT213", root, 0, message, hint)
@@ -201,24 +192,17 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
     for factor in UNIT_FACTORS:
         lift = (factor - 1.0) * subject.positions[:, root]
         heights_above = (points + lift) @ subject.up
-        if (
-            float((np.abs(heights_above) < ZERO_HEIGHT * subject.size).mean())
-            > MIN_ZERO_FRACTION
-        ):
+        is_low = np.abs(heights_above) < ZERO_HEIGHT * subject.size
+        if float(is_low.mean()) > MIN_ZERO_FRACTION:
             return 1.0 / factor
-        if (
-            abs(float(np.percentile(heights_above, 5)))
-            > MIN_TREAD_FRACTION * subject.size
-        ):
+        lowest = abs(float(np.percentile(heights_above, 5)))
+        if lowest > MIN_TREAD_FRACTION * subject.size:
             continue
-        previous_positions = body_positions[
-            np.arange(len(body_positions) - 1) + 1, lowest_joints[:-1]
-        ]
-        steps = previous_positions + lift[1:] - points[:-1] - lift[:-1]
-        is_slow = (
-            np.linalg.norm(steps, axis=1)
-            < TREAD_SPEED * subject.size * subject.interval
-        )
+        frames = np.arange(1, len(body_positions))
+        next_points = body_positions[frames, lowest_joints[:-1]]
+        steps = next_points + lift[1:] - points[:-1] - lift[:-1]
+        max_step = TREAD_SPEED * subject.size * subject.interval
+        is_slow = np.linalg.norm(steps, axis=1) < max_step
         if float(is_slow.mean()) > STATIC_TREAD_FRACTION:
             return 1.0 / factor
     return None
@@ -255,10 +239,7 @@ def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
     smallest = min(smallest, subject.take.rig.meters_per_unit)
     if len(subject.take.rig.joints) < 2 or smallest <= subject.size <= largest:
         return
-    if (
-        is_character(subject.take.rig.names)
-        and next(other_units(subject), None) is not None
-    ):
+    if is_character(subject.take.rig.names) and any(other_units(subject)):
         return
     if subject.size * 1e3 < smallest * 1e-3:
         # All joints are at one position: a rig of controls, or a single joint.
@@ -274,17 +255,13 @@ def body_axis(subject: MotionSubject) -> Stance | None:
     rig = subject.take.rig
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
-    if sum(map(bool, map(DIGIT_NAMES.search, rig.names))) > HAND_FRACTION * len(
-        rig.joints
-    ):
+    digit_count = sum(map(bool, map(DIGIT_NAMES.search, rig.names)))
+    if digit_count > HAND_FRACTION * len(rig.joints):
         return None
     rest_positions = rest_world(rig).positions[0] if subject.has_rest else None
-    body_stance = measure_stance(
-        find_anatomy(rig).roles, subject.positions, rig.up, rest_positions
-    )
-    if body_stance.axis is None and not body_stance.upside_down:
-        return None
-    return body_stance
+    roles = find_anatomy(rig).roles
+    stance = measure_stance(roles, subject.positions, rig.up, rest_positions)
+    return None if stance.axis is None and not stance.upside_down else stance
 
 
 def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:

@@ -128,15 +128,11 @@ class MotionSubject:
         The square root of the sum of squared rotations [rad] and squared translations,
         in units of half the size of the rig.
         """
-        squared_rotations = np.einsum(
-            "fjc,fjc->f", self.rotation_steps, self.rotation_steps
+        rotations, translations = (
+            np.einsum("fjc,fjc->f", steps, steps)
+            for steps in (self.rotation_steps, self.translation_steps)
         )
-        squared_translations = np.einsum(
-            "fjc,fjc->f", self.translation_steps, self.translation_steps
-        )
-        return np.asarray(
-            np.sqrt(squared_rotations + squared_translations * (2.0 / self.size) ** 2)
-        )
+        return np.asarray(np.sqrt(rotations + translations * (2.0 / self.size) ** 2))
 
     @cached_property
     def joints_leaving_pose(self) -> IntArray:
@@ -146,11 +142,11 @@ class MotionSubject:
         """
         if self.frames < POSE_STEPS or not len(self.rotating_joints) or self.cuts()[0]:
             return np.zeros(0, np.int64)
-        step_angles = np.linalg.norm(self.rotation_steps[:POSE_STEPS], axis=2)
-        largest_after = step_angles[1:].max(axis=0)
-        leaves_pose = (step_angles[0] > POSE_ANGLE) & (
-            step_angles[0] > POSE_STEP_RATIO * largest_after
+        first_angles, *later_angles = np.linalg.norm(
+            self.rotation_steps[:POSE_STEPS], axis=2
         )
+        leaves_pose = first_angles > POSE_ANGLE
+        leaves_pose &= first_angles > POSE_STEP_RATIO * np.max(later_angles, axis=0)
         joints = np.asarray(self.rotating_joints[leaves_pose])
         return joints if len(joints) >= POSE_JOINTS else joints[:0]
 
@@ -163,14 +159,10 @@ class MotionSubject:
         clock = replace(clock, start=clock.start + clock.step, count=clock.count - 1)
         motion = self.take.motion.select(slice(1, None))
         take = replace(self.take, clock=clock, motion=motion, curve=None)
-        return replace(
-            self,
-            take=take,
-            codes=None if self.codes is None else self.codes[1:],
-            intended_cuts=None
-            if self.intended_cuts is None
-            else self.intended_cuts[1:],
-        )
+        codes, cuts = self.codes, self.intended_cuts
+        codes = None if codes is None else codes[1:]
+        cuts = None if cuts is None else cuts[1:]
+        return replace(self, take=take, codes=codes, intended_cuts=cuts)
 
     @cached_property
     def world(self) -> WorldTransforms:
@@ -212,20 +204,16 @@ class MotionSubject:
         bones = np.flatnonzero(parents >= 0)
         if not self.has_rest or not len(bones) or not self.frames:
             return 1.0
-        rest_lengths = np.linalg.norm(
-            self.rest[bones] - self.rest[parents[bones]], axis=1
-        )
+        rest_bones = self.rest[bones] - self.rest[parents[bones]]
+        rest_lengths = np.linalg.norm(rest_bones, axis=1)
         is_measured = rest_lengths > SHORT_BONE * self.rest_size
         bones, rest_lengths = bones[is_measured], rest_lengths[is_measured]
         if not len(bones):
             return 1.0
-        sampled_frames = np.unique(
-            np.linspace(0, self.frames - 1, SCALE_FRAMES).astype(int)
-        )
-        animated_positions = self.positions[sampled_frames]
-        lengths = np.linalg.norm(
-            animated_positions[:, bones] - animated_positions[:, parents[bones]], axis=2
-        )
+        frames = np.unique(np.linspace(0, self.frames - 1, SCALE_FRAMES).astype(int))
+        positions = self.positions[frames]
+        animated_bones = positions[:, bones] - positions[:, parents[bones]]
+        lengths = np.linalg.norm(animated_bones, axis=2)
         scale = float(np.median(lengths / rest_lengths))
         return scale if max(scale, 1.0 / max(scale, 1e-12)) > SCALE_RATIO else 1.0
 

@@ -77,17 +77,14 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
         excess_at_times = np.abs(excess(values_at(channel, times)))
         segment_of_frame = np.searchsorted(channel.times, times, "right") - 1
         for key in np.flatnonzero(is_inside[:-1] & is_inside[1:]).tolist():
-            frames = np.flatnonzero(
-                (segment_of_frame == key) & (excess_at_times > LIMIT_TOLERANCE)
-            )
-            if len(frames):
-                message = _excess_text(
-                    channel, key, times[frames], excess_at_times[frames]
-                )
+            is_outside = (segment_of_frame == key) & (excess_at_times > LIMIT_TOLERANCE)
+            if is_outside.any():
+                frames, excesses = times[is_outside], excess_at_times[is_outside]
+                message = _excess_text(channel, key, frames, excesses)
                 hint = "use tangents: auto_clamped, shorter handles, or a key between"
                 location = ("channels", channel_index, "keys", key)
                 fault = subject.fault("CLIP205", location, message, hint)
-                yield replace(fault, frame=float(times[frames[0]]))
+                yield replace(fault, frame=float(frames[0]))
 
 
 def _excess_text(
@@ -95,10 +92,9 @@ def _excess_text(
 ) -> str:
     """Return text on the frames in which a curve segment exceeds its limits."""
     largest = float(excess.max())
-    is_angle = channel.target.endswith((".angle", ".rotation"))
-    amount_text = (
-        f"{math.degrees(largest):.3g}\N{DEGREE SIGN}" if is_angle else f"{largest:.3g}"
-    )
+    amount_text = f"{largest:.3g}"
+    if channel.target.endswith((".angle", ".rotation")):
+        amount_text = f"{math.degrees(largest):.3g}{DEGREE}"
     key_frames = f"{channel.times[key]:g} and {channel.times[key + 1]:g}"
     frames_text = f"frame {frames[0]:g}"
     if len(frames) > 1:
@@ -113,13 +109,10 @@ def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
     """Return a function that computes by how much a channel exceeds its limits."""
     kind, _, name = channel.target.partition("/")
     if kind == "control":
-        control = next(
-            rig_control for rig_control in rig.controls if rig_control.name == name
-        )
-        lower, upper = control.low, control.high
-        if lower is None or upper is None:
+        control = next(control for control in rig.controls if control.name == name)
+        if control.low is None or control.high is None:
             return None
-        limits = RangeLimit(lower, upper)
+        limits = RangeLimit(control.low, control.high)
         return lambda values: limits.excess(values[:, 0])
     joint, _, coordinate = name.rpartition(".")
     if kind != "joint" or coordinate not in {"angle", "slide", "rotation"}:
@@ -144,10 +137,8 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
         first_key = int(flip_keys[0])
         message = _full_circle_text(channel, first_key)
         if len(flip_keys) > 1:
-            frames = listed(
-                [f"{channel.times[key + 1]:g}" for key in flip_keys[1:].tolist()]
-            )
-            message += f"; {len(flip_keys) - 1} more times, up to frames {frames}"
+            frames = [f"{channel.times[k + 1]:g}" for k in flip_keys[1:].tolist()]
+            message += f"; {len(frames)} more times, up to frames {listed(frames)}"
         location = ("channels", channel_index, "keys", first_key + 1, "v")
         hint = _unwrapping_hint(channel, first_key, subject.units.angle)
         fault = subject.fault("CLIP206", location, message, hint)
@@ -177,12 +168,11 @@ def _unwrapping_hint(channel: ClipChannel, key: int, unit: float) -> str:
     unit: angle unit of the file [rad].
     """
     first, second = channel.values[key], channel.values[key + 1]
-    nearer_angles = first + np.remainder(second - first + math.pi, math.tau) - math.pi
-    equivalent_angles = _nearer_angles(channel, first, second)
-    if equivalent_angles is not None and _value_distance(
-        first, equivalent_angles
-    ) < _value_distance(first, nearer_angles):
-        nearer_angles = equivalent_angles
+    candidates = [_unwrapped(first, second), _nearer_angles(channel, first, second)]
+    nearer_angles = min(
+        (angles for angles in candidates if angles is not None),
+        key=lambda angles: _value_distance(first, angles),
+    )
     current_text, nearer_text = (
         ", ".join(f"{value / unit:.6g}" for value in values)
         for values in (second, nearer_angles)
@@ -196,17 +186,19 @@ def _value_distance(first: FloatArray, second: FloatArray) -> float:
     return float(np.abs(second - first).max())
 
 
+def _unwrapped(reference: FloatArray, angles: FloatArray) -> FloatArray:
+    """Return angles within half a revolution of reference angles [rad]."""
+    offsets = np.remainder(angles - reference + math.pi, math.tau)
+    return np.asarray(reference + offsets - math.pi)
+
+
 def _flip_keys(channel: ClipChannel) -> IntArray:
     """Return the keys of a densely sampled curve after which angles wrap."""
     is_sampled = np.diff(channel.times) <= MAX_SAMPLE_SPACING
     is_far = (np.abs(np.diff(channel.values, axis=0)) > MIN_FAR_ANGLE).any(axis=1)
     candidates = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
-    return candidates[
-        [
-            _shortest_rotation(channel, key) < NEAR_ROTATION
-            for key in candidates.tolist()
-        ]
-    ]
+    angles = [_shortest_rotation(channel, key) for key in candidates.tolist()]
+    return candidates[np.array(angles) < NEAR_ROTATION]
 
 
 def _interpolated_keys(channel: ClipChannel) -> BoolArray:
@@ -262,21 +254,15 @@ def _wraps_after(
     if limits is not None and not limits.low <= first_value + short_path <= limits.high:
         return False
     rates = np.diff(values) / np.diff(channel.times)
-    neighbour_rates = [
-        float(rates[j]) for j in (key - 1, key + 1) if 0 <= j < len(rates)
-    ]
-    if any(rate / rates[key] >= SPIN_RATIO for rate in neighbour_rates):
+    near_rates = [float(rates[j]) for j in (key - 1, key + 1) if 0 <= j < len(rates)]
+    if any(rate / rates[key] >= SPIN_RATIO for rate in near_rates):
         return False
-    if (
-        first_value * second_value < 0
-        and max(abs(first_value), abs(second_value)) <= math.pi + CYCLE_TOLERANCE
-    ):
+    largest = max(abs(first_value), abs(second_value))
+    if first_value * second_value < 0 and largest <= math.pi + CYCLE_TOLERANCE:
         return True
     # Within another revolution, only reversed motion before and after is a sign of
     # wrapping.
-    return len(neighbour_rates) == 2 and all(
-        rate * short_path > 0 for rate in neighbour_rates
-    )
+    return len(near_rates) == 2 and all(rate * short_path > 0 for rate in near_rates)
 
 
 def _angle_limits(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
@@ -298,17 +284,12 @@ def _nearer_angles(
     """
     if len(second) != 3 or len(set(channel.euler)) < 3:
         return None
-    equivalent_angles = np.array(
-        [second[0] + math.pi, math.pi - second[1], second[2] + math.pi]
-    )
-    equivalent_angles = (
-        first + np.remainder(equivalent_angles - first + math.pi, math.tau) - math.pi
-    )
     steps = np.abs(second - first)
-    is_twisted = steps[[0, 2]].min() > MIN_FAR_ANGLE
-    if is_twisted and _value_distance(first, equivalent_angles) < WRAP_SHORT_PATH:
-        return equivalent_angles
-    return None
+    if steps[[0, 2]].min() <= MIN_FAR_ANGLE:
+        return None
+    equivalent = [second[0] + math.pi, math.pi - second[1], second[2] + math.pi]
+    angles = _unwrapped(first, np.array(equivalent))
+    return angles if _value_distance(first, angles) < WRAP_SHORT_PATH else None
 
 
 def _shortest_rotation(channel: ClipChannel, key: int) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -58,11 +58,8 @@ class _ControlSweep:
         worst_frames: dict[str, int] = {}
         for frame in np.flatnonzero(absolute_excess > LIMIT_TOLERANCE).tolist():
             name = self.moving_controls[frame].name
-            worst_frame = worst_frames.get(name)
-            if (
-                worst_frame is None
-                or absolute_excess[frame] > absolute_excess[worst_frame]
-            ):
+            worst_frame = worst_frames.setdefault(name, frame)
+            if absolute_excess[frame] > absolute_excess[worst_frame]:
                 worst_frames[name] = frame
         for frame in worst_frames.values():
             yield self.moving_controls[frame], frame
@@ -91,15 +88,13 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
-        unclamped_values = sweep.driven.unclamped[control.name]
-        range_width = max(control.high - control.low, LIMIT_TOLERANCE)
-        excess = (
-            unclamped_values - np.clip(unclamped_values, control.low, control.high)
-        ) / range_width
+        values = sweep.driven.unclamped[control.name]
+        width = max(control.high - control.low, LIMIT_TOLERANCE)
+        excess = (values - np.clip(values, control.low, control.high)) / width
         for driving_control, frame in sweep.worst_frames(excess):
             message = (
                 f"{sweep.frame_text(frame)} drives {control.name!r} to "
-                f"{float(sweep.broadcast(unclamped_values)[frame]):.4g}; its range is "
+                f"{float(sweep.broadcast(values)[frame]):.4g}; its range is "
                 f"{control.low:g} to {control.high:g}"
             )
             location = _affecting_drive(rig, driving_control, f"control/{control.name}")
@@ -115,36 +110,23 @@ def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
         for drive_index, drive in enumerate(control.drives):
             with np.errstate(all="ignore"):
                 contribution = drive.evaluate(control.name, values)
-            inputs = (
-                (control.name,) if drive.expression is None else drive.expression.names
-            )
+            inputs: Sequence[str] = (control.name,)
+            if drive.expression is not None:
+                inputs = drive.expression.names
             # If another drive's value is undefined, that drive is at fault.
-            has_finite_inputs = np.all(
-                [
-                    sweep.broadcast(np.isfinite(values[input_name]))
-                    for input_name in inputs
-                ],
-                axis=0,
-            )
-            is_undefined = (
-                sweep.broadcast(~np.isfinite(contribution)) & has_finite_inputs
-            )
+            is_undefined = ~np.isfinite(contribution)
+            for input_name in inputs:
+                is_undefined = is_undefined & np.isfinite(values[input_name])
             if not is_undefined.any():
                 continue
-            is_input_moving = is_undefined & [
-                moving_control.name in inputs
-                for moving_control in sweep.moving_controls
-            ]
-            frame = int(
-                (is_input_moving if is_input_moving.any() else is_undefined).argmax()
-            )
-            control_in_frame = sweep.moving_controls[frame]
-            value = float(sweep.control_values[control_in_frame.name][frame])
+            moves_input = [moving.name in inputs for moving in sweep.moving_controls]
+            if (is_undefined & moves_input).any():
+                is_undefined = is_undefined & moves_input
+            frame = int(sweep.broadcast(is_undefined).argmax())
+            name = sweep.moving_controls[frame].name
+            value = float(sweep.control_values[name][frame])
             expression_text = drive.expression.text if drive.expression else ""
-            message = (
-                f"{expression_text!r} is undefined where {control_in_frame.name!r} "
-                f"is {value:g}"
-            )
+            message = f"{expression_text!r} is undefined where {name!r} is {value:g}"
             hint = "avoid division by 0; log and sqrt need more than 0"
             location = (*rig.at("controls", control.name), "drives", drive_index)
             yield rig.fault("RIG207", location, message, hint)
@@ -175,9 +157,8 @@ def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
             message = (
                 f"no control drives {undriven[0]!r}, which {shape.name!r} combines"
             )
-            yield rig.fault(
-                "RIG208", location, message, "drive it, or remove the shape"
-            )
+            hint = "drive it, or remove the shape"
+            yield rig.fault("RIG208", location, message, hint)
         elif not _combined_weight(shape, weights).any():
             message = f"{shape.name!r} is 0 in every pose of the controls"
             hint = f"{' and '.join(shape.combine)} are never both above 0"
@@ -249,9 +230,8 @@ def _limit_excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
     if isinstance(joint.limits, BallLimit):
         names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
         contributions = [targets.get(name, _ZERO) for name in names]
-        if not any(name in targets for name in names) or _is_within_limits(
-            joint.limits, contributions
-        ):
+        is_driven = any(name in targets for name in names)
+        if not is_driven or _is_within_limits(joint.limits, contributions):
             return _ZERO
         rotation = so3.exp(np.stack(np.broadcast_arrays(*contributions), axis=-1))
         is_finite = np.isfinite(rotation).all(axis=-1, keepdims=True)
@@ -265,13 +245,10 @@ def _is_within_limits(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
     Swing and twist are at most as large as the rotation. Most rotations are small, and
     the full computation is slow.
     """
-    largest_angle = float(
-        np.sqrt(sum(np.abs(values).max() ** 2 for values in axis_values))
-    )
+    largest_angle = np.sqrt(sum(np.abs(values).max() ** 2 for values in axis_values))
     twist_low, twist_high = limits.twist or (-np.inf, np.inf)
-    return largest_angle <= min(
-        *(limits.swing or (np.inf, np.inf)), -twist_low, twist_high
-    )
+    swing = limits.swing or (np.inf, np.inf)
+    return bool(largest_angle <= min(*swing, -twist_low, twist_high))
 
 
 def _affecting_drive(rig: RigSubject, control: Control, target: str) -> Location:
@@ -288,13 +265,12 @@ def _shape_weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatAr
     rng = np.random.default_rng(0)
     keyed_values = {}
     for control in rig.rig.controls:
-        range_low = -1.0 if control.low is None else control.low
-        range_high = 1.0 if control.high is None else control.high
-        end_values = np.where(rng.random(MAX_POSES) < 0.5, range_low, range_high)
-        inner_values = rng.uniform(range_low, range_high, MAX_POSES)
-        keyed_values[control.name] = np.where(
-            rng.random(MAX_POSES) < END_PROBABILITY, end_values, inner_values
-        )
+        low = -1.0 if control.low is None else control.low
+        high = 1.0 if control.high is None else control.high
+        end_values = np.where(rng.random(MAX_POSES) < 0.5, low, high)
+        inner_values = rng.uniform(low, high, MAX_POSES)
+        is_end = rng.random(MAX_POSES) < END_PROBABILITY
+        keyed_values[control.name] = np.where(is_end, end_values, inner_values)
     with np.errstate(all="ignore"):
         targets = evaluate_controls(rig.rig.controls, keyed_values).targets
     weights = {name: targets[f"shape/{name}"] for name in sorted(driven_names)}

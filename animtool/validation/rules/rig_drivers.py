@@ -28,7 +28,7 @@ def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
             continue
         if joint.name in rig.mirrored:
             continue
-        values = _driver_values(rig, joint.driven)
+        values = _driver_values(joint.driven, _input_samples(rig, joint.driven))
         excess = joint.limits.excess(np.where(np.isfinite(values), values, 0.0))
         worst_sample = int(np.argmax(np.abs(excess)))
         if abs(excess[worst_sample]) <= LIMIT_TOLERANCE:
@@ -55,32 +55,25 @@ def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
             if element.driven is None or element.name in rig.mirrored:
                 continue
             inputs = _input_samples(rig, element.driven)
-            is_undefined = ~np.isfinite(element.driven.evaluate(inputs))
+            is_undefined = ~np.isfinite(_driver_values(element.driven, inputs))
             if not is_undefined.any():
                 continue
-            sample = int(
-                np.argmax(
-                    np.broadcast_to(
-                        is_undefined, MAX_POSES + INPUT_SAMPLES * len(inputs)
-                    )
-                )
-            )
+            sample = int(is_undefined.argmax())
             input_texts = [
                 f"{name} is {values[sample] / element.driven.unit_of(name):.4g}"
                 for name, values in inputs.items()
             ]
             message = f"the driver of {kind} {element.name!r} is undefined where "
             message += " and ".join(input_texts) or "it has no inputs"
+            location = (*rig.at(key, element.name), "driven")
             hint = "avoid division by 0; log and sqrt need more than 0"
-            yield rig.fault(
-                "RIG224", (*rig.at(key, element.name), "driven"), message, hint
-            )
+            yield rig.fault("RIG224", location, message, hint)
 
 
-def _driver_values(rig: RigSubject, driver: Driver) -> FloatArray:
-    count = MAX_POSES + INPUT_SAMPLES * len(driver.names)
-    values = driver.evaluate(_input_samples(rig, driver))
-    return np.broadcast_to(values, count)
+def _driver_values(driver: Driver, inputs: dict[str, FloatArray]) -> FloatArray:
+    """Return the value of a driver for each sample of its inputs."""
+    count = MAX_POSES + INPUT_SAMPLES * len(inputs)
+    return np.broadcast_to(driver.evaluate(inputs), count)
 
 
 def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
@@ -91,12 +84,10 @@ def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
     for i, name in enumerate(names):
         lower, upper = _input_range(rig.rig, name)
         rest_value = min(max(0.0, lower), upper)
-        values = np.full(MAX_POSES + INPUT_SAMPLES * len(names), rest_value)
-        values[INPUT_SAMPLES * i : INPUT_SAMPLES * (i + 1)] = np.linspace(
-            lower, upper, INPUT_SAMPLES
-        )
-        values[INPUT_SAMPLES * len(names) :] = rng.uniform(lower, upper, MAX_POSES)
-        samples[name] = values
+        values = np.full((len(names), INPUT_SAMPLES), rest_value)
+        values[i] = np.linspace(lower, upper, INPUT_SAMPLES)
+        random_values = rng.uniform(lower, upper, MAX_POSES)
+        samples[name] = np.concatenate([values.ravel(), random_values])
     return samples
 
 
@@ -104,9 +95,7 @@ def _input_range(rig: Rig, name: str) -> tuple[float, float]:
     """Return the range of a driver input [rad], [m], [1]."""
     joint_name, coordinate = split_coordinate(name)
     if not joint_name:
-        control = next(
-            candidate for candidate in rig.controls if candidate.name == name
-        )
+        control = next(control for control in rig.controls if control.name == name)
         if control.low is None or control.high is None:
             return control.default, control.default
         return control.low, control.high
@@ -114,11 +103,8 @@ def _input_range(rig: Rig, name: str) -> tuple[float, float]:
     if isinstance(limits, RangeLimit):
         return limits.low, limits.high
     if not isinstance(limits, BallLimit):
-        return (
-            (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
-            if coordinate == SLIDE
-            else (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
-        )
+        unlimited = UNLIMITED_LENGTH if coordinate == SLIDE else UNLIMITED_ANGLE
+        return -unlimited, unlimited
     if coordinate == TWIST:
         return limits.twist or (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
     cone = max(limits.swing) if limits.swing else UNLIMITED_ANGLE

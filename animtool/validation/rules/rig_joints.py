@@ -54,10 +54,8 @@ def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
         match joint.limits:
             case RangeLimit(lower, upper):
                 is_locked = upper - lower <= LIMIT_TOLERANCE
-            case BallLimit(swing=(first_swing, second_swing), twist=(lower, upper)):
-                is_locked = (
-                    max(first_swing, second_swing, upper - lower) <= LIMIT_TOLERANCE
-                )
+            case BallLimit(swing=(_, _) as swing, twist=(lower, upper)):
+                is_locked = max(*swing, upper - lower) <= LIMIT_TOLERANCE
             case _:
                 continue
         if is_locked and joint.name not in rig.mirrored:
@@ -126,14 +124,13 @@ def value_text(rig: RigSubject, joint: Joint, value: float) -> str:
 
 def _bone_direction(rig: RigSubject, joint_index: int) -> FloatArray | None:
     """Return the direction of a joint's only bone in its rest frame, else None."""
-    child_offsets = [
-        rig.rig.joints[child].translation for child in rig.children[joint_index]
-    ]
-    child_offsets += rig.rig.joints[joint_index].tips
-    if len(child_offsets) != 1:
+    joints = rig.rig.joints
+    offsets = [joints[child].translation for child in rig.children[joint_index]]
+    offsets += joints[joint_index].tips
+    if len(offsets) != 1:
         return None
-    length = math.hypot(*child_offsets[0])
-    return np.array(child_offsets[0]) / length if length > LIMIT_TOLERANCE else None
+    length = math.hypot(*offsets[0])
+    return np.array(offsets[0]) / length if length > LIMIT_TOLERANCE else None
 
 
 def _axis_text(axis: FloatArray) -> str:
@@ -155,12 +152,8 @@ def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
         distance = math.dist(pose.translation, joint.translation)
         rotations = np.array([pose.rotation]), np.array([joint.rotation])
         angle = float(so3.angle_between(*rotations)[0])
-        has_no_stretch = pose.stretch is None
-        if (
-            has_no_stretch
-            and distance <= BIND_ROUNDING_FRACTION * rig.size
-            and angle <= BIND_ROUNDING_ANGLE
-        ):
+        is_near = distance <= BIND_ROUNDING_FRACTION * rig.size
+        if pose.stretch is None and is_near and angle <= BIND_ROUNDING_ANGLE:
             message = (
                 f"the bind pose of {name!r} equals its rest pose except for "
                 f"{length_text(distance)} and {math.degrees(angle):.3g}°"
@@ -177,13 +170,9 @@ def bind_without_rest(rig: RigSubject) -> Iterator[Fault]:
     for i, entry in enumerate(rig.file_entries("joints")):
         pose = bind.get(entry["name"], {})
         if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
-            name, parent_name = entry["name"], entry.get("parent")
-            position_text = (
-                f"where {parent_name!r} is" if parent_name else "at the origin"
-            )
-            message = (
-                f"{name!r} has a bind pose but no rest pose: it rests {position_text}"
-            )
+            name, parent = entry["name"], entry.get("parent")
+            position = f"where {parent!r} is" if parent else "at the origin"
+            message = f"{name!r} has a bind pose but no rest pose: it rests {position}"
             hint = f"translate: {pose['translate']} is its position in the bind pose"
             yield rig.fault("RIG222", ("joints", i), message, hint)
 
@@ -268,28 +257,23 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
 
 def _is_symmetric(are_mirrored: BoolArray) -> bool:
     """Return whether a rig is intended to be symmetric."""
-    return len(are_mirrored) > 1 and 2 * int(np.count_nonzero(are_mirrored)) >= len(
-        are_mirrored
-    )
+    mirrored_count = int(np.count_nonzero(are_mirrored))
+    return len(are_mirrored) > 1 and 2 * mirrored_count >= len(are_mirrored)
 
 
 def _same_limits(left: Joint, right: Joint) -> bool:
     match left.limits, right.limits:
-        case RangeLimit() as left_limits, RangeLimit() as right_limits:
-            return _same_range(
-                (left_limits.low, left_limits.high),
-                (right_limits.low, right_limits.high),
-            )
+        case RangeLimit(low, high), RangeLimit(other_low, other_high):
+            return _same_range((low, high), (other_low, other_high))
         case BallLimit() as left_limits, BallLimit() as right_limits:
-            swings = (left_limits.swing or (), right_limits.swing or ())
+            swings = sorted(left_limits.swing or ()), sorted(right_limits.swing or ())
             are_equal = len(swings[0]) == len(swings[1]) and np.allclose(
-                sorted(swings[0]), sorted(swings[1]), rtol=0, atol=EQUAL_LIMIT_TOLERANCE
+                *swings, rtol=0, atol=EQUAL_LIMIT_TOLERANCE
             )
             if left_limits.twist is None or right_limits.twist is None:
                 return bool(are_equal) and left_limits.twist == right_limits.twist
-            return bool(are_equal) and _same_range(
-                left_limits.twist, right_limits.twist
-            )
+            is_same_twist = _same_range(left_limits.twist, right_limits.twist)
+            return bool(are_equal) and is_same_twist
         case left_limits, right_limits:
             return left_limits is None and right_limits is None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -35,9 +34,8 @@ def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
     if isinstance(subject, RigSubject):
         for key in NAME_GROUPS:
             for name, message in _name_collisions(group_names(subject, key)):
-                yield subject.fault(
-                    "RIG219", subject.at(key, name), message, COLLISION_HINT
-                )
+                location = subject.at(key, name)
+                yield subject.fault("RIG219", location, message, COLLISION_HINT)
         return
     for name, message in _name_collisions(subject.take.rig.names):
         yield subject.fault("RIG219", name, message, COLLISION_HINT)
@@ -73,11 +71,8 @@ def _name_collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
     for name in names:
         usd_name = legal_usd_name(name)
         if usd_name in first_by_usd_name:
-            yield (
-                name,
-                f"{name!r} and {first_by_usd_name[usd_name]!r} both become "
-                f"{usd_name!r} in USD",
-            )
+            pair = f"{name!r} and {first_by_usd_name[usd_name]!r}"
+            yield name, f"{pair} both become {usd_name!r} in USD"
         first_by_usd_name.setdefault(usd_name, name)
 
 
@@ -113,11 +108,9 @@ def ineffective_shapes(rig: RigSubject) -> Iterator[Fault]:
 
 
 def _has_effect(shape: Shape, archives: Archives) -> bool:
-    inbetweens = (
-        (inbetween.deltas, inbetween.normals) for inbetween in shape.inbetweens
-    )
-    inbetween_arrays = itertools.chain.from_iterable(inbetweens)
-    arrays = (shape.deltas, shape.normals, *inbetween_arrays)
+    arrays = [shape.deltas, shape.normals]
+    for inbetween in shape.inbetweens:
+        arrays += inbetween.deltas, inbetween.normals
     return any(array.load(archives).any() for array in arrays if array is not None)
 
 
@@ -140,8 +133,8 @@ def weight_sums(rig: RigSubject) -> Iterator[Fault]:
         worst_point = int(sum_errors.argmax())
         message = (
             f"the weights of {counted(len(wrong_points), 'point')} of {mesh.name!r} do "
-            "not "
-            f"have the sum 1; worst is {worst_point}: {weights[worst_point].sum():.4g}"
+            f"not have the sum 1; worst is {worst_point}: "
+            f"{weights[worst_point].sum():.4g}"
         )
         hint = "divide them by their sums, as every reader does"
         yield rig.fault("RIG210", location, message, hint)
@@ -253,16 +246,12 @@ def _exchanged_skins(
         if left not in points_by_joint or right not in points_by_joint:
             continue
         centres = [points_by_joint[joint].mean(axis=0) for joint in (left, right)]
-        same_side, other_side = (
-            [
-                _distance_to_joint(rig, centre, joint, positions)
-                for centre, joint in zip(centres, joints, strict=True)
-            ]
-            for joints in ((left, right), (right, left))
-        )
         if all(
-            other < MAX_OTHER_DISTANCE * distance
-            for distance, other in zip(same_side, other_side, strict=True)
+            _distance_to_joint(rig, centre, other, positions)
+            < MAX_OTHER_DISTANCE * _distance_to_joint(rig, centre, joint, positions)
+            for centre, joint, other in zip(
+                centres, (left, right), (right, left), strict=True
+            )
         ):
             return left, right
     return None
@@ -284,15 +273,10 @@ def _points_by_joint(
         return {}
     indices, weights = skin.indices.load(archives), skin.weights.load(archives)
     points = mesh.points.load(archives) * rig.rig.meters_per_unit
-    rows = np.arange(len(weights))
-    main_joints = indices[rows, weights.argmax(axis=1)]
-    groups = {
-        rig.rig.index(name): points[main_joints == i]
-        for i, name in enumerate(skin.joints)
-    }
-    return {
-        joint: group for joint, group in groups.items() if len(group) >= MIN_SKIN_POINTS
-    }
+    main_joints = indices[np.arange(len(weights)), weights.argmax(axis=1)]
+    joints = enumerate(map(rig.rig.index, skin.joints))
+    groups = {joint: points[main_joints == i] for i, joint in joints}
+    return {j: group for j, group in groups.items() if len(group) >= MIN_SKIN_POINTS}
 
 
 def _distance_to_bones(point: FloatArray, ends: FloatArray) -> float:
@@ -335,10 +319,8 @@ def straight_chains(rig: RigSubject) -> Iterator[Fault]:
         inner_joints = [rig.rig.joints[i] for i in joints[1:-1]]
         root_to_tip = positions[joints[-1]] - positions[joints[0]]
         length = float(np.linalg.norm(root_to_tip))
-        movable_joints = [
-            joint for joint in inner_joints if joint.type is not JointType.FIXED
-        ]
-        if not length or not movable_joints:
+        movable_types = {joint.type for joint in inner_joints} - {JointType.FIXED}
+        if not length or not movable_types:
             continue
         offsets = positions[joints[1:-1]] - positions[joints[0]]
         distances = np.linalg.norm(np.cross(offsets, root_to_tip / length), axis=1)
@@ -346,10 +328,7 @@ def straight_chains(rig: RigSubject) -> Iterator[Fault]:
             continue
         location = rig.at("ik", chain.name)
         if chain.pole_dir is None:
-            if all(
-                joint.type in {JointType.BALL, JointType.FREE}
-                for joint in movable_joints
-            ):
+            if movable_types <= {JointType.BALL, JointType.FREE}:
                 message = (
                     f"{chain.name!r} is straight at rest, so its bend direction is "
                     "undefined"
@@ -387,9 +366,8 @@ def _can_bend(rig: RigSubject, joint_index: int, tip: int) -> bool:
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
             can_twist = twist is None or twist[1] - twist[0] > FIXED_SPAN
             can_swing = swing is None or max(swing) > FIXED_SPAN
-            return can_swing or (
-                can_twist and not _is_parallel(tip_offset, np.array(axis))
-            )
+            can_twist = can_twist and not _is_parallel(tip_offset, np.array(axis))
+            return can_swing or can_twist
         case _:
             return True
 

@@ -45,22 +45,19 @@ def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
     Several takes of one library are no conflict.
     """
     scene_path = subject.scene.path.resolve()
-    written_outputs = [
-        (
-            location,
-            (output.path.resolve(), _library_take(subject.scene.path, output.bake)),
-        )
-        for location, output in subject.outputs
-        if output.path is not None
-    ]
+    written_outputs = []
+    for location, output in subject.outputs:
+        if output.path is not None:
+            take = _library_take(subject.scene.path, output.bake)
+            written_outputs.append((location, (output.path.resolve(), take)))
     for path in sorted(scene_path.parent.iterdir()) if written_outputs else ():
         if path == scene_path or not has_kind_suffix(path, "scene"):
             continue
         file_stat = path.stat()
         other_outputs = _scene_outputs(path, file_stat.st_mtime_ns, file_stat.st_size)
-        for location, output in written_outputs:
-            if output in other_outputs:
-                message = f"{path.name!r} also writes {output[0].name!r}"
+        for location, written in written_outputs:
+            if written in other_outputs:
+                message = f"{path.name!r} also writes {written[0].name!r}"
                 hint = "change the name in one of them"
                 yield subject.fault("SCN204", (*location, "file"), message, hint)
 
@@ -92,11 +89,9 @@ def _scene_outputs(
 
 def _named_take(entry: dict[str, Any]) -> BakeOptions:
     """Return bake options with the take key and name of an output entry."""
-    form, take_key = entry.get("as"), entry.get("take")
-    return BakeOptions(
-        form="library" if form == "library" else None,
-        take=take_key if isinstance(take_key, str) else None,
-    )
+    form = "library" if entry.get("as") == "library" else None
+    take = entry.get("take")
+    return BakeOptions(form=form, take=take if isinstance(take, str) else None)
 
 
 def outputs_without_folder(subject: SceneSubject) -> Iterator[Fault]:
@@ -206,16 +201,12 @@ def _output_start(subject: SceneSubject) -> Fraction | None:
 def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a rate slightly different from the take's (SCN205)."""
     output_rate, source_rate = subject.scene.bake.fps, subject.take.clock.rate
-    if (
-        output_rate is None
-        or output_rate == source_rate
-        or abs(output_rate - source_rate) > NEAR_RATES * source_rate
-    ):
+    if output_rate is None or output_rate == source_rate:
         return
-    message = (
-        f"the output has {rate_label(output_rate)}, but the take "
-        f"{rate_label(source_rate)}"
-    )
+    if abs(output_rate - source_rate) > NEAR_RATES * source_rate:
+        return
+    rates = f"{rate_label(output_rate)}, but the take {rate_label(source_rate)}"
+    message = f"the output has {rates}"
     hint = "remove fps; for a BVH with a wrong rate, set source.fps"
     yield subject.fault("SCN205", ("fps",), message, hint)
 
@@ -226,27 +217,20 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
     for i, pass_entry in enumerate(subject.scene.passes):
         if i in subject.ik_input_takes:
             ik_pass = pass_entry.location.where
-        elif (
-            ik_pass
-            and _changes_poses(pass_entry.pass_)
-            and i not in subject.idle_passes
-        ):
-            message = (
-                f"the pass {pass_entry.pass_.name} moves what {ik_pass} solved "
-                "for targets"
-            )
-            hint = "put ik after it"
-            yield subject.fault("SCN210", subject.pass_location(i), message, hint)
+            continue
+        is_active = i not in subject.idle_passes
+        if ik_pass and is_active and _changes_poses(pass_entry.pass_):
+            name = pass_entry.pass_.name
+            message = f"the pass {name} moves what {ik_pass} solved for targets"
+            location = subject.pass_location(i)
+            yield subject.fault("SCN210", location, message, "put ik after it")
 
 
 def _changes_poses(pass_: Pass) -> bool:
     """Return whether a pass changes poses, not only their timing."""
+    changes_joints = TakePart.JOINTS in pass_.changes
     is_retiming = TakePart.CLOCK in pass_.changes
-    return (
-        TakePart.JOINTS in pass_.changes
-        and not is_retiming
-        and pass_.name not in _KEEPS_POSE
-    )
+    return changes_joints and not is_retiming and pass_.name not in _KEEPS_POSE
 
 
 def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
