@@ -136,7 +136,7 @@ def _show_difference(
     from animtool.validation.run import validate_files
 
     report = validate_files(files, options)
-    console.faults(report.broken)
+    console.faults(report.broken_rules)
     code = _exit_code(report, report_options, path_warnings)
     fixed_identities: set[tuple[str | None, str, str | None]] = set()
     has_changes = False
@@ -171,12 +171,13 @@ def _print_report(
     path_warnings: Sequence[Fault],
 ) -> None:
     """Print the report, and exit with its exit code."""
-    from animtool.validation.formats import written
+    from animtool.validation.formats import format_report
     from animtool.validation.formats.plain import summary
 
-    console.faults(report.broken)
+    console.faults(report.broken_rules)
     verbose, namer = console.verbosity > 0, console.namer
-    text = written(report, report_options.report_format, repeats=verbose, namer=namer)
+    report_format = report_options.report_format
+    text = format_report(report, report_format, repeats=verbose, namer=namer)
     if report_options.output_file is None:
         console.document(text)
     else:

@@ -49,9 +49,8 @@ class IgnoreEntries:
             if current_codes(code)[0] not in rules:
                 message = f"unknown code {code!r}"
                 hint = nearest(code, sorted(rules))
-                yield self.document.fault(
-                    "VAL002", ("ignore", i, "code"), message, hint
-                )
+                location = ("ignore", i, "code")
+                yield self.document.fault("VAL002", location, message, hint)
             elif not self.match_counts[i]:
                 location_text = f" at {entry['where']}" if entry.get("where") else ""
                 message = f"nothing here has {code}{location_text}"
@@ -62,17 +61,13 @@ class IgnoreEntries:
     def _is_hidden(self, fault: Fault) -> bool:
         if fault.path != str(self.document.path):
             return False
-        location_variants = self._location_variants(fault.where or "")
+        locations = self._location_variants(fault.where or "")
         is_hidden = False
         for i, entry in enumerate(_entries(self.document)):
+            if fault.code not in current_codes(entry["code"]):
+                continue
             pattern = entry.get("where")
-            if fault.code in current_codes(entry["code"]) and (
-                not pattern
-                or any(
-                    _matches_location(pattern, location)
-                    for location in location_variants
-                )
-            ):
+            if not pattern or any(_matches_location(pattern, at) for at in locations):
                 self.match_counts[i] += 1
                 is_hidden = True
         return is_hidden
@@ -84,24 +79,22 @@ class IgnoreEntries:
         for key, index in _LOCATION_STEP.findall(where):
             if index.isdigit() and isinstance(node, list) and int(index) < len(node):
                 node = node[int(index)]
-                entry_names = (
-                    [node[n] for n in _NAME_KEYS if n in node] if _is_map(node) else []
-                )
-                text += f"[{entry_names[0] if entry_names else index}]"
+                name_keys = _NAME_KEYS if isinstance(node, dict) else ()
+                names = [node[name_key] for name_key in name_keys if name_key in node]
+                text += f"[{names[0] if names else index}]"
             else:
                 text += f".{key}" if key else f"[{index}]"
-                node = node.get(key) if _is_map(node) else None
+                node = node.get(key) if isinstance(node, dict) else None
         return [where, text.removeprefix(".")]
 
 
 def _entries(document: Document) -> list[dict[str, Any]]:
     value = document.value.get("ignore")
-    entries = value if isinstance(value, list) else []
-    return [e for e in entries if _is_map(e) and isinstance(e.get("code"), str)]
-
-
-def _is_map(node: Any) -> bool:
-    return isinstance(node, dict)
+    return [
+        entry
+        for entry in (value if isinstance(value, list) else ())
+        if isinstance(entry, dict) and isinstance(entry.get("code"), str)
+    ]
 
 
 def _matches_location(pattern: str, location: str) -> bool:
@@ -120,7 +113,7 @@ def without_accepted(notices: Sequence[Fault]) -> list[Fault]:
 
     Notes report results, so they stay.
     """
-    warnings = [one for one in notices if one.severity is Severity.WARNING]
+    warnings = [notice for notice in notices if notice.severity is Severity.WARNING]
     accepted: set[Fault] = set()
     for path in dict.fromkeys(warning.path for warning in warnings):
         entries = _entries_of_file(path)

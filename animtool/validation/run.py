@@ -103,7 +103,7 @@ class Report:
 
     files: tuple[Path, ...]  # the validated files, in order
     findings: tuple[Fault, ...]  # findings by file, line and column
-    broken: tuple[Fault, ...] = ()  # plug-in rules that could not be loaded
+    broken_rules: tuple[Fault, ...] = ()  # plug-in rules that could not be loaded
     # Findings that `--fix` can fix, if that was checked.
     fixable: frozenset[Fault] = frozenset()
     # Findings that were fixed before, and how.
@@ -283,30 +283,30 @@ def _is_unreadable(fault: Fault, path: str) -> bool:
     return fault.code == "IO001" and fault.path == path
 
 
-def findings_in(checked: CheckedFile) -> list[Fault]:
+def findings_in(checked_file: CheckedFile) -> list[Fault]:
     """Return the findings of all rules in a file, except those that it ignores."""
-    faults = list(checked.faults)
+    faults = list(checked_file.faults)
     rules, _ = all_rules()
     for rule in rules.values():
-        if rule.check and checked.kind in rule.kinds:
-            faults += _run_rule(rule, checked)
+        if rule.check and checked_file.kind in rule.kinds:
+            faults += _run_rule(rule, checked_file)
     faults = [fault for fault in faults if not _is_explained(fault, faults)]
-    if checked.document is None:
+    if checked_file.document is None:
         return faults
-    ignores = IgnoreEntries.from_document(checked.document)
+    ignores = IgnoreEntries.from_document(checked_file.document)
     faults = ignores.hide(faults)
     # Refused parts may hide findings that an entry is meant for.
-    return [*faults, *(ignores.entry_faults() if checked.subject is not None else ())]
+    if checked_file.subject is not None:
+        faults += ignores.entry_faults()
+    return faults
 
 
 def _is_explained(fault: Fault, faults: Sequence[Fault]) -> bool:
     """Return whether another finding states the cause of a finding."""
+    causes = CAUSES.get(fault.code, ())
+    location = (fault.where or "") if fault.code in LOCAL_CODES else ""
     return any(
-        other.code in CAUSES.get(fault.code, ())
-        and (
-            fault.code not in LOCAL_CODES
-            or (other.where or "").startswith(fault.where or "")
-        )
+        other.code in causes and (other.where or "").startswith(location)
         for other in faults
     )
 

@@ -21,23 +21,23 @@ class FileDraft(Protocol):
     """Content of a file under repair; each step returns a new draft."""
 
     @property
-    def checked(self) -> CheckedFile:
+    def checked_file(self) -> CheckedFile:
         """The parsed content, as the subject of the rules."""
 
     @property
     def findings(self) -> Sequence[Fault]:
         """Findings in the content."""
 
-    def batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
+    def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings to fix in the next step."""
 
-    def step(self, faults: Sequence[Fault]) -> FixStep:
-        """Return a draft in which the findings of `batch` are fixed."""
+    def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
+        """Return a draft in which the findings of `next_batch` are fixed."""
 
-    def finish(self, findings: Sequence[Fault], /) -> FixStep:
+    def fix_deferred(self, findings: Sequence[Fault], /) -> FixStep:
         """Return a draft in which the deferred findings are fixed."""
 
-    def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
+    def fixable_findings(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed one by one."""
 
     def diff_text(self) -> str:

@@ -28,7 +28,7 @@ class LayerDraft:
     edits: tuple[str, ...] = ()  # descriptions of the edits, one line each
 
     @cached_property
-    def checked(self) -> CheckedFile:
+    def checked_file(self) -> CheckedFile:
         """The parsed content, as the subject of the rules."""
         from animtool.usd.fixes.target import edited_layer
 
@@ -38,9 +38,9 @@ class LayerDraft:
     @cached_property
     def findings(self) -> Sequence[Fault]:
         """Findings in the layer."""
-        return findings_in(self.checked)
+        return findings_in(self.checked_file)
 
-    def batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
+    def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings of the first code to fix, deepest prims first.
 
         The extent of a prim depends on its descendants.
@@ -50,7 +50,7 @@ class LayerDraft:
         with_code = (fault for fault in findings if fault.code == first_code)
         return sorted(with_code, key=lambda fault: -(fault.where or "").count("/"))
 
-    def step(self, faults: Sequence[Fault]) -> FixStep:
+    def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
         """Return the layer with the findings fixed that concern only this layer."""
         from animtool.usd.fixes.target import edited_layer
 
@@ -66,11 +66,11 @@ class LayerDraft:
         edited_draft = LayerDraft(self.path, content, (*self.edits, *edit_lines))
         return FixStep(edited_draft if fixes else self, fixes, refused_findings)
 
-    def finish(self, _: Sequence[Fault], /) -> FixStep:
+    def fix_deferred(self, _: Sequence[Fault], /) -> FixStep:
         """Return the layer unchanged: no fix is deferred."""
         return FixStep(self)
 
-    def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
+    def fixable_findings(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings in this layer that have a safe fix."""
         from animtool.usd.fixes.target import NotFixableError, edited_layer
 

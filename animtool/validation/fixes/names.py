@@ -132,9 +132,9 @@ _LIST_NAMES = {
 }
 
 
-def make_names_legal(checked: CheckedFile, fault: Fault) -> FixEdits:
+def make_names_legal(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     """Return the edits that make every name of a list legal in USD."""
-    rig = _complete_rig(checked)
+    rig = _complete_rig(checked_file)
     key = str(pointer_of(fault)[0])
     return _rename_entries(rig, key, _illegal_names(group_names(rig, key)))
 
@@ -143,12 +143,12 @@ def _illegal_names(names: Sequence[str]) -> list[str]:
     return [name for name in names if legal_usd_name(name) != name]
 
 
-def make_name_unique(checked: CheckedFile, fault: Fault) -> FixEdits:
+def make_name_unique(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     """Return the edits that rename one of two names that are equal in USD.
 
     Renames the one that USD does not allow, or else the second.
     """
-    rig = _complete_rig(checked)
+    rig = _complete_rig(checked_file)
     key, number = pointer_of(fault)[:2]
     entry = rig.file_entries(str(key))[number]
     names = group_names(rig, key)
@@ -161,8 +161,8 @@ def make_name_unique(checked: CheckedFile, fault: Fault) -> FixEdits:
     raise NotFixedError(f"renames {entry['name']!r} to make it unique")
 
 
-def _complete_rig(checked: CheckedFile) -> RigSubject:
-    rig: RigSubject = checked.subject
+def _complete_rig(checked_file: CheckedFile) -> RigSubject:
+    rig: RigSubject = checked_file.subject
     if "from" in rig.document.value:
         raise NotFixedError("the names are in another file")
     return rig

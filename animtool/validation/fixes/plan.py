@@ -35,11 +35,11 @@ def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
     A fix is kept if its finding disappears and no new one appears.
     """
     plan = PlannedFix(path, _open_draft(path))
-    options = options.with_profile(plan.draft.checked.profile)
+    options = options.with_profile(plan.draft.checked_file.profile)
     tried_keys: set[_FaultKey] = set()
     while findings := _untried_findings(plan.draft.findings, options, tried_keys):
-        findings_to_fix = plan.draft.batch(findings)
-        step = plan.draft.step(findings_to_fix)
+        findings_to_fix = plan.draft.next_batch(findings)
+        step = plan.draft.fix_batch(findings_to_fix)
         reason = _reason_to_reject(plan.draft, step)
         if step.fixed_findings and not reason:
             plan.draft = step.draft
@@ -52,7 +52,7 @@ def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
         plan.unfixed_findings.extend(step.unfixed_findings)
         plan.unfixed_findings.extend((f, reason) for f, _ in step.fixed_findings)
     remaining = _untried_findings(plan.draft.findings, options, set())
-    final_step = plan.draft.finish(remaining)
+    final_step = plan.draft.fix_deferred(remaining)
     plan.draft = final_step.draft
     plan.fixed_findings.extend(final_step.fixed_findings)
     return plan
@@ -68,7 +68,7 @@ def with_fixable(report: Report) -> Report:
     fixable_faults = (
         fault
         for fixable_path, faults in fixable_by_path.items()
-        for fault in _open_draft(Path(fixable_path)).fixable(faults)
+        for fault in _open_draft(Path(fixable_path)).fixable_findings(faults)
     )
     return replace(report, fixable=frozenset(fixable_faults))
 

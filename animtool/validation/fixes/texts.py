@@ -44,20 +44,20 @@ def pointer_of(fault: Fault) -> tuple[Any, ...]:
     return parse_location(fault.where or "")
 
 
-def remove_entry(checked: CheckedFile, fault: Fault) -> FixEdits:
+def remove_entry(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     """Return the edits that remove an entry, and its list if no entry remains."""
-    if checked.document is None:
+    if checked_file.document is None:
         raise NotFixedError("the file has no text")
-    entries = checked.document.value["ignore"]
+    entries = checked_file.document.value["ignore"]
     pointer = pointer_of(fault)
     entry = entries[pointer[1]]
     location = pointer if len(entries) > 1 else ("ignore",)
     return FixEdits(f"removes the entry for {entry['code']}", (Remove(location),))
 
 
-def rest_from_bind(checked: CheckedFile, fault: Fault) -> FixEdits:
+def rest_from_bind(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     """Return the edits that set a joint's rest pose to its bind pose."""
-    rig: RigSubject = checked.subject
+    rig: RigSubject = checked_file.subject
     pointer = pointer_of(fault)
     entry = rig.file_entries("joints")[pointer[1]]
     pose = rig.document.value["bind"][entry["name"]]
@@ -66,13 +66,13 @@ def rest_from_bind(checked: CheckedFile, fault: Fault) -> FixEdits:
     return FixEdits(f"sets the rest pose of {entry['name']!r} to its bind pose", edits)
 
 
-def normalize_weights(checked: CheckedFile, fault: Fault) -> FixEdits:
+def normalize_weights(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     """Return the edits that store normalized skin weights in a new npz file.
 
     Every reader of the file normalises the weights anyway. Other rigs may use the
     current npz, so it stays unchanged.
     """
-    rig: RigSubject = checked.subject
+    rig: RigSubject = checked_file.subject
     pointer = pointer_of(fault)
     skin = rig.rig.meshes[pointer[1]].skin
     if "from" in rig.document.value or skin is None:
@@ -121,20 +121,20 @@ class TextDraft:
         return cls(path, text, text)
 
     @cached_property
-    def checked(self) -> CheckedFile:
+    def checked_file(self) -> CheckedFile:
         """The parsed text, as the subject of the rules."""
         return open_document(document_of(self.text, self.path))
 
     @cached_property
     def findings(self) -> Sequence[Fault]:
         """Findings in the text."""
-        return findings_in(self.checked)
+        return findings_in(self.checked_file)
 
-    def batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
+    def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the first finding only, since its fix may move the other ones."""
         return findings[:1]
 
-    def step(self, faults: Sequence[Fault]) -> FixStep:
+    def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
         """Return the text with a finding fixed, unless that writes arrays.
 
         Fixes that write arrays come last, since other fixes are validated with existing
@@ -153,7 +153,7 @@ class TextDraft:
             return FixStep(self, unfixed_findings=[(fault, str(error))])
         return FixStep(new_draft, [(fault, fix.description)])
 
-    def finish(self, findings: Sequence[Fault]) -> FixStep:
+    def fix_deferred(self, findings: Sequence[Fault]) -> FixStep:
         """Return the text with the findings fixed whose fixes write arrays."""
         text, fixes = self.text, []
         new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
@@ -172,7 +172,7 @@ class TextDraft:
         draft = replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes)
         return FixStep(draft, fixes)
 
-    def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
+    def fixable_findings(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed one by one."""
         for fault in faults:
             try:
@@ -221,7 +221,7 @@ class TextDraft:
         fix = fix_of(fault.code)
         if fix is None:
             raise NotFixedError("there is no automatic fix")
-        return fix(self.checked, fault)
+        return fix(self.checked_file, fault)
 
 
 def _split_lines(text: str) -> list[str]:

@@ -10,7 +10,7 @@ from animtool.core.plugins import load_object
 from animtool.validation.formats.plain import text_report
 from animtool.validation.run import Report
 
-__all__ = ["FORMATS", "written"]
+__all__ = ["FORMATS", "format_report"]
 
 FORMATS = {
     "text": "animtool.validation.formats.plain:text_report",
@@ -21,7 +21,7 @@ FORMATS = {
 }
 
 
-def written(
+def format_report(
     report: Report,
     form: str,
     *,

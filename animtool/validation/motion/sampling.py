@@ -29,7 +29,7 @@ RANGE_TOLERANCE = 1.0
 EARLY_FRACTION, LATE_FRACTION = 0.02, 0.1
 
 
-def off_frame(subject: MotionSubject) -> Iterator[Fault]:
+def samples_off_frames(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if samples are not on whole frames (MOT216)."""
     codes = subject.codes
     if codes is None or len(codes) < 2:
@@ -57,7 +57,7 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT216", None, farthest_sample, message, hint)
 
 
-def other_range(subject: MotionSubject) -> Iterator[Fault]:
+def range_without_samples(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the frame range starts or ends without a sample (MOT217).
 
     Samples outside the range are reported as USD256.
@@ -156,7 +156,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault for each gap between the time codes of samples."""
-    if subject.codes is None or subject.reduced or subject.frames < MIN_FRAMES:
+    if subject.codes is None or subject.is_reduced or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
     typical_gap = float(np.median(gaps))
@@ -405,7 +405,7 @@ def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
     gaps = np.diff(subject.codes)
     typical_step = float(np.median(gaps))
     fps = float(subject.take.clock.fps)
-    playback_rate = subject.shown_rate
+    playback_rate = subject.playback_rate
     if playback_rate is not None and not _is_multiple(fps / playback_rate):
         message = (
             f"the stage has {playback_rate:g} frames per second, but {fps:g} time "

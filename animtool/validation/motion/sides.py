@@ -37,7 +37,7 @@ MAX_LENGTH_RATIO, MAX_BONES, MAX_BIND_DISTANCE = 2.0, 0.5, 1.5
 MIN_BONE_LENGTH = 0.02
 
 
-def motionless(subject: MotionSubject) -> Iterator[Fault]:
+def motionless_take(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if no joint or shape moves (MOT201)."""
     motion = subject.take.motion
     if motion.frames <= BIND_FRAMES:
@@ -104,9 +104,9 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
 
 def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if bind and rest pose differ in size or position (MOT220)."""
-    if subject.bind is None or not subject.has_rest:
+    if subject.bind_positions is None or not subject.has_rest:
         return
-    rig, bind, rest = subject.take.rig, subject.bind, subject.rest
+    rig, bind, rest = subject.take.rig, subject.bind_positions, subject.rest
     distance = float(np.linalg.norm(bind.mean(axis=0) - rest.mean(axis=0)))
     parents = rig.parents
     bones = np.flatnonzero(parents >= 0)
@@ -143,15 +143,15 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         yield subject.fault("MOT220", joint, None, message, hint)
 
 
-def no_influence(subject: MotionSubject) -> Iterator[Fault]:
+def joints_without_influence(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the joints that influence no point of a mesh (MOT221)."""
-    if subject.influencing is None:
+    if subject.influencing_joints is None:
         return
     rig = subject.take.rig
     idle_names = [
         name
         for name in rig.names
-        if name not in subject.influencing and not RIGID_NAMES.search(name)
+        if name not in subject.influencing_joints and not RIGID_NAMES.search(name)
     ]
     if not idle_names:
         return
@@ -299,7 +299,7 @@ def _side_swaps(
     from_other_side = np.minimum(from_other_side, reverse_from_other[::-1])
     is_swapped = from_same_side > MIN_SWAP_ANGLE
     is_swapped &= from_other_side < MAX_SWAP_RATIO * from_same_side
-    is_swapped &= _neighbor_moves(steps, from_same_side, reverse_from_same[::-1])
+    is_swapped &= _is_continuous_swap(steps, from_same_side, reverse_from_same[::-1])
     is_swapped &= ~subject.cuts()[:, None]
     total_angle = np.where(is_swapped, from_same_side, 0.0).sum(axis=1)
     has_enough_pairs = is_swapped.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
@@ -348,7 +348,7 @@ def _extrapolation_error(rotations: FloatArray, predictors: FloatArray) -> Float
     return np.minimum(errors, so3.angle_between(rotations[1:], predictors[:-1]))
 
 
-def _neighbor_moves(
+def _is_continuous_swap(
     steps: FloatArray, deviation: FloatArray, reverse_deviation: FloatArray
 ) -> BoolArray:
     """Return a mask of swaps between steps of continuous motion ``(F - 1, P)``.
@@ -366,7 +366,7 @@ def _neighbor_moves(
     return np.asarray(is_moving & (largest < MAX_SWAP_RATIO * deviation))
 
 
-def dead_side(subject: MotionSubject) -> Iterator[Fault]:
+def motionless_side(subject: MotionSubject) -> Iterator[Fault]:
     """Yield joints that never rotate although their opposites do (MOT211)."""
     channel = subject.take.motion.rotations
     roots = [*subject.take.rig.roots, *body_carriers(subject)]

@@ -117,7 +117,7 @@ def _unit_factor(ratios: FloatArray) -> float | None:
     return None
 
 
-def other_units(subject: MotionSubject) -> Iterator[Fault]:
+def mismatched_units(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the motion or the character is in another unit (MOT213)."""
     subject = subject.without_first_pose
     # The reader of a file reports its unit when it is baked, too.
@@ -239,7 +239,7 @@ def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
     smallest = min(smallest, subject.take.rig.meters_per_unit)
     if len(subject.take.rig.joints) < 2 or smallest <= subject.size <= largest:
         return
-    if is_character(subject.take.rig.names) and any(other_units(subject)):
+    if is_character(subject.take.rig.names) and any(mismatched_units(subject)):
         return
     if subject.size * 1e3 < smallest * 1e-3:
         # All joints are at one position: a rig of controls, or a single joint.

@@ -51,16 +51,16 @@ class MotionSubject:
     has_units: bool = True
     # Joints that influence points of a mesh, directly or through a descendant; None if
     # no skinned mesh is known.
-    influencing: frozenset[str] | None = None
+    influencing_joints: frozenset[str] | None = None
     # World positions of the joints in the bind pose ``(J, 3)`` [m].
-    bind: FloatArray | None = None
+    bind_positions: FloatArray | None = None
     # Frame rate of the file, if it differs from its time codes.
-    shown_rate: float | None = None
+    playback_rate: float | None = None
     # ``USD``, or ``clip`` for a clip on a rig; empty for formats that only options of
     # reading give another unit or up axis.
     file_format: str = ""
     # Whether samples were intentionally left out, to be restored by interpolation.
-    reduced: bool = False
+    is_reduced: bool = False
 
     def fault(
         self, code: str, joint: int | None, frame: int | None, message: str, hint: str

@@ -66,7 +66,7 @@ SPIN_RATIO = 0.5
 DEGREE = "\N{DEGREE SIGN}"
 
 
-def overshoot(subject: ClipSubject) -> Iterator[Fault]:
+def overshooting_keys(subject: ClipSubject) -> Iterator[Fault]:
     """Yield curves that exceed limits between two keys within the limits (CLIP205)."""
     times = np.array(subject.frames)
     for channel_index, channel in enumerate(subject.clip.channels):

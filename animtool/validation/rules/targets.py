@@ -5,7 +5,7 @@ A targets file names no rig. The rules on reach use the scenes that name both.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
@@ -64,11 +64,11 @@ def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
     first_frame, last_frame = float(range_first), float(range_last)
     for i, goal in enumerate(subject.targets.goals):
         for key, times, are_keys in _keys_outside(goal, first_frame, last_frame):
-            message = f"{key} of {goal.name!r} from {times[0]:g} to {times[-1]:g} is "
-            message += "never met"
+            part = f"{key} of {goal.name!r}"
+            message = f"{part} from {times[0]:g} to {times[-1]:g} is never met"
             if are_keys:
-                message = f"keys of the {key} of {goal.name!r} are never used: "
-                message += listed([f"{time:g}" for time in times])
+                times_text = listed([f"{time:g}" for time in times])
+                message = f"keys of the {part} are never used: {times_text}"
             yield subject.outside(i, (key,), message, first_frame, last_frame)
 
 
@@ -91,38 +91,27 @@ def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield goals that constrain an effector in the same way as another (TGT202)."""
     goals = subject.targets.goals
     by_effector: dict[tuple[object, ...], list[int]] = {}
-    for second_index, goal in enumerate(goals):
+    for i, goal in enumerate(goals):
         effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-        by_effector.setdefault(effector, []).append(second_index)
-    equal_candidates = [
-        pair for group in by_effector.values() for pair in combinations(group, 2)
-    ]
-    for first_index, second_index in sorted(equal_candidates)[:MAX_COMPARED_PAIRS]:
-        first_goal, second_goal = goals[first_index], goals[second_index]
-        common_kinds = [
-            kind for kind in first_goal.goal.kinds if kind in second_goal.goal.kinds
-        ]
-        kind_names = [kind.name for kind in common_kinds]
-        if not kind_names or not _spans_overlap(first_goal.during, second_goal.during):
+        by_effector.setdefault(effector, []).append(i)
+    pairs = [pair for group in by_effector.values() for pair in combinations(group, 2)]
+    for first_index, second_index in sorted(pairs)[:MAX_COMPARED_PAIRS]:
+        first, second = goals[first_index], goals[second_index]
+        kinds = [kind.name for kind in first.goal.kinds if kind in second.goal.kinds]
+        if not kinds or not _spans_overlap(first.during, second.during):
             continue
-        if all(
-            _equal_values(first_goal.values, second_goal.values, kind_name)
-            for kind_name in kind_names
-        ):
-            message = (
-                f"targets the {listed(kind_names)} of {second_goal.name!r} a second "
-                "time"
-            )
+        name, kinds_text = second.name, listed(kinds)
+        if all(_equal_values(first.values[k], second.values[k]) for k in kinds):
+            message = f"targets the {kinds_text} of {name!r} a second time"
             hint = "remove one of them; weight sets how much it counts"
         else:
             message = (
-                f"targets another {listed(kind_names)} of {second_goal.name!r} than "
-                f"the goal on line {first_goal.location[0]}: both are missed"
+                f"targets another {kinds_text} of {name!r} than the goal on line "
+                f"{first.location[0]}: both are missed"
             )
             hint = "remove one, give it another priority, or other frames: during"
-        yield subject.fault(
-            "TGT202", ("goals", second_index, "effector"), message, hint
-        )
+        location = ("goals", second_index, "effector")
+        yield subject.fault("TGT202", location, message, hint)
 
 
 def _spans_overlap(first: Sequence[Span], second: Sequence[Span]) -> bool:
@@ -136,22 +125,17 @@ def _spans_overlap(first: Sequence[Span], second: Sequence[Span]) -> bool:
     )
 
 
-def _equal_values(
-    first: Mapping[str, Value | None],
-    second: Mapping[str, Value | None],
-    kind_name: str,
-) -> bool:
-    match first[kind_name], second[kind_name]:
+def _equal_values(first: Value | None, second: Value | None) -> bool:
+    match first, second:
         case Constant(value=a), Constant(value=b):
             return a == b
         case Keyed(channel=c), Keyed(channel=d):
-            return np.array_equal(c.times, d.times) and np.array_equal(
-                c.values, d.values
-            )
+            has_equal_times = np.array_equal(c.times, d.times)
+            return has_equal_times and np.array_equal(c.values, d.values)
         case ArrayRows(values=e), ArrayRows(values=f):
             return np.array_equal(e, f)
-        case a, b:
-            return a is None and b is None
+        case _:
+            return first is None and second is None
 
 
 def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
@@ -166,12 +150,10 @@ def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
                 case _:
                     continue
             if getattr(goal.goal, kind_name) > 0:
-                message = (
-                    f"the {kind_name} of {goal.name!r} has the weight 0 throughout"
-                )
-                hint = f"remove the {kind_name}"
+                part = f"the {kind_name}"
+                message = f"{part} of {goal.name!r} has the weight 0 throughout"
                 location = ("goals", i, "weight", kind_name)
-                yield subject.fault("TGT203", location, message, hint)
+                yield subject.fault("TGT203", location, message, f"remove {part}")
 
 
 def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
@@ -179,11 +161,8 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
     for i, goal in enumerate(subject.targets.goals):
         for span in goal.spans:
             if not _spans_overlap([span], goal.during):
-                span_first, span_last = span
-                message = (
-                    f"{goal.name!r} is held from {span_first:g} to {span_last:g}, when "
-                    "it is not active"
-                )
+                frames = f"from {span[0]:g} to {span[1]:g}"
+                message = f"{goal.name!r} is held {frames}, when it is not active"
                 hint = "hold applies only inside the spans of during"
                 yield subject.fault("TGT204", ("goals", i, "hold"), message, hint)
 
@@ -245,28 +224,23 @@ def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
             chain = _chain_joints(rig, track.goal, goal_joints)
             if chain is None or not is_active.any():
                 continue
-            root_positions, lengths = _chain_reach(
-                rig, sampled_targets.world, track.goal, chain
-            )
+            world = sampled_targets.world
+            root_positions, lengths = _chain_reach(rig, world, track.goal, chain)
             distances = np.linalg.norm(points - root_positions, axis=1)
-            excess = np.where(
-                is_active, distances - lengths * (1.0 + REACH_TOLERANCE), 0.0
-            )
-            frames = np.flatnonzero(excess > 0)
-            if not len(frames):
+            is_beyond = is_active & (distances > lengths * (1.0 + REACH_TOLERANCE))
+            frame_count = int(is_beyond.sum())
+            if not frame_count:
                 continue
-            worst_frame = int(
-                np.argmax(distances - lengths + np.where(is_active, 0.0, -np.inf))
-            )
+            excess = distances - lengths
+            worst_frame = int(np.where(is_active, excess, -np.inf).argmax())
             message = (
-                f"{track.name!r} is "
-                f"{distances[worst_frame] - lengths[worst_frame]:.3g} m out of reach "
-                f"at frame {times[worst_frame]:g}: {rig.joints[chain[0]].name!r} is "
+                f"{track.name!r} is {excess[worst_frame]:.3g} m out of reach at frame "
+                f"{times[worst_frame]:g}: {rig.joints[chain[0]].name!r} is "
                 f"{distances[worst_frame]:.3g} m away, and the chain is "
                 f"{lengths[worst_frame]:.3g} m long"
             )
-            if len(frames) > 1:
-                message += f"; also in {len(frames)} frames in total"
+            if frame_count > 1:
+                message += f"; also in {frame_count} frames in total"
             hint = "move it closer, or let joints above move: root, or goals for them"
             fault = sampled_targets.fault(
                 "TGT205", goal_index, "position", message, hint
@@ -329,40 +303,35 @@ def _chain_reach(
         if rig.joints[j].type is JointType.PRISMATIC
         and isinstance(limits := rig.joints[j].limits, RangeLimit)
     )
-    return joint_positions[:, 0], bone_length + slide_length + float(
-        np.linalg.norm(goal.offset)
-    )
+    length = bone_length + slide_length + float(np.linalg.norm(goal.offset))
+    return joint_positions[:, 0], length
 
 
 def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets whose points would fit the rig in another length unit (TGT206)."""
     for sampled_targets in _sampled_targets(subject):
-        size = rest_size(sampled_targets.take.rig)
-        file_unit = sampled_targets.unit
+        rig, file_unit = sampled_targets.take.rig, sampled_targets.unit
+        size = rest_size(rig)
         # Goals whose points are numbers of the file, not a prim's.
         goal_indices = [
             goal_index
             for goal_index, track in enumerate(sampled_targets.tracks.goals)
             if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
-        points = [
-            goal_points[is_active]
-            for goal_points, is_active in map(sampled_targets.points, goal_indices)
-        ]
-        all_points = np.concatenate(points) if points else np.zeros((0, 3))
+        points = [np.zeros((0, 3))]
+        for goal_points, is_active in map(sampled_targets.points, goal_indices):
+            points.append(goal_points[is_active])
+        all_points = np.concatenate(points)
         if not len(all_points):
             continue
-        root = sampled_targets.world.positions[0, sampled_targets.take.rig.roots[0]]
+        root = sampled_targets.world.positions[0, rig.roots[0]]
         if np.linalg.norm(all_points - root, axis=1).min() <= FAR_SIZES * size:
             continue
-        fitting_units = [
-            unit
-            for unit in LengthUnit
-            if np.linalg.norm(
-                all_points * (unit.meters / file_unit) - root, axis=1
-            ).max()
-            <= LIKELY_SIZES * size
-        ]
+        fitting_units = []
+        for unit in LengthUnit:
+            offsets = all_points * (unit.meters / file_unit) - root
+            if np.linalg.norm(offsets, axis=1).max() <= LIKELY_SIZES * size:
+                fitting_units.append(unit)
         if fitting_units:
             message = (
                 f"the points are in {unit_name(file_unit)}, and all are farther from "
@@ -380,12 +349,10 @@ def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
         times = sampled_targets.take.clock.times
         first_time, last_time = float(times[0]), float(times[-1])
         for goal_index, track in enumerate(sampled_targets.tracks.goals):
-            for key, outside_times, are_keys in _keys_outside(
-                track, first_time, last_time
-            ):
-                frames_text = f"from {outside_times[0]:g} to {outside_times[-1]:g} is"
+            for key, frames, are_keys in _keys_outside(track, first_time, last_time):
+                frames_text = f"from {frames[0]:g} to {frames[-1]:g} is"
                 if are_keys:
-                    frames_text = f"has a key at {outside_times[0]:g}, which is used"
+                    frames_text = f"has a key at {frames[0]:g}, which is used"
                 message = (
                     f"the {key} of {track.name!r} {frames_text} in no frame of the "
                     f"take, which has {first_time:g} to {last_time:g}"

@@ -69,12 +69,10 @@ def open_coordinates(path: Path) -> CheckedFile:
 def missing_markers(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield labelled markers that are missing from a large part of frames (MKR201)."""
     markers = subject.markers
-    missing_fractions = 1.0 - markers.visible.mean(axis=0)
+    missing_fractions = (1.0 - markers.visible.mean(axis=0)).tolist()
     often_missing = [
         f"{name} {percent_text(fraction)}"
-        for name, fraction in zip(
-            markers.names, missing_fractions.tolist(), strict=True
-        )
+        for name, fraction in zip(markers.names, missing_fractions, strict=True)
         if not name.startswith("*") and MISSING_FRACTION < fraction < 1.0
     ]
     if often_missing:
@@ -108,10 +106,7 @@ def unlabelled_points(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield a fault if a large part of the points has no label (MKR203)."""
     names, visible = subject.markers.names, subject.markers.visible
     is_unlabelled = np.array([name.startswith("*") for name in names], np.bool_)
-    point_count = int(visible.sum())
-    fraction = (
-        float(visible[:, is_unlabelled].sum()) / point_count if point_count else 0.0
-    )
+    fraction = int(visible[:, is_unlabelled].sum()) / max(int(visible.sum()), 1)
     if fraction > UNLABELLED_FRACTION:
         message = f"{percent_text(fraction)} of all points have no label"
         hint = "animtool mocap label names them"
@@ -125,16 +120,13 @@ def implausible_extent(subject: MarkersSubject) -> Iterator[Fault]:
         return
     median = float(np.median(extents))
     if median > MAX_EXTENT:
-        message = (
-            f"markers of a frame are {median:.3g} m apart: too far for a capture volume"
-        )
+        extent = f"{median:.3g} m apart: too far for a capture volume"
     elif median < MIN_EXTENT:
-        message = f"markers of a frame are {1000 * median:.3g} mm apart: too close"
+        extent = f"{1000 * median:.3g} mm apart: too close"
     else:
         return
-    yield subject.fault(
-        "MKR204", message, f"set the unit of its lengths with {argument('source.unit')}"
-    )
+    hint = f"set the unit of its lengths with {argument('source.unit')}"
+    yield subject.fault("MKR204", f"markers of a frame are {extent}", hint)
 
 
 def _frame_extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
@@ -159,34 +151,25 @@ def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
     near_counts = np.zeros((count, count), np.int64)
     both_visible = np.zeros((count, count), np.int64)
     for block_start in range(0, len(markers), BLOCK_FRAMES):
-        block_positions = markers.positions[
-            block_start : block_start + BLOCK_FRAMES, labelled_indices
-        ]
-        is_visible = np.isfinite(block_positions[..., 0])
-        both_visible += np.einsum(
-            "fi,fj->ij", is_visible.astype(np.int64), is_visible.astype(np.int64)
-        )
-        is_near = np.ones((len(block_positions), count, count), np.bool_)
+        block = slice(block_start, block_start + BLOCK_FRAMES)
+        positions = markers.positions[block, labelled_indices]
+        is_visible = np.isfinite(positions[..., 0]).astype(np.int64)
+        both_visible += np.einsum("fi,fj->ij", is_visible, is_visible)
+        is_near = np.ones((len(positions), count, count), np.bool_)
         with np.errstate(invalid="ignore"):
             for axis in range(3):
-                coordinates = block_positions[..., axis]
-                is_near &= (
-                    np.abs(coordinates[:, :, None] - coordinates[:, None, :])
-                    < SAME_POINT
-                )
+                coordinates = positions[..., axis]
+                offsets = coordinates[:, :, None] - coordinates[:, None, :]
+                is_near &= np.abs(offsets) < SAME_POINT
         near_counts += is_near.sum(axis=0)
-    pairs = np.argwhere(
-        np.triu((near_counts > SAME_FRACTION * both_visible) & (both_visible > 0), 1)
-    )
+    is_same = (near_counts > SAME_FRACTION * both_visible) & (both_visible > 0)
+    pairs = np.argwhere(np.triu(is_same, 1))
     if len(pairs):
         names = [markers.names[i] for i in labelled_indices]
-        pair_texts = [
-            f"{names[first]} and {names[second]}" for first, second in pairs.tolist()
-        ]
-        message = (
-            f"markers at the same position: {listed(pair_texts, MAX_LISTED_MARKERS)}"
-        )
+        pair_names = [f"{names[i]} and {names[k]}" for i, k in pairs.tolist()]
+        pairs_text = listed(pair_names, MAX_LISTED_MARKERS)
         hint = "remove one of them, or label them again"
+        message = f"markers at the same position: {pairs_text}"
         yield subject.fault("MKR205", message, hint)
 
 
@@ -200,7 +183,6 @@ def invisible_markers(subject: MarkersSubject) -> Iterator[Fault]:
         if not count and not name.startswith("*")
     ]
     if never_visible:
-        message = (
-            f"markers that no frame has: {listed(never_visible, MAX_LISTED_MARKERS)}"
-        )
+        names_text = listed(never_visible, MAX_LISTED_MARKERS)
+        message = f"markers that no frame has: {names_text}"
         yield subject.fault("MKR206", message, "remove them")

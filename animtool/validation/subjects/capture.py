@@ -125,9 +125,9 @@ def _layer_subject(path: Path, take: AnimationTake) -> MotionSubject:
         take.codes,
         take.frame_range,
         has_rest=take.has_rest,
-        influencing=take.influencing_joints,
-        bind=take.bind_positions,
-        shown_rate=take.frames_per_second,
+        influencing_joints=take.influencing_joints,
+        bind_positions=take.bind_positions,
+        playback_rate=take.frames_per_second,
         file_format="USD",
-        reduced=take.is_reduced,
+        is_reduced=take.is_reduced,
     )

@@ -43,7 +43,7 @@ class ClipSubject(DocumentSubject):
         """Number of each frame."""
         return [float(time) for time in self.take.clock.times]
 
-    def at(self, joint: str, frame: float) -> Location:
+    def key_location(self, joint: str, frame: float) -> Location:
         """Return the location of the last key up to a frame in a joint's first channel.
 
         If the joint has no channel, this is the location of the list of channels.
@@ -57,17 +57,17 @@ class ClipSubject(DocumentSubject):
         self, code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
         """Return a fault of a joint at a frame, located at its previous key."""
-        has_location = joint and frame is not None
-        pointer = self.at(joint, frame or 0.0) if has_location else ("channels",)
-        return self.fault(code, pointer, message, hint)
+        location: Location = ("channels",)
+        if joint and frame is not None:
+            location = self.key_location(joint, frame)
+        return self.fault(code, location, message, hint)
 
     @cached_property
     def cuts(self) -> BoolArray:
         """Mask of frame intervals that contain a stepped key ``(F - 1,)``."""
         frames = np.array(self.frames)
         cuts = np.zeros(len(frames) - 1, bool)
-        stepped_channels = [c for c in self.clip.channels if Interp.STEP in c.interps]
-        for channel in stepped_channels:
+        for channel in self.clip.channels:
             for k, interp in enumerate(channel.interps[:-1]):
                 if interp is Interp.STEP:
                     key_frame = channel.times[k + 1]

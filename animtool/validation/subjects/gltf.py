@@ -53,9 +53,8 @@ def open_gltf(path: Path) -> CheckedFile:
             built_rig = build_rig(gltf, character, gltf.path.stem)
             faults += built_rig.notices
             take_subjects += _clip_subjects(gltf, built_rig, faults)
-    return CheckedFile(
-        Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(take_subjects)
-    )
+    faults[:0] = gltf.notes.notices
+    return CheckedFile(Kind.GLTF, faults, takes=tuple(take_subjects))
 
 
 def _clip_subjects(
@@ -93,15 +92,10 @@ def _trim_to_keys(
     seconds = key_times(animation)
     codes = key_times_in_frames(seconds, frames)
     nearest_frames = np.round(codes)
-    codes = np.where(
-        np.abs(codes - nearest_frames) <= FRAME_TOLERANCE, nearest_frames, codes
-    )
-    last_time = float(clock.times[-1])
-    frame_range = (float(min(clock.start, frames.start)), last_time)
-    if (
-        len(codes) > 1
-        and abs(float(np.median(np.diff(codes))) - 1.0) <= MAX_SAMPLE_SPACING
-    ):
+    is_near = np.abs(codes - nearest_frames) <= FRAME_TOLERANCE
+    codes = np.where(is_near, nearest_frames, codes)
+    frame_range = (float(min(clock.start, frames.start)), float(clock.times[-1]))
+    if len(codes) > 1 and abs(np.median(np.diff(codes)) - 1.0) <= MAX_SAMPLE_SPACING:
         if len(codes) == len(clock.times) and (codes == clock.times).all():
             return subject
         motion = sampler.sample(frames.seconds(codes))
@@ -124,8 +118,8 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
     return MotionSubject(
         replace(take, curve=None),
         faults_at(path, where),
-        influencing=_influencing_joints(rig, skins) if skins else None,
-        bind=_bind_positions(rig, skins),
+        influencing_joints=_influencing_joints(rig, skins) if skins else None,
+        bind_positions=_bind_positions(rig, skins),
     )
 
 
@@ -136,13 +130,10 @@ def _influencing_joints(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
     """
     names = set(rig.names) - {name for skin in skins for name in skin.joints}
     for skin in skins:
-        used_joints = np.unique(skin.indices.load()[skin.weights.load() > 0]).astype(
-            int
-        )
-        for name in (skin.joints[joint_index] for joint_index in used_joints.tolist()):
-            names.update(
-                rig.names[ancestor] for ancestor in rig.upwards(rig.index(name))
-            )
+        used_joints = np.unique(skin.indices.load()[skin.weights.load() > 0])
+        for joint in used_joints.astype(int).tolist():
+            joints = rig.upwards(rig.index(skin.joints[joint]))
+            names.update(rig.names[ancestor] for ancestor in joints)
     return frozenset(names)
 
 
@@ -159,14 +150,11 @@ def _bind_positions(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
     rest_matrix = np.eye(4)
     rest_matrix[:3, :3] = rest_transforms.linear[0, joints[0]]
     rest_matrix[:3, 3] = rest_transforms.positions[0, joints[0]]
-    bind_in_world = (
-        rest_matrix
-        @ np.linalg.inv(bind_transforms[joints[0]])
-        @ bind_transforms[joints]
-    )
-    if np.ptp(bind_in_world[:, :3, 3], axis=0).max() == 0.0:
+    rest_from_bind = rest_matrix @ np.linalg.inv(bind_transforms[joints[0]])
+    bind_positions = (rest_from_bind @ bind_transforms[joints])[:, :3, 3]
+    if np.ptp(bind_positions, axis=0).max() == 0.0:
         # A skin without bind matrices.
         return None
     positions = rest_transforms.positions[0].copy()
-    positions[joints] = bind_in_world[:, :3, 3]
+    positions[joints] = bind_positions
     return np.asarray(positions)

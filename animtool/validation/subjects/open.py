@@ -113,10 +113,10 @@ def open_cameras(document: Document) -> CheckedFile:
     from animtool.capture.cameras.calibrations import parse_calibration
     from animtool.capture.cameras.file import parse_cameras
 
-    is_list = not isinstance(document.value.get("cameras"), str)
-    cameras = (
-        parse_calibration(document, None, None) if is_list else parse_cameras(document)
-    )
+    if isinstance(document.value.get("cameras"), str):
+        cameras = parse_cameras(document)
+    else:
+        cameras = parse_calibration(document, None, None)
     return CheckedFile(Kind.CAMERAS, list(document.notices), cameras)
 
 

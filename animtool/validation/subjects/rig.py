@@ -65,18 +65,12 @@ class RigSubject(DocumentSubject):
     @property
     def bind_positions(self) -> FloatArray:
         """World positions in the bind pose ``(J, 3)`` [m]."""
-        bind = self.rig.bind
-        joints = tuple(
-            replace(
-                joint,
-                translation=bind[joint.name].translation,
-                rotation=bind[joint.name].rotation,
-            )
-            if joint.name in bind
-            else joint
-            for joint in self.rig.joints
-        )
-        return rest_pose_without_kernels(replace(self.rig, joints=joints))[0]
+        joints = []
+        for joint in self.rig.joints:
+            pose = self.rig.bind.get(joint.name, joint)
+            translation, rotation = pose.translation, pose.rotation
+            joints.append(replace(joint, translation=translation, rotation=rotation))
+        return rest_pose_without_kernels(replace(self.rig, joints=tuple(joints)))[0]
 
     @cached_property
     def size(self) -> float:

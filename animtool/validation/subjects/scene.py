@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from fractions import Fraction
 from functools import cached_property
+from itertools import starmap
 from pathlib import Path
 
 import numpy as np
@@ -50,10 +51,9 @@ class SceneSubject(DocumentSubject):
         """Takes of IK passes, with their rigs and sampled targets."""
         folder = self.scene.path.resolve().parent
         takes = []
-        for pass_index, solved_take in self.ik_input_takes.items():
-            take, tracks = rig_and_tracks(
-                solved_take, self.scene.passes[pass_index].options, folder
-            )
+        for pass_index, input_take in self.ik_input_takes.items():
+            options = self.scene.passes[pass_index].options
+            take, tracks = rig_and_tracks(input_take, options, folder)
             takes.append((take, tracks.at_clock(take.clock)))
         return takes
 
@@ -127,10 +127,9 @@ def _system_errors(scene: Scene, take: Take | None) -> list[Fault]:
 
     motion = None if take is None else motion_of(scene.path, take)
     rig = None if take is None else take.rig
+    seconds = _simulated_seconds(scene, take)
     try:
-        run = SystemRun(
-            scene.systems, _simulated_seconds(scene, take), motion, main_rig=rig
-        )
+        run = SystemRun(scene.systems, seconds, motion, main_rig=rig)
     except AnimtoolError as error:
         return list(error.faults)
     # Notes are about how it will be simulated.
@@ -180,24 +179,12 @@ def _is_unchanged(old_take: Take, new_take: Take) -> bool:
     """Return whether a pass left a take unchanged."""
     if old_take.clock != new_take.clock or old_take.rig.names != new_take.rig.names:
         return False
-    channel_names = [
-        motion_field.name
-        for motion_field in fields(Motion)
-        if motion_field.name != "points"
-    ]
-    channel_pairs = [
-        (getattr(old_take.motion, field_name), getattr(new_take.motion, field_name))
-        for field_name in channel_names
-    ]
-    old_points, new_points = old_take.motion.points, new_take.motion.points
-    channel_pairs += [
-        (old_points.get(name), new_points.get(name))
-        for name in {*old_points, *new_points}
-    ]
-    return all(
-        _is_same_channel(old_channel, new_channel)
-        for old_channel, new_channel in channel_pairs
-    )
+    old, new = old_take.motion, new_take.motion
+    channel_names = [field.name for field in fields(Motion) if field.name != "points"]
+    channel_pairs = [(getattr(old, name), getattr(new, name)) for name in channel_names]
+    point_names = {*old.points, *new.points}
+    channel_pairs += [(old.points.get(k), new.points.get(k)) for k in point_names]
+    return all(starmap(_is_same_channel, channel_pairs))
 
 
 def _is_same_channel(first: Channel | None, second: Channel | None) -> bool:

@@ -20,7 +20,7 @@ from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import escaped
 from animtool.core.rules import builtin_rules
 from animtool.core.source_lines import crop_line
-from animtool.validation.formats import FORMATS, written
+from animtool.validation.formats import FORMATS, format_report
 from animtool.validation.run import Report
 
 RIG = "rig: animtool/1\nname: é\njoints:\n- {name: knee}\n"
@@ -50,14 +50,14 @@ def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_the_same_findings_give_the_same_text(report: Report, form: str) -> None:
-    text = written(report, form)
-    assert text == written(report, form)
+    text = format_report(report, form)
+    assert text == format_report(report, form)
     assert text.endswith("\n")
-    assert written(Report((), ()), form) == written(Report((), ()), form)
+    assert format_report(Report((), ()), form) == format_report(Report((), ()), form)
 
 
 def test_text_shows_the_line(report: Report) -> None:
-    text = written(report, "text")
+    text = format_report(report, "text")
     assert "    4 | - {name: knee}\n      |          ^\n" in text
     assert text.endswith("2 files: 3 errors, 1 warning, 1 note\n")
 
@@ -94,25 +94,25 @@ def test_findings_that_repeat_one_of_their_file_are_counted(report: Report) -> N
     lined = [Fault("RIG201", f"joint {i}", path, (4,)) for i in range(3)]
     other = Fault("USD206", "joint 9", "other.usda")
     found = Report(report.files, (*alike, *lined, other))
-    lines = written(found, "text").splitlines()
+    lines = format_report(found, "text").splitlines()
     assert sum("USD206" in line for line in lines) == 2
     assert f"{alike[0]} (3 more like it)" in lines
     assert sum("RIG201" in line for line in lines) == 3
-    whole = written(found, "text", repeats=True).splitlines()
+    whole = format_report(found, "text", repeats=True).splitlines()
     assert sum("USD206" in line for line in whole) == 5
 
 
 def test_json_says_what_can_be_fixed(report: Report) -> None:
     first, *_, last = report.findings
     found = replace(report, fixable=frozenset({first}), mended=((last, "written"),))
-    value = json.loads(written(found, "json"))
+    value = json.loads(format_report(found, "json"))
     assert [entry["fixable"] for entry in value["findings"]] == [True, *[False] * 4]
     assert [(f["code"], f["done"]) for f in value["mended"]] == [("IO001", "written")]
-    assert written(found, "text").endswith(", fix=True repairs 1\n")
+    assert format_report(found, "text").endswith(", fix=True repairs 1\n")
 
 
 def test_json(report: Report) -> None:
-    value = json.loads(written(report, "json"))
+    value = json.loads(format_report(report, "json"))
     assert value["summary"] == {"error": 3, "warning": 1, "note": 1}
     assert [f["code"] for f in value["findings"]] == [f.code for f in report.findings]
 
@@ -130,7 +130,7 @@ def unescaped(text: str) -> str:
 
 
 def test_github(report: Report) -> None:
-    lines = written(report, "github").splitlines()
+    lines = format_report(report, "github").splitlines()
     assert len(lines) == len(report.findings)
     for line, fault in zip(lines, report.findings, strict=True):
         found = COMMAND.fullmatch(line)
@@ -145,13 +145,13 @@ def test_github(report: Report) -> None:
         *("::warning", "::error", "::notice", "::error", "::error")
     ]
     several = Report((), (replace(report.findings[0], lines=(4, 2, 9)),))
-    assert ",line=4," in written(several, "github")
+    assert ",line=4," in format_report(several, "github")
 
 
 @given(TEXTS)
 def test_github_escapes_come_back(text: str) -> None:
     report = Report((), (Fault("RIG001", text, text),))
-    (line, rest) = written(report, "github").split("\n", 1)
+    (line, rest) = format_report(report, "github").split("\n", 1)
     found = COMMAND.fullmatch(line)
     assert rest == ""
     assert found
@@ -298,7 +298,7 @@ class Log(Strict):
 
 def checked(report: Report) -> Run:
     """Return the one run of a report, checked as the standard has it."""
-    (run,) = Log.model_validate_json(written(report, "sarif")).runs
+    (run,) = Log.model_validate_json(format_report(report, "sarif")).runs
     rules = run.tool.driver.rules
     assert len({rule.id for rule in rules}) == len(rules)
     assert {rule.id for rule in rules} <= {result.ruleId for result in run.results}
@@ -399,7 +399,7 @@ def test_sarif_of_names_that_are_no_text() -> None:
 
 def test_sarif_of_absolute_paths(tmp_path: Path) -> None:
     path = tmp_path / "a b.rig.yaml"
-    value = json.loads(written(Report((path,), ()), "sarif"))
+    value = json.loads(format_report(Report((path,), ()), "sarif"))
     assert value["runs"][0]["artifacts"][0]["location"]["uri"] == path.as_uri()
 
 
@@ -430,7 +430,7 @@ def check_junit(element: ElementTree.Element) -> None:
 
 
 def test_junit(report: Report) -> None:
-    root = ElementTree.fromstring(written(report, "junit"))
+    root = ElementTree.fromstring(format_report(report, "junit"))
     check_junit(root)
     (suite,) = root
     cases = list(suite)
@@ -446,7 +446,7 @@ def test_junit(report: Report) -> None:
 @given(st.text(max_size=60), st.sampled_from(Severity))
 def test_junit_takes_any_text(text: str, severity: Severity) -> None:
     fault = Fault("RIG001", text, "a", severity=severity)
-    made = written(Report((Path("a"),), (fault,)), "junit")
+    made = format_report(Report((Path("a"),), (fault,)), "junit")
     root = ElementTree.fromstring(made.encode("utf-8"))
     check_junit(root)
     ((case,),) = root
@@ -461,5 +461,7 @@ def test_junit_takes_any_text(text: str, severity: Severity) -> None:
 
 def test_junit_of_names_that_are_no_text() -> None:
     path = os.fsdecode(b"a\xff.rig.yaml")
-    made = written(Report((Path(path),), (Fault("RIG001", "twice", path),)), "junit")
+    made = format_report(
+        Report((Path(path),), (Fault("RIG001", "twice", path),)), "junit"
+    )
     check_junit(ElementTree.fromstring(made.encode("utf-8")))

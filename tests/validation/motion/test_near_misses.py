@@ -25,7 +25,7 @@ from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.sources.open import open_source
 from animtool.validation.motion.sampling import frozen_frames, repeated_frames
-from animtool.validation.motion.sides import no_influence
+from animtool.validation.motion.sides import joints_without_influence
 from animtool.validation.motion.size import mismatched_up_axis
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.options import ValidateOptions
@@ -354,6 +354,7 @@ def test_eyes_and_ends_need_no_weights(walking: Take) -> None:
         )
         clock = Clock(Fraction(24), Fraction(1), Fraction(1), 2)
         seen = subject(Take(rig, clock, motion))
-        faults = list(no_influence(replace(seen, influencing=frozenset({"hips"}))))
+        bound = replace(seen, influencing_joints=frozenset({"hips"}))
+        faults = list(joints_without_influence(bound))
         assert len(faults) == bool(found)
         assert all(f"{found} joints of" in fault.message for fault in faults)
