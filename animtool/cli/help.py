@@ -247,32 +247,28 @@ def _write_section(
 def _help_options() -> list[click.Parameter]:
     """Return ``-h`` and ``--help``."""
 
-    def print_full_help(
-        ctx: click.Context, _: click.Parameter, is_requested: bool
-    ) -> None:
-        if is_requested and not ctx.resilient_parsing:
-            click.echo(ctx.get_help(), color=ctx.color)
-            ctx.exit()
+    def short_help(ctx: click.Context) -> str:
+        command = ctx.command
+        text = command.short_help_of(ctx) if isinstance(command, Command) else ""
+        return text or ctx.get_help()
 
-    def print_short_help(
-        ctx: click.Context, _: click.Parameter, is_requested: bool
-    ) -> None:
+    help_text = "Show this message; -h shows the usual options."
+    return [
+        _help_option("-h", short_help, hidden=True),
+        _help_option("--help", click.Context.get_help, help=help_text),
+    ]
+
+
+def _help_option(
+    name: str, help_of: Callable[[click.Context], str], **settings: Any
+) -> click.Option:
+    def print_help(ctx: click.Context, _: click.Parameter, is_requested: bool) -> None:
         if is_requested and not ctx.resilient_parsing:
-            command = ctx.command
-            text = command.short_help_of(ctx) if isinstance(command, Command) else ""
-            click.echo(text or ctx.get_help(), color=ctx.color)
+            click.echo(help_of(ctx), color=ctx.color)
             ctx.exit()
 
     flags: dict[str, Any] = {"is_flag": True, "expose_value": False, "is_eager": True}
-    return [
-        click.Option(["-h"], callback=print_short_help, hidden=True, **flags),
-        click.Option(
-            ["--help"],
-            callback=print_full_help,
-            help="Show this message; -h shows the usual options.",
-            **flags,
-        ),
-    ]
+    return click.Option([name], callback=print_help, **flags, **settings)
 
 
 class LazyGroup(click.Group):

@@ -313,32 +313,29 @@ def declare_option(
         param_name: Name in the command, if it differs from the field's.
         help_text: Help text, if it differs from the record's.
     """
-    flag_word, flag_and_metavar = option.flag or name.replace("_", "-"), option.metavar
-    flag, text = f"--{flag_word}", name_arguments(help_text or option.help, flag_of)
-    param = param_name or name
+    word, metavar = option.flag or name.replace("_", "-"), option.metavar
+    flag, text = f"--{word}", name_arguments(help_text or option.help, flag_of)
+    param, is_switch = param_name or name, option.kind == "switch"
     if option.kind == "answer":
-        return click.option(f"{flag}/--no-{flag_word}", param, default=None, help=text)
+        return click.option(f"{flag}/--no-{word}", param, default=None, help=text)
     if option.choices and option.kind != "name":
-        click_type = click.Choice(option.choices)
-        click_default = option.choices[0] if option.kind == "switch" else default
-        shows_default = option.kind != "switch" and default is not None
         return click.option(
             flag,
             param,
-            type=click_type,
-            default=click_default,
-            show_default=shows_default,
+            type=click.Choice(option.choices),
+            default=option.choices[0] if is_switch else default,
+            show_default=not is_switch and default is not None,
             help=text,
         )
-    if option.kind == "switch":
+    if is_switch:
         return click.option(flag, param, is_flag=True, help=text)
     if option.kind == "count":
         kind: Any = Count(option.min_count)
     elif option.kind == "name":
         kind = _ChoiceType(option.choices)
     else:
-        kind, click_default = _TYPES[option.kind]
-        flag_and_metavar = flag_and_metavar or click_default
+        kind, default_metavar = _TYPES[option.kind]
+        metavar = metavar or default_metavar
     default = default if option.text_default is None else option.text_default
     if option.kind == "processes":
         default = None  # commands choose the number; scripts must set it
@@ -346,7 +343,7 @@ def declare_option(
         *filter(None, (option.short_flag, flag)),
         param,
         type=kind,
-        metavar=flag_and_metavar,
+        metavar=metavar,
         default=default,
         show_default=default not in {None, ()} and "[default: " not in text,
         multiple=option.kind in _REPEATABLE_TYPES,
@@ -366,15 +363,12 @@ def record_option(
     help_text: Help texts that differ from the record's.
     """
     options, params = options_of(record), param_names or {}
-    defaults = {
-        e.name: None if e.default is MISSING else e.default for e in fields(record)
-    }
-    return stack_options(
-        *(
-            declare_option(options[n], n, defaults[n], params.get(n), help_text)
-            for n in names or options
-        )
-    )
+    defaults = {e.name: e.default for e in fields(record) if e.default is not MISSING}
+    decorators = [
+        declare_option(options[n], n, defaults.get(n), params.get(n), help_text)
+        for n in names or options
+    ]
+    return stack_options(*decorators)
 
 
 def read_values(record: type, params: Mapping[str, Any]) -> dict[str, Any]:

@@ -74,10 +74,10 @@ def _record(cls: type[Any], params: Any) -> type[Any]:
     ):
         methods.pop("__hash__", None)
     methods_to_add = {
-        name: method for name, method in methods.items() if name not in attributes
+        name: method
+        for name, method in methods.items()
+        if name not in attributes or name == "__hash__"
     }
-    if "__hash__" in methods:
-        methods_to_add["__hash__"] = methods["__hash__"]
     for name, method in methods_to_add.items():
         if isinstance(method, FunctionType):
             method.__qualname__ = f"{cls.__qualname__}.{name}"
@@ -140,7 +140,7 @@ def _methods(
     """Return the methods of a record by name.
 
     has_post_init: Whether it has a ``__post_init__``.
-    in_dict: Whether all fields are in the ``__dict__``.
+    stores_in_dict: Whether all fields are in the ``__dict__``.
     """
     entries = declared_fields.values()
     positional_names = tuple(e.name for e in entries if e.init and not e.kw_only)

@@ -91,16 +91,13 @@ def read_header(file: ArrayFile, array_label: str) -> StoredArray:
         raise ArrayError(f"{array_label} is not an array as numpy.savez writes it")
     length = int.from_bytes(file.read(length_size), "little")
     if length > MAX_HEADER_BYTES:
-        raise ArrayError(
-            f"{array_label} has a header of {length} bytes, "
-            "which is not that of an array"
-        )
+        message = f"has a header of {length} bytes, which is not that of an array"
+        raise ArrayError(f"{array_label} {message}")
     text = file.read(length)
     if len(text) < length:
         raise ArrayError(f"{array_label} ends in its header")
-    return _parse_header(
-        text.decode("latin-1"), array_label, len(start) + length_size + length
-    )
+    begin = len(start) + length_size + length
+    return _parse_header(text.decode("latin-1"), array_label, begin)
 
 
 def _parse_header(text: str, array_label: str, begin: int) -> StoredArray:
@@ -125,9 +122,8 @@ def _parse_header(text: str, array_label: str, begin: int) -> StoredArray:
     try:
         dtype = np.dtype(fields["descr"])
     except (TypeError, ValueError) as error:
-        raise ArrayError(
-            f"{array_label} contains {fields['descr']}, not numbers"
-        ) from error
+        message = f"{array_label} contains {fields['descr']}, not numbers"
+        raise ArrayError(message) from error
     shape = _parse_shape(fields["shape"], array_label)
     order: Literal["C", "F"] = "F" if fields["fortran_order"] == "True" else "C"
     return StoredArray(shape, dtype, order, begin)
@@ -201,9 +197,10 @@ class Archive:
         try:
             head = self._file.read(len(NPY_MAGIC))
             if head == NPY_MAGIC:
-                message = f"{path.name} is a single array, as numpy.save writes, not "
-                message += "an archive of named ones, as numpy.savez does"
-                raise ArrayError(message)  # noqa: TRY301
+                raise ArrayError(  # noqa: TRY301
+                    f"{path.name} is a single array, as numpy.save writes, not an "
+                    "archive of named ones, as numpy.savez does"
+                )
             bounded_file = _DirectoryLimitedFile(self._file)
             self._zip = _open_zip(bounded_file, head, path)
             bounded_file.limit = None
@@ -236,14 +233,11 @@ class Archive:
                 raise ArrayError(f"{array_label} contains {header.dtype}, not numbers")
             # A dimension of 0 makes the size 0, however large the other dimensions are.
             limit = max(info.file_size, SMALL_BYTES)
-            no_array = (
-                not header.count
-                and math.prod(max(length, 1) for length in header.shape) > limit
-            )
-            if header.begin + header.size > info.file_size or no_array:
-                raise ArrayError(
-                    f"{array_label} is shorter than its shape {header.shape}"
-                )
+            count = math.prod(max(length, 1) for length in header.shape)
+            is_implausible = not header.count and count > limit
+            if header.begin + header.size > info.file_size or is_implausible:
+                message = f"{array_label} is shorter than its shape {header.shape}"
+                raise ArrayError(message)
             self._headers[key] = header
         return self._headers[key]
 
@@ -283,9 +277,8 @@ class Archive:
         if not header.count:
             return np.zeros(header.shape, header.dtype)
         numbers = np.frombuffer(data, header.dtype, header.count)
-        return np.require(
-            numbers.reshape(header.shape, order=header.order), requirements="A"
-        )
+        numbers = numbers.reshape(header.shape, order=header.order)
+        return np.require(numbers, requirements="A")
 
     def _read_directory(self) -> tuple[dict[str, ZipInfo], set[str]]:
         """Return the zip entries of the arrays by name, and the duplicate names."""
@@ -304,48 +297,42 @@ class Archive:
         if info is None:
             names = list(self._members)[:MAX_SHOWN_NAMES]
             names_text = ", ".join(name[:40] for name in names) or "nothing"
-            raise ArrayError(
-                f"{name} has no array {key!r}; its arrays are {names_text}"
-            )
+            message = f"has no array {key!r}; its arrays are {names_text}"
+            raise ArrayError(f"{name} {message}")
         if key in self._duplicates:
             raise ArrayError(f"{name} contains {key!r} twice")
         if info.flag_bits & _ENCRYPTED_FLAG:
             raise ArrayError(f"{name}#{key} is encrypted")
         if info.compress_type not in _COMPRESSION_METHODS:
-            message = f"{name}#{key} is compressed by method {info.compress_type}, "
-            raise ArrayError(f"{message}but numpy.savez uses 0 and 8")
+            method = f"method {info.compress_type}, but numpy.savez uses 0 and 8"
+            raise ArrayError(f"{name}#{key} is compressed by {method}")
         return info
 
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
         """Raise an error for an array that is larger than the memory limit."""
-        other_size = self._total_size - self._sizes.get(key, 0)
-        is_plausible = size <= max(
-            SMALL_BYTES, MAX_COMPRESSION_RATIO * info.compress_size
-        )
-        if other_size + size > DEFAULT_ARRAY_LIMIT or not is_plausible:
+        total_size = self._total_size - self._sizes.get(key, 0) + size
+        max_size = max(SMALL_BYTES, MAX_COMPRESSION_RATIO * info.compress_size)
+        is_plausible = size <= max_size
+        if total_size > DEFAULT_ARRAY_LIMIT or not is_plausible:
             configured_limit = _configured_limit(self._path)
-            if configured_limit is None or other_size + size > configured_limit:
-                raise self._size_error(
-                    key, other_size + size, configured_limit, is_plausible
-                )
-        self._sizes[key], self._total_size = size, other_size + size
+            if configured_limit is None or total_size > configured_limit:
+                raise self._size_error(key, total_size, configured_limit, is_plausible)
+        self._sizes[key], self._total_size = size, total_size
 
     def _size_error(
         self, key: str, size: int, configured_limit: int | None, is_plausible: bool
     ) -> ArrayError:
         needed_mb = math.ceil(size / 1e6)
-        message = f"{self._path.name}#{key} takes {needed_mb} MB of memory"
         if configured_limit is None and not is_plausible:
-            message += f", more than {MAX_COMPRESSION_RATIO} times what it takes in "
-            message += "the file"
+            reason = f", more than {MAX_COMPRESSION_RATIO} times what it takes in the "
+            reason += "file"
         else:
-            limit = (
-                DEFAULT_ARRAY_LIMIT if configured_limit is None else configured_limit
-            )
-            message += f" with what was read before, and {limit // 1_000_000} are "
-            message += "allowed"
+            limit = configured_limit
+            limit_mb = (DEFAULT_ARRAY_LIMIT if limit is None else limit) // 1_000_000
+            reason = f" with what was read before, and {limit_mb} are allowed"
         return ArrayError(
-            f"{message}; max_array_mb = {needed_mb} in animtool.toml, or "
+            f"{self._path.name}#{key} takes {needed_mb} MB of memory{reason}; "
+            f"max_array_mb = {needed_mb} in animtool.toml, or "
             f"{ARRAY_LIMIT_VARIABLE}={needed_mb}, allows it"
         )
 
@@ -369,9 +356,8 @@ def _configured_limit(path: Path) -> int | None:
     text = os.environ.get(ARRAY_LIMIT_VARIABLE)
     if text:
         if not (text.isascii() and text.isdecimal() and len(text) < 10):
-            raise ArrayError(
-                f"{ARRAY_LIMIT_VARIABLE} is {text[:40]!r}, not a number of MB"
-            )
+            message = f"{ARRAY_LIMIT_VARIABLE} is {text[:40]!r}, not a number of MB"
+            raise ArrayError(message)
         return int(text) * 1_000_000
     configured = find_config(path).max_array_mb
     return None if configured is None else configured * 1_000_000

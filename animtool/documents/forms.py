@@ -101,19 +101,13 @@ def named_options_hint(
     entry = value_at(value, location)
     parent_keys = fields_at(model, value, location[:-1])
     option_keys = {key for form in forms.options.values() for key in form}
-    moved = {
-        key: item
-        for key, item in entry.items()
-        if key in parent_keys and key not in option_keys
-    }
+    moved_keys = [k for k in entry if k in parent_keys and k not in option_keys]
+    moved = {key: entry[key] for key in moved_keys}
     names = [key for key in entry if key in forms.options]
     options = {key: entry[key] for key in entry if key not in {*moved, *names}}
     if not names and options:
-        names = [
-            name
-            for name, form in forms.options.items()
-            if form.keys() >= options.keys()
-        ]
+        form_items = forms.options.items()
+        names = [name for name, form in form_items if form.keys() >= options.keys()]
     if len(names) == 1 and (options or moved):
         stated_options = entry.get(names[0]) or {}
         if not isinstance(stated_options, dict):

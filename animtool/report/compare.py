@@ -324,17 +324,17 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         name = first.rig.names[first_joints[int(joint)]]
         return Difference(float(values[frame, joint]), name, float(codes[frame]))
 
-    first_joint, second_joint = (
+    first_values, second_values = (
         take.motion.select(slice(0, frames)).dense() for take in (first, second)
     )
-    first_world = forward_kinematics(first.rig, *first_joint).positions
-    second_world = forward_kinematics(second.rig, *second_joint).positions
+    first_world = forward_kinematics(first.rig, *first_values).positions
+    second_world = forward_kinematics(second.rig, *second_values).positions
     difference = first_world[:, first_joints] - second_world[:, second_joints]
-    translation = first_joint[0][:, first_joints] - second_joint[0][:, second_joints]
+    translation = first_values[0][:, first_joints] - second_values[0][:, second_joints]
     rotation = so3.angle_between(
-        first_joint[1][:, first_joints], second_joint[1][:, second_joints]
+        first_values[1][:, first_joints], second_values[1][:, second_joints]
     )
-    first_scales, second_scales = map(_dense_scales, (first_joint, second_joint))
+    first_scales, second_scales = map(_dense_scales, (first_values, second_values))
     scale = first_scales[:, first_joints] - second_scales[:, second_joints]
     return TakeDifference(
         largest(np.linalg.norm(difference, axis=-1)),

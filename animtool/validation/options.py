@@ -216,7 +216,6 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
         raise OptionError(faults)
 
 
-_LIST_SETTINGS = ("select", "ignore")
 # Settings that a project may have, in the order of their faults.
 _PROJECT_SETTINGS = tuple(n for n in options_of(ValidateOptions) if n != "jobs")
 
@@ -228,37 +227,35 @@ def settings_of(path: Path) -> ValidateOptions:
 
 
 def _parse_options(table: Any, path: str) -> ValidateOptions:
-    lists: dict[str, tuple[str, ...]] = {}
     for name in table:
         if name not in _PROJECT_SETTINGS:
             message = f"unknown setting validate.{name}"
             hint = f"allowed: {', '.join(_PROJECT_SETTINGS)}"
             raise OptionError(Fault("CFG002", message, path, (), hint))
-    for name in _LIST_SETTINGS:
-        codes = table.get(name, [])
+
+    def value_error(name: str, text: str, hint: str | None = None) -> OptionError:
+        message = f"validate.{name} is {text}"
+        return OptionError(Fault("CFG003", message, path, (), hint))
+
+    select, ignore = table.get("select", []), table.get("ignore", [])
+    for name, codes in (("select", select), ("ignore", ignore)):
         is_list = isinstance(codes, list)
         if not is_list or not all(isinstance(code, str) for code in codes):
-            message = f"validate.{name} is {codes!r}, not a list of codes"
-            raise OptionError(Fault("CFG003", message, path))
-        lists[name] = tuple(codes)
-    levels_by_code = table.get("severity", {})
-    if not isinstance(levels_by_code, dict):
-        message = f"validate.severity is {levels_by_code!r}, not a table of codes"
-        raise OptionError(Fault("CFG003", message, path))
-    severities = {}
-    for code, name in levels_by_code.items():
-        if name not in list(Severity):
-            message = f"validate.severity.{code} is {name!r}"
+            raise value_error(name, f"{codes!r}, not a list of codes")
+    severities = table.get("severity", {})
+    if not isinstance(severities, dict):
+        raise value_error("severity", f"{severities!r}, not a table of codes")
+    for code, level in severities.items():
+        if level not in list(Severity):
             hint = f"allowed: {', '.join(Severity)}"
-            raise OptionError(Fault("CFG003", message, path, (), hint))
-        severities[code] = Severity(name)
+            raise value_error(f"severity.{code}", repr(level), hint)
+    severities = {code: Severity(level) for code, level in severities.items()}
     profile = table.get("profile", "")
     if not isinstance(profile, str):
-        message = f"validate.profile is {profile!r}, not a name or a file"
-        raise OptionError(Fault("CFG003", message, path))
+        raise value_error("profile", f"{profile!r}, not a name or a file")
     levels = load_profile(profile, Path(path).parent) if profile else {}
     options = ValidateOptions(
-        lists["select"], lists["ignore"], severities, profile=profile, levels=levels
+        tuple(select), tuple(ignore), severities, profile=profile, levels=levels
     )
     check_codes(options, path)
     return options

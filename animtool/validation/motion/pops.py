@@ -106,10 +106,10 @@ def _pop_fault(
     name = subject.take.rig.joints[joint].name
     steps = np.concatenate([np.flatnonzero(p.flags.any(axis=1)) for p in all_pops])
     step_count = len(np.unique(steps))
+    frames_text = f"{subject.time_text(step)} to {subject.time_text(step + 1)}"
     message = (
-        f"{name!r} jumps by {pops.size_text(step, column)} "
-        f"from frame {subject.time_text(step)} "
-        f"to {subject.time_text(step + 1)}, unlike the motion around it"
+        f"{name!r} jumps by {pops.size_text(step, column)} from frame {frames_text}, "
+        "unlike the motion around it"
     )
     other_names = [other_name for other_name in names if other_name != name]
     if step_count > 1:

@@ -219,9 +219,8 @@ def _full_take_swap(
     hip_centers = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
     up_directions = hip_centers - positions[:, feet].mean(axis=1)
     left_direction = np.cross(up_directions, facing_direction)
-    left_distance = np.einsum(
-        "fc,fc->f", left_direction, positions[:, left_hip] - positions[:, right_hip]
-    )
+    hip_offsets = positions[:, left_hip] - positions[:, right_hip]
+    left_distance = np.einsum("fc,fc->f", left_direction, hip_offsets)
     is_used = np.linalg.norm(facing_direction, axis=1) > MIN_FACING * subject.size
     # The feet of a crawling or lying body are next to its hips and point anywhere.
     leg_lengths = np.linalg.norm(up_directions, axis=1)
@@ -291,9 +290,8 @@ def _side_swaps(
         return
     left = rotations.gather(np.array([pair[0] for pair in pairs]))
     right = rotations.gather(np.array([pair[1] for pair in pairs]))
-    steps = np.minimum(
-        *(so3.angle_between(side[1:], side[:-1]) for side in (left, right))
-    )
+    left_steps = so3.angle_between(left[1:], left[:-1])
+    steps = np.minimum(left_steps, so3.angle_between(right[1:], right[:-1]))
     from_same_side, from_other_side = _side_deviations(left, right)
     reverse_from_same, reverse_from_other = _side_deviations(left[::-1], right[::-1])
     from_other_side = np.minimum(from_other_side, reverse_from_other[::-1])
