@@ -318,7 +318,7 @@ def document_of(text: str, path: Path) -> Document:
 
 
 def _typographic_quote_warnings(document: Document) -> Iterator[Fault]:
-    """Yield a warning for each value in typographic quotes (DOC103)."""
+    """Yield a warning about the first value in typographic quotes (DOC103)."""
     marks = document.marks()
     for index, text in marks.unquoted.items():
         word = text[1:-1]
@@ -373,12 +373,10 @@ def _merge_unknown_keys(faults: Sequence[Fault]) -> list[Fault]:
         if len(others) < MIN_REPEATED - 1:
             merged_faults += [first, *others]
             continue
-        last_line = others[-1].lines[0]
-        message = f"{first.message}, and in {len(others)} more entries to line "
         lines = tuple(fault.lines[0] for fault in (first, *others))
-        merged_faults.append(
-            replace(first, message=f"{message}{last_line}", lines=lines)
-        )
+        more_text = f"in {len(others)} more entries to line {lines[-1]}"
+        message = f"{first.message}, and {more_text}"
+        merged_faults.append(replace(first, message=message, lines=lines))
     return sorted(merged_faults, key=lambda fault: (fault.lines, fault.column or 0))
 
 

@@ -108,9 +108,7 @@ class ModelFaults:
     def replace_faulty(self, error: ValidationError) -> None:
         """Record the faults of a failed validation and replace the faulty values."""
         faults_by_location = _group_by_location(self.value, error)
-        groups = faults_by_location.values()
-        misplaced = self._record_unindented_options(groups)
-        for location in misplaced or self._record_options_without_name(groups):
+        for location in self._record_misplaced_options(faults_by_location.values()):
             faults_by_location = {
                 key: faults
                 for key, faults in faults_by_location.items()
@@ -228,63 +226,52 @@ class ModelFaults:
         self._insert_placeholder(mapping)
         return True
 
-    def _record_unindented_options(self, groups: Iterable[list[Any]]) -> list[Location]:
-        """Record a fault for each entry whose options are not below its name.
+    def _record_misplaced_options(self, groups: Iterable[list[Any]]) -> list[Location]:
+        """Record a fault for each mapping whose options are not below a name.
 
-        Returns the locations of these entries, which get placeholders.
+        Returns the locations of these mappings, which get placeholders.
         """
-        locations: list[Location] = []
+        mappings: dict[Location, None] = {}
         for faults in groups:
             location = _fault_location(self.value, faults[0])
             if faults[0]["type"] == "dict_type":
                 location = location[:-1]  # of an option, which is read as a name
             elif faults[0]["type"] != "too_long":
                 continue
-            entry = value_at(self.value, location)
-            is_entry = isinstance(entry, dict) and _is_list_entry(location)
-            if location in locations or not is_entry or len(entry) < 2:
-                continue
-            name, *options = entry
-            if entry[name] is not None:
-                continue
-            locations.append(location)
-            names = listed([excerpt(str(key)) for key in options])
-            text = flow_text(str(name), {key: entry[key] for key in options})
-            message = f"options of {name!r} are not below it: {names}"
-            hint = f"indent them further, or write {text}"
-            key_location = (*location, options[0])
-            self.document.add("DOC022", key_location, message, hint, at_key=True)
+            if location and isinstance(value_at(self.value, location), dict):
+                mappings[location] = None
+        locations = list(filter(self._record_unindented_options, mappings))
+        if not locations:
+            locations = list(filter(self._record_options_without_name, mappings))
         for location in locations:
             self._insert_placeholder(location)
         return locations
 
-    def _record_options_without_name(
-        self, groups: Iterable[list[Any]]
-    ) -> list[Location]:
-        """Record a fault for each value whose options are not below a name.
+    def _record_unindented_options(self, location: Location) -> bool:
+        """Record a fault if the options of an entry are not below its name."""
+        entry = value_at(self.value, location)
+        if not _is_list_entry(location) or len(entry) < 2:
+            return False
+        name, *options = entry
+        if entry[name] is not None:
+            return False
+        names = listed([excerpt(str(key)) for key in options])
+        text = flow_text(str(name), {key: entry[key] for key in options})
+        message = f"options of {name!r} are not below it: {names}"
+        hint = f"indent them further, or write {text}"
+        key_location = (*location, options[0])
+        self.document.add("DOC022", key_location, message, hint, at_key=True)
+        return True
 
-        Returns the locations of these values, which get placeholders.
-        """
-        locations: list[Location] = []
-        for faults in groups:
-            location = _fault_location(self.value, faults[0])
-            if faults[0]["type"] == "dict_type":
-                location = location[:-1]  # of an option, which is read as a name
-            elif faults[0]["type"] != "too_long":
-                continue
-            value = value_at(self.value, location)
-            if location in locations or not location or not isinstance(value, dict):
-                continue
-            hint = named_options_hint(self.model, self.value, location)
-            if hint is None:
-                continue
-            locations.append(location)
-            keys = listed([excerpt(str(key)) for key in value])
-            message = f"one name with its options is needed, not {keys}"
-            self.document.add("DOC022", location, message, hint)
-        for location in locations:
-            self._insert_placeholder(location)
-        return locations
+    def _record_options_without_name(self, location: Location) -> bool:
+        """Record a fault if a value has options that must be below a name."""
+        hint = named_options_hint(self.model, self.value, location)
+        if hint is None:
+            return False
+        keys = listed([excerpt(str(key)) for key in value_at(self.value, location)])
+        message = f"one name with its options is needed, not {keys}"
+        self.document.add("DOC022", location, message, hint)
+        return True
 
     def _record_bad_dash(self, location: Location, mapping: dict[str, Any]) -> None:
         """Record a list entry that was read as a key, for lack of a space after "-"."""
@@ -323,9 +310,7 @@ class ModelFaults:
     def _record_wrong_entry(self, location: Location, faults: list[Any]) -> bool:
         """Record a single fault if the entries of a list have the wrong form."""
         parent = location[:-1]
-        if not parent or not isinstance(location[-1], int):
-            return False
-        if not expected_structures(faults):
+        if not (parent and _is_list_entry(location) and expected_structures(faults)):
             return False
         hint = syntax_hint(self.model, self.value, parent, expects_list=True)
         if hint is None:
@@ -392,15 +377,13 @@ class ModelFaults:
                 angles = {"euler": "XYZ", "keys": [{"t": 1, "v": value}]}
                 hint += f", or for angles {flow_text('orientation', angles)}"
             return hint
-        axis = AXES.get(str(value).upper())
-        if axis is not None and structures == {"a list"}:
+        axis, needs_list = AXES.get(str(value).upper()), structures == {"a list"}
+        if axis is not None and needs_list:
             numbers = flow_value([round(number) for number in axis])
             return f"write three numbers: {value} is {numbers}"
         if structures:
-            expects_list = structures == {"a list"}
-            return syntax_hint(
-                self.model, self.value, location, expects_list=expects_list
-            )
+            where = self.model, self.value, location
+            return syntax_hint(*where, expects_list=needs_list)
         if is_type_fault(faults):
             return example_hint(self.model, self.value, location)
         return None
@@ -474,8 +457,5 @@ def _entry_hint(location: Location, fault: Any) -> str | None:
         options = intended_options(name, value)
         text = flow_text(name, options) if options else f"{name}: {{OPTION: VALUE}}"
         return f"write {text}"
-    if not isinstance(location[-1], int):
-        return None
-    if not isinstance(value, str) or not value.isidentifier():
-        return None
-    return f"write '{value}: {{}}'"
+    is_name = isinstance(value, str) and value.isidentifier()
+    return f"write '{value}: {{}}'" if _is_list_entry(location) and is_name else None

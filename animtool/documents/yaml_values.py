@@ -92,8 +92,8 @@ def read_values(text: str, path: Path) -> ParsedValues:
     marks = sum(map(text.count, _NODE_MARKERS))
     if marks > MAX_MARKS:
         message = f"contains {marks} value separators; the limit is {MAX_MARKS}"
-        hint_ = "put arrays in npz files"
-        raise FormatError(Fault("DOC024", message, str(path), (), hint_))
+        hint = "put arrays in npz files"
+        raise FormatError(Fault("DOC024", message, str(path), (), hint))
     if path.suffix == ".json":
         value = plain_json(text, MAX_DEPTH, MAX_KEY_LENGTH)
         if value is not None:
