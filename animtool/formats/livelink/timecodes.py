@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, counted, excerpt, listed
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.core.timecode import nominal_rate, frames_per_day, parse_timecode
+from animtool.core.timecode import frames_per_day, nominal_rate, parse_timecode
 from animtool.formats.trajectories import CaptureFile
 
 # Clock rates of recorders [1/s], and the app's default.
