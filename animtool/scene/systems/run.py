@@ -212,7 +212,7 @@ class SystemRun:
             if run.state.steps and times[0] < resume_time - tolerance:
                 frame = float(codes[0]) + (resume_time - times[0]) * float(fps)
                 reason = _between_frames_text(frame, run.step_length, fps)
-                message = f"its state is from frame {frame:g}, but {reason}and frame "
+                message = f"its state is from frame {frame:g}, {reason}but frame "
                 message += f"{float(codes[0]):g} is requested"
                 frames = f"{math.ceil(frame - STEP_TOLERANCE)}-{float(codes[-1]):g}"
                 hint = argument("frame_range", frames)

@@ -100,7 +100,7 @@ def test_frames_before_the_state_are_refused(tmp_path: Path) -> None:
     done = bake(tmp_path, "two", "resume: half.npz")
     assert done.code == 3
     assert (
-        "SIM035 systems[0].flocks: its state is from frame 7, but and frame 1 is"
+        "SIM035 systems[0].flocks: its state is from frame 7, but frame 1 is"
         in (done.stderr)
     )
     assert "--range 7-12" in done.stderr
