@@ -281,15 +281,17 @@ def _build_strands(
     options, omega = settings.options, 2 * math.pi * settings.frequency
     bends, strands = network.lengths(network.bends), network.strands
     springs = network.count // strands - 1
+    bend_frequency = settings.bend
     if not len(bends):
-        bends = np.zeros(strands * max(springs - 1, 0))
+        # Springs of rest length 0 would fold the chain.
+        bends, bend_frequency = np.zeros(strands * max(springs - 1, 0)), 0.0
     return _kernels.SpringStrands(
         network.rests.reshape(strands, springs),
         bends.reshape(strands, max(springs - 1, 0)),
         gravity=options.gravity * down + options.drag * np.array(options.wind),
         drag=options.drag,
         stiffness=RIGID_FREQUENCY**2,
-        fold_stiffness=(2 * math.pi * settings.bend) ** 2,
+        fold_stiffness=(2 * math.pi * bend_frequency) ** 2,
         draw_stiffness=omega**2,
         draw_damping=2 * options.ratio * omega,
         stretch=settings.stretch,

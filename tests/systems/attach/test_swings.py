@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
-from support.attached import moved, tail_rig, take_of
+from numpy.testing import assert_allclose, assert_array_equal
+from support.attached import moved, simulated, tail_rig, take_of
 
 from animtool.maths import so3
 from animtool.systems.attach.chains import chain_rotations, shortest_rotations
@@ -60,3 +60,10 @@ def test_nothing_moved_is_nothing_turned() -> None:
     own, rotations = moved(take), take.motion.rotations.dense()
     found = chain_rotations(take.rig, np.arange(1, 4), rotations, own, own)
     assert so3.angle_between(found, rotations[:, 1:]).max() < 1e-12
+
+
+def test_a_bend_frequency_does_not_change_a_chain() -> None:
+    """A pass may set it for the cloth and strands that it simulates, too."""
+    take = take_of(tail_rig(3, 0.2), 24, 0.5)
+    bent, _ = simulated(take, bend=10.0, frequency=0.5)
+    assert_array_equal(moved(bent), moved(simulated(take, frequency=0.5)[0]))
