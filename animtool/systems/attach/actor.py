@@ -26,10 +26,18 @@ from animtool.systems.attach.network import coincident_link_count, median_edge_l
 from animtool.systems.attach.poses import LocalPose, interpolate_poses
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.attach.skins import PosePaths, SkinSurface, skin_margin
-from animtool.systems.attach.stepping import AttachedSprings, CycleSteering
+from animtool.systems.attach.stepping import (
+    CycleSteering,
+    FrameSteps,
+    build_steered,
+    build_system,
+    check_motion,
+)
 from animtool.systems.framework.meter import ContactMeter, MeasuredSurface
 from animtool.systems.springs.checks import tangle_notices
 from animtool.systems.springs.contacts import Cells
+from animtool.systems.springs.motion import TimeGrid
+from animtool.systems.springs.solvers import advance
 
 
 def up_direction(rig: Rig) -> FloatArray:
@@ -60,14 +68,16 @@ class AttachmentActor:
         start_path = interpolate_poses(rig, pose, pose, 1)
         scale = _joint_scale(start_path.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
-        down = -up_direction(rig)
-        self._springs = AttachedSprings(network, settings, down, frame_duration)
-        self.steps = self._springs.cells * self._springs.substeps
+        self._network, self._down = network, -up_direction(rig)
+        self._system = build_system(network, settings, self._down)
+        self._frame_steps = FrameSteps.plan(network, settings, frame_duration)
+        self.steps = self._frame_steps.cells * self._frame_steps.substeps
         self.teleport_count = 0
         self.seconds = 0.0
         self._frame_duration = frame_duration
         self.meter = ContactMeter()
-        thickness = self._springs.thickness
+        self_contact = self._system.self_contact
+        thickness = 0.0 if self_contact is None else self_contact.thickness
         # Without triangles there are no sides of cloth, and without self-contact and
         # skins no piercing to count.
         is_cloth, can_pierce = len(network.triangles) > 0, bool(thickness or skins)
@@ -84,7 +94,8 @@ class AttachmentActor:
         self.target = body.targets(start_path)[0]
         self._joint_transforms, self._time = start_path.world, 0.0
         self.coincident_links = coincident_link_count(network, self.target)
-        self.grid = self._springs.start(self.target)
+        self._system.joint_colliders = self._colliders.character_range
+        self.grid = self._frame_steps.start(self._system, self.target)
         self.tangle_warnings: list[Fault] = []
         # Cloth with self-contact, as a collider of later attachments.
         self._cloth_motion = ClothMotion(network.triangles, self.target, self.target)
@@ -128,23 +139,43 @@ class AttachmentActor:
     ) -> None:
         """Advance the simulation by a frame; frame 0 is the first frame of the take."""
         start_seconds = time.perf_counter()
-        cells = self._springs.cells
+        steps, grid = self._frame_steps, self.grid
+        cells = steps.cells
         motion = paths.sample(cells)
         targets = self.body.targets(motion)
         kernel_cells = Cells(0.0, self.grid.cell, frame * cells, cells)
         colliders = self._colliders.kernel_arguments(paths, kernel_cells)
         begin_points = self.positions
-        springs, goals = self._springs, targets
+        system, goals = self._system, targets
         if steering is not None and steering.weight > 0:
-            springs, goals = self._springs.with_steering(targets, steering)
-        self.grid = springs.advance_frame(
-            self.grid, goals, colliders, self._colliders.character_range
-        )
+            system, goals = build_steered(
+                self._network, self.settings, self._down, targets, steering,
+                steps.duration,
+            )  # fmt: skip
+            system.joint_colliders = self._system.joint_colliders
+        system.set_paths(steps.duration, goals)
+        state = replace(grid.state, substeps=steps.substeps, calm=0)
+        grid = replace(grid, index=0, state=state)
+        end = advance(system, steps.options, grid, cells, colliders)
+        check_motion(end.state.motion)
+        self.grid = self._with_cloth_strain(end, grid.stretch)
         self.target = targets[-1]
         self._joint_transforms = motion.world
         self._time = (frame + 1) * self._frame_duration
         self._move_sheet((frame * self._frame_duration, self._time), begin_points)
         self.seconds += time.perf_counter() - start_seconds
+
+    def _with_cloth_strain(self, end: TimeGrid, last_strain: float) -> TimeGrid:
+        """Return the time grid with the largest strain of cloth, compliance included.
+
+        For strands the kernel measures it.
+        """
+        surface = self._measured_surface
+        if self._network.strands:
+            return end
+        lengths = surface.lengths(end.state.motion[0])
+        strain = float((lengths / surface.rest_lengths - 1).max(initial=0.0))
+        return replace(end, stretch=max(last_strain, strain))
 
     def surroundings(self) -> CollisionSurroundings:
         """Return the surfaces around the attachment at the end of the frame."""

@@ -98,7 +98,8 @@ class Network:
             for ends, frequency in families
             if frequency
         ]
-        return build_body(self.points, self.masses, springs, self.triangles)
+        points, strands = self.points, self.strands
+        return build_body(points, self.masses, springs, self.triangles, strands)
 
 
 def max_pin_hops(network: Network) -> int:

@@ -1,31 +1,25 @@
-"""Steps of one attachment by extended position based dynamics."""
+"""Spring systems of attachments, and their steps in a frame."""
 
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 
 import numpy as np
 
-from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.systems.attach.network import (
-    RIGID_FREQUENCY,
     Network,
     max_pin_hops,
     median_edge_length,
 )
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import MAX_VALUE
-from animtool.systems.framework.meter import MeasuredSurface
-from animtool.systems.springs.contacts import CellColliders
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.paths import Pins, PointTargets
-from animtool.systems.springs.records import Air, SelfContact, Solver
-from animtool.systems.springs.solvers import advance_strands, advance_xpbd
+from animtool.systems.springs.records import Air, SelfContact, Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
 
 # Design acceleration for the step rate [m/s²]: twice that of gravity.
@@ -102,7 +96,7 @@ class CycleSteering:
     motions: FloatArray  # states at the start and end ``(2, 2, N, 3)`` [m, m/s]
     weight: float  # strength of the pull, from 0 to 1
 
-    def path(self, count: int, duration: float) -> FloatArray:
+    def positions(self, count: int, duration: float) -> FloatArray:
         """Return positions at evenly spaced times ``(count + 1, N, 3)`` [m]."""
         u = (np.arange(count + 1) / count)[:, None, None]
         (x0, v0), (x1, v1) = self.motions
@@ -110,131 +104,35 @@ class CycleSteering:
         return np.asarray(ends + duration * u * (1 - u) * ((1 - u) * v0 - u * v1))
 
 
-class AttachedSprings:
-    """Steps the springs of an attachment over frames, with xpbd.
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameSteps:
+    """The time steps of a frame, with xpbd."""
 
-    Springs along strands are solved directly, others once per step in order.
+    duration: float  # duration of the frame [s]
+    cells: int  # number of cells in the frame
+    substeps: int  # lower limit of the steps in a cell
+    options: SpringOptions  # limits of strain and steps
 
-    Attributes:
-        thickness: Self-contact distance of cloth [m]; 0 is off.
-        cells: Cells of a frame.
-        substeps: Lower limit of the steps in a cell.
-    """
-
-    def __init__(
-        self,
-        network: Network,
-        settings: AttachSettings,
-        down: FloatArray,
-        frame_duration: float,
-    ) -> None:
-        """Build the kernel arguments for frames of a duration [s].
-
-        ``down`` is the direction of gravity ``(3,)``.
-        """
-        min_steps = math.ceil(step_rate(network, settings) * frame_duration - 1e-9)
-        self.cells, self.substeps = cells_and_substeps(max(1, min_steps))
-        self.thickness = self_contact_distance(network, settings)
-        self._frame_duration = frame_duration
-        self._network, self._settings, self._down = network, settings, down
-        if network.strands:
-            self._strands = _build_strands(network, settings, down)
-        else:
-            self._system = _build_system(network, settings, down, self.thickness)
-            self._sides = MeasuredSurface.of_edges(
-                network.sides, network.rests, network.is_pinned, network.triangles
-            )
-
-    def with_steering(
-        self, path: FloatArray, steering: CycleSteering
-    ) -> tuple[AttachedSprings, FloatArray]:
-        """Return springs with additional pulls to another motion, and their targets.
-
-        A single pull replaces both. The target is the mean of the animated particles
-        ``(K, N, 3)`` [m] and that motion, weighted by stiffness.
-        """
-        settings, options = self._settings, self._settings.options
-        pull_stiffness = settings.frequency**2
-        steering_frequency = steering.weight * STEERING_FREQUENCY
-        stiffness = pull_stiffness + steering_frequency**2
-        frequency = math.sqrt(stiffness)
-        damping = options.ratio * settings.frequency + steering_frequency
-        steered = replace(
-            settings,
-            frequency=frequency,
-            options=replace(options, ratio=damping / frequency),
+    @staticmethod
+    def plan(network: Network, settings: AttachSettings, duration: float) -> FrameSteps:
+        """Return the steps of a frame that keep springs within their strain limit."""
+        min_steps = math.ceil(step_rate(network, settings) * duration - 1e-9)
+        cells, substeps = cells_and_substeps(max(1, min_steps))
+        has_rate = settings.options.rate is not None
+        options = SpringOptions(
+            Solver.XPBD,
+            stretch=settings.stretch,
+            max_substeps=substeps if has_rate else MAX_REFINEMENT * substeps,
+            # The strain of stiff cloth springs is clamped too.
+            clamped_strain=settings.stretch if len(network.triangles) else 0.0,
         )
-        duration = self._frame_duration
-        springs = AttachedSprings(self._network, steered, self._down, duration)
-        goal, free = path.copy(), self._network.free
-        motion = steering.path(len(path) - 1, duration)
-        fraction = steering_frequency**2 / stiffness
-        goal[:, free] += fraction * (motion[:, free] - goal[:, free])
-        return springs, goal
+        return FrameSteps(duration, cells, substeps, options)
 
-    def start(self, positions: FloatArray) -> TimeGrid:
-        """Return the time grid at rest in positions ``(N, 3)`` [m]."""
+    def start(self, system: SpringSystem, positions: FloatArray) -> TimeGrid:
+        """Return the time grid of a system at rest in positions ``(N, 3)`` [m]."""
         motion = np.stack([positions, np.zeros_like(positions)])
-        torn = np.zeros(0, np.uint8)
-        if not self._network.strands:
-            torn = self._system.untorn_flags
-        state = SpringState(motion, torn, self.substeps, self.substeps)
-        return TimeGrid(Solver.XPBD, 0.0, self._frame_duration / self.cells, 0, state)
-
-    def advance_frame(
-        self,
-        grid: TimeGrid,
-        path: FloatArray,
-        colliders: CellColliders,
-        character_colliders: tuple[int, int],
-    ) -> TimeGrid:
-        """Return the time grid one frame later.
-
-        Args:
-            grid: State at the start of the frame.
-            path: Animated particles at the ends of the frame's cells ``(K, N, 3)`` [m].
-            colliders: Colliders in these cells.
-            character_colliders: First index and count of the rigid colliders of the
-                character. Only the particles of strands collide with these.
-        """
-        if self._network.strands:
-            grid = advance_strands(
-                self._strands,
-                grid,
-                path,
-                self._frame_duration,
-                colliders,
-                character_colliders,
-                thread_count(),
-            )
-        else:
-            grid = self._advance_cloth(grid, path, colliders)
-        check_motion(grid.state.motion)
-        return grid
-
-    def _advance_cloth(
-        self, grid: TimeGrid, path: FloatArray, colliders: CellColliders
-    ) -> TimeGrid:
-        """Return the time grid one frame later, with the largest strain of cloth."""
-        system, strain_limit = self._system, self._settings.stretch
-        has_rate = self._settings.options.rate is not None
-        # The strain of stiff cloth springs is clamped too.
-        clamped_strain = strain_limit if len(self._network.triangles) else 0.0
-        system.set_paths(self._frame_duration, path)
-        state = replace(grid.state, substeps=self.substeps, calm=0)
-        end = advance_xpbd(
-            system.network(0),
-            replace(grid, index=0, state=state),
-            self.cells,
-            colliders,
-            system.kernel_self_contact,
-            strain_limit,
-            self.substeps if has_rate else MAX_REFINEMENT * self.substeps,
-            clamped_strain,
-        )
-        lengths = self._sides.lengths(end.state.motion[0])
-        strain = float((lengths / self._sides.rest_lengths - 1).max(initial=0.0))
-        return replace(end, stretch=max(grid.stretch, strain))
+        state = SpringState(motion, system.untorn_flags, self.substeps, self.substeps)
+        return TimeGrid(Solver.XPBD, 0.0, self.duration / self.cells, 0, state)
 
 
 def self_contact_distance(network: Network, settings: AttachSettings) -> float:
@@ -247,11 +145,14 @@ def self_contact_distance(network: Network, settings: AttachSettings) -> float:
     return min(settings.radius or math.inf, distance)
 
 
-def _build_system(
-    network: Network, settings: AttachSettings, down: FloatArray, thickness: float
+def build_system(
+    network: Network, settings: AttachSettings, down: FloatArray
 ) -> SpringSystem:
-    """Return the spring system of a network, with pins and targets at bind."""
-    options = settings.options
+    """Return the spring system of a network, with pins and targets at bind.
+
+    ``down`` is the direction of gravity ``(3,)``.
+    """
+    options, thickness = settings.options, self_contact_distance(network, settings)
     body = network.body(options.diagonals, settings.bend)
     target_particles = network.free if settings.frequency else network.free[:0]
     masses, omega = body.masses[target_particles], 2 * math.pi * settings.frequency
@@ -274,36 +175,32 @@ def _build_system(
     )
 
 
-def _build_strands(
-    network: Network, settings: AttachSettings, down: FloatArray
-) -> _kernels.SpringStrands:
-    """Return kernel strands; chains have no bend springs."""
-    options, omega = settings.options, 2 * math.pi * settings.frequency
-    bends, strands = network.lengths(network.bends), network.strands
-    springs = network.count // strands - 1
-    bend_frequency = settings.bend
-    if not len(bends):
-        # Springs of rest length 0 would fold the chain.
-        bends, bend_frequency = np.zeros(strands * max(springs - 1, 0)), 0.0
-    return _kernels.SpringStrands(
-        network.rests.reshape(strands, springs),
-        bends.reshape(strands, max(springs - 1, 0)),
-        gravity=options.gravity * down + options.drag * np.array(options.wind),
-        drag=options.drag,
-        stiffness=RIGID_FREQUENCY**2,
-        fold_stiffness=(2 * math.pi * bend_frequency) ** 2,
-        draw_stiffness=omega**2,
-        draw_damping=2 * options.ratio * omega,
-        stretch=settings.stretch,
-    )
+def build_steered(
+    network: Network,
+    settings: AttachSettings,
+    down: FloatArray,
+    targets: FloatArray,
+    steering: CycleSteering,
+    duration: float,
+) -> tuple[SpringSystem, FloatArray]:
+    """Return a system that is also pulled to another motion, and its targets.
 
-
-def thread_count() -> int:
-    """Return the thread count: ``OMP_NUM_THREADS``, else the number of processors.
-
-    Batch workers set it to 1, one worker per processor.
+    A single pull replaces both. The target is the mean of the animated particles
+    ``(K, N, 3)`` [m] and that motion over the frame [s], weighted by stiffness.
     """
-    setting = os.environ.get("OMP_NUM_THREADS", "")
-    if setting.isdecimal() and int(setting) > 0:
-        return int(setting)
-    return os.cpu_count() or 1
+    options = settings.options
+    pull_stiffness = settings.frequency**2
+    steering_frequency = steering.weight * STEERING_FREQUENCY
+    stiffness = pull_stiffness + steering_frequency**2
+    frequency = math.sqrt(stiffness)
+    damping = options.ratio * settings.frequency + steering_frequency
+    steered = replace(
+        settings,
+        frequency=frequency,
+        options=replace(options, ratio=damping / frequency),
+    )
+    goals, free = targets.copy(), network.free
+    motion = steering.positions(len(targets) - 1, duration)
+    fraction = steering_frequency**2 / stiffness
+    goals[:, free] += fraction * (motion[:, free] - goals[:, free])
+    return build_system(network, steered, down), goals

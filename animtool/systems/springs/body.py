@@ -59,12 +59,16 @@ class Body:
         masses: ``(N,)`` [kg].
         springs: Springs between the particles.
         triangles: Corners ``(T, 3)``.
+        strands: Number of strands, if xpbd solves each of them directly; else 0. They
+            have equal numbers of particles of equal mass, from a pinned root on. Their
+            structural springs come first, then one bend spring fewer for each.
     """
 
     positions: FloatArray
     masses: FloatArray
     springs: Springs
     triangles: IntArray
+    strands: int = 0
 
 
 def springs_between(
@@ -118,6 +122,7 @@ def build_body(
     masses: ArrayLike,
     families: Sequence[tuple[ArrayLike, Family | None]],
     triangles: ArrayLike = (),
+    strands: int = 0,
 ) -> Body:
     """Return a body with springs of all given families; None families are skipped."""
     points = as_floats(positions, ("N", 3), "positions")
@@ -129,7 +134,7 @@ def build_body(
     ]
     faces = np.asarray(triangles, np.int64).reshape(-1, 3)
     all_springs = Springs.concatenate([Springs.none(), *springs])
-    return Body(points, particle_masses, all_springs, faces)
+    return Body(points, particle_masses, all_springs, faces, strands)
 
 
 def join(bodies: Sequence[Body]) -> Body:

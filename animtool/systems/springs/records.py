@@ -115,6 +115,9 @@ class SpringOptions:
         growth: Energy gain relative to the initial and supplied energy that counts as
             blow-up; not checked for xpbd, nor for implicit solvers with colliders.
         longest: Spring length, in rest lengths, that counts as blow-up.
+        max_substeps: For xpbd: most steps in a cell; None is as many as float64 allows.
+        clamped_strain: For xpbd: strain at which stiff springs are clamped in each
+            step; 0 is never [1].
     """
 
     solver: Solver | str = key(
@@ -140,6 +143,8 @@ class SpringOptions:
     )
     growth: Annotated[float, above(0, "SIM004")] = 100.0
     longest: Annotated[float, above(1, "SIM004")] = 10.0
+    max_substeps: int | None = None
+    clamped_strain: float = 0.0
 
 
 @inherits_docs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -215,22 +216,28 @@ def _cell_colliders(system: SpringSystem, grid: TimeGrid, count: int) -> CellCol
 
 
 def advance(
-    system: SpringSystem, options: SpringOptions, grid: TimeGrid, cells: int
+    system: SpringSystem,
+    options: SpringOptions,
+    grid: TimeGrid,
+    cells: int,
+    colliders: CellColliders = None,
 ) -> TimeGrid:
-    """Advance a motion by ``cells`` cells with the solver of the grid."""
+    """Advance a motion by ``cells`` cells with the solver of the grid.
+
+    None uses the colliders of the system at the times of the grid.
+    """
     if system.ties is not None and cells:
         return _advance_tied(system, grid, system.ties)
+    if colliders is None:
+        colliders = _cell_colliders(system, grid, cells)
+    if grid.solver is Solver.XPBD and system.body.strands:
+        return _advance_strands(system, options, grid, cells, colliders)
     network = system.network(system.teleports.cell_stage(grid))
-    colliders = _cell_colliders(system, grid, cells)
     if grid.solver is Solver.SYMPLECTIC_EULER:
         return _advance_explicit(network, grid, cells, colliders)
     if grid.solver is Solver.XPBD:
-        shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
-        max_steps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
         layers = system.kernel_self_contact
-        return advance_xpbd(
-            network, grid, cells, colliders, layers, options.stretch, max_steps
-        )
+        return _advance_xpbd(network, options, grid, cells, colliders, layers)
     tolerance = NEWTON_TOLERANCE * system.spacing
     return _advance_implicit(network, grid, cells, colliders, tolerance).grid
 
@@ -251,30 +258,30 @@ def _advance_explicit(
     return grid.after_cells(cells, after, steps, steps, inside, pushes)
 
 
-def advance_xpbd(
+def _advance_xpbd(
     network: _kernels.SpringNetwork,
+    options: SpringOptions,
     grid: TimeGrid,
     cells: int,
     colliders: CellColliders,
     layers: _kernels.SpringLayers | None,
-    stretch: float,
-    max_substeps: int,
-    limit: float = 0.0,
 ) -> TimeGrid:
     """Advance a motion by ``cells`` cells of xpbd (extended position-based dynamics).
 
-    A cell whose springs are strained beyond the stretch [1] and their compliance is
-    repeated with more steps, up to ``max_substeps``. A ``limit`` above 0 clamps the
-    strain of stiff springs in each step [1].
+    A cell whose springs are strained beyond the limit and their compliance is repeated
+    with more steps.
     """
-    state = grid.state
+    state, max_substeps = grid.state, options.max_substeps
+    if max_substeps is None:
+        shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
+        max_substeps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
     (
         motion, torn, substeps, calm, excess_strain, steps, contact_count, inside,
         passages, piercing, pushes,
     ) = _kernels.project_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
         state.substeps, state.calm, state.least, max(state.least, max_substeps),
-        stretch, colliders, layers, state.passages, limit,
+        options.stretch, colliders, layers, state.passages, options.clamped_strain,
     )  # fmt: skip
     after = SpringState(
         motion, torn, substeps, state.least, calm, state.before, passages
@@ -287,38 +294,39 @@ def advance_xpbd(
     )
 
 
-def advance_strands(
-    strands: _kernels.SpringStrands,
+def _advance_strands(
+    system: SpringSystem,
+    options: SpringOptions,
     grid: TimeGrid,
-    path: FloatArray,
-    span: float,
+    cells: int,
     colliders: CellColliders,
-    character_colliders: tuple[int, int],
-    threads: int,
 ) -> TimeGrid:
-    """Advance strands of equal masses by a span [s] with a direct solver per strand.
+    """Advance strands by ``cells`` cells of xpbd, with a direct solver per strand.
 
-    Strands follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
-    collide with rigid colliders too, except ``character_colliders``: first index and
-    count.
+    Segments collide with rigid colliders too, except those that follow joints.
     """
-    state, cells = grid.state, len(path) - 1
+    state, (span, path) = grid.state, system.particle_path
     motion, contact_count, inside, strain = _kernels.follow_strands(
-        strands,
-        path,
-        state.motion,
-        span,
-        state.substeps,
-        colliders,
-        threads,
-        character_colliders,
-    )
+        system.kernel_strands(options.stretch), path, state.motion, span,
+        state.substeps, colliders, thread_count(), system.joint_colliders,
+    )  # fmt: skip
     steps, after = cells * state.substeps, replace(state, motion=motion)
     return replace(
         grid.after_cells(cells, after, steps, steps, inside, grid.pushes),
         stretch=max(grid.stretch, strain),
         max_contacts=max(grid.max_contacts, contact_count),
     )
+
+
+def thread_count() -> int:
+    """Return the thread count: ``OMP_NUM_THREADS``, else the number of processors.
+
+    Batch workers set it to 1, one worker per processor.
+    """
+    setting = os.environ.get("OMP_NUM_THREADS", "")
+    if setting.isdecimal() and int(setting) > 0:
+        return int(setting)
+    return os.cpu_count() or 1
 
 
 def _advance_tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:

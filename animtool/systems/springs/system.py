@@ -162,6 +162,11 @@ class SpringSystem(SecondOrder):
         self._cached_stage: _Stage | None = None
         self.contacts: Contacts | None = None
         self.ties: BodyTies | None = None  # pins on rigid bodies
+        # Span of the last paths [s], and their positions of all particles.
+        self.particle_path: tuple[float, FloatArray] = (0.0, np.zeros((0, count, 3)))
+        # First index and count of colliders that segments of strands ignore.
+        self.joint_colliders = (0, 0)
+        self._kernel_strands: _kernels.SpringStrands | None = None
         self.colliders = (
             colliders if isinstance(colliders, Colliders) else Colliders(colliders)
         )
@@ -200,6 +205,7 @@ class SpringSystem(SecondOrder):
             (knots, np.ascontiguousarray(path[:, particles]))
             for particles in (self.pinned, self.target_springs.particles)
         )
+        self.particle_path = span, path
         has_same_knots = np.array_equal(self._paths[0][0], knots)
         self._paths, stage = (pins, targets), self._cached_stage
         self._cached_stage = None
@@ -262,6 +268,32 @@ class SpringSystem(SecondOrder):
             return None
         settings = contact.thickness, contact.friction, contact.speed
         return _kernels.SpringLayers(self.network(0), self._rest, *settings)
+
+    def kernel_strands(self, max_strain: float) -> _kernels.SpringStrands:
+        """Return the kernel strands, corrected once more above a strain [1]."""
+        if self._kernel_strands is None:
+            springs, targets = self.body.springs, self.target_springs
+            strands, stiffness = self.body.strands, springs.stiffness
+            count = len(self.body.positions) // strands - 1
+            sides, bends = np.split(springs.rest, [strands * count])
+            has_bends = len(bends) > 0
+            if not has_bends:
+                bends = np.zeros(strands * max(count - 1, 0))
+            inverse_mass = 1.0 / float(self.body.masses[0])
+            self._kernel_strands = _kernels.SpringStrands(
+                sides.reshape(strands, count),
+                bends.reshape(strands, max(count - 1, 0)),
+                gravity=self.gravity,
+                drag=self.drag,
+                stiffness=inverse_mass * float(stiffness[:1].sum()),
+                fold_stiffness=inverse_mass * float(stiffness[-1])
+                if has_bends
+                else 0.0,
+                draw_stiffness=inverse_mass * float(targets.stiffness[:1].sum()),
+                draw_damping=inverse_mass * float(targets.damping[:1].sum()),
+                stretch=max_strain,
+            )
+        return self._kernel_strands
 
     @cached_property
     def spring_order(self) -> IntArray:
