@@ -28,16 +28,14 @@ from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.attach.skins import PosePaths, SkinSurface, skin_margin
 from animtool.systems.attach.stepping import (
     CycleSteering,
-    FrameSteps,
+    build_plan,
     build_steered,
-    build_system,
     check_motion,
 )
 from animtool.systems.framework.meter import ContactMeter, MeasuredSurface
 from animtool.systems.springs.checks import tangle_notices
 from animtool.systems.springs.contacts import Cells
 from animtool.systems.springs.motion import TimeGrid
-from animtool.systems.springs.solvers import advance
 
 
 def up_direction(rig: Rig) -> FloatArray:
@@ -69,14 +67,14 @@ class AttachmentActor:
         scale = _joint_scale(start_path.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
         self._network, self._down = network, -up_direction(rig)
-        self._system = build_system(network, settings, self._down)
-        self._frame_steps = FrameSteps.plan(network, settings, frame_duration)
-        self.steps = self._frame_steps.cells * self._frame_steps.substeps
+        self._plan = build_plan(network, settings, self._down, frame_duration)
+        self._cells = round(frame_duration / self._plan.choice.cell)
+        self.steps = self._cells * self._plan.choice.substeps
         self.teleport_count = 0
         self.seconds = 0.0
         self._frame_duration = frame_duration
         self.meter = ContactMeter()
-        self_contact = self._system.self_contact
+        self_contact = self._plan.system.self_contact
         thickness = 0.0 if self_contact is None else self_contact.thickness
         # Without triangles there are no sides of cloth, and without self-contact and
         # skins no piercing to count.
@@ -94,8 +92,9 @@ class AttachmentActor:
         self.target = body.targets(start_path)[0]
         self._joint_transforms, self._time = start_path.world, 0.0
         self.coincident_links = coincident_link_count(network, self.target)
-        self._system.joint_colliders = self._colliders.character_range
-        self.grid = self._frame_steps.start(self._system, self.target)
+        self._plan.system.joint_colliders = self._colliders.character_range
+        motion = np.stack([self.target, np.zeros_like(self.target)])
+        self.grid = self._plan.start(0.0, motion)
         self.tangle_warnings: list[Fault] = []
         # Cloth with self-contact, as a collider of later attachments.
         self._cloth_motion = ClothMotion(network.triangles, self.target, self.target)
@@ -139,24 +138,22 @@ class AttachmentActor:
     ) -> None:
         """Advance the simulation by a frame; frame 0 is the first frame of the take."""
         start_seconds = time.perf_counter()
-        steps, grid = self._frame_steps, self.grid
-        cells = steps.cells
+        plan, grid, cells = self._plan, self.grid, self._cells
         motion = paths.sample(cells)
         targets = self.body.targets(motion)
         kernel_cells = Cells(0.0, self.grid.cell, frame * cells, cells)
         colliders = self._colliders.kernel_arguments(paths, kernel_cells)
         begin_points = self.positions
-        system, goals = self._system, targets
+        goals, duration = targets, self._frame_duration
         if steering is not None and steering.weight > 0:
             system, goals = build_steered(
-                self._network, self.settings, self._down, targets, steering,
-                steps.duration,
-            )  # fmt: skip
-            system.joint_colliders = self._system.joint_colliders
-        system.set_paths(steps.duration, goals)
-        state = replace(grid.state, substeps=steps.substeps, calm=0)
-        grid = replace(grid, index=0, state=state)
-        end = advance(system, steps.options, grid, cells, colliders)
+                self._network, self.settings, self._down, targets, steering, duration
+            )
+            system.joint_colliders = plan.system.joint_colliders
+            plan = replace(plan, system=system)
+        plan.system.set_paths(duration, goals)
+        state = replace(grid.state, substeps=plan.choice.substeps, calm=0)
+        end = plan.advance(replace(grid, index=0, state=state), cells, colliders)
         check_motion(end.state.motion)
         self.grid = self._with_cloth_strain(end, grid.stretch)
         self.target = targets[-1]

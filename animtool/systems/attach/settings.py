@@ -130,30 +130,43 @@ class SimulateOptions:
 
 @dataclass(frozen=True, slots=True)
 class AttachSettings:
-    """Options for one kind of attachment, with defaults, in SI units."""
+    """The option values for one kind of attachment, with defaults, in SI units."""
 
-    options: SimulateOptions  # options shared by all kinds
-    frequency: float  # frequency of the pull to the animated pose [Hz]
-    bend: float  # bending frequency [Hz]
-    stretch: float  # strain limit [1]
-    radius: float  # distance from colliders [m]
-    # Self-contact distance of cloth [m]; 0 is off, None depends on edge lengths.
-    thickness: float | None
+    options: SimulateOptions
+    kind: str  # one of `AttachKind`
 
+    def _value(self, name: str) -> float:
+        """Return the value of an option, or its default for the kind."""
+        value: float | None = getattr(self.options, name)
+        return _DEFAULTS[AttachKind(self.kind)][name] if value is None else value
 
-def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
-    """Return the option values for a kind of attachment."""
-    thickness: float | None = 0.0
-    if options.self_contact and kind == AttachKind.CLOTH:
-        thickness = None
-        if options.thickness is not None:
-            thickness = length_in_metres(options.thickness)
-    values = dict(_DEFAULTS[AttachKind(kind)])
-    for name in values:
-        if getattr(options, name) is not None:
-            values[name] = getattr(options, name)
-    radius = length_in_metres(options.radius)
-    return AttachSettings(options, radius=radius, thickness=thickness, **values)
+    @property
+    def frequency(self) -> float:
+        """Frequency of the pull to the animated pose [Hz]."""
+        return self._value("frequency")
+
+    @property
+    def bend(self) -> float:
+        """Bending frequency [Hz]."""
+        return self._value("bend")
+
+    @property
+    def stretch(self) -> float:
+        """Strain limit [1]."""
+        return self._value("stretch")
+
+    @property
+    def radius(self) -> float:
+        """Distance from colliders [m]."""
+        return length_in_metres(self.options.radius)
+
+    @property
+    def thickness(self) -> float | None:
+        """Self-contact distance [m]; 0 is off, None depends on edge lengths."""
+        if not self.options.self_contact or self.kind != AttachKind.CLOTH:
+            return 0.0
+        thickness = self.options.thickness
+        return None if thickness is None else length_in_metres(thickness)
 
 
 def length_in_metres(value: str | float) -> float:

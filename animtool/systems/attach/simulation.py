@@ -34,7 +34,7 @@ from animtool.systems.attach.poses import (
     pose_at,
     seam_weights,
 )
-from animtool.systems.attach.settings import PreRoll, SimulateOptions, settings_for
+from animtool.systems.attach.settings import AttachSettings, PreRoll, SimulateOptions
 from animtool.systems.attach.skins import PosePaths, SkinSurface, build_skins
 from animtool.systems.attach.stepping import CycleSteering
 from animtool.systems.framework.meter import ContactMeter
@@ -217,7 +217,7 @@ class AttachSimulation:
             is_skinned = isinstance(body, SurfaceBody)
             sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
             layers = sheets if is_skinned else ()
-            settings, skins = settings_for(options, body.kind), self._skins_of(body)
+            settings, skins = AttachSettings(options, body.kind), self._skins_of(body)
             actor = AttachmentActor(
                 self.rig, body, settings, 1 / rate, start_pose, skins, world, layers
             )

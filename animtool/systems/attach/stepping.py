@@ -17,9 +17,9 @@ from animtool.systems.attach.network import (
 )
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import MAX_VALUE
-from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.paths import Pins, PointTargets
 from animtool.systems.springs.records import Air, SelfContact, Solver, SpringOptions
+from animtool.systems.springs.solvers import SolverChoice, SpringPlan
 from animtool.systems.springs.system import SpringSystem
 
 # Design acceleration for the step rate [m/s²]: twice that of gravity.
@@ -104,37 +104,6 @@ class CycleSteering:
         return np.asarray(ends + duration * u * (1 - u) * ((1 - u) * v0 - u * v1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameSteps:
-    """The time steps of a frame, with xpbd."""
-
-    duration: float  # duration of the frame [s]
-    cells: int  # number of cells in the frame
-    substeps: int  # lower limit of the steps in a cell
-    options: SpringOptions  # limits of strain and steps
-
-    @staticmethod
-    def plan(network: Network, settings: AttachSettings, duration: float) -> FrameSteps:
-        """Return the steps of a frame that keep springs within their strain limit."""
-        min_steps = math.ceil(step_rate(network, settings) * duration - 1e-9)
-        cells, substeps = cells_and_substeps(max(1, min_steps))
-        has_rate = settings.options.rate is not None
-        options = SpringOptions(
-            Solver.XPBD,
-            stretch=settings.stretch,
-            max_substeps=substeps if has_rate else MAX_REFINEMENT * substeps,
-            # The strain of stiff cloth springs is clamped too.
-            clamped_strain=settings.stretch if len(network.triangles) else 0.0,
-        )
-        return FrameSteps(duration, cells, substeps, options)
-
-    def start(self, system: SpringSystem, positions: FloatArray) -> TimeGrid:
-        """Return the time grid of a system at rest in positions ``(N, 3)`` [m]."""
-        motion = np.stack([positions, np.zeros_like(positions)])
-        state = SpringState(motion, system.untorn_flags, self.substeps, self.substeps)
-        return TimeGrid(Solver.XPBD, 0.0, self.duration / self.cells, 0, state)
-
-
 def self_contact_distance(network: Network, settings: AttachSettings) -> float:
     """Return the self-contact distance of cloth [m]; 0 is off."""
     if settings.thickness is not None:
@@ -175,6 +144,24 @@ def build_system(
     )
 
 
+def build_plan(
+    network: Network, settings: AttachSettings, down: FloatArray, duration: float
+) -> SpringPlan:
+    """Return the spring system of a network with its steps in a frame [s], by xpbd."""
+    min_steps = math.ceil(step_rate(network, settings) * duration - 1e-9)
+    cells, substeps = cells_and_substeps(max(1, min_steps))
+    has_rate = settings.options.rate is not None
+    options = SpringOptions(
+        Solver.XPBD,
+        stretch=settings.stretch,
+        max_substeps=substeps if has_rate else MAX_REFINEMENT * substeps,
+        # The strain of stiff cloth springs is clamped too.
+        clamped_strain=settings.stretch if len(network.triangles) else 0.0,
+    )
+    choice = SolverChoice(Solver.XPBD, duration / cells, substeps, "", math.inf)
+    return SpringPlan(build_system(network, settings, down), options, choice)
+
+
 def build_steered(
     network: Network,
     settings: AttachSettings,
@@ -194,11 +181,8 @@ def build_steered(
     stiffness = pull_stiffness + steering_frequency**2
     frequency = math.sqrt(stiffness)
     damping = options.ratio * settings.frequency + steering_frequency
-    steered = replace(
-        settings,
-        frequency=frequency,
-        options=replace(options, ratio=damping / frequency),
-    )
+    steered_options = replace(options, frequency=frequency, ratio=damping / frequency)
+    steered = replace(settings, options=steered_options)
     goals, free = targets.copy(), network.free
     motion = steering.positions(len(targets) - 1, duration)
     fraction = steering_frequency**2 / stiffness

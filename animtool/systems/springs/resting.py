@@ -13,13 +13,12 @@ from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import (
     MIN_AUTO_STEP,
     STEP_SAFETY_FACTOR,
     SolverChoice,
-    advance,
+    SpringPlan,
     explicit_limit,
 )
 from animtool.systems.springs.system import SpringSystem
@@ -268,15 +267,14 @@ def _descend(
     frozen: SpringSystem, options: SpringOptions, choice: SolverChoice, work: int
 ) -> _Descent:
     """Return the rest state of springs with frozen pins, by kinetic damping."""
-    motion = np.ascontiguousarray(frozen.state)
-    state = SpringState(motion, frozen.untorn_flags, choice.substeps, choice.substeps)
-    grid = TimeGrid(choice.solver, 0.0, choice.cell, 0, state)
+    plan = SpringPlan(frozen, options, choice)
+    grid = plan.start(0.0)
     masses, previous_energy, cells = frozen.free_masses, 0.0, 0
     speed, initial_work = np.inf, work
     while speed > REST_SPEED and cells < MAX_REST_CELLS and work < MAX_REST_WORK:
         cells += 1
         with np.errstate(all="ignore"):
-            grid = advance(frozen, options, grid, 1)
+            grid = plan.advance(grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
         speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
         work = initial_work + grid.steps * len(frozen.body.springs.rest)

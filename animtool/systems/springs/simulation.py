@@ -11,7 +11,6 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
-from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
 from animtool.sim.checks import EnergyWatch
 from animtool.sim.colliders.bodies import Wrenches
@@ -30,9 +29,8 @@ from animtool.systems.springs.contacts import LOOKBACK_TIME
 from animtool.systems.springs.losses import DAMPING_SOLVERS, EnergyLoss
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.notices import motion_notices
-from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import SolverChoice, advance
-from animtool.systems.springs.system import SpringSystem
+from animtool.systems.springs.records import Solver
+from animtool.systems.springs.solvers import SpringPlan
 from animtool.systems.springs.trials import trial_settings
 
 # Cells between two checks for divergence.
@@ -41,28 +39,6 @@ CELLS_PER_CHECK = 120
 STOP_CODES = {"SIM102", "SIM105"}
 # Largest unreported spring length, relative to the start [1].
 MAX_LENGTH_RATIO = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class SpringPlan:
-    """A spring system with its solver and initial steps."""
-
-    system: SpringSystem
-    options: SpringOptions
-    choice: SolverChoice
-    error: float | None = None  # estimated position error, if requested [m]
-    planning_notices: Sequence[Fault] = ()  # warnings of trial runs
-
-    def start(self, begin: float, motion: FloatArray | None = None) -> TimeGrid:
-        """Return the time grid at a begin time [s], by default in the initial state."""
-        choice, system = self.choice, self.system
-        motion = system.state if motion is None else motion
-        pulls = None if system.ties is None else np.zeros((len(system.pinned), 6))
-        state = SpringState(
-            np.ascontiguousarray(motion), system.untorn_flags, choice.substeps,
-            choice.substeps, pulls=pulls,
-        )  # fmt: skip
-        return TimeGrid(choice.solver, begin, choice.cell, 0, state)
 
 
 class SpringSimulation:
@@ -94,6 +70,7 @@ class SpringSimulation:
         last_time: float,
         clock: Progress = None,
     ) -> None:
+        self.plan = plan
         self.system, self.options, self.choice = plan.system, plan.options, plan.choice
         self.error = plan.error
         self.begin, self.last, self.clock = start_grid.origin, last_time, clock
@@ -140,7 +117,7 @@ class SpringSimulation:
         self.grid = self._grid_at(state, t)
         start_grid, fraction = self._after_teleports(), dt / self.step_length
         with np.errstate(all="ignore"):
-            end = advance(self.system, self.options, start_grid, 1).state.motion
+            end = self.plan.advance(start_grid, 1).state.motion
             begin, cell = start_grid.state.motion, start_grid.cell
             motion = _interpolate(begin, end, cell, fraction)
         if not np.isfinite(motion).all():
@@ -182,7 +159,7 @@ class SpringSimulation:
     def incompatibility(self, state: SpringState, t: float) -> str:
         """Return why kernels cannot resume from a state; empty if they can."""
         try:
-            advance(self.system, self.options, self._grid_at(state, t), 0)
+            self.plan.advance(self._grid_at(state, t), 0)
         except ValueError as error:
             return str(error)
         except (TypeError, OverflowError):
@@ -213,7 +190,7 @@ class SpringSimulation:
         start_grid, self.wrenches = self._after_teleports(), []
         cells = int(min(cells, self.system.teleports.cells_until_next(start_grid)))
         with np.errstate(all="ignore"):
-            self.grid = advance(self.system, self.options, start_grid, cells)
+            self.grid = self.plan.advance(start_grid, cells)
             t, state = self.grid.time, self.grid.state
             self._max_substeps = max(self._max_substeps, state.substeps)
             self._exclude_torn()

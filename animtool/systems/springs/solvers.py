@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import refuse
+from animtool.core.errors import Fault, refuse
 from animtool.core.record import dataclass
 from animtool.sim.integrators.table import find_integrator
 from animtool.sim.modes import allowed_step
@@ -78,6 +78,51 @@ class SolverChoice:
     substeps: int  # steps in a cell
     reason: str  # why this solver, in words
     limit: float  # largest stable step of semi-implicit Euler [s]
+
+
+@dataclass(frozen=True, slots=True)
+class SpringPlan:
+    """A spring system with its solver and initial steps."""
+
+    system: SpringSystem
+    options: SpringOptions
+    choice: SolverChoice
+    error: float | None = None  # estimated position error, if requested [m]
+    planning_notices: Sequence[Fault] = ()  # warnings of trial runs
+
+    def start(self, begin: float, motion: FloatArray | None = None) -> TimeGrid:
+        """Return the time grid at a begin time [s], by default in the initial state."""
+        choice, system = self.choice, self.system
+        motion = system.state if motion is None else motion
+        pulls = None if system.ties is None else np.zeros((len(system.pinned), 6))
+        state = SpringState(
+            np.ascontiguousarray(motion), system.untorn_flags, choice.substeps,
+            choice.substeps, pulls=pulls,
+        )  # fmt: skip
+        return TimeGrid(choice.solver, begin, choice.cell, 0, state)
+
+    def advance(
+        self, grid: TimeGrid, cells: int, colliders: CellColliders = None
+    ) -> TimeGrid:
+        """Advance a motion by ``cells`` cells with the solver of the grid.
+
+        None uses the colliders of the system at the times of the grid.
+        """
+        system, options = self.system, self.options
+        if system.ties is not None and cells:
+            return _advance_tied(system, grid, system.ties)
+        if colliders is None:
+            colliders = _cell_colliders(system, grid, cells)
+        if grid.solver is Solver.XPBD and system.body.strands:
+            return _advance_strands(system, options, grid, cells, colliders)
+        network = system.network(system.teleports.cell_stage(grid))
+        if grid.solver is Solver.SYMPLECTIC_EULER:
+            return _advance_explicit(network, grid, cells, colliders)
+        if grid.solver is Solver.XPBD:
+            layers = system.kernel_self_contact
+            return _advance_xpbd(network, options, grid, cells, colliders, layers)
+        tolerance = NEWTON_TOLERANCE * system.spacing
+        return _advance_implicit(network, grid, cells, colliders, tolerance).grid
 
 
 def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:
@@ -213,33 +258,6 @@ def _cell_colliders(system: SpringSystem, grid: TimeGrid, count: int) -> CellCol
     """Return the kernel arguments of colliders over the next ``count`` cells."""
     cells = Cells(grid.origin, grid.cell, grid.index, count)
     return cell_colliders(system.colliders, system.radius, cells)
-
-
-def advance(
-    system: SpringSystem,
-    options: SpringOptions,
-    grid: TimeGrid,
-    cells: int,
-    colliders: CellColliders = None,
-) -> TimeGrid:
-    """Advance a motion by ``cells`` cells with the solver of the grid.
-
-    None uses the colliders of the system at the times of the grid.
-    """
-    if system.ties is not None and cells:
-        return _advance_tied(system, grid, system.ties)
-    if colliders is None:
-        colliders = _cell_colliders(system, grid, cells)
-    if grid.solver is Solver.XPBD and system.body.strands:
-        return _advance_strands(system, options, grid, cells, colliders)
-    network = system.network(system.teleports.cell_stage(grid))
-    if grid.solver is Solver.SYMPLECTIC_EULER:
-        return _advance_explicit(network, grid, cells, colliders)
-    if grid.solver is Solver.XPBD:
-        layers = system.kernel_self_contact
-        return _advance_xpbd(network, options, grid, cells, colliders, layers)
-    tolerance = NEWTON_TOLERANCE * system.spacing
-    return _advance_implicit(network, grid, cells, colliders, tolerance).grid
 
 
 def _advance_explicit(

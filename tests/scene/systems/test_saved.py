@@ -99,9 +99,8 @@ def test_frames_before_the_state_are_refused(tmp_path: Path) -> None:
     assert bake(tmp_path, "one", "save: half.npz\n    save_at: 7").code == 0
     done = bake(tmp_path, "two", "resume: half.npz")
     assert done.code == 3
-    assert (
-        "SIM035 systems[0].flocks: its state is from frame 7, but frame 1 is"
-        in (done.stderr)
+    assert "SIM035 systems[0].flocks: its state is from frame 7, but frame 1 is" in (
+        done.stderr
     )
     assert "--range 7-12" in done.stderr
 

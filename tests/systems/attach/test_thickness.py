@@ -13,7 +13,7 @@ from animtool.core.errors import OptionError
 from animtool.maths.faces import triangulate
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
-from animtool.systems.attach.settings import SimulateOptions, settings_for
+from animtool.systems.attach.settings import AttachSettings, SimulateOptions
 from animtool.systems.attach.take_pass import simulate
 
 SIZE = 8
@@ -127,7 +127,7 @@ def test_passages_of_no_cloth_are_refused(tmp_path: Path) -> None:
 def test_only_cloth_has_a_thickness() -> None:
     options = SimulateOptions(("hair",), thickness="5mm")
     kinds = ("cloth", "strands", "spring_chain")
-    assert [settings_for(options, kind).thickness for kind in kinds] == [0.005, 0, 0]
+    assert [AttachSettings(options, kind).thickness for kind in kinds] == [0.005, 0, 0]
     take = take_of(strands_rig(), 24, 0.2)
     thick, _ = simulated(take, thickness="5cm")
     np.testing.assert_array_equal(moved(thick), moved(simulated(take)[0]))
