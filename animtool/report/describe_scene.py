@@ -126,7 +126,7 @@ def _describe_system(scene: Scene, system: SceneSystem) -> SystemDescription:
         facts.colliders,
         list(dict.fromkeys(name for name, _ in setup.joined)),
         list(dict.fromkeys(setup.surroundings.collided_systems)),
-        setup.surroundings.tied_bodies,
+        setup.surroundings.carrier_bodies,
         [str(path) for path in dict.fromkeys(setup.files) if path != scene.path],
         scene.path in setup.files,
         system.location.line,

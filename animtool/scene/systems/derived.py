@@ -31,6 +31,7 @@ from animtool.scene.systems.suspicions import (
     warn_of_suspect_units,
 )
 from animtool.scene.systems.suspicious_forces import warn_of_forces
+from animtool.systems.framework.body_carriers import BodyCarrier
 from animtool.systems.framework.conversion import METRES, SceneUnits
 from animtool.systems.framework.fields import (
     COLLISION_KEYS,
@@ -51,7 +52,6 @@ from animtool.systems.framework.fields import (
     SystemSurfaceModel,
 )
 from animtool.systems.framework.spec import SystemSpec
-from animtool.systems.framework.tied import BodyCarrier
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource
@@ -414,7 +414,7 @@ def read_spec(
         return None
     surroundings = Surroundings(
         **{key: tuple(parts) for key, parts in collider_parts.items()},
-        tied=tuple(getattr(record, "tied_bodies", ())),
+        tied=tuple(getattr(record, "carrier_bodies", ())),
         followed_files=(*collider_reader.files, *record_reader.files),
         location=location,
     )

@@ -26,6 +26,7 @@ from animtool.scene.systems.links import joined_groups, simulation_order, to_mem
 from animtool.scene.systems.proportions import placement_warnings
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Poses
+from animtool.systems.framework.body_carriers import BodyCarrier
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.framework.run import EntryRun, SimulationRun
 from animtool.systems.framework.saved import StateClock, open_states
@@ -36,7 +37,6 @@ from animtool.systems.framework.simulation import (
     Simulation,
 )
 from animtool.systems.framework.spec import SystemSpec
-from animtool.systems.framework.tied import BodyCarrier
 
 
 @dataclass(frozen=True, slots=True)

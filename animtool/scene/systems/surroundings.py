@@ -155,7 +155,7 @@ class Surroundings:
             *(Path(str(character.file)).name for character in self.characters),
             *(character.system for character in self.systems),
             *(mesh.prim for mesh in self.meshes),
-            *(f"{body}, coupled both ways" for body in self.tied_bodies),
+            *(f"{body}, coupled both ways" for body in self.carrier_bodies),
         ]
 
     @property
@@ -164,7 +164,7 @@ class Surroundings:
         return [surface.system for surface in self.systems]
 
     @property
-    def tied_bodies(self) -> list[str]:
+    def carrier_bodies(self) -> list[str]:
         """Distinct bodies that carry particles, written as ``system.body``."""
         return list(dict.fromkeys(f"{name}.{body}" for name, body, _ in self.tied))
 

@@ -22,10 +22,13 @@ from animtool.systems.attach.colliders import (
     ClothMotion,
     CollisionSurroundings,
 )
-from animtool.systems.attach.network import coincident_link_count, median_edge_length
+from animtool.systems.attach.mass_spring import (
+    coincident_link_count,
+    median_edge_length,
+)
 from animtool.systems.attach.poses import LocalPose, interpolate_poses
 from animtool.systems.attach.settings import AttachSettings
-from animtool.systems.attach.skins import PosePaths, SkinSurface, skin_margin
+from animtool.systems.attach.skins import FramePoses, SkinSurface, skin_margin
 from animtool.systems.attach.stepping import (
     CycleSteering,
     build_plan,
@@ -63,8 +66,8 @@ class AttachmentActor:
         """
         self.body, self.settings = body, settings
         self._rig = rig
-        start_path = interpolate_poses(rig, pose, pose, 1)
-        scale = _joint_scale(start_path.world, body.carrier)
+        start_samples = interpolate_poses(rig, pose, pose, 1)
+        scale = _joint_scale(start_samples.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
         self._network, self._down = network, -up_direction(rig)
         self._plan = build_plan(network, settings, self._down, frame_duration)
@@ -80,17 +83,17 @@ class AttachmentActor:
         # skins no piercing to count.
         is_cloth, can_pierce = len(network.triangles) > 0, bool(thickness or skins)
         self._measured_surface = MeasuredSurface.of_edges(
-            network.sides if is_cloth else network.sides[:0],
+            network.structural if is_cloth else network.structural[:0],
             network.rests if is_cloth else network.rests[:0],
             network.is_pinned,
             network.triangles if can_pierce else network.triangles[:0],
         )
         margin = skin_margin(median_edge_length(network), settings.radius)
         self._colliders = CharacterColliders(
-            rig, body, settings, start_path, scale, margin, skins, world, layers
+            rig, body, settings, start_samples, scale, margin, skins, world, layers
         )
-        self.target = body.targets(start_path)[0]
-        self._joint_transforms, self._time = start_path.world, 0.0
+        self.target = body.targets(start_samples)[0]
+        self._joint_transforms, self._time = start_samples.world, 0.0
         self.coincident_links = coincident_link_count(network, self.target)
         self._plan.system.joint_colliders = self._colliders.character_range
         motion = np.stack([self.target, np.zeros_like(self.target)])
@@ -134,15 +137,15 @@ class AttachmentActor:
         self.set_motion(np.stack([motion[0], motion[1] + velocity]))
 
     def advance_frame(
-        self, paths: PosePaths, frame: int, steering: CycleSteering | None = None
+        self, frame_poses: FramePoses, frame: int, steering: CycleSteering | None = None
     ) -> None:
         """Advance the simulation by a frame; frame 0 is the first frame of the take."""
         start_seconds = time.perf_counter()
         plan, grid, cells = self._plan, self.grid, self._cells
-        motion = paths.sample(cells)
+        motion = frame_poses.sample(cells)
         targets = self.body.targets(motion)
         kernel_cells = Cells(0.0, self.grid.cell, frame * cells, cells)
-        colliders = self._colliders.kernel_arguments(paths, kernel_cells)
+        colliders = self._colliders.kernel_arguments(frame_poses, kernel_cells)
         begin_points = self.positions
         goals, duration = targets, self._frame_duration
         if steering is not None and steering.weight > 0:
@@ -151,7 +154,7 @@ class AttachmentActor:
             )
             system.joint_colliders = plan.system.joint_colliders
             plan = replace(plan, system=system)
-        plan.system.set_paths(duration, goals)
+        plan.system.set_constraint_paths(duration, goals)
         state = replace(grid.state, substeps=plan.choice.substeps, calm=0)
         end = plan.advance(replace(grid, index=0, state=state), cells, colliders)
         check_motion(end.state.motion)
@@ -187,20 +190,20 @@ class AttachmentActor:
         surface = self._measured_surface
         self.meter.measure(frame, points, surface, solids, depths, layers)
 
-    def follow_animation(self, paths: PosePaths) -> None:
+    def follow_animation(self, frame_poses: FramePoses) -> None:
         """Follow the animation for a frame, without simulation."""
-        self.target = self.body.targets(paths.sample(1))[-1]
+        self.target = self.body.targets(frame_poses.sample(1))[-1]
         motion = np.stack([self.target, np.zeros_like(self.target)])
         self.set_motion(motion, self.grid.state.passages[:0])
         self._move_sheet((0.0, 0.0), self.positions)
 
     def set_target(self, pose: LocalPose) -> None:
         """Set the animated positions from a pose; the simulated state is unchanged."""
-        self.target = self.body.targets(PosePaths(self._rig, pose, pose).sample(1))[0]
+        self.target = self.body.targets(FramePoses(self._rig, pose, pose).sample(1))[0]
 
-    def teleport(self, paths: PosePaths) -> None:
+    def teleport(self, frame_poses: FramePoses) -> None:
         """Advance over a teleport: all particles move rigidly with their joint."""
-        motion = paths.sample(1)
+        motion = frame_poses.sample(1)
         self.target = self.body.targets(motion)[-1]
         shift, rotation = _joint_motion(motion.world, self.body.carrier)
         state = move_rigidly(self.grid.state.motion, shift, rotation)
@@ -210,9 +213,9 @@ class AttachmentActor:
         self._move_sheet((0.0, 0.0), self.positions)
         self.teleport_count += 1
 
-    def speed(self, paths: PosePaths) -> float:
+    def speed(self, frame_poses: FramePoses) -> float:
         """Return the speed of the carrier joint over a frame [m/s]."""
-        positions = paths.sample(1).world.positions[:, self.body.carrier]
+        positions = frame_poses.sample(1).world.positions[:, self.body.carrier]
         return float(np.linalg.norm(positions[1] - positions[0])) / self._frame_duration
 
 

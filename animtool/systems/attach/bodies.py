@@ -16,8 +16,8 @@ from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, strands_of, surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
-from animtool.systems.attach.network import Network, fold_pairs
-from animtool.systems.attach.poses import PosePath
+from animtool.systems.attach.mass_spring import MassSpringNetwork, hinge_pairs
+from animtool.systems.attach.poses import PoseSamples
 from animtool.systems.springs.shapes import face_diagonals
 
 
@@ -34,11 +34,11 @@ class AttachedBody(ABC):
 
     name: str
     kind: str
-    network: Network
+    network: MassSpringNetwork
     carrier: int
 
     @abstractmethod
-    def targets(self, path: PosePath) -> FloatArray:
+    def targets(self, samples: PoseSamples) -> FloatArray:
         """Return animated world positions of the particles ``(K, N, 3)`` [m]."""
 
 
@@ -52,9 +52,9 @@ class ChainBody(AttachedBody):
     # joint, skin, collider or strands attached to it.
     has_free_tip: bool = False
 
-    def targets(self, path: PosePath) -> FloatArray:
+    def targets(self, samples: PoseSamples) -> FloatArray:
         """Return animated joint origins, and the end of the last bone."""
-        world, last = path.world, self.joints[-1]
+        world, last = samples.world, self.joints[-1]
         end = (world.linear[:, last] * self.tip).sum(axis=-1)
         end += world.positions[:, last]
         return np.concatenate([world.positions[:, self.joints], end[:, None]], axis=1)
@@ -67,9 +67,9 @@ class SurfaceBody(AttachedBody):
     # Skinned mesh; a motion stores its points under the same name.
     mesh: CharacterMesh
 
-    def targets(self, path: PosePath) -> FloatArray:
+    def targets(self, samples: PoseSamples) -> FloatArray:
         """Return the animated points, deformed by shapes and skin."""
-        return path.deform(self.mesh)
+        return samples.deform(self.mesh)
 
 
 def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
@@ -117,7 +117,7 @@ def _build_chain(rig: Rig, entry: Attachment) -> AttachedBody:
     end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
     points = np.concatenate([bind.positions[0, joints], end[None]])
     ends = np.stack([np.arange(len(joints)), np.arange(1, len(joints) + 1)], axis=1)
-    network = Network(points, np.array([0]), ends, strands=1)
+    network = MassSpringNetwork(points, np.array([0]), ends, strands=1)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
     is_free = _has_free_tip(rig, joints[-1])
@@ -158,12 +158,12 @@ def _build_strands(rig: Rig, entry: Attachment) -> AttachedBody:
     (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
     count, length = strands.points.shape[:2]
     particles = np.arange(count * length).reshape(count, length)
-    network = Network(
+    network = MassSpringNetwork(
         strands.points.reshape(-1, 3),
         particles[:, 0],
         # Root to tip over all strands: the order in which springs are solved.
         np.stack([particles[:, :-1], particles[:, 1:]], axis=-1).reshape(-1, 2),
-        bends=np.stack([particles[:, :-2], particles[:, 2:]], axis=-1).reshape(-1, 2),
+        bend=np.stack([particles[:, :-2], particles[:, 2:]], axis=-1).reshape(-1, 2),
         strands=count,
     )
     carrier = rig.index(strands.joint)
@@ -191,19 +191,19 @@ def _build_cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     # Larger faces have no diagonals.
     is_quad = surface.counts == 4
     is_quad_corner = np.repeat(is_quad, surface.counts)
-    network = Network(
+    network = MassSpringNetwork(
         bind_points,
         pins,
         ends,
         face_diagonals(surface.counts[is_quad], surface.indices[is_quad_corner]),
-        fold_pairs(*faces),
+        hinge_pairs(*faces),
         triangulate(*faces),
     )
     carrier = _main_joint(rig, surface, network)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
 
 
-def _main_joint(rig: Rig, surface: Surface, network: Network) -> int:
+def _main_joint(rig: Rig, surface: Surface, network: MassSpringNetwork) -> int:
     """Return the joint with the largest skin weight on pinned points."""
     skin = surface.skin
     if skin is None:

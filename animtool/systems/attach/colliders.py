@@ -16,9 +16,9 @@ from animtool.sim.colliders import Capsule, Collider, Colliders, Sheet
 from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.sim.contact import SPEED_LIMIT
 from animtool.systems.attach.bodies import AttachedBody, ChainBody
-from animtool.systems.attach.poses import PosePath
+from animtool.systems.attach.poses import PoseSamples
 from animtool.systems.attach.settings import AttachSettings
-from animtool.systems.attach.skins import PosePaths, SkinSurface, contact_offsets
+from animtool.systems.attach.skins import FramePoses, SkinSurface, contact_offsets
 from animtool.systems.framework.meter import (
     ClosedSurface,
     closed_surfaces,
@@ -117,14 +117,14 @@ class CharacterColliders:
         rig: Rig,
         body: AttachedBody,
         settings: AttachSettings,
-        start: PosePath,
+        start: PoseSamples,
         scale: float,
         margin: float,
         skins: Sequence[SkinSurface],
         world: Colliders,
         layers: Sequence[Sheet],
     ) -> None:
-        """Set up the constants of all frames from the poses of a start path.
+        """Set up the constants of all frames from the first pose.
 
         The scale [1] is that of the character in the first pose. Skins have a margin
         [m] in addition to the radius. Layers are cloth of other attachments.
@@ -199,20 +199,22 @@ class CharacterColliders:
         ]
         return CollisionSurroundings(world, t, solids, layers)
 
-    def kernel_arguments(self, paths: PosePaths, cells: Cells) -> CellColliders:
+    def kernel_arguments(self, frame_poses: FramePoses, cells: Cells) -> CellColliders:
         """Return kernel arguments for the cells of a frame; None without colliders."""
-        world = paths.sample(cells.count).world
+        world = frame_poses.sample(cells.count).world
         rows, ends = self._capsules.joint_poses_and_ends(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        skins = self._kernel_skins(paths, cells.count)
+        skins = self._kernel_skins(frame_poses, cells.count)
         posed = PosedColliders(sizes, poses, self._depths, skins, UNRESOLVED_DEPTH)
         return cell_colliders(self._colliders, self._radius, cells, posed)
 
-    def _kernel_skins(self, paths: PosePaths, steps: int) -> list[tuple[Any, ...]]:
+    def _kernel_skins(
+        self, frame_poses: FramePoses, steps: int
+    ) -> list[tuple[Any, ...]]:
         """Return kernel arguments of the skins, and store their end as solids."""
-        points = [paths.skin_points(skin, steps) for skin in self._skins]
+        points = [frame_poses.skin_points(skin, steps) for skin in self._skins]
         if not self._skin_kernels:
             self._skin_kernels = [
                 _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))

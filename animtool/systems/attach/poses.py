@@ -34,7 +34,7 @@ class LocalPose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PosePath:
+class PoseSamples:
     """World transforms and shape weights at K evenly spaced times in one frame."""
 
     world: WorldTransforms  # joint transforms
@@ -62,7 +62,7 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
 
 def interpolate_poses(
     rig: Rig, before: LocalPose, after: LocalPose, steps: int
-) -> PosePath:
+) -> PoseSamples:
     """Return the poses of a character at evenly spaced times between two poses.
 
     Local rotations are interpolated by slerp and other values linearly, as for motion
@@ -77,7 +77,7 @@ def interpolate_poses(
     if before.weights is not None and after.weights is not None:
         weights = _lerp(before.weights, after.weights, fractions)
     world = forward_kinematics(rig, translations, rotations, scales)
-    return PosePath(world, weights)
+    return PoseSamples(world, weights)
 
 
 def _lerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:

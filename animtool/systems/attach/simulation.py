@@ -35,7 +35,7 @@ from animtool.systems.attach.poses import (
     seam_weights,
 )
 from animtool.systems.attach.settings import AttachSettings, PreRoll, SimulateOptions
-from animtool.systems.attach.skins import PosePaths, SkinSurface, build_skins
+from animtool.systems.attach.skins import FramePoses, SkinSurface, build_skins
 from animtool.systems.attach.stepping import CycleSteering
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
@@ -224,12 +224,12 @@ class AttachSimulation:
             self.actors.append(actor)
         if self.resumed is not None:
             return
-        static_paths = PosePaths(self.rig, start_pose, start_pose)
+        static_poses = FramePoses(self.rig, start_pose, start_pose)
         settle_frames = math.ceil(options.settle * rate)
         self._frame -= settle_frames + preroll_frames
         self._total_frames += settle_frames + preroll_frames
         for _ in range(settle_frames):
-            self._advance_actors(static_paths)
+            self._advance_actors(static_poses)
         poses = [pose] * (preroll_frames + 1)
         if extrapolates and preroll_frames:
             poses = [
@@ -241,22 +241,22 @@ class AttachSimulation:
             for actor in self.actors:
                 actor.add_velocity(step * rate)
         for earlier, later in pairwise(poses):
-            self._advance_actors(PosePaths(self.rig, earlier, later))
+            self._advance_actors(FramePoses(self.rig, earlier, later))
 
     def _advance(self, pose: LocalPose, code: float) -> None:
         """Advance all actors to the next frame, or follow the animation."""
         assert self._previous_pose is not None
-        paths = PosePaths(self.rig, self._previous_pose, pose)
+        frame_poses = FramePoses(self.rig, self._previous_pose, pose)
         if self.resumed is not None and code <= self.resumed.frame:
             for actor in self.actors:
-                actor.follow_animation(paths)
+                actor.follow_animation(frame_poses)
             self._frame += 1
             return
-        self._advance_actors(paths, has_teleport=code in self.options.teleports)
+        self._advance_actors(frame_poses, has_teleport=code in self.options.teleports)
 
     def _advance_actors(
         self,
-        paths: PosePaths,
+        frame_poses: FramePoses,
         steering: Sequence[CycleSteering] = (),
         *,
         has_teleport: bool = False,
@@ -264,11 +264,11 @@ class AttachSimulation:
         """Advance all actors by a frame, or teleport them."""
         max_speed = self.options.teleport_speed
         for number, actor in enumerate(self.actors):
-            if has_teleport or (max_speed and actor.speed(paths) > max_speed):
-                actor.teleport(paths)
+            if has_teleport or (max_speed and actor.speed(frame_poses) > max_speed):
+                actor.teleport(frame_poses)
             else:
                 actor_steering = steering[number] if steering else None
-                actor.advance_frame(paths, self._frame, actor_steering)
+                actor.advance_frame(frame_poses, self._frame, actor_steering)
             if self._progress is not None:
                 self._advanced_frames += 1
                 total = self._total_frames * len(self.actors)
@@ -371,8 +371,8 @@ class AttachSimulation:
                 for row in last_frames
             ]
             has_teleport = codes[i + 1] in self.options.teleports
-            paths = PosePaths(self.rig, pose, next_pose)
-            self._advance_actors(paths, steering, has_teleport=has_teleport)
+            frame_poses = FramePoses(self.rig, pose, next_pose)
+            self._advance_actors(frame_poses, steering, has_teleport=has_teleport)
         for row, actor in zip(rows, self.actors, strict=True):
             row.motions.append(actor.grid.state.motion)
         return rows

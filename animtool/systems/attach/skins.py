@@ -16,7 +16,7 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.sim.colliders import Collider, Colliders, Mesh
 from animtool.skin.character import CharacterMesh, character_meshes
-from animtool.systems.attach.poses import LocalPose, PosePath, interpolate_poses
+from animtool.systems.attach.poses import LocalPose, PoseSamples, interpolate_poses
 from animtool.systems.framework.meter import ClosedSurface
 
 # Minimum distance of cloth from skins, relative to its edge length [1]. It limits how
@@ -34,9 +34,9 @@ class SkinSurface:
     borders: IntArray  # border index of each border point ``(P,)``
     joints: BoolArray  # mask of joints with skin weight ``(J,)``
 
-    def points(self, path: PosePath) -> FloatArray:
+    def points(self, samples: PoseSamples) -> FloatArray:
         """Return deformed points, then border centres ``(K, V + B, 3)`` [m]."""
-        points = path.deform(self.mesh)
+        points = samples.deform(self.mesh)
         count = int(self.borders.max(initial=-1)) + 1
         middles = np.zeros((len(points), count, 3))
         for border in range(count):
@@ -46,16 +46,16 @@ class SkinSurface:
 
 
 @dataclass
-class PosePaths:
+class FramePoses:
     """Poses of a character within one frame, cached by number of steps."""
 
     rig: Rig  # the character
     before: LocalPose  # pose at the start
     after: LocalPose  # pose at the end
-    _by_steps: dict[int, PosePath] = field(default_factory=dict)
+    _by_steps: dict[int, PoseSamples] = field(default_factory=dict)
     _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
-    def sample(self, steps: int) -> PosePath:
+    def sample(self, steps: int) -> PoseSamples:
         """Return the poses at the start and end of each of ``steps`` equal steps."""
         if steps not in self._by_steps:
             self._by_steps[steps] = interpolate_poses(

@@ -10,14 +10,14 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
-from animtool.systems.attach.network import (
-    Network,
+from animtool.systems.attach.mass_spring import (
+    MassSpringNetwork,
     max_pin_hops,
     median_edge_length,
 )
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import MAX_VALUE
-from animtool.systems.springs.paths import Pins, PointTargets
+from animtool.systems.springs.constraints import Pins, PointTargets
 from animtool.systems.springs.records import Air, SelfContact, Solver, SpringOptions
 from animtool.systems.springs.solvers import SolverChoice, SpringPlan
 from animtool.systems.springs.system import SpringSystem
@@ -25,7 +25,7 @@ from animtool.systems.springs.system import SpringSystem
 # Design acceleration for the step rate [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0
 # Design angular velocity of strand springs for the step rate [rad/s].
-DESIGN_SPIN = 30.0
+DESIGN_ANGULAR_VELOCITY = 30.0
 # Measured load of cloth springs, relative to a single row of particles [1].
 CLOTH_LOAD_FACTOR = 10.0
 # Lowest step rates of cloth and of strands [1/s].
@@ -42,7 +42,7 @@ STEERING_FREQUENCY = 40.0
 MIN_CELLS, MAX_CELLS = 5, 8
 
 
-def step_rate(network: Network, settings: AttachSettings) -> float:
+def step_rate(network: MassSpringNetwork, settings: AttachSettings) -> float:
     """Return the step rate that keeps springs within their strain limit [1/s].
 
     Springs of strands are solved together: a spring that rotates by an angle in a step
@@ -53,7 +53,7 @@ def step_rate(network: Network, settings: AttachSettings) -> float:
     if settings.options.rate is not None:
         return settings.options.rate
     if network.strands:
-        rate = DESIGN_SPIN / math.sqrt(2 * settings.stretch)
+        rate = DESIGN_ANGULAR_VELOCITY / math.sqrt(2 * settings.stretch)
         return min(max(rate, MIN_STRAND_RATE), MAX_RATE)
     edge = median_edge_length(network)
     if not edge:
@@ -104,7 +104,9 @@ class CycleSteering:
         return np.asarray(ends + duration * u * (1 - u) * ((1 - u) * v0 - u * v1))
 
 
-def self_contact_distance(network: Network, settings: AttachSettings) -> float:
+def self_contact_distance(
+    network: MassSpringNetwork, settings: AttachSettings
+) -> float:
     """Return the self-contact distance of cloth [m]; 0 is off."""
     if settings.thickness is not None:
         return settings.thickness
@@ -115,7 +117,7 @@ def self_contact_distance(network: Network, settings: AttachSettings) -> float:
 
 
 def build_system(
-    network: Network, settings: AttachSettings, down: FloatArray
+    network: MassSpringNetwork, settings: AttachSettings, down: FloatArray
 ) -> SpringSystem:
     """Return the spring system of a network, with pins and targets at bind.
 
@@ -145,7 +147,10 @@ def build_system(
 
 
 def build_plan(
-    network: Network, settings: AttachSettings, down: FloatArray, duration: float
+    network: MassSpringNetwork,
+    settings: AttachSettings,
+    down: FloatArray,
+    duration: float,
 ) -> SpringPlan:
     """Return the spring system of a network with its steps in a frame [s], by xpbd."""
     min_steps = math.ceil(step_rate(network, settings) * duration - 1e-9)
@@ -163,7 +168,7 @@ def build_plan(
 
 
 def build_steered(
-    network: Network,
+    network: MassSpringNetwork,
     settings: AttachSettings,
     down: FloatArray,
     targets: FloatArray,

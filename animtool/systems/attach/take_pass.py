@@ -37,7 +37,7 @@ from animtool.systems.attach.bodies import (
     SurfaceBody,
     build_bodies,
 )
-from animtool.systems.attach.network import surface_defects
+from animtool.systems.attach.mass_spring import surface_defects
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     AttachSimulation,
@@ -159,7 +159,7 @@ def _start_notices(actor: AttachmentActor) -> list[Fault]:
         notices.append(Fault("SIM106", message, severity=Severity.NOTE))
     if actor.coincident_links:
         springs = counted(actor.coincident_links, "spring")
-        if actor.coincident_links == len(network.sides):
+        if actor.coincident_links == len(network.structural):
             springs = "every spring"
         message = f"{name}: the ends of {springs} are at the same position in the "
         message += "first pose"

@@ -36,7 +36,7 @@ class PeakValue:
     time: float | None = None  # time of a system [s]
 
     @property
-    def when(self) -> str:
+    def time_text(self) -> str:
         """Frame or time of the peak, as text."""
         return f"{self.time:.3g} s" if self.frame is None else f"frame {self.frame:g}"
 
@@ -46,7 +46,7 @@ class PeakValue:
         if self.point is None or self.at is None:
             return "nowhere"
         position = ", ".join(f"{value:.3g}" for value in self.at)
-        return f"{self.when}, point {self.point} at [{position}]"
+        return f"{self.time_text}, point {self.point} at [{position}]"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,7 +197,7 @@ class ContactMeter:
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
             message = f"{pairs} of edges and triangles of {subject} and what it "
-            message += f"touches intersect ({self.pierced.when})"
+            message += f"touches intersect ({self.pierced.time_text})"
             hint = "use a larger radius or thickness, or a finer mesh"
             notices.append(warning("SIM181", message, hint))
         is_strained = self.strain.value > VISIBLE_STRAIN

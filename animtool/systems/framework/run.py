@@ -12,6 +12,7 @@ from animtool.core.record import dataclass
 from animtool.motion.frames import Frame
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches
+from animtool.systems.framework.body_carriers import CarrierBodies
 from animtool.systems.framework.bounds import check_bounds, check_finite
 from animtool.systems.framework.simulation import (
     Diagnostics,
@@ -26,7 +27,6 @@ from animtool.systems.framework.surfaces import (
     RigidSystem,
     SystemSurface,
 )
-from animtool.systems.framework.tied import TiedBodies
 
 Observer = TypeVar("Observer", SystemSurface, BodyColliders)
 
@@ -92,10 +92,10 @@ class EntryRun:
         )
         return self.run.add_observer(colliders)
 
-    def body_carriers(self) -> TiedBodies:
+    def body_carriers(self) -> CarrierBodies:
         """Return the rigid bodies of the entry as carriers for other systems."""
         run, simulation = self.run, self.simulation
-        bodies = TiedBodies(run, simulation, run.begin, run.step_length)
+        bodies = CarrierBodies(run, simulation, run.begin, run.step_length)
         run.add_observer(bodies)
         return bodies
 
@@ -114,8 +114,8 @@ class EntryRun:
         """Warnings collected so far."""
         diagnostics = self.diagnostics
         step_notices = self.run.step_notices if self.reports_steps else ()
-        if_empty = diagnostics.if_empty if self._was_empty else ()
-        return [*diagnostics.notices, *step_notices, *if_empty]
+        notices_if_empty = diagnostics.notices_if_empty if self._was_empty else ()
+        return [*diagnostics.notices, *step_notices, *notices_if_empty]
 
     def report(self) -> dict[str, object]:
         """Return values for the report; empty if there are none."""
@@ -164,7 +164,7 @@ class SimulationRun(EntryRun):
         self._pushers: list[Pusher] = []
         self._queued_pushes: list[tuple[float, int, Wrenches]] = []
         # Systems with particles attached to its bodies, which pull them during a step.
-        self._pullers: list[tuple[TiedBodies, Any]] = []
+        self._pullers: list[tuple[CarrierBodies, Any]] = []
         # States at the start of the next step after pushes, by step.
         self._pushed_states: dict[int, ReachedState[Any]] = {}
         start_time = self.step_time(self.state.steps)
@@ -297,7 +297,7 @@ class SimulationRun(EntryRun):
         self._pushers.append(pusher)
         return len(self._pushers) - 1
 
-    def add_puller(self, bodies: TiedBodies, puller: Any) -> None:
+    def add_puller(self, bodies: CarrierBodies, puller: Any) -> None:
         """Register a system whose particles are attached to the bodies."""
         self._pullers.append((bodies, puller))
 

@@ -24,8 +24,8 @@ from animtool.sim.trajectory import Stats
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Setting
+    from animtool.systems.framework.body_carriers import CarrierBodies
     from animtool.systems.framework.spec import Member
-    from animtool.systems.framework.tied import TiedBodies
 
 State = TypeVar("State")
 # Progress callback; None without.
@@ -40,7 +40,7 @@ class Diagnostics:
     energy: Energy | None = None  # energy; None if it is not conserved
     values: Mapping[str, Any] = field(default_factory=dict)  # report values by name
     notices: Sequence[Fault] = ()  # warnings so far
-    if_empty: Sequence[Fault] = ()  # more warnings, if no frame had a point
+    notices_if_empty: Sequence[Fault] = ()  # more warnings, if no frame had a point
     steps: int | None = None  # method steps so far; None is one per step
     # Returns the largest step that is stable from here on [s]: 0 if none is, infinite
     # if all are, None if unknown.
@@ -91,7 +91,7 @@ class SimContext:
     members: Sequence[Member] = ()
     clock: Callable[[], Progress] = lambda: None
     phase: Callable[[], Progress] = lambda: None
-    carriers: Mapping[str, TiedBodies] = field(default_factory=dict)
+    carriers: Mapping[str, CarrierBodies] = field(default_factory=dict)
 
 
 class SystemView(Protocol[State_contra]):

@@ -335,7 +335,7 @@ class ParticleSimulation:
         return Diagnostics(
             self._energy(state, t),
             notices=self._notices,
-            if_empty=[self._empty_notice(t)],
+            notices_if_empty=[self._empty_notice(t)],
             steps=self._steps_taken,
             stable_step=lambda: self._stable_step(state),
         )

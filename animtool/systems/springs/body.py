@@ -17,7 +17,7 @@ from animtool.maths.rows import Rows
 from animtool.systems.springs.records import Family
 
 # Torn flags of springs in kernel order ``(S,)``.
-Flags: TypeAlias = npt.NDArray[np.uint8]
+TornFlags: TypeAlias = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +216,7 @@ NO_PARTICLES: IntArray = np.zeros(0, np.int64)
 NO_TARGETS = TargetSprings(NO_PARTICLES, np.zeros(0), np.zeros(0))
 
 
-class Paths(NamedTuple):
+class PrescribedMotion(NamedTuple):
     """Positions of pins and targets, and wind velocities, at shared times."""
 
     knots: FloatArray  # times ``(K,)`` [s]
@@ -239,7 +239,7 @@ class SpringForces:
     pinned: IntArray = field(default_factory=NO_PARTICLES.copy)
     target_springs: TargetSprings = NO_TARGETS
 
-    def network(self, paths: Paths) -> _kernels.SpringNetwork:
+    def network(self, prescribed: PrescribedMotion) -> _kernels.SpringNetwork:
         """Return the kernel network, with springs in the order of this record."""
         springs, targets = self.springs, self.target_springs
         return _kernels.SpringNetwork(
@@ -254,12 +254,12 @@ class SpringForces:
             gravity=self.gravity,
             air_drag=self.air_coefficients[0],
             air_lift=self.air_coefficients[1],
-            knots=paths.knots,
+            knots=prescribed.knots,
             pinned=self.pinned,
-            pinned_path=paths.pin_positions,
+            pinned_path=prescribed.pin_positions,
             anchors=targets.particles,
             anchor_stiffness=targets.stiffness,
             anchor_damping=targets.damping,
-            anchor_path=paths.target_positions,
-            winds=paths.wind,
+            anchor_path=prescribed.target_positions,
+            winds=prescribed.wind,
         )

@@ -11,8 +11,8 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.maths import so3
+from animtool.systems.framework.body_carriers import BodyCarrier, CarrierBodies
 from animtool.systems.framework.simulation import SimContext
-from animtool.systems.framework.tied import BodyCarrier, TiedBodies
 from animtool.systems.springs import (
     Body,
     Pins,
@@ -23,18 +23,18 @@ from animtool.systems.springs import (
     join,
     weld,
 )
+from animtool.systems.springs.body_coupling import BodyAttachment, BodyCoupling
+from animtool.systems.springs.constraints import merge_constraints
 from animtool.systems.springs.entry import SpringEntry, join_pairs
-from animtool.systems.springs.paths import merge_constraints
 from animtool.systems.springs.pins import (
     air_of,
     align_to_pins,
     constraints_of,
     wind_targets,
 )
-from animtool.systems.springs.simulating import plan_springs
 from animtool.systems.springs.simulation import SpringSimulation
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
-from animtool.systems.springs.ties import BodyTies, Tie
+from animtool.systems.springs.trajectories import plan_springs
 from animtool.systems.springs.view import SpringView
 
 # Largest unreported distance between merged or pinned particles [m].
@@ -143,38 +143,39 @@ class _SystemBuilder:
             speed_limit=spec.speed_limit,
             self_contact=contact,
         )
-        system.ties = self._body_ties(system)
+        system.coupling = self._body_coupling(system)
         return self._settle(system) if spec.settle else system
 
-    def _body_ties(self, system: SpringSystem) -> BodyTies | None:
+    def _body_coupling(self, system: SpringSystem) -> BodyCoupling | None:
         """Return the pins on rigid bodies of other systems; None if there are none."""
         carriers = self._context.carriers
-        names, ties = list(carriers), []
+        names, attachments = list(carriers), []
         column_of_particle = {n: k for k, n in enumerate(system.pinned.tolist())}
         for entry, rows in zip(self._entries, self._rows, strict=True):
             for pin in entry.pins:
                 if not isinstance(pin.carrier, BodyCarrier):
                     continue
-                bodies, pinned = carriers[pin.carrier.system], rows[pin.particles]
+                carrier, pinned = carriers[pin.carrier.system], rows[pin.particles]
                 points = system.body.positions[pinned]
-                self._warn_distant_pins(entry.spec.name, pin.carrier, bodies, points)
-                frame = bodies.start(pin.carrier).rows[0]
+                self._warn_distant_pins(entry.spec.name, pin.carrier, carrier, points)
+                frame = carrier.start(pin.carrier).rows[0]
                 columns = [column_of_particle[n] for n in pinned.tolist()]
-                ties.append(
-                    Tie(
+                attachments.append(
+                    BodyAttachment(
                         np.array(columns, np.int64),
                         names.index(pin.carrier.system),
-                        bodies.body_index(pin.carrier),
+                        carrier.body_index(pin.carrier),
                         so3.rotate(so3.conjugate(frame[3:]), points - frame[:3]),
                         system.body.masses[pinned],
                     )
                 )
-        if not ties:
+        if not attachments:
             return None
-        return BodyTies(list(carriers.values()), ties, system.gravity, system.spacing)
+        systems, spring_length = list(carriers.values()), system.mean_rest_length
+        return BodyCoupling(systems, attachments, system.gravity, spring_length)
 
     def _warn_distant_pins(
-        self, name: str, carrier: BodyCarrier, bodies: TiedBodies, points: FloatArray
+        self, name: str, carrier: BodyCarrier, bodies: CarrierBodies, points: FloatArray
     ) -> None:
         """Warn about pins that start farther from a body than the size of the body."""
         gap, size = bodies.surface_distance(carrier, points)

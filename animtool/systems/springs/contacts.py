@@ -40,7 +40,7 @@ class PosedColliders(NamedTuple):
     # skin meshes ``(R, N)`` [m].
     depths: FloatArray
     skins: Sequence[Any]  # kernel surfaces of skins; they come before world surfaces
-    inside: float  # depth below which particles stay inside [m]
+    inside_depth: float  # depth below which particles stay inside [m]
 
 
 def cell_colliders(
@@ -73,7 +73,7 @@ def cell_colliders(
     arrays, surfaces = (kinds, sizes, *materials), [*posed.skins, *surfaces]
     missing_rows = len(colliders.rigid) + len(surfaces) - len(posed.depths)
     depths = np.pad(posed.depths, ((0, missing_rows), (0, 0)))
-    return arrays, poses, radius, depths, posed.inside, surfaces
+    return arrays, poses, radius, depths, posed.inside_depth, surfaces
 
 
 def _poses_at_ends(collider: Collider, edges: FloatArray) -> FloatArray:

@@ -16,8 +16,8 @@ from animtool.core.errors import Fault, Refusals, counted
 from animtool.core.options import ENTRY_RANGE_MESSAGE, range_faults
 from animtool.core.record import dataclass
 from animtool.documents.fields import record_of
+from animtool.systems.framework.body_carriers import BodyCarrier
 from animtool.systems.framework.spec import Member, PinnedPoints
-from animtool.systems.framework.tied import BodyCarrier
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODY_BUILDERS, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_options, check_supports_self_contact
@@ -26,7 +26,7 @@ from animtool.systems.springs.pins import Join, Pin, air_of, particle_indices, r
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 
 # Solvers that compute the force of pins on rigid bodies.
-TIED_SOLVERS = (Solver.AUTO, Solver.BDF2, Solver.IMPLICIT_EULER)
+COUPLED_SOLVERS = (Solver.AUTO, Solver.BDF2, Solver.IMPLICIT_EULER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ class SpringEntry:
         ]
 
     @property
-    def tied_bodies(self) -> list[tuple[str, str, str]]:
+    def carrier_bodies(self) -> list[tuple[str, str, str]]:
         """Rigid systems and bodies that carry particles, and their keys."""
         carriers = [pin.carrier for pin in self.pins]
         return [
@@ -167,21 +167,21 @@ def read_entry(
         hint = "set a step, or remove two_way"
         entry.report_fault("SIM063", message, "error", hint=hint)
     if any(pin.body is not None for pin in spec.pins):
-        _check_tied(entry)
+        _check_body_pins(entry)
     if body is None:
         return None, entry.faults
     pins, joins = read_pins(entry, body)
     return SpringEntry(spec, body, pins, joins), entry.faults
 
 
-def _check_tied(entry: BodyEntry) -> None:
+def _check_body_pins(entry: BodyEntry) -> None:
     """Report options incompatible with pins on rigid bodies (SIM063, SIM163)."""
     spec = entry.spec
     if spec.error is not None:
         message = "adaptive steps repeat the simulation, and "
         message += "the bodies of its pins would be pulled each time"
         entry.report_fault("SIM063", message, "error", hint="set a step")
-    if spec.solver not in TIED_SOLVERS:
+    if spec.solver not in COUPLED_SOLVERS:
         message = f"{spec.solver} does not compute the force of pins on a body"
         hint = "use auto, bdf2 or implicit_euler"
         entry.report_fault("SIM163", message, "solver", hint=hint)

@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.trajectory import Trajectory
 from animtool.systems.framework.simulation import growing, later
-from animtool.systems.springs.body import Flags
+from animtool.systems.springs.body import TornFlags
 from animtool.systems.springs.records import Solver
 
 # Most steps in a cell of time.
@@ -45,7 +45,7 @@ class SpringState:
     """State of springs at the start of a time cell, sufficient to resume."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] ``(2, N, 3)``
-    torn: Flags
+    torn: TornFlags
     substeps: int  # steps in a cell
     least: int  # lower limit of the steps in a cell of xpbd
     calm: int = 0  # consecutive cells of xpbd for which fewer steps sufficed
@@ -57,7 +57,7 @@ class SpringState:
     )
     # Impulse and moment on each pin in the last step, for pins on bodies ``(H, 6)``.
     pulls: FloatArray | None = field(default=None, metadata=later(np.ndarray))
-    # Warm start of the coupling to bodies, as `TiedSolution.warm_start`.
+    # Warm start of the coupling to bodies, as `CoupledSolution.warm_start`.
     known: FloatArray | None = field(default=None, metadata=later(np.ndarray))
 
 
@@ -74,14 +74,14 @@ class TimeGrid:
     stretch: float = 0.0
     steps: int = 0
     evaluations: int = 0  # number of evaluations of all spring forces
-    lost: bool = False  # whether the last cell could not be solved
+    unsolved: bool = False  # whether the last cell could not be solved
     max_contacts: int = 0  # maximum number of xpbd particles in contact at one time
     unresolved: int = 0  # maximum number of particles left inside colliders
     # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the
     # origin, and the largest mass in contact at one time.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
     # Impulses on rigid bodies that carry pins in the last cell, by system.
-    tied: tuple[Wrenches, ...] = ()
+    body_wrenches: tuple[Wrenches, ...] = ()
     # Maximum counts of self-piercing over time.
     piercing: Piercing = field(default_factory=Piercing)
 

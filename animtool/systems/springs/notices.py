@@ -106,14 +106,14 @@ def _convergence_hint(simulation: _Simulation) -> str:
     """Return a hint on what to change when Newton's method does not converge."""
     system, unsolved = simulation.system, simulation.unsolved_grid
     step = None if unsolved is None else find_solvable_step(system, unsolved)
-    ties, hint = system.ties, "use a shorter step"
+    coupling, hint = system.coupling, "use a shorter step"
     if step is not None:
         hint = f"step: {plain_number(floor_to_two_digits(step))}"
-        if ties is not None:
+        if coupling is not None:
             hint += " of the bodies of its pins"
-    if ties is None:
+    if coupling is None:
         return hint
-    lightest = ties.lightest
+    lightest = coupling.lightest
     spring_mass = float(system.free_masses.sum())
     if lightest is not None and lightest[1] < MIN_MASS_RATIO * spring_mass:
         name, mass = lightest

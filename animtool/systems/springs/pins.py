@@ -16,7 +16,7 @@ from animtool.documents.document import Location
 from animtool.documents.fields import record_of
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.framework.tied import BodyCarrier
+from animtool.systems.framework.body_carriers import BodyCarrier
 from animtool.systems.springs import Air, Pins, PointTargets
 from animtool.systems.springs.bodies import BodyEntry, SpringBody
 from animtool.systems.springs.drawing import polar_rotations

@@ -10,8 +10,8 @@ from animtool.core.options import above, inherits_docs, key, or_more
 from animtool.core.record import dataclass
 
 # Ranges of spring and air options.
-_OfSpring = Annotated[float, or_more(0, "SIM042")]
-_OfAir = Annotated[float, or_more(0, "SIM050")]
+_SpringNumber = Annotated[float, or_more(0, "SIM042")]
+_AirNumber = Annotated[float, or_more(0, "SIM050")]
 
 
 @inherits_docs
@@ -32,8 +32,8 @@ class Family:
         1e4,
         None,
     )
-    damping: _OfSpring = key("Along the spring: force per speed [N s/m].", 0.5, 0.0)
-    ratio: _OfSpring = key(
+    damping: _SpringNumber = key("Along the spring: force per speed [N s/m].", 0.5, 0.0)
+    ratio: _SpringNumber = key(
         "Additional damping, as a fraction of the critical damping of a single "
         "spring with its end masses.",
         0.1,
@@ -42,7 +42,7 @@ class Family:
     tear: Annotated[float | None, above(0, "SIM042")] = key(
         "Strain above which a spring tears. Default: never.", 0.5, None
     )
-    rest: _OfSpring = key(
+    rest: _SpringNumber = key(
         "Rest length relative to the built distance of the ends; 0 pulls them "
         "together.",
         0.9,
@@ -77,9 +77,9 @@ class Air:
     """
 
     wind: ArrayLike = (0.0, 0.0, 0.0)
-    drag: _OfAir = key("Drag coefficient along the flow.", 1.5, 1.0)
-    lift: _OfAir = key("Drag coefficient across the flow.", 0, 0.5)
-    density: _OfAir = key("Air density [kg/m³].", 0.9, 1.2)
+    drag: _AirNumber = key("Drag coefficient along the flow.", 1.5, 1.0)
+    lift: _AirNumber = key("Drag coefficient across the flow.", 0, 0.5)
+    density: _AirNumber = key("Air density [kg/m³].", 0.9, 1.2)
     times: ArrayLike | None = None
 
 

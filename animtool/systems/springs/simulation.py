@@ -26,12 +26,12 @@ from animtool.systems.framework.simulation import (
     TrialSettings,
 )
 from animtool.systems.springs.contacts import LOOKBACK_TIME
-from animtool.systems.springs.losses import DAMPING_SOLVERS, EnergyLoss
+from animtool.systems.springs.energy_loss import DAMPING_SOLVERS, EnergyLoss
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.notices import motion_notices
 from animtool.systems.springs.records import Solver
 from animtool.systems.springs.solvers import SpringPlan
-from animtool.systems.springs.trials import trial_settings
+from animtool.systems.springs.work_precision import trial_settings
 
 # Cells between two checks for divergence.
 CELLS_PER_CHECK = 120
@@ -80,7 +80,7 @@ class SpringSimulation:
         self._start_notices = [] if start_grid.index else self.system.notices()
         self._max_substeps = start_grid.state.substeps
         # Pushed bodies react before the next cell.
-        is_coupled = self.system.colliders.bodies or self.system.ties is not None
+        is_coupled = self.system.colliders.bodies or self.system.coupling is not None
         self._max_cells_per_call = 1 if is_coupled else CELLS_PER_CHECK
         self.intact_system, self._torn_count = self.system, 0
         self._energy_watch = EnergyWatch(self.system, self._divergence_limits())
@@ -99,8 +99,8 @@ class SpringSimulation:
         """
         solver, has_colliders = self.choice.solver, self.system.colliders.has_any
         implicit_contacts = solver is not Solver.SYMPLECTIC_EULER and has_colliders
-        is_tied = self.system.ties is not None
-        ignores_growth = implicit_contacts or solver is Solver.XPBD or is_tied
+        has_coupling = self.system.coupling is not None
+        ignores_growth = implicit_contacts or solver is Solver.XPBD or has_coupling
         growth = np.inf if ignores_growth else self.options.growth
         return IntegrateOptions(growth=growth, stretch=self.options.longest)
 
@@ -200,13 +200,13 @@ class SpringSimulation:
                 self.longest = max(self.longest, length_ratio or 0.0)
         if reason:
             self._stop(Status.UNSTABLE, reason)
-        if self.grid.lost:
+        if self.grid.unsolved:
             self.unsolved_grid = start_grid
             self._stop(Status.NOT_SOLVED, "Newton's method did not converge")
         if self.is_auto and self.is_overstrained:
             reason = f"a spring is strained by {self.grid.stretch:.2%}"
             self._stop(Status.NOT_SOLVED, reason)
-        self.wrenches = [*self._contact_wrenches(), *self.grid.tied]
+        self.wrenches = [*self._contact_wrenches(), *self.grid.body_wrenches]
 
     def _stop(self, status: Status, reason: str) -> None:
         """Record the status of the stop, and raise the warnings about it as errors."""
@@ -215,7 +215,7 @@ class SpringSimulation:
         # The fault that stopped it comes last and is reported with the frame.
         errors = as_errors(motion_notices(self, stats))
         faults = sorted(errors, key=lambda fault: fault.code in STOP_CODES)
-        if self.system.ties is not None:
+        if self.system.coupling is not None:
             # Otherwise the fault would be attributed to the bodies.
             names = " and ".join(view.member.name for view in self.views)
             faults[-1] = replace(faults[-1], message=f"{names}: {faults[-1].message}")
@@ -338,7 +338,7 @@ class SpringSimulation:
 
     def _energy(self, state: SpringState, t: float) -> Energy | None:
         """Return the energy of a state; None if it is not conserved."""
-        if self._is_dissipative or state.torn.any() or self.system.ties is not None:
+        if self._is_dissipative or state.torn.any() or self.system.coupling is not None:
             return None
         energy = self.system.energy(t, state.motion)
         return None if energy.supply else energy

@@ -16,7 +16,12 @@ from animtool.core.errors import Fault, refuse
 from animtool.core.record import dataclass
 from animtool.sim.integrators.table import find_integrator
 from animtool.sim.modes import allowed_step
-from animtool.systems.framework.tied import TiedStep
+from animtool.systems.framework.body_carriers import CarrierStep
+from animtool.systems.springs.body_coupling import (
+    BodyCoupling,
+    CoupledCell,
+    CoupledSprings,
+)
 from animtool.systems.springs.checks import check_supports_self_contact
 from animtool.systems.springs.contacts import CellColliders, Cells, cell_colliders
 from animtool.systems.springs.motion import (
@@ -27,7 +32,6 @@ from animtool.systems.springs.motion import (
 )
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
-from animtool.systems.springs.ties import BodyTies, PulledSprings, TiedCell
 
 # Shortest step of xpbd [s], and of xpbd chosen by auto, which must also limit strain
 # with self-contact [s].
@@ -37,7 +41,7 @@ MAX_CELL_STEPS = 131072
 # Newton tolerance of implicit steps, relative to the mean spring length.
 NEWTON_TOLERANCE = 1e-6
 # The same with pins on bodies: a residual times a stiffness acts on the body [1].
-TIED_TOLERANCE = 1e-11
+COUPLED_TOLERANCE = 1e-11
 # Largest rotation of bodies in a subcell [rad], and most subcells of a cell.
 MAX_ANGLE, MAX_SUBCELLS = 0.125, 16
 # Refinement factors tried for an unsolved cell, and the safety factor of the proposed
@@ -48,7 +52,7 @@ CELL = 1 / 240
 # Safety factor of the explicit step limit.
 STEP_SAFETY_FACTOR = 0.8
 # Compute time per second of motion below which explicit steps are always used [s].
-CHEAP_TIME = 0.03
+NEGLIGIBLE_TIME = 0.03
 # Explicit step rate above which implicit solves lose precision in float64 [1/s].
 MAX_SOLVABLE_RATE = 1e9
 # Initial steps per cell of time.
@@ -94,7 +98,7 @@ class SpringPlan:
         """Return the time grid at a begin time [s], by default in the initial state."""
         choice, system = self.choice, self.system
         motion = system.state if motion is None else motion
-        pulls = None if system.ties is None else np.zeros((len(system.pinned), 6))
+        pulls = None if system.coupling is None else np.zeros((len(system.pinned), 6))
         state = SpringState(
             np.ascontiguousarray(motion), system.untorn_flags, choice.substeps,
             choice.substeps, pulls=pulls,
@@ -109,8 +113,8 @@ class SpringPlan:
         None uses the colliders of the system at the times of the grid.
         """
         system, options = self.system, self.options
-        if system.ties is not None and cells:
-            return _advance_tied(system, grid, system.ties)
+        if system.coupling is not None and cells:
+            return _advance_coupled(system, grid, system.coupling)
         if colliders is None:
             colliders = _cell_colliders(system, grid, cells)
         if grid.solver is Solver.XPBD and system.body.strands:
@@ -121,7 +125,7 @@ class SpringPlan:
         if grid.solver is Solver.XPBD:
             layers = system.kernel_self_contact
             return _advance_xpbd(network, options, grid, cells, colliders, layers)
-        tolerance = NEWTON_TOLERANCE * system.spacing
+        tolerance = NEWTON_TOLERANCE * system.mean_rest_length
         return _advance_implicit(network, grid, cells, colliders, tolerance).grid
 
 
@@ -149,8 +153,8 @@ def choose_solver(
         check_supports_self_contact(requested)
         if requested is Solver.AUTO:
             solver, reason = Solver.XPBD, "it has self-contact"
-    elif system.ties is not None:
-        return choose_tied_solver(system.ties, options, requested, t, limit)
+    elif system.coupling is not None:
+        return choose_coupled_solver(system.coupling, options, requested, t, limit)
     elif requested is Solver.AUTO:
         solver, reason = _choose_cheapest(system, options, rate)
     if options.step is not None:
@@ -170,8 +174,8 @@ def choose_solver(
     return SolverChoice(solver, CELL, INITIAL_SUBSTEPS[solver], reason, limit)
 
 
-def choose_tied_solver(
-    ties: BodyTies,
+def choose_coupled_solver(
+    coupling: BodyCoupling,
     options: SpringOptions,
     requested: Solver,
     begin: float,
@@ -181,7 +185,7 @@ def choose_tied_solver(
     solver, reason = requested, "it was requested"
     if requested is Solver.AUTO:
         solver, reason = Solver.BDF2, "rigid bodies hold its pins"
-    lengths = sorted({carrier.step for carrier in ties.carriers})
+    lengths = sorted({carrier.step for carrier in coupling.carriers})
     max_length = lengths[-1]
     cell = max_length
     min_substeps = INITIAL_SUBSTEPS[solver]
@@ -197,7 +201,7 @@ def choose_tied_solver(
         message += f"hold its pins, of {lengths_text} s, do not end together"
         hint = f"use step: {max_length:g}, a multiple of it, or a fraction"
         refuse("SIM164", message, "step", hint)
-    for carrier in ties.carriers:
+    for carrier in coupling.carriers:
         if carrier.begin > begin or not _is_integer((begin - carrier.begin) / cell):
             message = f"it starts at {begin:g} s, but the bodies of its pins "
             message += f"at {carrier.begin:g} s"
@@ -243,7 +247,7 @@ def _choose_cheapest(
     ratio = rate / steps if options.error is None else 1.0
     implicit_cost = steps * bdf2_step_cost(system, ratio)
     alternative = f"about {steps:.0f} of {Solver.BDF2}"
-    if explicit_cost * len(system.body.springs.rest) <= CHEAP_TIME:
+    if explicit_cost * len(system.body.springs.rest) <= NEGLIGIBLE_TIME:
         cost_text = "little time"
     elif explicit_cost <= implicit_cost:
         cost_text = f"less time than {alternative}"
@@ -347,19 +351,21 @@ def thread_count() -> int:
     return os.cpu_count() or 1
 
 
-def _advance_tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
+def _advance_coupled(
+    system: SpringSystem, grid: TimeGrid, coupling: BodyCoupling
+) -> TimeGrid:
     """Advance springs by one cell, coupled to the rigid bodies that carry their pins.
 
     The cell is split into subcells if bodies rotate fast or no solution is found.
     """
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
-    steps = [carrier.step_over(t0, t1) for carrier in ties.carriers]
+    steps = [carrier.step_over(t0, t1) for carrier in coupling.carriers]
     angle, subcells = max(step.max_angle for step in steps), 1
     while subcells < MAX_SUBCELLS and angle > MAX_ANGLE * subcells:
         subcells *= 2
     while True:
-        after = _advance_in_subcells(system, grid, ties, steps, subcells)
-        if not after.lost or subcells >= MAX_SUBCELLS:
+        after = _advance_in_subcells(system, grid, coupling, steps, subcells)
+        if not after.unsolved or subcells >= MAX_SUBCELLS:
             return replace(after, origin=grid.origin, cell=grid.cell,
                            index=grid.index + 1)  # fmt: skip
         subcells *= 2
@@ -370,23 +376,25 @@ def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
 
     With pins on rigid bodies, this is a step of the bodies.
     """
-    ties, state = system.ties, grid.state
-    if ties is not None:
+    coupling, state = system.coupling, grid.state
+    if coupling is not None:
         t1 = grid.origin + (grid.index + 1) * grid.cell
-        steps = [carrier.step_over(grid.time, t1) for carrier in ties.carriers]
-        min_step = min(carrier.step for carrier in ties.carriers)
+        steps = [carrier.step_over(grid.time, t1) for carrier in coupling.carriers]
+        min_step = min(carrier.step for carrier in coupling.carriers)
         for k in REFINEMENTS:
             subcells = k * MAX_SUBCELLS
-            if not _advance_in_subcells(system, grid, ties, steps, subcells).lost:
+            if not _advance_in_subcells(
+                system, grid, coupling, steps, subcells
+            ).unsolved:
                 return min_step / (STEP_SAFETY * k)
         return None
     colliders = _cell_colliders(system, grid, 1)
     network = system.network(system.teleports.cell_stage(grid))
-    tolerance = NEWTON_TOLERANCE * system.spacing
+    tolerance = NEWTON_TOLERANCE * system.mean_rest_length
     for k in REFINEMENTS:
         fine_state = replace(state, substeps=k * state.substeps, before=None)
         trial = replace(grid, state=fine_state)
-        if not _advance_implicit(network, trial, 1, colliders, tolerance).grid.lost:
+        if not _advance_implicit(network, trial, 1, colliders, tolerance).grid.unsolved:
             return grid.cell / (STEP_SAFETY * fine_state.substeps)
     return None
 
@@ -394,13 +402,13 @@ def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
 def _advance_in_subcells(
     system: SpringSystem,
     grid: TimeGrid,
-    ties: BodyTies,
-    steps: Sequence[TiedStep],
+    coupling: BodyCoupling,
+    steps: Sequence[CarrierStep],
     subcells: int,
 ) -> TimeGrid:
     """Advance springs and coupled bodies by one cell, split into equal subcells."""
     if subcells == 1:
-        return _advance_subcell(system, grid, ties, steps)[0]
+        return _advance_subcell(system, grid, coupling, steps)[0]
     start_state, substeps = grid.state, -(-grid.state.substeps // subcells)
     if substeps * subcells != start_state.substeps:
         start_state = replace(start_state, before=None)
@@ -414,9 +422,9 @@ def _advance_in_subcells(
             step.subcell(state, current.time, current.cell)
             for step, state in zip(steps, bodies, strict=True)
         ]
-        current, bodies = _advance_subcell(system, current, ties, subcell_steps)
+        current, bodies = _advance_subcell(system, current, coupling, subcell_steps)
         pushes.append(current.pushes)
-        if current.lost:
+        if current.unsolved:
             break
     ends = zip(steps, bodies, strict=True)
     body_pushes = tuple(step.push_to(state) for step, state in ends)
@@ -425,35 +433,42 @@ def _advance_in_subcells(
     end_state = replace(current.state, substeps=grid.state.substeps)
     if substeps * subcells != end_state.substeps:
         end_state = replace(end_state, before=None)
-    return replace(current, state=end_state, tied=body_pushes, pushes=total_push)
+    return replace(
+        current, state=end_state, body_wrenches=body_pushes, pushes=total_push
+    )
 
 
 def _advance_subcell(
-    system: SpringSystem, grid: TimeGrid, ties: BodyTies, steps: Sequence[TiedStep]
+    system: SpringSystem,
+    grid: TimeGrid,
+    coupling: BodyCoupling,
+    steps: Sequence[CarrierStep],
 ) -> tuple[TimeGrid, list[Any]]:
     """Advance springs and bodies by a cell; return the grid and body states."""
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     stage = system.teleports.cell_stage(grid)
-    network, paths = system.cell_network(stage, t0, t1)
-    pinned = paths.pin_positions
+    network, prescribed = system.cell_network(stage, t0, t1)
+    pinned = prescribed.pin_positions
     colliders = _cell_colliders(system, grid, 1)
-    columns = np.concatenate([tie.columns for tie in ties.ties])
-    fraction = ((paths.knots - t0) / (t1 - t0))[:, None, None]
+    columns = np.concatenate(
+        [attachment.columns for attachment in coupling.attachments]
+    )
+    fraction = ((prescribed.knots - t0) / (t1 - t0))[:, None, None]
 
-    def solve_springs(begins: FloatArray, ends: FloatArray) -> PulledSprings:
+    def solve_springs(begins: FloatArray, ends: FloatArray) -> CoupledSprings:
         pinned[:, columns] = begins + fraction * (ends - begins)
-        network.set_paths(pinned, paths.target_positions)
-        tolerance, pulls = TIED_TOLERANCE * ties.spring_length, grid.state.pulls
+        network.set_paths(pinned, prescribed.target_positions)
+        tolerance, pulls = COUPLED_TOLERANCE * coupling.spring_length, grid.state.pulls
         return _advance_implicit(network, grid, 1, colliders, tolerance, pulls)
 
-    solution = TiedCell(ties, steps).solve(solve_springs, grid.state.known)
+    solution = CoupledCell(coupling, steps).solve(solve_springs, grid.state.known)
     end_grid = solution.grid
     state = replace(end_grid.state, known=solution.warm_start)
     bodies = [
         step.pushed(wrenches)[0]
         for step, wrenches in zip(steps, solution.wrenches, strict=True)
     ]
-    return replace(end_grid, state=state, tied=solution.wrenches), bodies
+    return replace(end_grid, state=state, body_wrenches=solution.wrenches), bodies
 
 
 def _advance_implicit(
@@ -463,14 +478,14 @@ def _advance_implicit(
     colliders: CellColliders,
     tolerance: float,
     pulls: FloatArray | None = None,
-) -> PulledSprings:
+) -> CoupledSprings:
     """Advance a motion by ``cells`` cells of BDF2 or implicit Euler.
 
     With the ``pulls`` of the last step, also returns the impulses on pinned particles.
     """
     state = grid.state
     (
-        motion, before, has_previous, torn, steps, corrections, unsolved, inside,
+        motion, before, has_previous, torn, steps, corrections, failed_cells, inside,
         pushes, impulses,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
@@ -482,4 +497,4 @@ def _advance_implicit(
         pulls=state.pulls if pulls is None else impulses[1],
     )  # fmt: skip
     end_grid = grid.after_cells(cells, after, steps, corrections, inside, pushes)
-    return PulledSprings(replace(end_grid, lost=unsolved > 0), impulses[0])
+    return CoupledSprings(replace(end_grid, unsolved=failed_cells > 0), impulses[0])

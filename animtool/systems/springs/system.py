@@ -24,11 +24,12 @@ from animtool.sim.contact import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 from animtool.systems.springs.body import (
     Body,
-    Flags,
-    Paths,
+    PrescribedMotion,
     SpringForces,
     TargetSprings,
+    TornFlags,
 )
+from animtool.systems.springs.body_coupling import BodyCoupling
 from animtool.systems.springs.checks import (
     check_body,
     check_path,
@@ -36,18 +37,17 @@ from animtool.systems.springs.checks import (
     start_notices,
     tangle_notices,
 )
-from animtool.systems.springs.paths import (
-    Path,
+from animtool.systems.springs.constraints import (
     Pins,
     PointTargets,
     Teleports,
+    TimedPositions,
     max_speed_and_travel,
     position_at,
     resample_to_shared_times,
 )
+from animtool.systems.springs.jacobians import acceleration_jacobians, mode_bounds
 from animtool.systems.springs.records import Air, SelfContact
-from animtool.systems.springs.slopes import acceleration_jacobians, mode_bounds
-from animtool.systems.springs.ties import BodyTies
 
 # Interval for estimating target velocities when no step is given [s].
 TARGET_SPEED_INTERVAL = 1e-6
@@ -59,8 +59,8 @@ class _Stage(NamedTuple):
     """Paths of pins and targets between two teleports, and the kernel network."""
 
     number: int  # number of teleports before it
-    pins: Path
-    targets: Path
+    pins: TimedPositions
+    targets: TimedPositions
     network: _kernels.SpringNetwork
 
 
@@ -143,7 +143,7 @@ class SpringSystem(SecondOrder):
         )
         wind_velocities = np.asarray(air.wind, np.float64)[..., None, :]
         self._wind_path = check_path("air", wind_velocities, air.times, 1)
-        self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
+        self.is_pinned: BoolArray = np.isin(np.arange(count), self.pinned)
         pinned_positions = (
             body.positions[self.pinned] if pins.positions is None else pins.positions
         )
@@ -157,11 +157,13 @@ class SpringSystem(SecondOrder):
         )
         self.target_springs = TargetSprings(target_particles, stiffness, damping)
         driven_particles = np.append(self.pinned, target_particles)
-        self._paths = (pin_path, target_path)
-        self.teleports = Teleports(body, driven_particles, self._paths, speed_limit)
+        self._constraint_paths = (pin_path, target_path)
+        self.teleports = Teleports(
+            body, driven_particles, self._constraint_paths, speed_limit
+        )
         self._cached_stage: _Stage | None = None
         self.contacts: Contacts | None = None
-        self.ties: BodyTies | None = None  # pins on rigid bodies
+        self.coupling: BodyCoupling | None = None  # pins on rigid bodies
         # Span of the last paths [s], and their positions of all particles.
         self.particle_path: tuple[float, FloatArray] = (0.0, np.zeros((0, count, 3)))
         # First index and count of colliders that segments of strands ignore.
@@ -185,7 +187,7 @@ class SpringSystem(SecondOrder):
         self._state[1, self.pinned] = 0.0
 
     @property
-    def spacing(self) -> float:
+    def mean_rest_length(self) -> float:
         """Mean rest length of the springs [m]; 1 if all rest lengths are 0."""
         rest = self.body.springs.rest
         return float(rest.mean()) if rest.any() else 1.0
@@ -194,7 +196,7 @@ class SpringSystem(SecondOrder):
         """Return the kernel network of a stage between teleports."""
         return self._stage(stage).network
 
-    def set_paths(self, span: float, path: FloatArray) -> None:
+    def set_constraint_paths(self, span: float, path: FloatArray) -> None:
         """Replace the paths of pins and targets over a span [s].
 
         ``path`` has positions of all particles at even times ``(K, N, 3)`` [m], between
@@ -206,8 +208,8 @@ class SpringSystem(SecondOrder):
             for particles in (self.pinned, self.target_springs.particles)
         )
         self.particle_path = span, path
-        has_same_knots = np.array_equal(self._paths[0][0], knots)
-        self._paths, stage = (pins, targets), self._cached_stage
+        has_same_knots = np.array_equal(self._constraint_paths[0][0], knots)
+        self._constraint_paths, stage = (pins, targets), self._cached_stage
         self._cached_stage = None
         if stage is not None and has_same_knots:
             stage.network.set_paths(pins[1], targets[1])
@@ -219,21 +221,23 @@ class SpringSystem(SecondOrder):
         if stage is None or stage.number != number:
             has_teleports = len(self.teleports) > 0
             pins, targets = (
-                self.teleports.paths(number) if has_teleports else self._paths
+                self.teleports.stage_paths(number)
+                if has_teleports
+                else self._constraint_paths
             )
             knots, paths = resample_to_shared_times([pins, targets, self._wind_path])
-            network = self._network(Paths(knots, *paths))
+            network = self._network(PrescribedMotion(knots, *paths))
             stage = self._cached_stage = _Stage(number, pins, targets, network)
         return stage
 
-    def _network(self, paths: Paths) -> _kernels.SpringNetwork:
+    def _network(self, prescribed: PrescribedMotion) -> _kernels.SpringNetwork:
         """Return the kernel network over paths, with springs in kernel order."""
         springs = self.body.springs.select(self.spring_order)
-        return replace(self.forces, springs=springs).network(paths)
+        return replace(self.forces, springs=springs).network(prescribed)
 
     def cell_network(
         self, stage: int, t0: float, t1: float
-    ) -> tuple[_kernels.SpringNetwork, Paths]:
+    ) -> tuple[_kernels.SpringNetwork, PrescribedMotion]:
         """Return the kernel network of a cell and its paths between two times [s].
 
         The paths have a knot at both ends of the cell, and at all knots between them.
@@ -245,8 +249,8 @@ class SpringSystem(SecondOrder):
         knots = np.concatenate([[t0], inner, [t1]])
         times = knots.tolist()
         positions = (np.array([position_at(path, t) for t in times]) for path in paths)
-        cell_paths = Paths(knots, *positions)
-        return self._network(cell_paths), cell_paths
+        cell_motion = PrescribedMotion(knots, *positions)
+        return self._network(cell_motion), cell_motion
 
     def has_faces(self, particles: IntArray) -> bool:
         """Return whether any of the particles is a corner of a colliding face."""
@@ -302,11 +306,11 @@ class SpringSystem(SecondOrder):
         return _kernels.spring_order(self.body.springs.ends, count)
 
     @cached_property
-    def untorn_flags(self) -> Flags:
+    def untorn_flags(self) -> TornFlags:
         """Flags of intact springs, in kernel order ``(S,)``."""
         return np.zeros(len(self.body.springs.rest), np.uint8)
 
-    def torn(self, flags: Flags) -> BoolArray:
+    def torn(self, flags: TornFlags) -> BoolArray:
         """Return torn flags in body order ``(S,)``, from those in kernel order."""
         torn = np.zeros(len(flags), np.bool_)
         torn[self.spring_order] = flags.astype(np.bool_)
@@ -315,13 +319,13 @@ class SpringSystem(SecondOrder):
     @cached_property
     def inverse_masses(self) -> FloatArray:
         """Inverse masses ``(N,)`` [1/kg], 0 for pinned particles."""
-        masses = np.where(self.fixed, 1.0, self.body.masses)
-        return np.where(self.fixed, 0.0, 1.0 / masses)
+        masses = np.where(self.is_pinned, 1.0, self.body.masses)
+        return np.where(self.is_pinned, 0.0, 1.0 / masses)
 
     @cached_property
     def free_masses(self) -> FloatArray:
         """Masses ``(N,)`` [kg], 0 for pinned particles."""
-        return np.where(self.fixed, 0.0, self.body.masses)
+        return np.where(self.is_pinned, 0.0, self.body.masses)
 
     @cached_property
     def drags(self) -> FloatArray:
@@ -426,9 +430,11 @@ class SpringSystem(SecondOrder):
     @cached_property
     def _supply(self) -> tuple[float, float, float]:
         """Moving mass, squared speed from wind and gravity, and speed of paths."""
-        mass = float(self.body.masses[~self.fixed].sum())
+        mass = float(self.body.masses[~self.is_pinned].sum())
         wind_speed = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
-        speeds, travels = zip(*map(max_speed_and_travel, self._paths), strict=True)
+        speeds, travels = zip(
+            *map(max_speed_and_travel, self._constraint_paths), strict=True
+        )
         gravity = float(np.linalg.norm(self.gravity))
         supplied = wind_speed**2 + gravity * max(travels)
         # Teleports supply no speed.

@@ -94,7 +94,7 @@ class SpringView:
         torn = self.torn(state)
         if self._measured_surface is None or torn.any():
             self._measured_surface = _surface_to_measure(
-                shape, system.fixed[self.rows], body, torn, has_self_contact
+                shape, system.is_pinned[self.rows], body, torn, has_self_contact
             )
         solids = closed_surfaces(colliders, t)
         depths = collider_depths(colliders, points, t)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from animtool.rig.skeleton import Joint, Rig
 from animtool.systems.attach.bodies import _bone_end, _main_joint
-from animtool.systems.attach.network import Network
+from animtool.systems.attach.mass_spring import MassSpringNetwork
 
 JOINTS = (
     Joint("head", -1, translation=(0.0, 1.6, 0.0)),
@@ -45,6 +45,6 @@ def test_what_is_held_goes_with_the_joint_of_most_of_its_weight(
     )
     surface: Any = SimpleNamespace(skin=skin)
     points = np.eye(4, 3)
-    network = Network(points, np.array(held, np.int64), np.array([[0, 1]]))
+    network = MassSpringNetwork(points, np.array(held, np.int64), np.array([[0, 1]]))
     assert _main_joint(Rig("tail", JOINTS), surface, network) == carrier
     assert _main_joint(Rig("tail", JOINTS), SimpleNamespace(skin=None), network) == 0

@@ -129,7 +129,7 @@ def test_energy_is_told_where_nothing_takes_or_brings_any() -> None:
         energy = own.diagnostics(own.initial(), 0.0).energy
         assert (None if energy is None else energy.kinetic) == kinetic
     nobody = simulation(Emitter(rate=1.0)).diagnostics(own.initial(), 0.0)
-    assert [fault.code for fault in nobody.if_empty] == ["SIM188"]
+    assert [fault.code for fault in nobody.notices_if_empty] == ["SIM188"]
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_kill_regions_around_the_emitters(
 ) -> None:
     kill = KillRegion(Collider(shape, container=container))
     own = simulation(Emitter(rate=1.0), kills=[kill])
-    (notice,) = own.diagnostics(own.initial(), 9.0).if_empty
+    (notice,) = own.diagnostics(own.initial(), 9.0).notices_if_empty
     assert (notice.code, notice.where) == ("SIM188", words and "kill[0]")
     assert words is None or words in str(notice.hint)
 

@@ -18,8 +18,8 @@ from animtool.systems.springs import (
 )
 from animtool.systems.springs.solvers import (
     CELL,
-    CHEAP_TIME,
     INITIAL_SUBSTEPS,
+    NEGLIGIBLE_TIME,
     STEP_COSTS,
     STEP_SAFETY_FACTOR,
     SolverChoice,
@@ -63,7 +63,7 @@ def times(system: SpringSystem) -> tuple[float, float]:
 def test_the_time_that_is_expected_decides(size: int, stiffness: float) -> None:
     system = cloth(size, stiffness)
     explicit, implicit = times(system)
-    quick = explicit <= max(CHEAP_TIME, implicit)
+    quick = explicit <= max(NEGLIGIBLE_TIME, implicit)
     wanted = Solver.SYMPLECTIC_EULER if quick else Solver.BDF2
     assert chosen(system).solver is wanted
 

@@ -31,16 +31,16 @@ def _no_rows(columns: int) -> IntArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Network:
+class MassSpringNetwork:
     """The particles of an attachment at bind time, and the springs between them."""
 
     points: FloatArray  # bind positions ``(N, 3)`` [m]
     pinned: IntArray  # points that follow the animation ``(P,)``, ascending
-    sides: IntArray  # ends of structural springs, along edges ``(L, 2)``
+    structural: IntArray  # ends of structural springs, along edges ``(L, 2)``
     # Ends of springs along face diagonals, against shear ``(L, 2)``.
-    diagonals: IntArray = field(default_factory=lambda: _no_rows(2))
+    shear: IntArray = field(default_factory=lambda: _no_rows(2))
     # Ends of springs across edges, against bending ``(L, 2)``.
-    bends: IntArray = field(default_factory=lambda: _no_rows(2))
+    bend: IntArray = field(default_factory=lambda: _no_rows(2))
     # Corners of surface triangles ``(T, 3)``.
     triangles: IntArray = field(default_factory=lambda: _no_rows(3))
     # Number of strands with equally many particles, stored one after the other from
@@ -65,7 +65,7 @@ class Network:
     @property
     def rests(self) -> FloatArray:
         """Rest lengths of structural springs ``(L,)`` [m]."""
-        return self.lengths(self.sides)
+        return self.lengths(self.structural)
 
     def lengths(self, ends: IntArray) -> FloatArray:
         """Return rest lengths of springs by their ends ``(L, 2)`` [m]."""
@@ -89,9 +89,9 @@ class Network:
     def body(self, diagonals: float, bends: float) -> Body:
         """Return the spring body, with shear and bend frequencies [Hz]."""
         families = (
-            (self.sides, RIGID_FREQUENCY / (2 * math.pi)),
-            (self.diagonals, diagonals),
-            (self.bends, bends),
+            (self.structural, RIGID_FREQUENCY / (2 * math.pi)),
+            (self.shear, diagonals),
+            (self.bend, bends),
         )
         springs = [
             (ends[~self.is_pinned[ends].all(axis=1)], Family(frequency=frequency))
@@ -102,52 +102,56 @@ class Network:
         return build_body(points, self.masses, springs, self.triangles, strands)
 
 
-def max_pin_hops(network: Network) -> int:
+def max_pin_hops(network: MassSpringNetwork) -> int:
     """Return the largest number of springs from a pinned particle to any other.
 
     Without pinned particles, springs are counted from the first particle.
 
-    >>> max_pin_hops(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
+    >>> line = np.array([[0, 1], [1, 2]])
+    >>> max_pin_hops(MassSpringNetwork(np.eye(3), np.array([0]), line))
     2
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
     count, starts = network.count, network.pinned if len(network.pinned) else [0]
-    graph = coo_array((np.ones(len(network.sides)), network.sides.T), (count, count))
+    graph = coo_array(
+        (np.ones(len(network.structural)), network.structural.T), (count, count)
+    )
     hops = dijkstra(
         graph, directed=False, indices=starts, unweighted=True, min_only=True
     )
     return int(hops[np.isfinite(hops)].max(initial=0.0))
 
 
-def median_edge_length(network: Network) -> float:
+def median_edge_length(network: MassSpringNetwork) -> float:
     """Return the median length of structural springs [m]; 0 without any."""
     rests = network.rests
     return float(np.median(rests[rests > 0])) if rests.any() else 0.0
 
 
-def coincident_link_count(network: Network, points: FloatArray) -> int:
+def coincident_link_count(network: MassSpringNetwork, points: FloatArray) -> int:
     """Return the number of springs whose ends coincide at points ``(N, 3)``.
 
     Springs of rest length 0 do not count, unless all have it.
 
     >>> line = np.array([[0, 1], [1, 2]])
-    >>> network = Network(np.eye(3), np.array([0]), line)
+    >>> network = MassSpringNetwork(np.eye(3), np.array([0]), line)
     >>> coincident_link_count(network, np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]]))
     1
     """
-    i, j = network.sides.T
+    i, j = network.structural.T
     is_coincident = (points[i] == points[j]).all(axis=1)
     rests = network.rests
     return int((is_coincident & ((rests > 0) | ~rests.any())).sum())
 
 
-def surface_defects(network: Network) -> list[str]:
+def surface_defects(network: MassSpringNetwork) -> list[str]:
     """Return defects of a surface as text: degenerate triangles, shared edges.
 
     >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
-    >>> network = Network(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
+    >>> points, pinned = np.eye(5, 3), np.array([0])
+    >>> network = MassSpringNetwork(points, pinned, fan[:, :2], triangles=fan)
     >>> surface_defects(network)
     ['1 edge of more than two triangles']
     """
@@ -167,13 +171,13 @@ def surface_defects(network: Network) -> list[str]:
     return defects
 
 
-def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
+def hinge_pairs(counts: IntArray, indices: IntArray) -> IntArray:
     """Return pairs of points for bend springs across shared edges ``(L, 2)``.
 
     For two triangles these are the opposite corners, for two quadrangles the neighbours
     of both ends. An edge of three faces bends between each two of them.
 
-    >>> fold_pairs(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
+    >>> hinge_pairs(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]
     """
     starts = np.cumsum(counts) - counts

@@ -30,7 +30,7 @@ class BodyCarrier:
     where: str = field(default="", compare=False)  # location in the scene entry
 
 
-class TiedBodies(BodyColliders):
+class CarrierBodies(BodyColliders):
     """Rigid bodies of a simulation run that carry particles.
 
     Attributes:
@@ -107,14 +107,14 @@ class TiedBodies(BodyColliders):
         delayed = scale_wrench(wrenches.delayed, fraction**2)
         return self.system.pushed(state, Wrenches(impulses, delayed))
 
-    def step_over(self, t0: float, t1: float) -> TiedStep:
+    def step_over(self, t0: float, t1: float) -> CarrierStep:
         """Return the bodies over a step [s], without pulls."""
         start_state, _ = self._run.past_state(t0, with_pushes=True)
         end_state, _ = self._run.past_state(t1)
-        return TiedStep(self.system, start_state, end_state, t0, t1)
+        return CarrierStep(self.system, start_state, end_state, t0, t1)
 
 
-class TiedStep:
+class CarrierStep:
     """Rigid bodies over a step, pulled by particles."""
 
     def __init__(
@@ -141,10 +141,10 @@ class TiedStep:
         spins = self._simulation.body_velocities(self.start_state)[self.is_free, 3:]
         return self.duration * float(np.linalg.norm(spins, axis=1).max(initial=0.0))
 
-    def subcell(self, state: Any, t: float, dt: float) -> TiedStep:
+    def subcell(self, state: Any, t: float, dt: float) -> CarrierStep:
         """Return the bodies over a part ``dt`` [s] of the step, from a given state."""
         end_state = self._simulation.step(state, t, dt)
-        return TiedStep(self._simulation, state, end_state, t, t + dt)
+        return CarrierStep(self._simulation, state, end_state, t, t + dt)
 
     def push_to(self, state: Any) -> Wrenches:
         """Return the impulses that change the step's end state to a given state."""

@@ -18,7 +18,7 @@ from animtool.systems.springs.body import Body
 from animtool.systems.springs.motion import TimeGrid
 
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
-Path: TypeAlias = tuple[FloatArray, FloatArray]
+TimedPositions: TypeAlias = tuple[FloatArray, FloatArray]
 
 # Rounding tolerance for a teleport at the end of a step [s].
 TIME_TOLERANCE = 1e-9
@@ -67,7 +67,7 @@ Constraint = TypeVar("Constraint", Pins, PointTargets)
 
 
 def resample_to_shared_times(
-    paths: Sequence[Path],
+    paths: Sequence[TimedPositions],
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Resample paths to the union of their times.
 
@@ -105,14 +105,14 @@ def merge_constraints(
     return kind(positions=positions, times=times, **columns)
 
 
-def _merge_paths(paths: Sequence[Path]) -> Path:
+def _merge_paths(paths: Sequence[TimedPositions]) -> TimedPositions:
     """Concatenate paths along their particles, over shared times."""
     knots, resampled = resample_to_shared_times(paths)
     rows = [np.broadcast_to(path, (len(knots), *path.shape[1:])) for path in resampled]
     return knots, np.concatenate(rows, axis=1)
 
 
-def position_at(path: Path, t: float) -> FloatArray:
+def position_at(path: TimedPositions, t: float) -> FloatArray:
     """Return positions on a path at a time ``(P, 3)`` [m]."""
     times, positions = path
     row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
@@ -123,7 +123,7 @@ def position_at(path: Path, t: float) -> FloatArray:
     return position
 
 
-def max_speed_and_travel(path: Path) -> tuple[float, float]:
+def max_speed_and_travel(path: TimedPositions) -> tuple[float, float]:
     """Return the maximum speed of a path [m/s] and distance from its start [m]."""
     times, positions = path
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
@@ -154,7 +154,7 @@ class Teleports:
         self,
         body: Body,
         driven_particles: IntArray,
-        paths: tuple[Path, Path],
+        paths: tuple[TimedPositions, TimedPositions],
         limit: float,
     ) -> None:
         self._driven_particles, self._limit = driven_particles, limit
@@ -193,7 +193,7 @@ class Teleports:
         cells = (cell for cell in self._cells_until_teleports(grid) if cell > 0)
         return min(cells, default=math.inf)
 
-    def paths(self, stage: int) -> list[Path]:
+    def stage_paths(self, stage: int) -> list[TimedPositions]:
         """Return times and positions of pins, and of targets, in a stage."""
         first_knots = np.zeros(len(self._driven_particles), np.int64)
         last_knots = np.full(len(self._driven_particles), len(self._knots) - 1)

@@ -17,13 +17,17 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.framework.tied import TiedBodies, TiedStep, local_to_world
+from animtool.systems.framework.body_carriers import (
+    CarrierBodies,
+    CarrierStep,
+    local_to_world,
+)
 from animtool.systems.springs.motion import TimeGrid
 
 # Finite difference step of body positions, in mean spring lengths [1].
 DIFFERENCE_STEP = 1e-6
 # Largest correction of a converged solution, in the same unit [1].
-CONVERGED = 1e-10
+CONVERGENCE_TOLERANCE = 1e-10
 # Smallest correction that rebuilds the Jacobian, in the same unit [1].
 MIN_REBUILD_CORRECTION = 1e-7
 # Largest accepted correction at the end, in the same unit [1].
@@ -35,22 +39,22 @@ MAX_HALVINGS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tie:
+class BodyAttachment:
     """Particles carried by a rigid body."""
 
     columns: IntArray  # indices among the pinned particles ``(P,)``
-    carrier: int  # index of the rigid system in `BodyTies.carriers`
+    carrier: int  # index of the rigid system in `BodyCoupling.carriers`
     body: int  # index of the body in that system
     local_points: FloatArray  # positions in the frame of the body ``(P, 3)`` [m]
     masses: FloatArray  # masses of the particles, added to the body ``(P,)`` [kg]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyTies:
+class BodyCoupling:
     """Rigid bodies of other systems that carry pinned particles."""
 
-    carriers: Sequence[TiedBodies]
-    ties: Sequence[Tie]
+    carriers: Sequence[CarrierBodies]
+    attachments: Sequence[BodyAttachment]
     gravity: FloatArray  # ``(3,)`` [m/s²]
     spring_length: float  # mean rest length of the springs [m]
 
@@ -58,16 +62,18 @@ class BodyTies:
     def lightest(self) -> tuple[str, float] | None:
         """Name and mass [kg] of the lightest dynamic body; None without one."""
         masses = []
-        for tie in self.ties:
-            system = self.carriers[tie.carrier].system.shared
-            rows = np.flatnonzero(system.dynamic == tie.body)
-            mass = float(self.carriers[tie.carrier].masses[rows].min(initial=np.inf))
-            masses.append((mass, system.names[tie.body]))
+        for attachment in self.attachments:
+            system = self.carriers[attachment.carrier].system.shared
+            rows = np.flatnonzero(system.dynamic == attachment.body)
+            mass = float(
+                self.carriers[attachment.carrier].masses[rows].min(initial=np.inf)
+            )
+            masses.append((mass, system.names[attachment.body]))
         mass, name = min(masses)
         return None if mass == np.inf else (name, mass)
 
 
-class PulledSprings(NamedTuple):
+class CoupledSprings(NamedTuple):
     """Springs after a cell."""
 
     grid: TimeGrid
@@ -75,19 +81,19 @@ class PulledSprings(NamedTuple):
     pulls: FloatArray
 
 
-class _TrialPull(NamedTuple):
+class _CellTrial(NamedTuple):
     """Result of a coupled cell for given velocity changes of the bodies."""
 
-    springs: PulledSprings
+    springs: CoupledSprings
     residuals: FloatArray  # residual velocities ``(6 U,)``
     wrenches: list[Wrenches]  # impulses on bodies, by system
 
 
 # Advances springs, given start and end positions of the carried particles.
-SolveSprings = Callable[[FloatArray, FloatArray], PulledSprings]
+SolveSprings = Callable[[FloatArray, FloatArray], CoupledSprings]
 
 
-class TiedSolution(NamedTuple):
+class CoupledSolution(NamedTuple):
     """Solution of a coupled cell."""
 
     grid: TimeGrid  # springs after the cell
@@ -101,28 +107,30 @@ class _SolvedBody(NamedTuple):
 
     carrier: int
     dynamic_index: int  # index among the dynamic bodies
-    ties: Sequence[int]  # indices of the ties of this body
+    attachments: Sequence[int]  # indices of the attachments of this body
     mass: float
     inertia: FloatArray  # world inertia about the centre of mass ``(3, 3)`` [kg m²]
     inverse_inertia: FloatArray  # inverse inertia, 0 about locked axes
     radius: float  # largest distance from the centre to carried particles [m]
 
 
-def _newton_correction(jacobian: FloatArray, trial: _TrialPull) -> FloatArray:
+def _newton_correction(jacobian: FloatArray, trial: _CellTrial) -> FloatArray:
     """Return the Newton correction of velocity changes ``(6 U,)``."""
     correction = np.linalg.lstsq(jacobian, trial.residuals, rcond=None)[0]
     return np.asarray(-correction, np.float64)
 
 
-class TiedCell:
+class CoupledCell:
     """Solves a cell of springs together with the bodies that carry its pins."""
 
-    def __init__(self, ties: BodyTies, steps: Sequence[TiedStep]) -> None:
-        self._ties, self._steps, self._h = ties, steps, steps[0].duration
+    def __init__(self, coupling: BodyCoupling, steps: Sequence[CarrierStep]) -> None:
+        self._coupling, self._steps, self._h = coupling, steps, steps[0].duration
         poses = [step.start_poses for step in steps]
         self._positions = [
-            local_to_world(poses[tie.carrier][tie.body], tie.local_points)
-            for tie in ties.ties
+            local_to_world(
+                poses[attachment.carrier][attachment.body], attachment.local_points
+            )
+            for attachment in coupling.attachments
         ]
         self._solved_bodies = list(self._bodies())
         # Velocities of carried particles at the start, by body.
@@ -131,31 +139,33 @@ class TiedCell:
                 k: self._steps[body.carrier].start_velocities(
                     body.dynamic_index, self._positions[k]
                 )
-                for k in body.ties
+                for k in body.attachments
             }
             for body in self._solved_bodies
         ]
 
     def _bodies(self) -> Any:
         """Yield the dynamic bodies that carry particles."""
-        carriers = self._ties.carriers
+        carriers = self._coupling.carriers
         for k, step in enumerate(self._steps):
             dynamic = carriers[k].system.shared.dynamic
             for index, body in enumerate(dynamic.tolist()):
-                ties = self._ties.ties
-                tie_numbers = [
-                    i for i, t in enumerate(ties) if (t.carrier, t.body) == (k, body)
+                attachments = self._coupling.attachments
+                indices = [
+                    i
+                    for i, attachment in enumerate(attachments)
+                    if (attachment.carrier, attachment.body) == (k, body)
                 ]
-                if not tie_numbers or not step.is_free[index]:
+                if not indices or not step.is_free[index]:
                     continue
                 centre, inverse_inertia = (rows[index] for rows in step.inertias)
-                points = np.concatenate([self._positions[i] for i in tie_numbers])
+                points = np.concatenate([self._positions[i] for i in indices])
                 radius = float(np.linalg.norm(points - centre, axis=1).max())
                 mass = float(carriers[k].masses[index])
                 inertia = np.linalg.pinv(inverse_inertia, hermitian=True)
-                radius = max(radius, self._ties.spring_length)
+                radius = max(radius, self._coupling.spring_length)
                 yield _SolvedBody(
-                    k, index, tie_numbers, mass, inertia, inverse_inertia, radius
+                    k, index, indices, mass, inertia, inverse_inertia, radius
                 )
 
     @property
@@ -166,7 +176,7 @@ class TiedCell:
 
     def solve(
         self, solve_springs: SolveSprings, warm_start: FloatArray | None
-    ) -> TiedSolution:
+    ) -> CoupledSolution:
         """Solve the coupled cell by Newton's method; return springs and body impulses.
 
         ``warm_start`` is the Jacobian and solution of the last cell.
@@ -174,15 +184,15 @@ class TiedCell:
         count = 6 * len(self._solved_bodies)
         if not count:
             current = self._trial(np.zeros(0), solve_springs)
-            return TiedSolution(current.springs.grid, tuple(current.wrenches), None)
+            return CoupledSolution(current.springs.grid, tuple(current.wrenches), None)
         y, jacobian = np.zeros(count), None
         if warm_start is not None and warm_start.shape == (count, count + 1):
             y, jacobian = warm_start[:, -1].copy(), warm_start[:, :-1]
         current = self._trial(y, solve_springs)
-        spring_length, scale, is_rebuilt = self._ties.spring_length, self._scale, False
-        displacement = np.inf
+        spring_length, scale = self._coupling.spring_length, self._scale
+        displacement, is_rebuilt = np.inf, False
         for _ in range(MAX_CORRECTIONS):
-            if current.springs.grid.lost:
+            if current.springs.grid.unsolved:
                 break
             if jacobian is None:
                 steps = DIFFERENCE_STEP * spring_length / scale
@@ -190,7 +200,7 @@ class TiedCell:
                 is_rebuilt = True
             change = _newton_correction(jacobian, current)
             displacement = float(np.abs(change * scale).max())
-            if displacement <= CONVERGED * spring_length:
+            if displacement <= CONVERGENCE_TOLERANCE * spring_length:
                 break
             fraction, next_size, next_trial = self._line_search(
                 y, change, jacobian, solve_springs
@@ -211,15 +221,15 @@ class TiedCell:
             jacobian = jacobian + np.outer(gap, change) / float(change @ change)
             is_rebuilt = False
         grid = current.springs.grid
-        is_lost = grid.lost or not displacement <= MAX_RESIDUAL * spring_length
+        is_unsolved = grid.unsolved or not displacement <= MAX_RESIDUAL * spring_length
         next_warm_start = None if jacobian is None else np.column_stack([jacobian, y])
-        grid = replace(grid, lost=is_lost)
-        return TiedSolution(grid, tuple(current.wrenches), next_warm_start)
+        grid = replace(grid, unsolved=is_unsolved)
+        return CoupledSolution(grid, tuple(current.wrenches), next_warm_start)
 
     def _jacobian(
         self,
         y: FloatArray,
-        current: _TrialPull,
+        current: _CellTrial,
         steps: FloatArray,
         solve_springs: SolveSprings,
     ) -> FloatArray:
@@ -238,28 +248,29 @@ class TiedCell:
         change: FloatArray,
         jacobian: FloatArray,
         solve_springs: SolveSprings,
-    ) -> tuple[float, float, _TrialPull | None]:
+    ) -> tuple[float, float, _CellTrial | None]:
         """Return the accepted fraction of a Newton correction, and the result there.
 
         Also returns the size of the next simplified correction [m], which must decrease
         (P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, 3.3).
         """
-        spring_length, scale, fraction = self._ties.spring_length, self._scale, 1.0
+        spring_length, scale = self._coupling.spring_length, self._scale
+        fraction = 1.0
         displacement = float(np.abs(change * scale).max())
         for _ in range(MAX_HALVINGS):
             trial = self._trial(y + fraction * change, solve_springs)
-            if not trial.springs.grid.lost and np.isfinite(trial.residuals).all():
+            if not trial.springs.grid.unsolved and np.isfinite(trial.residuals).all():
                 next_change = _newton_correction(jacobian, trial)
                 next_size = float(np.abs(next_change * scale).max())
                 limit = (1 - fraction / 4) * displacement
-                if next_size <= max(limit, CONVERGED * spring_length):
+                if next_size <= max(limit, CONVERGENCE_TOLERANCE * spring_length):
                     return fraction, next_size, trial
             fraction /= 2
         return fraction, np.inf, None
 
-    def _trial(self, y: FloatArray, solve_springs: SolveSprings) -> _TrialPull:
+    def _trial(self, y: FloatArray, solve_springs: SolveSprings) -> _CellTrial:
         """Return residuals and springs at velocity changes ``(6 U,)`` of bodies."""
-        pulls = [np.zeros((carrier.count, 6)) for carrier in self._ties.carriers]
+        pulls = [np.zeros((carrier.count, 6)) for carrier in self._coupling.carriers]
         for body, velocity in zip(self._solved_bodies, y.reshape(-1, 6), strict=True):
             row = pulls[body.carrier][body.dynamic_index]
             row[:3], row[3:] = body.mass * velocity[:3], body.inertia @ velocity[3:]
@@ -268,8 +279,10 @@ class TiedCell:
             for step, rows in zip(self._steps, pulls, strict=True)
         ]
         end_points = [
-            local_to_world(ends[tie.carrier][1][tie.body], tie.local_points)
-            for tie in self._ties.ties
+            local_to_world(
+                ends[attachment.carrier][1][attachment.body], attachment.local_points
+            )
+            for attachment in self._coupling.attachments
         ]
         begins = np.concatenate(self._positions)
         springs = solve_springs(begins, np.concatenate(end_points))
@@ -285,7 +298,7 @@ class TiedCell:
             totals[body.carrier][body.dynamic_index] = *pull[:3], *moment
         pulled_steps = zip(self._steps, totals, strict=True)
         wrenches = [step.wrenches(total) for step, total in pulled_steps]
-        return _TrialPull(springs, np.array(residuals).reshape(-1), wrenches)
+        return _CellTrial(springs, np.array(residuals).reshape(-1), wrenches)
 
     def _pull(
         self, index: int, end: Any, end_points: Sequence[FloatArray], pulls: FloatArray
@@ -296,12 +309,13 @@ class TiedCell:
         """
         body, total = self._solved_bodies[index], np.zeros(6)
         step = self._steps[body.carrier]
-        for k in body.ties:
-            tie, x0, x1 = self._ties.ties[k], self._positions[k], end_points[k]
-            total += pulls[tie.columns].sum(axis=0)
-            mass, v0 = tie.masses[:, None], self._start_velocities[index][k]
+        for k in body.attachments:
+            attachment = self._coupling.attachments[k]
+            x0, x1 = self._positions[k], end_points[k]
+            total += pulls[attachment.columns].sum(axis=0)
+            mass, v0 = attachment.masses[:, None], self._start_velocities[index][k]
             v1 = step.point_velocities(end, body.dynamic_index, x1)
-            inertial = mass * (self._h * self._ties.gravity - (v1 - v0))
+            inertial = mass * (self._h * self._coupling.gravity - (v1 - v0))
             total[:3] += inertial.sum(axis=0)
             total[3:] += so3.cross((x0 + x1) / 2, inertial).sum(axis=0)
         return total

@@ -71,9 +71,9 @@ class Tied:
         simulation, reached = self.rigid.simulation, self.rigid.run.apply_pushes().state
         system = self.tow.run.simulation.system
         x, v = self.tow.run.state.state.motion.copy()
-        for tie in system.ties.ties:
-            own = system.pinned[tie.columns]
-            (n,) = np.flatnonzero(simulation.shared.dynamic == tie.body)
+        for attachment in system.coupling.attachments:
+            own = system.pinned[attachment.columns]
+            (n,) = np.flatnonzero(simulation.shared.dynamic == attachment.body)
             speeds, centre = (
                 simulation.body_velocities(reached)[n],
                 reached.motion[n, :3],

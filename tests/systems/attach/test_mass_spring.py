@@ -6,10 +6,10 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from animtool.maths.faces import edges
-from animtool.systems.attach.network import (
+from animtool.systems.attach.mass_spring import (
     RIGID_FREQUENCY,
-    Network,
-    fold_pairs,
+    MassSpringNetwork,
+    hinge_pairs,
     max_pin_hops,
 )
 from animtool.systems.springs.shapes import face_diagonals
@@ -28,11 +28,11 @@ def grid(size: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
 def test_springs_of_a_grid() -> None:
     size = 5
     points, faces = grid(size)
-    sides = Network(points, np.array([0]), edges(*faces))
+    sides = MassSpringNetwork(points, np.array([0]), edges(*faces))
     assert len(sides.rests) == 2 * size * (size - 1)
     assert_allclose(sides.rests, 1.0)
     assert len(face_diagonals(*faces)) == 2 * (size - 1) ** 2
-    folds = Network(points, np.array([0]), fold_pairs(*faces))
+    folds = MassSpringNetwork(points, np.array([0]), hinge_pairs(*faces))
     assert_allclose(folds.rests, 2.0)
     assert len(folds.rests) == 2 * size * (size - 2)
 
@@ -40,16 +40,16 @@ def test_springs_of_a_grid() -> None:
 def test_the_farthest_particle() -> None:
     points, faces = grid(4)
     sides = edges(*faces)
-    assert max_pin_hops(Network(points, np.array([0]), sides)) == 6
-    assert max_pin_hops(Network(points, np.arange(4), sides)) == 3
-    assert max_pin_hops(Network(points, np.array([], np.int64), sides)) == 6
+    assert max_pin_hops(MassSpringNetwork(points, np.array([0]), sides)) == 6
+    assert max_pin_hops(MassSpringNetwork(points, np.arange(4), sides)) == 3
+    assert max_pin_hops(MassSpringNetwork(points, np.array([], np.int64), sides)) == 6
 
 
 def test_another_size() -> None:
     points, faces = grid(3)
-    network = Network(2.5 * points, np.array([0]), edges(*faces))
+    network = MassSpringNetwork(2.5 * points, np.array([0]), edges(*faces))
     assert_allclose(network.rests, 2.5)
     springs = network.body(20.0, 0.0).springs
     assert_allclose(springs.rest, 2.5)
-    assert len(springs.rest) == len(network.sides)
+    assert len(springs.rest) == len(network.structural)
     assert_allclose(springs.stiffness, RIGID_FREQUENCY**2 * network.masses[0])

@@ -10,13 +10,13 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.sim.system import Matrix
-from animtool.systems.springs.body import Paths, SpringForces, Springs
+from animtool.systems.springs.body import PrescribedMotion, SpringForces, Springs
 
 # Finite difference step of air forces, relative to lengths or speeds [1].
 DIFFERENCE_STEP = 1e-5
 # Derivative blocks of forces: row and column particles ``(B,)``, by positions and by
 # velocities ``(B, 3, 3)``.
-_Blocks: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray]
+_JacobianBlocks: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 def mode_bounds(forces: SpringForces) -> FloatArray | None:
@@ -83,7 +83,7 @@ def _blocks(
     wind: FloatArray,
     x: FloatArray,
     v: FloatArray,
-) -> Iterator[_Blocks]:
+) -> Iterator[_JacobianBlocks]:
     """Yield Jacobian blocks of springs, targets, drag and air."""
     eye, particles = np.eye(3), np.arange(len(x))
     yield from _spring_blocks(forces.springs, x, v)
@@ -96,7 +96,9 @@ def _blocks(
         yield from _air_blocks(forces, wind, x, v)
 
 
-def _spring_blocks(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_Blocks]:
+def _spring_blocks(
+    springs: Springs, x: FloatArray, v: FloatArray
+) -> Iterator[_JacobianBlocks]:
     """Yield Jacobian blocks of springs."""
     first, second = springs.ends.T
     d, e = x[second] - x[first], v[second] - v[first]
@@ -120,16 +122,16 @@ def _spring_blocks(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_
 
 def _air_blocks(
     forces: SpringForces, wind: FloatArray, x: FloatArray, v: FloatArray
-) -> Iterator[_Blocks]:
+) -> Iterator[_JacobianBlocks]:
     """Yield Jacobian blocks of air forces, by finite differences."""
-    triangles, no_paths = forces.triangles, np.zeros((1, 0, 3))
+    triangles, no_positions = forces.triangles, np.zeros((1, 0, 3))
     unit_masses, no_drags = np.ones(triangles.size), np.zeros(triangles.size)
     faces, air = np.arange(triangles.size).reshape(-1, 3), forces.air_coefficients
     separate_forces = SpringForces(
         unit_masses, no_drags, Springs.none(), faces, np.zeros(3), air
     )
-    paths = Paths(np.zeros(1), no_paths, no_paths, wind[None])
-    network = separate_forces.network(paths)
+    prescribed = PrescribedMotion(np.zeros(1), no_positions, no_positions, wind[None])
+    network = separate_forces.network(prescribed)
     state = np.stack([x[triangles.ravel()], v[triangles.ravel()]])
     for column in range(3):
         derivatives = [

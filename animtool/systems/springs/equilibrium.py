@@ -157,7 +157,7 @@ class _Configuration:
     def __init__(self, system: SpringSystem, x: FloatArray) -> None:
         self._system, self.x = system, x
         self._zero_velocities = np.zeros_like(x)
-        self._free = np.flatnonzero(~system.fixed)
+        self._free = np.flatnonzero(~system.is_pinned)
         self._masses = system.free_masses
         self.energy = system.energy(0.0, np.array((x, self._zero_velocities))).potential
         accelerations = system.acceleration(0.0, x, self._zero_velocities)
