@@ -16,9 +16,9 @@ from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, strands_of, surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
-from animtool.systems.attach.mass_spring import MassSpringNetwork, hinge_pairs
+from animtool.systems.attach.mass_spring import MassSpringNetwork
 from animtool.systems.attach.poses import PoseSamples
-from animtool.systems.springs.shapes import face_diagonals
+from animtool.systems.springs.shapes import face_diagonals, grid_pairs, hinge_pairs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +116,7 @@ def _build_chain(rig: Rig, entry: Attachment) -> AttachedBody:
     bind = bind_world(rig)
     end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
     points = np.concatenate([bind.positions[0, joints], end[None]])
-    ends = np.stack([np.arange(len(joints)), np.arange(1, len(joints) + 1)], axis=1)
+    ends = grid_pairs(np.arange(len(points)), 1)
     network = MassSpringNetwork(points, np.array([0]), ends, strands=1)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
@@ -162,8 +162,8 @@ def _build_strands(rig: Rig, entry: Attachment) -> AttachedBody:
         strands.points.reshape(-1, 3),
         particles[:, 0],
         # Root to tip over all strands: the order in which springs are solved.
-        np.stack([particles[:, :-1], particles[:, 1:]], axis=-1).reshape(-1, 2),
-        bend=np.stack([particles[:, :-2], particles[:, 2:]], axis=-1).reshape(-1, 2),
+        grid_pairs(particles, 0, 1),
+        bend=grid_pairs(particles, 0, 2),
         strands=count,
     )
     carrier = rig.index(strands.joint)

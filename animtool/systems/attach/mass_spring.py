@@ -10,12 +10,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
-from animtool.maths.faces import (
-    coincident_edges,
-    directed_edges,
-    edge_counts,
-    unique_pairs,
-)
+from animtool.maths.faces import edge_counts
 from animtool.systems.springs.body import Body, build_body
 from animtool.systems.springs.records import Family
 
@@ -169,27 +164,3 @@ def surface_defects(network: MassSpringNetwork) -> list[str]:
         edges = counted(nonmanifold_count, "edge")
         defects.append(f"{edges} of more than two triangles")
     return defects
-
-
-def hinge_pairs(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return pairs of points for bend springs across shared edges ``(L, 2)``.
-
-    For two triangles these are the opposite corners, for two quadrangles the neighbours
-    of both ends. An edge of three faces bends between each two of them.
-
-    >>> hinge_pairs(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
-    [[2, 3]]
-    """
-    starts = np.cumsum(counts) - counts
-    first_corners, sizes = np.repeat([starts, counts], counts, axis=1)
-    corner_offsets = np.arange(len(indices)) - first_corners
-    edge_corners = directed_edges(counts, indices)
-    # Neighbours of the first end of a side, and of the second.
-    neighbours = np.stack(
-        [indices[first_corners + (corner_offsets + k) % sizes] for k in (-1, 2)], axis=1
-    )
-    is_reversed = edge_corners[:, 0] > edge_corners[:, 1]
-    neighbours[is_reversed] = neighbours[is_reversed, ::-1]
-    first_edges, second_edges = coincident_edges(edge_corners)
-    pairs = np.stack([neighbours[first_edges], neighbours[second_edges]], axis=-1)
-    return unique_pairs(pairs.reshape(-1, 2))

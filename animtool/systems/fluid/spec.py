@@ -94,7 +94,7 @@ class FluidSurfaceModel(FileModel):
 class FluidModel(ForcedSpec):
     """A fluid: particles that pressure keeps as dense as at rest."""
 
-    acted_on: ClassVar[Sequence[str]] = ("fills", "emitters", "drains", "forces")
+    counted_keys: ClassVar[Sequence[str]] = ("fills", "emitters", "drains", "forces")
     code: ClassVar[str] = "SIM064"
     quantities: ClassVar[Sequence[str]] = get_args(Quantity)
 

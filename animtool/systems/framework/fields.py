@@ -172,11 +172,11 @@ class CarryingBodyModel(_CarrierModel):
 class RecordModel(FileModel):
     """An entry that is read as a record."""
 
-    makes: ClassVar[str]  # record class as ``module:class``; it checks its values
+    record_path: ClassVar[str]  # record class as ``module:class``; it checks its values
 
     def record(self, parts: Mapping[str, Any]) -> Checked:
         """Return the record built from the values that were read for the keys."""
-        record_class: Any = load_object(self.makes)
+        record_class: Any = load_object(self.record_path)
         record: Checked = record_of(record_class, self, **parts)
         return record
 

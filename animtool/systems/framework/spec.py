@@ -36,7 +36,7 @@ class SystemSpec(FileModel):
         method_key: Key that names the method, if there is one.
         tried: Whether its simulation provides settings for a table (`Tried`).
         components: Keys whose entries `counts` counts.
-        acted_on: Keys whose entries `reads` counts.
+        counted_keys: Keys whose entries `reads` counts.
         code: Code of the faults from `problems`; SIM032 is conflicting options.
         quantities: Choices of its key ``colour``, if it adds one.
     """
@@ -46,7 +46,7 @@ class SystemSpec(FileModel):
     method_key: ClassVar[str] = "method"
     tried: ClassVar[bool] = False
     components: ClassVar[Sequence[str]] = ()
-    acted_on: ClassVar[Sequence[str]] = ("forces",)
+    counted_keys: ClassVar[Sequence[str]] = ("forces",)
     code: ClassVar[str] = "SIM032"
     quantities: ClassVar[Sequence[str]] = ()
 
@@ -83,7 +83,7 @@ class SystemSpec(FileModel):
     @property
     def reads(self) -> list[str]:
         """Numbers of external forces by kind, as text; without colliders."""
-        counts = {name: len(getattr(self, name, ())) for name in self.acted_on}
+        counts = {name: len(getattr(self, name, ())) for name in self.counted_keys}
         return [counted(n, name.removesuffix("s")) for name, n in counts.items() if n]
 
     @property

@@ -116,17 +116,17 @@ class HasCollisionSurface(Protocol):
 DEFAULT_RADIUS = 1e-3
 # Number of cached times: both ends of a step, and some within.
 CACHED_TIMES = 4
-Observed = TypeVar("Observed")
+Sample = TypeVar("Sample")
 
 
-class _RecentSamples(Generic[Observed]):
+class _RecentSamples(Generic[Sample]):
     """Caches the samples at the most recently requested times."""
 
-    def __init__(self, past_state: Callable[[float], Observed]) -> None:
+    def __init__(self, past_state: Callable[[float], Sample]) -> None:
         self._sample = past_state
-        self._samples: dict[float, Observed] = {}
+        self._samples: dict[float, Sample] = {}
 
-    def __call__(self, t: float) -> Observed:
+    def __call__(self, t: float) -> Sample:
         if t not in self._samples:
             while len(self._samples) >= CACHED_TIMES:
                 del self._samples[min(self._samples)]

@@ -90,7 +90,7 @@ class MoleculesModel(PlacementModel, SystemSpec):
         *("symplectic_euler", "velocity_verlet", "position_verlet", "rk4"),
     )
     components: ClassVar[Sequence[str]] = ("species",)
-    acted_on: ClassVar[Sequence[str]] = ("traps",)
+    counted_keys: ClassVar[Sequence[str]] = ("traps",)
     code: ClassVar[str] = "SIM071"
     quantities: ClassVar[Sequence[str]] = (
         *("speed", "temperature", "density", "energy", "species"),

@@ -35,7 +35,7 @@ class EmitterModel(PlacedModel, RecordModel):
     """A source of particles."""
 
     code: ClassVar[str] = "SIM021"
-    makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
+    record_path: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
 
     place: EmitterShapeEntry = key(
         "Emitter shape: `point`, `disc`, `sphere`, `box` or `mesh`.",
@@ -48,7 +48,9 @@ class EmitterModel(PlacedModel, RecordModel):
 class VelocityModel(RecordModel):
     """A velocity field: expressions of x, y, z, t and age."""
 
-    makes: ClassVar[str] = "animtool.systems.particles.velocity_field:VelocityField"
+    record_path: ClassVar[str] = (
+        "animtool.systems.particles.velocity_field:VelocityField"
+    )
 
 
 class ParticlesModel(ForcedSpec):
@@ -56,7 +58,7 @@ class ParticlesModel(ForcedSpec):
 
     methods: ClassVar[Sequence[str] | None] = None
     exact: ClassVar[str] = "rk4"
-    acted_on: ClassVar[Sequence[str]] = ("emitters", "forces")
+    counted_keys: ClassVar[Sequence[str]] = ("emitters", "forces")
 
     name: PrimName = Field(default="particles", examples=["embers"])
     emitters: Annotated[list[EmitterModel], Len(1)] = key(

@@ -73,8 +73,8 @@ def resample_to_shared_times(
 
     Returns times ``(K,)`` [s], and positions of each path ``(K or 1, P, 3)`` [m].
 
-    >>> still = np.array([0.0, 1.0]), np.zeros((2, 1, 3))
-    >>> times, (path,) = resample_to_shared_times([still])
+    >>> static = np.array([0.0, 1.0]), np.zeros((2, 1, 3))
+    >>> times, (path,) = resample_to_shared_times([static])
     >>> times.tolist(), path.shape
     ([0.0, 1.0], (2, 1, 3))
     """

@@ -159,7 +159,7 @@ class Tearing:
     ends: IntArray
     half_edges: FloatArray
     rotations: _NeighbourRotations
-    middles: tuple[_Middle, ...]
+    middles: tuple[_FaceMiddle, ...]
 
     def row(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
@@ -238,7 +238,7 @@ class _NeighbourRotations:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Middle:
+class _FaceMiddle:
     """Middle points of a torn face: one for each run of corners around the face."""
 
     corners: IntArray  # particles at the corners of the face ``(C,)``
@@ -294,9 +294,9 @@ def tear_surface(
     >>> body = sheet(3, 2, mass=1.0, structural=Family(1.0))
     >>> sides = np.array([0, 5, 2, 4, 1, 6, 3, 5])
     >>> torn = np.isin(np.arange(7), [0, 2])
-    >>> made = tear_surface(np.array([4, 4]), np.array([0, 1, 4, 3, 1, 2, 5, 4]),
+    >>> mesh = tear_surface(np.array([4, 4]), np.array([0, 1, 4, 3, 1, 2, 5, 4]),
     ...                     sides, body.springs, torn, body.positions)
-    >>> made.counts.tolist(), made.indices.tolist()
+    >>> mesh.counts.tolist(), mesh.indices.tolist()
     ([4, 4, 4], [1, 2, 5, 4, 7, 1, 4, 9, 8, 3, 0, 6])
     """
     is_cut = torn[sides] & (sides >= 0)
@@ -312,7 +312,7 @@ def tear_surface(
     size = len(positions) + 2 * len(torn_springs)
     starts = np.cumsum(counts) - counts
     is_intact = ~np.logical_or.reduceat(is_cut, starts)
-    middles: list[_Middle] = []
+    middles: list[_FaceMiddle] = []
     split_faces: list[Sequence[int]] = []  # corners of each face
     for face in np.flatnonzero(~is_intact).tolist():
         corner_range = slice(starts[face], starts[face] + counts[face])
@@ -358,10 +358,10 @@ def tear_surface(
 
 
 # A run of corners that stay together, between the torn springs at both ends.
-_Run: TypeAlias = tuple[int, list[int], int]
+_CornerRun: TypeAlias = tuple[int, list[int], int]
 
 
-def _runs(corners: Sequence[int], torn_springs: Sequence[int]) -> Iterator[_Run]:
+def _runs(corners: Sequence[int], torn_springs: Sequence[int]) -> Iterator[_CornerRun]:
     """Yield runs of corners between the torn sides of a face.
 
     ``torn_springs`` has the spring of each side, or -1 if it is not torn.
@@ -374,14 +374,14 @@ def _runs(corners: Sequence[int], torn_springs: Sequence[int]) -> Iterator[_Run]
 
 
 def _build_middle(
-    runs: Sequence[_Run], positions: FloatArray, rest_position: FloatArray
-) -> _Middle:
+    runs: Sequence[_CornerRun], positions: FloatArray, rest_position: FloatArray
+) -> _FaceMiddle:
     """Return the middle of a torn face with rest position ``(3,)`` [m]."""
     corners = np.array([corner for _, run, _ in runs for corner in run])
     run_of_corner = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
     next_springs = np.array([next_springs for _, _, next_springs in runs])
     rest_offsets = rest_position - positions[corners]
-    return _Middle(corners, run_of_corner, next_springs, rest_offsets)
+    return _FaceMiddle(corners, run_of_corner, next_springs, rest_offsets)
 
 
 def polar_rotations(covariances: FloatArray, scales: FloatArray) -> FloatArray:

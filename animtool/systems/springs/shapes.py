@@ -7,7 +7,13 @@ from itertools import combinations, product
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, IntArray, as_floats
-from animtool.maths.faces import coincident_edges, edges, triangulate, unique_pairs
+from animtool.maths.faces import (
+    coincident_edges,
+    directed_edges,
+    edges,
+    triangulate,
+    unique_pairs,
+)
 from animtool.systems.springs.body import Body, build_body
 from animtool.systems.springs.records import Family
 
@@ -66,7 +72,7 @@ def strand(
     """
     positions = as_floats(points, ("N", 3), "points")
     line = np.arange(len(positions))
-    families = [(_grid_pairs(line, 1), along), (_grid_pairs(line, 2), bend)]
+    families = [(grid_pairs(line, 1), along), (grid_pairs(line, 2), bend)]
     return build_body(positions, mass, families)
 
 
@@ -113,10 +119,10 @@ def sheet(
     positions = origin + column_numbers / max(columns - 1, 1) * across_vector
     positions = positions + row_numbers / max(rows - 1, 1) * up_vector
     grid_edges, diagonal_pairs, bend_pairs = (
-        np.concatenate([_grid_pairs(grid, *offset) for offset in offsets])
+        np.concatenate([grid_pairs(grid, *offset) for offset in offsets])
         for offsets in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
     )
-    rising_diagonals = _grid_pairs(grid, 1, 1)
+    rising_diagonals = grid_pairs(grid, 1, 1)
     families = [
         (grid_edges, structural),
         (rising_diagonals, diagonal),
@@ -160,7 +166,7 @@ def surface(
     mesh_edges = edges(face_sizes, corners)
     diagonal_pairs = face_diagonals(face_sizes, corners)
     # Inner edges of a fan are not mesh edges and get no bend springs.
-    hinges = _hinges(triangles, mesh_edges)
+    hinges = _triangle_hinges(triangles, mesh_edges)
     families = [(mesh_edges, structural), (diagonal_pairs, diagonals), (hinges, bend)]
     return build_body(positions, mass, families, triangles)
 
@@ -181,7 +187,31 @@ def face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
     return unique_pairs(np.concatenate(pairs))
 
 
-def _hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:
+def hinge_pairs(counts: IntArray, indices: IntArray) -> IntArray:
+    """Return pairs of points for bend springs across shared edges ``(L, 2)``.
+
+    For two triangles these are the opposite corners, for two quadrangles the neighbours
+    of both ends. An edge of three faces bends between each two of them.
+
+    >>> hinge_pairs(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
+    [[2, 3]]
+    """
+    starts = np.cumsum(counts) - counts
+    first_corners, sizes = np.repeat([starts, counts], counts, axis=1)
+    corner_offsets = np.arange(len(indices)) - first_corners
+    edge_corners = directed_edges(counts, indices)
+    # Neighbours of the first end of a side, and of the second.
+    neighbours = np.stack(
+        [indices[first_corners + (corner_offsets + k) % sizes] for k in (-1, 2)], axis=1
+    )
+    is_reversed = edge_corners[:, 0] > edge_corners[:, 1]
+    neighbours[is_reversed] = neighbours[is_reversed, ::-1]
+    first_edges, second_edges = coincident_edges(edge_corners)
+    pairs = np.stack([neighbours[first_edges], neighbours[second_edges]], axis=-1)
+    return unique_pairs(pairs.reshape(-1, 2))
+
+
+def _triangle_hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:
     """Return opposite corners of triangles that share a mesh edge ``(B, 2)``."""
     triangle_edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     opposite_corners = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
@@ -231,7 +261,7 @@ def block(
     positions = origin + fractions * lengths
     offsets = [offset for offset in product((-1, 0, 1), repeat=3) if offset > (0, 0, 0)]
     families = [
-        (_grid_pairs(grid, *offset), family)
+        (grid_pairs(grid, *offset), family)
         for axes, family in enumerate((structural, face_diagonals, body_diagonals), 1)
         for offset in offsets
         if sum(map(abs, offset)) == axes
@@ -269,7 +299,7 @@ def tetrahedra(
     return build_body(points, mass, [(unique_edges, edges)], outer_faces)
 
 
-def _grid_pairs(grid: IntArray, *offsets: int) -> IntArray:
+def grid_pairs(grid: IntArray, *offsets: int) -> IntArray:
     """Return pairs of grid particles at a fixed offset along the axes ``(P, 2)``."""
     first_slices = tuple(
         slice(max(-step, 0), -step if step > 0 else None) for step in offsets

@@ -9,10 +9,9 @@ from animtool.maths.faces import edges
 from animtool.systems.attach.mass_spring import (
     RIGID_FREQUENCY,
     MassSpringNetwork,
-    hinge_pairs,
     max_pin_hops,
 )
-from animtool.systems.springs.shapes import face_diagonals
+from animtool.systems.springs.shapes import face_diagonals, hinge_pairs
 
 
 def grid(size: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
