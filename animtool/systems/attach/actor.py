@@ -32,8 +32,8 @@ from animtool.systems.attach.skins import FramePoses, SkinSurface, skin_margin
 from animtool.systems.attach.stepping import (
     CycleSteering,
     build_plan,
-    build_steered,
     check_motion,
+    with_steering,
 )
 from animtool.systems.framework.meter import ContactMeter, MeasuredSurface
 from animtool.systems.springs.checks import tangle_notices
@@ -69,8 +69,8 @@ class AttachmentActor:
         start_samples = interpolate_poses(rig, pose, pose, 1)
         scale = _joint_scale(start_samples.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
-        self._network, self._down = network, -up_direction(rig)
-        self._plan = build_plan(network, settings, self._down, frame_duration)
+        down = -up_direction(rig)
+        self._plan = build_plan(network, settings, down, frame_duration)
         self._cells = round(frame_duration / self._plan.choice.cell)
         self.steps = self._cells * self._plan.choice.substeps
         self.teleport_count = 0
@@ -149,14 +149,16 @@ class AttachmentActor:
         begin_points = self.positions
         goals, duration = targets, self._frame_duration
         if steering is not None and steering.weight > 0:
-            system, goals = build_steered(
-                self._network, self.settings, self._down, targets, steering, duration
+            system, goals = with_steering(
+                plan.system, self.settings, targets, steering, duration
             )
-            system.joint_colliders = plan.system.joint_colliders
             plan = replace(plan, system=system)
         plan.system.set_constraint_paths(duration, goals)
-        state = replace(grid.state, substeps=plan.choice.substeps, calm=0)
-        end = plan.advance(replace(grid, index=0, state=state), cells, colliders)
+        if not plan.system.body.strands:
+            # Paths start at cell 0; strands always take the same steps.
+            state = replace(grid.state, substeps=plan.choice.substeps, calm=0)
+            grid = replace(grid, index=0, state=state)
+        end = plan.advance(grid, cells, colliders)
         check_motion(end.state.motion)
         self.grid = self._with_cloth_strain(end, grid.stretch)
         self.target = targets[-1]
@@ -171,7 +173,7 @@ class AttachmentActor:
         For strands the kernel measures it.
         """
         surface = self._measured_surface
-        if self._network.strands:
+        if self._plan.system.body.strands:
             return end
         lengths = surface.lengths(end.state.motion[0])
         strain = float((lengths / surface.rest_lengths - 1).max(initial=0.0))

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.systems.attach.mass_spring import (
@@ -17,6 +16,7 @@ from animtool.systems.attach.mass_spring import (
 )
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import MAX_VALUE
+from animtool.systems.springs.body import TargetSprings
 from animtool.systems.springs.constraints import Pins, PointTargets
 from animtool.systems.springs.records import Air, SelfContact, Solver, SpringOptions
 from animtool.systems.springs.solvers import SolverChoice, SpringPlan
@@ -126,7 +126,7 @@ def build_system(
     options, thickness = settings.options, self_contact_distance(network, settings)
     body = network.body(options.diagonals, settings.bend)
     target_particles = network.free if settings.frequency else network.free[:0]
-    masses, omega = body.masses[target_particles], 2 * math.pi * settings.frequency
+    pull = _pull(body.masses, target_particles, settings.frequency, options.ratio)
     # Air acts on the triangles of cloth; other kinds have linear drag.
     wind, is_cloth = np.array(options.wind), len(network.triangles) > 0
     linear_drag = 0.0 if is_cloth else options.drag
@@ -134,10 +134,10 @@ def build_system(
         body,
         pins=Pins(network.pinned),
         targets=PointTargets(
-            target_particles,
-            body.positions[target_particles],
-            masses * omega**2,
-            masses * (2 * options.ratio * omega),
+            pull.particles,
+            body.positions[pull.particles],
+            pull.stiffness,
+            pull.damping,
         ),
         gravity=options.gravity * down + linear_drag * wind,
         drag=linear_drag,
@@ -167,10 +167,9 @@ def build_plan(
     return SpringPlan(build_system(network, settings, down), options, choice)
 
 
-def build_steered(
-    network: MassSpringNetwork,
+def with_steering(
+    system: SpringSystem,
     settings: AttachSettings,
-    down: FloatArray,
     targets: FloatArray,
     steering: CycleSteering,
     duration: float,
@@ -180,16 +179,23 @@ def build_steered(
     A single pull replaces both. The target is the mean of the animated particles
     ``(K, N, 3)`` [m] and that motion over the frame [s], weighted by stiffness.
     """
-    options = settings.options
     pull_stiffness = settings.frequency**2
     steering_frequency = steering.weight * STEERING_FREQUENCY
     stiffness = pull_stiffness + steering_frequency**2
     frequency = math.sqrt(stiffness)
-    damping = options.ratio * settings.frequency + steering_frequency
-    steered_options = replace(options, frequency=frequency, ratio=damping / frequency)
-    steered = replace(settings, options=steered_options)
-    goals, free = targets.copy(), network.free
-    motion = steering.positions(len(targets) - 1, duration)
+    damping = settings.options.ratio * settings.frequency + steering_frequency
+    free = np.flatnonzero(~system.is_pinned)
+    pull = _pull(system.body.masses, free, frequency, damping / frequency)
+    goals, motion = targets.copy(), steering.positions(len(targets) - 1, duration)
     fraction = steering_frequency**2 / stiffness
     goals[:, free] += fraction * (motion[:, free] - goals[:, free])
-    return build_system(network, steered, down), goals
+    return system.with_target_springs(pull), goals
+
+
+def _pull(
+    masses: FloatArray, particles: IntArray, frequency: float, ratio: float
+) -> TargetSprings:
+    """Return springs to the targets of particles with a frequency [Hz] and ratio."""
+    moving_masses, omega = masses[particles], 2 * math.pi * frequency
+    stiffness = moving_masses * omega**2
+    return TargetSprings(particles, stiffness, moving_masses * (2 * ratio * omega))

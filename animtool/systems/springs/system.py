@@ -202,12 +202,14 @@ class SpringSystem(SecondOrder):
         ``path`` has positions of all particles at even times ``(K, N, 3)`` [m], between
         which they are linear.
         """
+        self.particle_path = span, path
+        if self.body.strands:
+            return
         knots = np.linspace(0.0, span, len(path))
         pins, targets = (
             (knots, np.ascontiguousarray(path[:, particles]))
             for particles in (self.pinned, self.target_springs.particles)
         )
-        self.particle_path = span, path
         has_same_knots = np.array_equal(self._constraint_paths[0][0], knots)
         self._constraint_paths, stage = (pins, targets), self._cached_stage
         self._cached_stage = None
@@ -384,6 +386,13 @@ class SpringSystem(SecondOrder):
             gravity=self.gravity,
             drag=drag,
         )
+
+    def with_target_springs(self, target_springs: TargetSprings) -> SpringSystem:
+        """Return the system with other springs to targets, whose paths are not set."""
+        result = copy(self)
+        result.target_springs = target_springs
+        result._cached_stage, result._kernel_strands = None, None
+        return result
 
     def without_springs(self, is_removed: BoolArray) -> SpringSystem:
         """Return the system without the springs selected by a mask ``(S,)``."""
