@@ -168,12 +168,12 @@ class SpringSimulation:
 
     def _after_teleports(self) -> TimeGrid:
         """Return the grid at the start of the next cell, with its teleports applied."""
-        grid, jumps = self.grid, self.system.teleports
-        stage = jumps.cell_stage(grid)
-        previous_stage = jumps.cell_stage(replace(grid, index=grid.index - 1))
+        grid, teleports = self.grid, self.system.teleports
+        stage = teleports.cell_stage(grid)
+        previous_stage = teleports.cell_stage(replace(grid, index=grid.index - 1))
         if stage == previous_stage:
             return grid
-        motion = jumps.apply(grid.state.motion, previous_stage, stage)
+        motion = teleports.apply(grid.state.motion, previous_stage, stage)
         return replace(grid, state=replace(grid.state, motion=motion, before=None))
 
     def _exclude_torn(self) -> None:
@@ -375,8 +375,8 @@ def as_errors(notices: Sequence[Fault]) -> list[Fault]:
 def _interpolate(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:
     """Interpolate a state in a cell: cubic Hermite positions, linear velocities."""
     (x0, v0), (x1, v1) = begin, end
-    slope = x1 - x0
+    displacement = x1 - x0
     x = x0 + s * (
-        h * v0 + s * ((3 - 2 * s) * slope - h * ((2 - s) * v0 + (1 - s) * v1))
+        h * v0 + s * ((3 - 2 * s) * displacement - h * ((2 - s) * v0 + (1 - s) * v1))
     )
     return np.array((x, v0 + s * (v1 - v0)))
