@@ -137,4 +137,4 @@ def test_a_layer_that_a_file_brings_in_is_not_opened_itself(tmp_path: Path) -> N
         note_input(shot)
         note_input(shot, composed=True)
     assert set(inputs.states) == {shot, layer}
-    assert inputs.opened == {shot}
+    assert inputs.opened_paths == {shot}

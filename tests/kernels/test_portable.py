@@ -14,7 +14,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.sim.colliders import Capsule, Collider, Colliders, Sphere
-from animtool.systems.springs.body import Paths, SpringForces, Springs
+from animtool.systems.springs.body import PrescribedMotion, SpringForces, Springs
 
 HELD = np.array([0, 7])
 PARTICLES = 111
@@ -34,7 +34,9 @@ def network(rng: np.random.Generator) -> tuple[Any, int]:
     drags, places = rng.uniform(0, 1, PARTICLES), rng.normal(size=(1, 2, 3))
     made, gravity = Springs(ends, *numbers.T.copy()), np.array([0.1, -0.2, -9.81])
     loads = SpringForces(weights, drags, made, NOBODY, gravity, (0.0, 0.0), HELD)
-    paths = Paths(np.zeros(1), places, np.zeros((1, 0, 3)), np.zeros((1, 1, 3)))
+    paths = PrescribedMotion(
+        np.zeros(1), places, np.zeros((1, 0, 3)), np.zeros((1, 1, 3))
+    )
     return loads.network(paths), len(ends)
 
 

@@ -7,7 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool import _kernels
-from animtool.systems.springs.body import Paths, SpringForces, Springs, TargetSprings
+from animtool.systems.springs.body import (
+    PrescribedMotion,
+    SpringForces,
+    Springs,
+    TargetSprings,
+)
 
 CALM = (0.0, 0.0)
 NO_FACES = np.zeros((0, 3), np.int64)
@@ -54,7 +59,9 @@ def network(ends: np.ndarray, count: int, rng: np.random.Generator) -> object:
     springs, nowhere = random_springs(ends, rng), np.zeros((1, 0, 3))
     weights, still = rng.uniform(0.5, 2, count), np.zeros(3)
     loads = SpringForces(weights, np.zeros(count), springs, NO_FACES, still, CALM)
-    return loads.network(Paths(np.zeros(1), nowhere, nowhere, np.zeros((1, 1, 3))))
+    return loads.network(
+        PrescribedMotion(np.zeros(1), nowhere, nowhere, np.zeros((1, 1, 3)))
+    )
 
 
 def projected(ends: np.ndarray, count: int, seed: int) -> np.ndarray:
@@ -163,7 +170,7 @@ def led(ends: np.ndarray, count: int, rng: np.random.Generator) -> tuple[object,
     ways = [rng.normal(size=(2, len(some), 3)) for some in (held, drawn)]
     drags = rng.uniform(0, 1, count)
     draws = TargetSprings(drawn, *rng.uniform(0.5, 2, (len(drawn), 2)).T.copy())
-    paths = Paths(np.array([0.0, 1.0]), *ways, np.zeros((2, 1, 3)))
+    paths = PrescribedMotion(np.array([0.0, 1.0]), *ways, np.zeros((2, 1, 3)))
     gravity = np.array([0, 0, -9.81])
     loads = SpringForces(weights, drags, springs, NO_FACES, gravity, CALM, held, draws)
     return loads.network(paths), {"held": held, "way": ways[0]}

@@ -10,7 +10,7 @@ from fuzz.kernels.springs import CALLS
 from fuzz.targets.kernels import call
 
 from animtool import _kernels
-from animtool.systems.springs.body import Paths, SpringForces, Springs
+from animtool.systems.springs.body import PrescribedMotion, SpringForces, Springs
 
 HUGE = 2**31 - 1
 BAD: list[tuple[str, str, Any]] = [
@@ -142,7 +142,7 @@ def test_no_particles_keep_apart() -> None:
         np.zeros(0), np.zeros(0), Springs.none(), none, np.zeros(3), (0, 0)
     )
     wind = np.zeros((1, 1, 3))
-    network = loads.network(Paths(np.zeros(1), nothing, nothing, wind))
+    network = loads.network(PrescribedMotion(np.zeros(1), nothing, nothing, wind))
     layers = _kernels.SpringLayers(network, np.zeros((0, 3)), 0.1, 0.0, 0.1)
     state = np.zeros((2, 0, 3))
     found = _kernels.part_springs(network, layers, state[0], state, 0.1)
