@@ -15,6 +15,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits, check_targets
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import MAX_FRAMES, Clock, time_codes
 from animtool.core.errors import Fault, FormatError, counted, refuse
+from animtool.core.loaded import check_loaded
 from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
 from animtool.core.plugins import load_object
 from animtool.core.rates import FractionLike, rate_label, rate_option
@@ -125,6 +126,7 @@ class Clip:
         from animtool.clip.keyed_curve import KeyedCurve
         from animtool.clip.sample import sample_channels
 
+        check_loaded(rig, Rig, "rig")
         rate, codes_per_frame = _rate_or_default(fps, self.fps), _exact_step(step)
         check_targets((channel.target for channel in self.channels), rig)
         count = self.frame_count(rate, codes_per_frame)

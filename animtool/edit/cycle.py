@@ -17,6 +17,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError
+from animtool.core.loaded import check_loaded
 from animtool.core.quantities import MIN_FRAMES
 from animtool.core.record import dataclass
 from animtool.edit.frames import frame_index
@@ -93,6 +94,7 @@ def find_cycle(
         OptionError: A frame is outside the take (SCN013), or there is no cycle of
             such a length (SCN018).
     """
+    check_loaded(take, Take, "take")
     clock = take.clock
     first_index, last_index = end_indices(clock, first, last)
     stride = max(1, int(clock.rate // SEARCH_RATE))

@@ -14,6 +14,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock, time_codes
 from animtool.core.errors import Fault, counted, refuse, warning
+from animtool.core.loaded import check_loaded
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.edit.between import TakeSampler
@@ -97,6 +98,8 @@ def blend(
             (SCN017), there would be too many frames (SCN021), or there is no such
             interpolation (SCN025).
     """
+    check_loaded(take, Take, "take")
+    check_loaded(other, Take, "other")
     other = match_rig(take.rig, other)
     clock = take.clock
     delay_frames = exact_fraction(delay, "delay") / clock.step
@@ -177,6 +180,9 @@ def difference(
         OptionError: The base has no such frame (SCN013), is of another rig
             (SCN017), or a scale of it is 0 (SCN023).
     """
+    check_loaded(take, Take, "take")
+    if base is not None:
+        check_loaded(base, Take, "base")
     base_take = rest_take(take.rig, take.clock) if base is None else base
     return _subtract_stream(TakeStream.of(take), _base_take(base_take, frame)).collect()
 
@@ -314,6 +320,8 @@ def layer(
             malformed (SCN015), the rigs differ (SCN017), or there is no such mode
             or interpolation (SCN025).
     """
+    check_loaded(take, Take, "take")
+    check_loaded(other, Take, "other")
     plan = _LayerPlan(other, mode, weight, interpolation, joints, children, delay)
     return plan.layer_over(TakeStream.of(take)).collect()
 

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, refuse, warning
+from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.edit.combine import align_signs
@@ -263,6 +264,7 @@ def loop(
         OptionError: A frame is outside the take (SCN013), there is no cycle or
             repeat (SCN018), or there would be too many frames (SCN021).
     """
+    check_loaded(take, Take, "take")
     clock = take.clock
     if clock.count == 1:
         return take

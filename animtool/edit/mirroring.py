@@ -18,6 +18,7 @@ from animtool.core.errors import (
     refuse,
     warning,
 )
+from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.edit.tree import joint_index
 from animtool.maths import so3
@@ -206,6 +207,7 @@ def mirror(
         OptionError: A pair names an unknown joint (SCN012), the parents of partners are
             not partners (SCN019), or the axis is unknown (SCN025).
     """
+    check_loaded(take, Take, "take")
     options = MirrorOptions(parse_choice(Axis, axis, "axis"), _pair_tuples(pairs))
     return _run_mirror(TakeStream.of(take), options).collect()
 

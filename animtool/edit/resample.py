@@ -13,6 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity, warning
+from animtool.core.loaded import check_loaded
 from animtool.core.rates import FractionLike, rate_option, rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
@@ -299,6 +300,7 @@ def resampled(
         OptionError: The rate is invalid (SCN022), or there would be more than 10
             million samples (SCN021).
     """
+    check_loaded(take, Take, "take")
     fps = rate_option(fps)
     check_count(1 + int((take.clock.count - 1) * fps / take.clock.rate))
     times = plan_samples(take.clock, fps, take.clock.start)

@@ -13,6 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, refuse, warning
+from animtool.core.loaded import check_loaded
 from animtool.core.quantities import percent_hint
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
@@ -77,6 +78,7 @@ def trim(take: Take, first: float | None = None, last: float | None = None) -> T
     Raises:
         OptionError: The take has no frame in the range (SCN013).
     """
+    check_loaded(take, Take, "take")
     return _run_trim(TakeStream.of(take), TrimOptions(first, last)).collect()
 
 
@@ -215,6 +217,7 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
         OptionError: The speed is 0 or not finite (SCN016), no frame of the grid is
             left (SCN013), or there would be more than 10 million (SCN021).
     """
+    check_loaded(take, Take, "take")
     _check_speed(speed)
     clock = take.clock
     rate = exact_fraction(speed, "speed")
@@ -347,6 +350,7 @@ def time_warp(
         OptionError: The curve is malformed (SCN015), shows frames that the take lacks
             or no frame of the grid (SCN013), or has too many (SCN021).
     """
+    check_loaded(take, Take, "take")
     clock = take.clock
     key_times, values = key_arrays(curve, "curve")
     _check_curve_range(clock, values)

@@ -9,6 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError, warning
+from animtool.core.loaded import check_loaded
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.edit.combine import align_signs
@@ -91,6 +92,7 @@ def extract_root(
         OptionError: Unknown joint (SCN012); unknown axis, the root joint is not above
             the hips, its scale does not allow it, or the rig has no joints (SCN020).
     """
+    check_loaded(take, Take, "take")
     _check_axes(axes)
     rig = take.rig
     hip = _hips_index(take, root, hips)
@@ -120,6 +122,7 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
         OptionError: Unknown joint (SCN012); it has no child joint, its scale does not
             allow it, or the rig still refers to it (SCN020).
     """
+    check_loaded(take, Take, "take")
     rig = take.rig
     joint = joint_index(rig, root, "root")
     if joint not in rig.parents:

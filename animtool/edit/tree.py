@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.loaded import check_loaded
 from animtool.core.names import most_similar, nearest
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
@@ -303,6 +304,7 @@ def hang(
         OptionError: The joint is unknown, not free or below one that is scaled to 0,
             or the axis is not finite (SIM192).
     """
+    check_loaded(take, Take, "take")
     rig, motion = take.rig, take.motion
     _check_axis(axis)
     if joint not in rig.names:

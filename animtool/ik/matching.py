@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.limbs import limb_joints
@@ -76,6 +77,7 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     >>> np.round(found.targets.poles, 3).tolist()
     [[[1.207, -0.207, 0.0]]]
     """
+    check_loaded(rig, Rig, "rig")
     rig = with_ball_joints(rig)
     rest_transforms = rest_world(rig)
     shape = (len(world.positions), len(chains))

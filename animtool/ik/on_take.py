@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.loaded import check_loaded
 from animtool.core.names import nearest
 from animtool.core.old_names import renamed_arguments
 from animtool.ik.chain_frame import check_scales, spans_of_take
@@ -136,6 +137,7 @@ def solve_take(
             above a goal is scaled (TGT016), or a goal or option is invalid (IK codes).
         FormatError: A prim's transform is not finite.
     """
+    check_loaded(take, Take, "take")
     options = options or TakeOptions()
     raise_faults(take_option_faults(options))
     tracks = tracks.at_clock(take.clock)

@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, as_floats
 from animtool.core.errors import Fault, OptionError, counted, listed
+from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.ik.assembly import assemble
 from animtool.ik.chain import Chain
@@ -116,6 +117,7 @@ def build(
     >>> problem.joints, problem.degrees, problem.length
     (('upper', 'lower'), 2, 2.0)
     """
+    check_loaded(rig, Rig, "rig")
     faults = _input_faults(rig, goals, joints, rest_weight)
     if faults:
         raise OptionError(faults)

@@ -30,10 +30,9 @@ class SwappedOrder:
     @property
     def message(self) -> str:
         """Description of the angles that suggest the other order."""
-        angle = f"{self.angle_as_read:.0f}°"
-        message = f"half of {self.joint_count} joints are more than {angle} "
-        message += "from their rest pose; with w at the other end of the quaternions, "
-        return f"{message}{self.angle_swapped:.0f}°"
+        message = f"{self.joint_count} joints are {self.angle_as_read:.0f}° from their "
+        message += "rest pose in the median; with w at the other end of the "
+        return f"{message}quaternions, {self.angle_swapped:.0f}°"
 
 
 def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:

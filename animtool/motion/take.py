@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
 from fractions import Fraction
 from itertools import pairwise
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.loaded import check_loaded
 from animtool.core.old_names import rename_attributes
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
@@ -143,6 +145,7 @@ class Take:
 
     def __post_init__(self) -> None:
         """Raise if rig, clock, motion and tracks do not match."""
+        check_loaded(self.rig, Rig, "rig")
         parts = self.rig, self.clock, self.motion, self.tracks
         faults = find_shape_faults(*parts) or find_value_faults(*parts)
         if faults:
@@ -237,6 +240,16 @@ class TakeStream:
         """Return the rig's name, the rate and the joints."""
         joints = counted(len(self.rig.joints), "joint")
         return f"<TakeStream of {self.rig.name!r} at {rate_label(self.fps)}, {joints}>"
+
+    if not TYPE_CHECKING:  # type checkers know the attributes, and no others
+
+        def __getattr__(self, name: str) -> NoReturn:
+            """Raise `AttributeError`; attributes of `Take` need all frames."""
+            message = f"{type(self).__name__!r} object has no attribute {name!r}"
+            if not name.startswith("_") and hasattr(Take, name):
+                message += "; it is read block by block: call collect() first, which "
+                message += f"returns a Take with {name!r}"
+            raise AttributeError(message, name=name, obj=self)
 
     @property
     def first_frame(self) -> Fraction:

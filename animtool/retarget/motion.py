@@ -15,6 +15,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.core.files.spool import Spool
+from animtool.core.loaded import check_loaded
 from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -511,6 +512,8 @@ def retarget_take(
         lock: Whether planted feet stay in place.
         hands: Whether hands keep their contacts.
     """
+    check_loaded(take, Take, "take")
+    check_loaded(rig, Rig, "rig")
     transfer = build_transfer(take.rig, rig, joint_map, rest)
     fps = float(take.clock.rate)
     retargeting = Retargeting(

@@ -11,7 +11,7 @@ import pytest
 from animtool import open_source, usd
 from animtool.maths import so3
 from animtool.motion.motion import Channel
-from animtool.motion.quaternion_order import order_warning
+from animtool.motion.quaternion_order import find_swapped_order, order_warning
 from animtool.motion.take import Take
 
 WALK = Path(__file__).parents[2] / "samples/walk/walk.bvh"
@@ -51,6 +51,17 @@ def test_a_few_joints_may_be_half_turned(walk: Take) -> None:
     rotations = walk.motion.rotations.dense().copy()
     rotations[:, 1:9] = np.roll(rotations[:, 1:9], 1, axis=2)
     assert codes(walk, rotations) == []
+
+
+def test_the_angles_of_the_warning_are_medians(walk: Take) -> None:
+    shape = walk.motion.rotations.dense().shape
+    rotations = np.zeros(shape)
+    rotations[..., 0] = 1.0
+    motion = replace(walk.motion, rotations=Channel.from_dense(rotations))
+    order = find_swapped_order(walk.rig, motion)
+    assert order is not None
+    assert (order.angle_as_read, order.angle_swapped) == pytest.approx((180, 0))
+    assert "more than" not in order.message
 
 
 def test_identities_with_w_first(walk: Take, tmp_path: Path) -> None:

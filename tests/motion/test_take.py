@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -162,3 +163,14 @@ def test_a_take_is_as_long_as_its_frames() -> None:
     )
     take = Take(rig, clock, still)
     assert (len(take), take.fps, bool(take)) == (3, 30, True)
+
+
+def test_streams_say_how_attributes_of_takes_are_reached() -> None:
+    stream = TakeStream.of(take_of(dense_motion()))
+    for name in ("world", "motion", "clock"):
+        with pytest.raises(AttributeError, match=r"collect\(\)"):
+            getattr(stream, name)
+    with pytest.raises(AttributeError) as raised:
+        _ = stream.unknown  # type: ignore[attr-defined]
+    assert "collect" not in str(raised.value)
+    assert copy(stream).rig is stream.rig

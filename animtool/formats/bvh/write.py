@@ -12,6 +12,7 @@ from animtool import _kernels
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.loaded import check_loaded
 from animtool.core.rates import rate_from_frame_time
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.take_text import TakeText, format_rows, write_text
@@ -48,6 +49,7 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
         OptionError: The rig has no joints (RIG044), or the file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
+    check_loaded(take, Take, "take")
     return write_text(take, path, build_bvh_text, overwrite=overwrite)
 
 

@@ -14,6 +14,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import STDOUT, atomic_outputs, check_outputs
+from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.maths.curves import Curves
@@ -346,6 +347,7 @@ def write(
         OptionError: An option does not apply to the output (CLI002), or a file exists.
         OutputError: A file cannot be written.
     """
+    check_loaded(take, Take, "take")
     path = Path(path)
     layer = None if rig_layer is None else Path(rig_layer)
     form = (

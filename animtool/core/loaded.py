@@ -1,0 +1,44 @@
+"""Checks that arguments of public functions are loaded objects and not their paths."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+# How each class is loaded from a file.
+_LOADERS = {
+    "Clip": "Clip.load({})",
+    "Rig": "Rig.load({})",
+    "Take": "open_source({}).collect()",
+}
+
+
+def check_loaded(value: object, expected: type, name: str) -> None:
+    """Raise `TypeError` if an argument is not of a class; name what loads it.
+
+    Args:
+        value: The argument.
+        expected: Its class, such as ``Rig``.
+        name: Its name.
+
+    >>> from animtool.rig.skeleton import Rig
+    >>> check_loaded("biped.rig.yaml", Rig, "rig")
+    Traceback (most recent call last):
+    TypeError: rig is a path, not a Rig; write Rig.load('biped.rig.yaml')
+    """
+    if isinstance(value, expected):
+        return
+    class_name, given = expected.__name__, type(value).__name__
+    article = "an" if given[:1] in "AEIOUaeiou" else "a"
+    kind, remedy = f"{article} {given}", ""
+    loader = _LOADERS.get(class_name, "")
+    if value is None:
+        kind = "None"
+    if isinstance(value, str | Path):
+        kind = "a path"
+        remedy = loader.format(repr(str(value)))
+    elif expected.__name__ == "Take" and hasattr(value, "collect"):
+        remedy = f"{name}.collect()"
+    elif isinstance(getattr(value, class_name.lower(), None), expected):
+        remedy = f"{name}.{class_name.lower()}"
+    hint = f"; write {remedy}" if remedy else ""
+    raise TypeError(f"{name} is {kind}, not a {class_name}{hint}")

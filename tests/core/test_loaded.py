@@ -1,0 +1,63 @@
+"""Public functions that are given a path or a stream instead of an object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from animtool import Clip, Take, edit, ik, open_source, read_bvh, usd, write_bvh
+
+ROOT = Path(__file__).parents[2]
+WALK = ROOT / "samples/walk/walk.bvh"
+CLIP = ROOT / "samples/stride/stride.clip.yaml"
+RIG = ROOT / "rigs/biped/biped.rig.yaml"
+
+TAKE_FUNCTIONS: list[Callable[[Any], object]] = [
+    edit.difference,
+    edit.find_cycle,
+    edit.loop,
+    edit.mirror,
+    edit.trim,
+    edit.extract_root,
+    edit.recompose_root,
+    lambda take: edit.blend(take, take, weight=0.5),
+    lambda take: edit.layer(take, take),
+    lambda take: edit.resampled(take, 24),
+    lambda take: edit.time_scale(take, 2.0),
+    lambda take: edit.time_warp(take, [(1, 1), (2, 2)]),
+    lambda take: edit.hang(take, "hips", []),  # type: ignore[arg-type]
+    lambda take: ik.solve_take(take, None),  # type: ignore[arg-type]
+    lambda take: usd.write(take, "unwritten.usda"),
+    lambda take: write_bvh(take, "unwritten.bvh"),
+]
+
+
+@pytest.mark.parametrize("function", TAKE_FUNCTIONS)
+def test_paths_and_streams_are_no_takes(function: Callable[[Any], object]) -> None:
+    for path in (WALK, str(WALK)):
+        with pytest.raises(TypeError, match=r"take is a path.*open_source\('.*'\)"):
+            function(path)
+    with pytest.raises(TypeError, match=r"is a TakeStream.* take\.collect\(\)"):
+        function(read_bvh(WALK))
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        Clip.load(CLIP).sample,
+        lambda rig: ik.build(rig, []),
+        lambda rig: ik.match(rig, [], None),  # type: ignore[arg-type]
+        lambda rig: Take(rig, None, None),  # type: ignore[arg-type]
+    ],
+)
+def test_paths_and_takes_are_no_rigs(function: Callable[[Any], object]) -> None:
+    with pytest.raises(TypeError, match=r"rig is a path.*Rig\.load\('.*'\)"):
+        function(str(RIG))
+    take = open_source(WALK).collect()
+    with pytest.raises(TypeError, match=r"rig is a Take.* rig\.rig"):
+        function(take)
+    with pytest.raises(TypeError, match=r"rig is None, not a Rig$"):
+        function(None)
