@@ -8,16 +8,26 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, warning
-from animtool.core.quantities import length_text
+from animtool.core.quantities import length_text, plain_number
 from animtool.motion.motion import Motion
 from animtool.rig.body_size import find_feet, is_character
-from animtool.rig.kinematics import rest_world
+from animtool.rig.kinematics import rest_size, rest_world
 from animtool.rig.skeleton import Rig
 
 # Ratios of units that are often confused: m, cm, mm, in.
 UNIT_FACTORS = (10.0, 100.0, 1000.0, 39.37)
 # Range of ratios of a root's height to its rest height that mean another unit [1].
 HIGH_RATIO_RANGE = (25.0, 4000.0)
+# Otherwise, in the correct unit, the lowest joint is this close to 0 of the up axis in
+# most frames [size], [1]; or sometimes, as on stairs, and is then static in this
+# fraction of frames [size], [size/s], [1].
+ZERO_HEIGHT, MIN_ZERO_FRACTION = 0.06, 0.5
+MIN_TREAD_FRACTION, TREAD_SPEED, STATIC_TREAD_FRACTION = 0.05, 0.12, 0.4
+# Largest ratio of a root's height to the leg length that is checked for a unit in which
+# it is too low, and fewest frames of such a check [1].
+MAX_LOW_RATIO, MIN_LOW_FRAMES = 0.15, 8
+# Largest factor by which a root is too low; 1/10 may be a crouching body [1].
+MAX_LOW_FACTOR = 0.03
 # Maximum distance of a root from the hips at rest, in leg lengths [1].
 MAX_HIPS_DISTANCE = 0.3
 # Tolerance of a height that equals the leg length, and its maximum standard deviation,
@@ -42,13 +52,66 @@ def height_factor(ratio: float) -> float | None:
     return min(UNIT_FACTORS, key=lambda factor: abs(math.log(ratio / factor)))
 
 
-def root_warning(rig: Rig, motion: Motion) -> Fault | None:
+def low_height_factor(
+    root_positions: FloatArray,
+    body_positions: FloatArray,
+    up: FloatArray,
+    size: float,
+    interval: float,
+) -> float | None:
+    """Return the unit factor by which a root translation is too small, else None.
+
+    Multiplying the translation by the inverse of that factor would put the lowest joint
+    on the ground in most frames, also of a crouching or crawling body.
+
+    Args:
+        root_positions: Positions of the root ``(F, 3)`` [m].
+        body_positions: Positions of the joints that it carries ``(F, B, 3)`` [m].
+        up: Unit up vector ``(3,)``.
+        size: Size of the body [m].
+        interval: Time between two frames [s].
+    """
+    frames = np.arange(1, len(body_positions))
+    lowest_joints = (body_positions @ up).argmin(axis=1)
+    points = body_positions[np.arange(len(body_positions)), lowest_joints]
+    next_points = body_positions[frames, lowest_joints[:-1]]
+    for factor in UNIT_FACTORS:
+        lift = (factor - 1.0) * root_positions
+        heights_above = (points + lift) @ up
+        is_low = np.abs(heights_above) < ZERO_HEIGHT * size
+        if float(is_low.mean()) > MIN_ZERO_FRACTION:
+            return 1.0 / factor
+        lowest = abs(float(np.percentile(heights_above, 5)))
+        if lowest > MIN_TREAD_FRACTION * size:
+            continue
+        steps = next_points + lift[1:] - points[:-1] - lift[:-1]
+        is_slow = np.linalg.norm(steps, axis=1) < TREAD_SPEED * size * interval
+        if float(is_slow.mean()) > STATIC_TREAD_FRACTION:
+            return 1.0 / factor
+    return None
+
+
+def factor_text(factor: float) -> str:
+    """Return a factor as text.
+
+    >>> factor_text(100.0), factor_text(0.01)
+    ('100 times', '1/100')
+    """
+    return f"{plain_number(factor)} times" if factor >= 1.0 else f"1/{1.0 / factor:.3g}"
+
+
+def root_warning(
+    rig: Rig, motion: Motion, interval: float | None = None
+) -> Fault | None:
     """Return a warning if the root's translations do not fit the skeleton at rest.
 
     Its height is 25 times the leg length or more, as with another unit (MOT213); or it
     is the leg length below 0, or along a horizontal axis while the root travels
     vertically, as with another up axis (MOT214). Rigs without named feet, with a root
     that is not at the hips, or with several roots have no such warning.
+
+    With an ``interval``, the time between two frames [s], the warning includes roots
+    that are too low, as with another unit (MOT213).
     """
     if not is_character(rig.names) or len(rig.roots) != 1:
         return None
@@ -58,6 +121,8 @@ def root_warning(rig: Rig, motion: Motion) -> Fault | None:
     name, up = rig.joints[root].name, np.array(rig.up.vector, float)
     ratios = motion.translations.gather(np.array([root]))[:, 0] / leg_length
     problem = _problem(ratios, up, leg_length)
+    if problem is None and interval is not None:
+        problem = _low_problem(rig, motion, ratios @ up, leg_length, interval)
     if problem is None:
         return None
     code, message, hint = problem
@@ -106,6 +171,29 @@ def _problem(
             hint = "exchange these two translations, or export the file again"
             return "MOT214", message, hint
     return None
+
+
+def _low_problem(
+    rig: Rig, motion: Motion, ratios: FloatArray, leg_length: float, interval: float
+) -> tuple[str, str, str] | None:
+    """Return the code, the message and the hint for a root that is too low.
+
+    ``ratios`` ``(F,)`` are its heights over the leg length [1].
+    """
+    ratio = float(np.median(ratios))
+    if len(ratios) < MIN_LOW_FRAMES or not 0.0 < ratio < MAX_LOW_RATIO:
+        return None
+    positions, up = motion.world(rig).positions, np.array(rig.up.vector, float)
+    root_positions = positions[:, int(rig.roots[0])]
+    size = rest_size(rig)
+    factor = low_height_factor(root_positions, positions, up, size, interval)
+    if factor is None or factor > MAX_LOW_FACTOR:
+        return None
+    height_text, legs_text = length_text(ratio * leg_length), length_text(leg_length)
+    message = f"is {height_text} above 0, but the legs are {legs_text} long: its "
+    message += f"translations are {factor_text(factor)} of those that fit, and use "
+    message += "another unit than the skeleton"
+    return "MOT213", message, f"multiply them by {1.0 / factor:g}"
 
 
 def _is_leg_length(ratios: FloatArray) -> bool:

@@ -23,6 +23,7 @@ from animtool.motion.motion import Motion
 from animtool.motion.quaternion_order import order_warning
 from animtool.motion.take import TakeStream
 from animtool.retarget.root_position import root_warning
+from animtool.retarget.swapped_legs import swapped_legs_warning
 from animtool.rig.body_size import fitting_unit, unit_texts
 from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
 from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
@@ -376,10 +377,13 @@ def with_source_warnings(
             if i == 0 and not is_stated:
                 add_notices(lying_body_notices(path, stream.rig, block, severity, up))
             if i == 0 and file_format != "markers":
-                problem = root_warning(stream.rig, block)
                 known_codes = {notice.code for notice in stream.notices}
-                if problem is not None and problem.code not in known_codes:
-                    add_notices([problem.in_file(path)])
+                for problem in (
+                    root_warning(stream.rig, block, float(1 / rate)),
+                    swapped_legs_warning(stream.rig, block),
+                ):
+                    if problem is not None and problem.code not in known_codes:
+                        add_notices([problem.in_file(path)])
             yield block
 
     return replace(stream, blocks=blocks())

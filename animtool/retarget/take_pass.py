@@ -51,7 +51,9 @@ from animtool.retarget.roles import (
     TWIST,
     base_role,
 )
+from animtool.retarget.root_position import root_warning
 from animtool.retarget.standing import find_standing_axis, unit_warnings
+from animtool.retarget.swapped_legs import swapped_legs_warning
 from animtool.retarget.verdict import is_likely_scale
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.placed import at_origin
@@ -216,6 +218,12 @@ def retarget_stream(
         source = replace(source, up=stance_axis)
     transfer = build_transfer(source, rig, joint_map, rest_rotations, as_rig=as_rig)
     notices += _size_warnings(stream, transfer.scale)
+    known_codes = {notice.code for notice in (*notices, *stream.notices)}
+    notices += [
+        notice
+        for notice in _source_warnings(stream, first_block)
+        if notice.code not in known_codes
+    ]
     retargeting = Retargeting(
         transfer,
         joint_map,
@@ -313,6 +321,15 @@ def _size_warnings(stream: TakeStream, scale: float) -> list[Fault]:
         hint = f"give the unit of the take with {argument('source.unit')}, or correct "
         hint += "units of the rig"
     return [warning("MAP106", message, hint)]
+
+
+def _source_warnings(stream: TakeStream, first_block: Motion) -> list[Fault]:
+    """Return warnings about the root and the legs of a take."""
+    notices = (
+        root_warning(stream.rig, first_block, float(stream.step / stream.fps)),
+        swapped_legs_warning(stream.rig, first_block),
+    )
+    return [notice for notice in notices if notice is not None]
 
 
 def _rig_of_options(options: RetargetPassOptions) -> Path:

@@ -15,6 +15,7 @@ from animtool.retarget.root_position import root_warning
 from animtool.scene.sources.open import open_source
 
 SAMPLES = Path(__file__).parents[2] / "samples"
+RIG = SAMPLES.parent / "rigs/biped/biped.rig.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +72,39 @@ def test_roots_with_another_up_axis(walk: Take, order: tuple[int, int, int]) -> 
     assert problem(walk, roots + path[:, [1, 0, 1]]) is None
 
 
-def test_bake_and_validate_report_it_once(walk: Take, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("factor", "hint"),
+    [
+        (0.001, "multiply them by 1000"),
+        (0.01, "multiply them by 100"),
+        (1 / 39.37, "multiply them by 39.37"),
+        (0.1, None),
+        (0.5, None),
+        (1.0, None),
+    ],
+)
+def test_roots_that_are_too_low(walk: Take, factor: float, hint: str | None) -> None:
     roots = walk.motion.translations.dense()[:, 0]
-    path = tmp_path / "walk.bvh"
-    write_bvh(with_root(walk, 100 * roots), path)
-    for command in (("bake", path, "-o", tmp_path / "walk.usdc"), ("validate", path)):
+    motion = with_root(walk, factor * roots).motion
+    found = root_warning(walk.rig, motion, 1 / 30)
+    assert (None if found is None else (found.code, found.hint)) == (
+        None if hint is None else ("MOT213", hint)
+    )
+    # Relative to the start of the take, or without the time between frames.
+    motion = with_root(walk, factor * (roots - roots[0])).motion
+    assert root_warning(walk.rig, motion, 1 / 30) is None
+    assert problem(walk, factor * roots) is None
+
+
+@pytest.mark.parametrize("factor", [100, 0.01])
+def test_commands_report_it_once(walk: Take, tmp_path: Path, factor: float) -> None:
+    roots = walk.motion.translations.dense()[:, 0]
+    path, output = tmp_path / "walk.bvh", tmp_path / "walk.usdc"
+    write_bvh(with_root(walk, factor * roots), path)
+    for command in (
+        ("bake", path, "-o", output),
+        ("validate", path),
+        ("retarget", path, "--to", RIG, "-o", tmp_path / "biped.usdc"),
+    ):
         done = animtool(*command)
         assert (done.stdout + done.stderr).count("MOT213") == 1

@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import percent_hint, plain_number
 from animtool.maths import so3
-from animtool.rig.body_size import find_feet
+from animtool.retarget.swapped_legs import SWAPPED_LEGS_HINT, find_swapped_legs
 from animtool.validation.motion.body import body_carriers
 from animtool.validation.motion.subject import MotionSubject
 
@@ -169,13 +169,6 @@ def joints_without_influence(subject: MotionSubject) -> Iterator[Fault]:
 STATIC_ANGLE, ACTIVE_ANGLE = 1e-6, math.radians(20.0)
 # Shorter takes are a pose [s].
 MIN_SECONDS = 0.2
-# Fraction of the frames with left joints on the right side, for a swap [1].
-SWAP_FRACTION = 0.9
-# Frames with the hips above the feet within 26 degrees are used, if this fraction of
-# all frames has it [1].
-MIN_UPRIGHT, MIN_UPRIGHT_FRACTION = 0.9, 0.3
-# Toes must point forward, and knees bend, by at least this distance [size].
-MIN_FACING = 0.01
 # Minimum rotation of each swapped joint, and of all of them together [rad].
 MIN_SWAP_ANGLE, MIN_TOTAL_SWAP_ANGLE = math.radians(8.0), math.radians(30.0)
 # Minimum number of steps, so that both sides move before and after a swap.
@@ -201,82 +194,20 @@ def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
     pairs = _side_pairs(subject)
     if not pairs:
         return
-    full_take_faults = list(_full_take_swap(subject, pairs))
+    full_take_faults = list(_full_take_swap(subject))
     yield from full_take_faults or _side_swaps(subject, pairs)
 
 
-def _full_take_swap(
-    subject: MotionSubject, pairs: list[tuple[int, int]]
-) -> Iterator[Fault]:
+def _full_take_swap(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if left joints are on the right side of the body in all frames."""
-    facing_direction = _facing_direction(subject)
-    hips = _hip_pair(subject, pairs)
-    if facing_direction is None or hips is None:
-        return
-    left_hip, right_hip = hips
-    positions = subject.positions
-    feet = find_feet(subject.take.rig.names)
-    hip_centers = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
-    up_directions = hip_centers - positions[:, feet].mean(axis=1)
-    left_direction = np.cross(up_directions, facing_direction)
-    hip_offsets = positions[:, left_hip] - positions[:, right_hip]
-    left_distance = np.einsum("fc,fc->f", left_direction, hip_offsets)
-    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_FACING * subject.size
-    # The feet of a crawling or lying body are next to its hips and point anywhere.
-    leg_lengths = np.linalg.norm(up_directions, axis=1)
-    is_used &= up_directions @ subject.up > MIN_UPRIGHT * leg_lengths
-    if np.count_nonzero(is_used) < max(1.0, MIN_UPRIGHT_FRACTION * len(is_used)):
-        return
-    is_swapped = is_used & (left_distance < 0.0)
-    if np.count_nonzero(is_swapped) <= SWAP_FRACTION * np.count_nonzero(is_used):
-        return
-    names = subject.take.rig.names
-    message = (
-        f"{names[left_hip]!r} is on the right of the body, and {names[right_hip]!r} on "
-        f"the left, in {np.count_nonzero(is_swapped)} of {subject.frames} frames, by "
-        "the direction of the feet"
+    swap = find_swapped_legs(
+        subject.take.rig, subject.positions, subject.size, subject.sides
     )
-    hint = "the names are swapped, or the motion is mirrored: the pass mirror swaps it"
-    yield subject.fault("MOT210", left_hip, int(is_swapped.argmax()), message, hint)
-
-
-def _facing_direction(subject: MotionSubject) -> FloatArray | None:
-    """Return the mean direction of the feet ``(F, 3)``; None without toes."""
-    rig = subject.take.rig
-    feet = set(find_feet(rig.names).tolist())
-    toe_joints = [i for i in feet if rig.joints[i].parent in feet]
-    toe_joints = [i for i in toe_joints if "toe" in rig.names[i].lower()]
-    if not toe_joints:
-        return None
-    toes = np.array(toe_joints)
-    bones = subject.positions[:, toes] - subject.positions[:, rig.parents[toes]]
-    height_gain = bones @ subject.up
-    horizontal_bones = bones - height_gain[..., None] * subject.up
-    # Toes of a hanging or raised foot point down.
-    is_flat = np.abs(height_gain) < np.linalg.norm(horizontal_bones, axis=2)
-    return np.asarray(np.where(is_flat[..., None], horizontal_bones, 0.0).mean(axis=1))
-
-
-def _hip_pair(
-    subject: MotionSubject, pairs: list[tuple[int, int]]
-) -> tuple[int, int] | None:
-    """Return the left and right joint above the feet that are nearest to the root."""
-    rig = subject.take.rig
-    feet = set(find_feet(rig.names).tolist())
-    partners = dict(pairs)
-    for left in sorted(feet):
-        chain = []
-        joint = left
-        while joint >= 0:
-            if joint in partners:
-                chain.append(joint)
-            joint = rig.joints[joint].parent
-        # Joints nearest to the root may be at its position.
-        for hip in reversed(chain):
-            width = np.linalg.norm(subject.rest[hip] - subject.rest[partners[hip]])
-            if width > MIN_FACING * subject.size:
-                return hip, partners[hip]
-    return None
+    # The reader of a file reports it when it is baked, too.
+    is_reported = any(notice.code == "MOT210" for notice in subject.take.notices)
+    if swap is not None and not is_reported:
+        hint, frame = SWAPPED_LEGS_HINT, swap.first_frame
+        yield subject.fault("MOT210", swap.left_joint, frame, swap.message, hint)
 
 
 def _side_swaps(

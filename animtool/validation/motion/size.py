@@ -16,7 +16,13 @@ from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import plain_number
 from animtool.motion.quaternion_order import ORDER_HINT, find_swapped_order
 from animtool.retarget.anatomy import find_anatomy
-from animtool.retarget.root_position import UNIT_FACTORS, height_factor, root_warning
+from animtool.retarget.root_position import (
+    UNIT_FACTORS,
+    factor_text,
+    height_factor,
+    low_height_factor,
+    root_warning,
+)
 from animtool.retarget.standing import Stance, measure_stance
 from animtool.rig.body_size import (
     MIN_JOINTS,
@@ -39,11 +45,6 @@ from animtool.validation.motion.subject import MotionSubject
 MAX_STRETCH, MIN_BONE_LENGTH = 0.5, 0.02
 # Tolerance of a unit factor [1].
 FACTOR_TOLERANCE = 0.15
-# Otherwise, in the correct unit, the lowest joint is this close to 0 of the up axis in
-# most frames [size], [1]; or sometimes, as on stairs, and is then static in this
-# fraction of frames [size], [size/s], [1].
-ZERO_HEIGHT, MIN_ZERO_FRACTION = 0.06, 0.5
-MIN_TREAD_FRACTION, TREAD_SPEED, STATIC_TREAD_FRACTION = 0.05, 0.12, 0.4
 # Fraction of animated bones that must share one factor [1].
 MIN_BONE_FRACTION = 0.8
 # How a file states its up axis.
@@ -127,7 +128,7 @@ def mismatched_units(subject: MotionSubject) -> Iterator[Fault]:
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
         message = (
-            f"the bones are {_factor_text(factor)} as long as those of the rig at "
+            f"the bones are {factor_text(factor)} as long as those of the rig at "
             "rest: the animation uses another unit"
         )
         hint = "convert the animation, or set metersPerUnit of its layer"
@@ -138,7 +139,7 @@ def mismatched_units(subject: MotionSubject) -> Iterator[Fault]:
         root, factor = root_factor
         message = (
             f"the root {subject.take.rig.joints[root].name!r} is "
-            f"{_factor_text(factor)} as high as at rest: its translation uses another "
+            f"{factor_text(factor)} as high as at rest: its translation uses another "
             "unit"
         )
         hint = "convert the root's translations to the unit of the rig"
@@ -181,40 +182,14 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
 
 
 def _low_factor(subject: MotionSubject, root: int) -> float | None:
-    """Return the unit factor by which a root translation is too small, else None.
-
-    Multiplying the translation by the inverse of that factor would put the lowest joint
-    on the ground in most frames, also of a crouching or crawling body.
-    """
-    body_positions = subject.positions[:, body_joints(subject)]
-    lowest_joints = (body_positions @ subject.up).argmin(axis=1)
-    points = body_positions[np.arange(len(body_positions)), lowest_joints]
-    for factor in UNIT_FACTORS:
-        lift = (factor - 1.0) * subject.positions[:, root]
-        heights_above = (points + lift) @ subject.up
-        is_low = np.abs(heights_above) < ZERO_HEIGHT * subject.size
-        if float(is_low.mean()) > MIN_ZERO_FRACTION:
-            return 1.0 / factor
-        lowest = abs(float(np.percentile(heights_above, 5)))
-        if lowest > MIN_TREAD_FRACTION * subject.size:
-            continue
-        frames = np.arange(1, len(body_positions))
-        next_points = body_positions[frames, lowest_joints[:-1]]
-        steps = next_points + lift[1:] - points[:-1] - lift[:-1]
-        max_step = TREAD_SPEED * subject.size * subject.interval
-        is_slow = np.linalg.norm(steps, axis=1) < max_step
-        if float(is_slow.mean()) > STATIC_TREAD_FRACTION:
-            return 1.0 / factor
-    return None
-
-
-def _factor_text(factor: float) -> str:
-    """Return a factor as text.
-
-    >>> _factor_text(100.0), _factor_text(0.01)
-    ('100 times', '1/100')
-    """
-    return f"{plain_number(factor)} times" if factor >= 1.0 else f"1/{1.0 / factor:.3g}"
+    """Return the unit factor by which a root translation is too small, else None."""
+    return low_height_factor(
+        subject.positions[:, root],
+        subject.positions[:, body_joints(subject)],
+        subject.up,
+        subject.size,
+        subject.interval,
+    )
 
 
 def _length_text(meters: float) -> str:

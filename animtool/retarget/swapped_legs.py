@@ -1,0 +1,158 @@
+"""Detects legs whose names are those of the other side of the body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, counted, warning
+from animtool.core.record import dataclass
+from animtool.motion.motion import Motion
+from animtool.rig.body_size import find_feet, is_character
+from animtool.rig.kinematics import rest_size, rest_world
+from animtool.rig.sides import SidePairs, pair_sides
+from animtool.rig.skeleton import Rig
+
+# Fraction of the frames with left joints on the right side, for a swap [1].
+SWAP_FRACTION = 0.9
+# Frames with the hips above the feet within 26 degrees are used, if this fraction of
+# all frames has it [1].
+MIN_UPRIGHT, MIN_UPRIGHT_FRACTION = 0.9, 0.3
+# Toes must point forward, and hips be apart, by at least this distance [size].
+MIN_FACING = 0.01
+# Fewest and most frames of a check of a block.
+MIN_FRAMES, MAX_FRAMES = 8, 64
+SWAPPED_LEGS_HINT = (
+    "exchange the names of the left and the right joints in the file; if the motion "
+    "itself is mirrored, mirror it where it was made"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SwappedLegs:
+    """Hips on the other side of the body than their names say."""
+
+    left_joint: int  # index of the hip that is named left
+    left_name: str
+    right_name: str
+    first_frame: int  # index of the first frame in which it is on the right
+    swapped_count: int  # number of such frames
+    frame_count: int
+
+    @property
+    def message(self) -> str:
+        """Description of the sides of the two joints."""
+        return (
+            f"{self.left_name!r} is on the right of the body, and {self.right_name!r} "
+            f"on the left, in {self.swapped_count} of "
+            f"{counted(self.frame_count, 'frame')}, by the direction of the feet"
+        )
+
+
+def find_swapped_legs(
+    rig: Rig, positions: FloatArray, size: float, sides: SidePairs | None = None
+) -> SwappedLegs | None:
+    """Return the legs that are on the other side of a body whose toes point forward.
+
+    None if they are not, or if it cannot be told: for lying or crawling bodies, and
+    rigs without toes.
+
+    Args:
+        rig: J joints.
+        positions: Positions of the joints ``(F, J, 3)`` [m].
+        size: Size of the body [m].
+        sides: Pairs of left and right joints; None determines them by name.
+    """
+    feet = find_feet(rig.names)
+    facing_direction = _facing_direction(rig, positions, feet.tolist())
+    if facing_direction is None:
+        return None
+    sides = pair_sides(rig.names, rig.parents) if sides is None else sides
+    hips = _hip_pair(rig, sides, feet.tolist(), MIN_FACING * size)
+    if hips is None:
+        return None
+    left_hip, right_hip = hips
+    hip_centers = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
+    up_directions = hip_centers - positions[:, feet].mean(axis=1)
+    left_direction = np.cross(up_directions, facing_direction)
+    hip_offsets = positions[:, left_hip] - positions[:, right_hip]
+    left_distance = np.einsum("fc,fc->f", left_direction, hip_offsets)
+    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_FACING * size
+    # The feet of a crawling or lying body are next to its hips and point anywhere.
+    leg_lengths = np.linalg.norm(up_directions, axis=1)
+    is_used &= up_directions @ np.array(rig.up.vector) > MIN_UPRIGHT * leg_lengths
+    if np.count_nonzero(is_used) < max(1.0, MIN_UPRIGHT_FRACTION * len(is_used)):
+        return None
+    is_swapped = is_used & (left_distance < 0.0)
+    swapped_count = int(np.count_nonzero(is_swapped))
+    if swapped_count <= SWAP_FRACTION * np.count_nonzero(is_used):
+        return None
+    return SwappedLegs(
+        left_hip,
+        rig.names[left_hip],
+        rig.names[right_hip],
+        int(is_swapped.argmax()),
+        swapped_count,
+        len(positions),
+    )
+
+
+def swapped_legs_warning(rig: Rig, motion: Motion) -> Fault | None:
+    """Return a warning if the legs of a block of frames have exchanged names (MOT210).
+
+    Long blocks are sampled.
+    """
+    if motion.frames < MIN_FRAMES or not is_character(rig.names):
+        return None
+    count = min(motion.frames, MAX_FRAMES)
+    frames = np.linspace(0, motion.frames - 1, count).astype(np.int64)
+    positions = motion.select(frames).world(rig).positions
+    swap = find_swapped_legs(rig, positions, rest_size(rig))
+    if swap is None:
+        return None
+    message = (
+        f"{swap.left_name!r} is on the right of the body, and {swap.right_name!r} on "
+        "the left, by the direction of the feet"
+    )
+    return warning("MOT210", message, SWAPPED_LEGS_HINT)
+
+
+def _facing_direction(
+    rig: Rig, positions: FloatArray, feet: list[int]
+) -> FloatArray | None:
+    """Return the mean direction of the feet ``(F, 3)``; None without toes."""
+    toe_joints = [
+        i
+        for i in feet
+        if rig.joints[i].parent in feet and "toe" in rig.names[i].lower()
+    ]
+    if not toe_joints:
+        return None
+    toes, up = np.array(toe_joints), np.array(rig.up.vector)
+    bones = positions[:, toes] - positions[:, rig.parents[toes]]
+    height_gain = bones @ up
+    horizontal_bones = bones - height_gain[..., None] * up
+    # Toes of a hanging or raised foot point down.
+    is_flat = np.abs(height_gain) < np.linalg.norm(horizontal_bones, axis=2)
+    return np.asarray(np.where(is_flat[..., None], horizontal_bones, 0.0).mean(axis=1))
+
+
+def _hip_pair(
+    rig: Rig, sides: SidePairs, feet: list[int], min_width: float
+) -> tuple[int, int] | None:
+    """Return the left and right joint above the feet that are nearest to the root."""
+    rest_positions = rest_world(rig).positions[0]
+    partners = {int(left): int(sides.partners[left]) for left in sides.left}
+    for left in sorted(feet):
+        chain = []
+        joint = left
+        while joint >= 0:
+            if joint in partners:
+                chain.append(joint)
+            joint = rig.joints[joint].parent
+        # Joints nearest to the root may be at its position.
+        for hip in reversed(chain):
+            offset = rest_positions[hip] - rest_positions[partners[hip]]
+            if np.linalg.norm(offset) > min_width:
+                return hip, partners[hip]
+    return None
