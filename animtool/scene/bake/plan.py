@@ -219,7 +219,7 @@ def _with_other_takes(
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
     """Return the plan of an output with systems only, for a scene without a source."""
-    from animtool.scene.systems.bake import plan_systems
+    from animtool.scene.systems.bake import plan_systems, unmoved_frames_warning
 
     assert entry.scene is not None
     if not entry.is_stage:
@@ -238,7 +238,7 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
         None,
         span.fps,
         span.first,
-        list(notices),
+        [*notices, *unmoved_frames_warning(entry.scene, entry.options)],
         (systems,),
     )
 

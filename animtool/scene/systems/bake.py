@@ -10,9 +10,16 @@ from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import MAX_FRAMES, FrameSpan
-from animtool.core.errors import Fault, FormatError, OptionError, refuse_warnings
+from animtool.core.clock import MAX_FRAMES, FrameSpan, frame_label
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    refuse_warnings,
+    warning,
+)
 from animtool.core.files.output import written_size
 from animtool.core.options import refused_options
 from animtool.core.record import dataclass
@@ -199,15 +206,12 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     """Return the plan of a scene's systems."""
     _refuse_character_options(scene, options)
     fps = options.fps or DEFAULT_FPS
-    frames, scene_frames = options.frame_range, scene.bake.frame_range
+    frames = options.frame_range
     if frames is None:
         message = "a simulation has no natural end"
         hint = "set the frames to write: range: [1, 120]"
         raise OptionError(Fault("SCN061", message, str(scene.path), (), hint))
-    # The simulation starts at the beginning even if only a part is requested.
-    start = options.start
-    if start is None:
-        start = Fraction((scene_frames or frames).first)
+    start = _start_code(scene, options, frames)
     codes = _codes(frames, options.samples)
     model = model_path(options.prim_path, source_stem(scene.path))
     unit = 1.0 if options.to_units is None else options.to_units.meters
@@ -216,6 +220,43 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     metadata = StageMetadata(model.split("/")[1], span, unit, up_axis, options.shot)
     job = system_job(scene.systems, model, metadata, unit, up_axis)
     return SystemPrims(scene, job, start, codes)
+
+
+def _start_code(scene: Scene, options: BakeOptions, frames: FrameRange) -> Fraction:
+    """Return the time code of 0 s.
+
+    The simulation starts at the beginning even if only a part is requested.
+    """
+    if options.start is not None:
+        return options.start
+    return Fraction((scene.bake.frame_range or frames).first)
+
+
+def unmoved_frames_warning(scene: Scene, options: BakeOptions) -> list[Fault]:
+    """Return a warning if all frames are before the simulation starts (SIM203)."""
+    frames = options.frame_range
+    if frames is None:
+        return []
+    start, fps = _start_code(scene, options, frames), options.fps or DEFAULT_FPS
+    prerolls = [float(system.setup.spec.preroll) for system in scene.systems]
+    seconds = float((frames.last - start) / fps)
+    if seconds >= -max(prerolls, default=0.0):
+        return []
+    count = frames.last - frames.first + 1
+    frames_text = f"frame {frames.first} is"
+    if count > 1:
+        frames_text = f"all frames, {frames.first} to {frames.last}, are"
+    message = f"{frames_text} before the simulation starts, at frame "
+    message += f"{frame_label(start)}: nothing moves"
+    first = ceil(start)
+    hint = argument("frame_range", f"{first}-{first + count - 1}")
+    location = next(
+        (output.location for output in scene.outputs if output.bake is options), None
+    )
+    fault = warning("SIM203", message, f"use {hint}", "start")
+    if location is not None:
+        return [location.locate(fault)]
+    return [replace(fault, where=None, path=str(scene.path))]
 
 
 def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:

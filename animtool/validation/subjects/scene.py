@@ -90,7 +90,11 @@ def open_scene(
     if not scene.sources:
         # Without a take: its reader has checked everything but the initial states of
         # systems.
+        from animtool.scene.systems.bake import unmoved_frames_warning  # loads USD
+
         checked_file.faults = [*scene.notices, *_bake_errors(scene, None)]
+        for output in scene.outputs:
+            checked_file.faults += unmoved_frames_warning(scene, output.bake)
         return checked_file
     try:
         checked_file.subject, notices = _run_passes(document, scene)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from pxr import Sdf
 from support.cli import animtool
 
@@ -48,3 +49,34 @@ def test_start_is_the_time_code_of_0_s(tmp_path: Path) -> None:
     assert {code + 11: row for code, row in one.items()} == two
     text = " ".join(animtool("bake", "--help").stdout.split())
     assert "that of 0 s, when the simulation starts" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "count"),
+    [
+        ((), 0),
+        (("--start", 9), 0),
+        (("--start", 10), 1),
+        (("--start", 1001), 1),
+        (("--start", 1001, "--range", "1001-1009"), 0),
+        (("--start", 1001, "--range", "5"), 1),
+    ],
+)
+def test_frames_that_are_all_before_0_s(
+    tmp_path: Path, options: tuple[object, ...], count: int
+) -> None:
+    scene = tmp_path / "e.scene.yaml"
+    scene.write_text(SCENE)
+    done = animtool("bake", scene, "-o", tmp_path / "a.usda", *options)
+    assert done.code == 0, done.stderr
+    assert done.stderr.count("SIM203") == count
+
+
+def test_the_start_of_a_scene_is_after_its_frames(tmp_path: Path) -> None:
+    scene = tmp_path / "e.scene.yaml"
+    for start, preroll, count in ((1001, 0, 1), (1001, 60, 0), (9, 0, 0)):
+        text = SCENE.replace("name: embers", f"name: embers\n    preroll: {preroll}")
+        scene.write_text(f"{text}output: {{file: a.usda, start: {start}}}\n")
+        for command in ("validate", "bake"):
+            done = animtool(command, scene, *["--overwrite"] * (command == "bake"))
+            assert (done.stdout + done.stderr).count("SIM203") == count
