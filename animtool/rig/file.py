@@ -35,6 +35,7 @@ from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_w_last
 from animtool.rig.suspicious_parts import warn_of_parts
 from animtool.rig.suspicious_shape import warn_of_shape
+from animtool.rig.suspicious_strands import warn_of_strands
 
 
 def read_bind(
@@ -192,6 +193,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     warn_of_shape(document, rig)
     warn_of_drives(document, rig)
     warn_of_parts(document, model, rig)
+    warn_of_strands(document, model, rig)
     return replace(rig, notices=(*rig.notices, *document.notices[notice_count:]))
 
 
