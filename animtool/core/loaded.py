@@ -27,9 +27,9 @@ def check_loaded(value: object, expected: type, name: str) -> None:
     """
     if isinstance(value, expected):
         return
-    class_name, given = expected.__name__, type(value).__name__
-    article = "an" if given[:1] in "AEIOUaeiou" else "a"
-    kind, remedy = f"{article} {given}", ""
+    class_name, type_name = expected.__name__, type(value).__name__
+    article = "an" if type_name[:1] in "AEIOUaeiou" else "a"
+    kind, remedy = f"{article} {type_name}", ""
     loader = _LOADERS.get(class_name, "")
     if value is None:
         kind = "None"

@@ -68,7 +68,7 @@ def _reversal_text(rig: Rig, attachment: Attachment, archives: Archives) -> str 
     for i in set(nearest_meshes.tolist()):
         strands = np.flatnonzero(nearest_meshes == i)
         vertices_of_mesh = nearest_vertices[strands]
-        is_reversed[strands] &= _are_carried(
+        is_reversed[strands] &= _follow_joints(
             rig.meshes[i], vertices_of_mesh, carriers, archives
         )
     if float(is_reversed.mean()) < MIN_FRACTION:
@@ -121,7 +121,7 @@ def _nearest_vertices(
     return np.sqrt(squares), nearest
 
 
-def _are_carried(
+def _follow_joints(
     mesh: Mesh, vertices: IntArray, carriers: frozenset[str], archives: Archives
 ) -> BoolArray:
     """Return a mask of the vertices that mostly follow one of the joints ``(N,)``.
