@@ -30,6 +30,8 @@ MAX_LOW_RATIO, MIN_LOW_FRAMES = 0.15, 8
 MAX_LOW_FACTOR = 0.03
 # Maximum distance of a root from the hips at rest, in leg lengths [1].
 MAX_HIPS_DISTANCE = 0.3
+# Minimum height of legs that are upright at rest, over the length of their bones [1].
+MIN_UPRIGHT = 0.6
 # Tolerance of a height that equals the leg length, and its maximum standard deviation,
 # in leg lengths [1].
 HEIGHT_TOLERANCE, HEIGHT_DEVIATION = 0.15, 0.08
@@ -132,14 +134,21 @@ def root_warning(
 def _leg_length(rig: Rig) -> float | None:
     """Return the height of the hips over the feet at rest [m].
 
-    None if the root is elsewhere.
+    None if the root is elsewhere, or if the legs are not upright at rest.
     """
     positions = rest_world(rig).positions[0]
     up, hips = np.array(rig.up.vector, float), _hips(rig)
-    feet_height = float((positions[find_feet(rig.names)] @ up).min())
-    length = float(positions[hips] @ up) - feet_height
+    feet = find_feet(rig.names)
+    joint = int(feet[(positions[feet] @ up).argmin()])
+    length = float((positions[hips] - positions[joint]) @ up)
+    bones_length = 0.0
+    while joint != hips:
+        parent = int(rig.parents[joint])
+        bones_length += float(np.linalg.norm(positions[joint] - positions[parent]))
+        joint = parent
     distance = float(np.linalg.norm(positions[int(rig.roots[0])] - positions[hips]))
-    return length if length > 0 and distance <= MAX_HIPS_DISTANCE * length else None
+    is_upright = length > MIN_UPRIGHT * bones_length
+    return length if is_upright and distance <= MAX_HIPS_DISTANCE * length else None
 
 
 def _problem(
