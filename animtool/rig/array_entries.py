@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.errors import counted
 from animtool.core.names import most_similar, nearest
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
@@ -28,6 +29,9 @@ Shape = tuple[int | None, ...]
 
 # Array roles that count something and contain whole numbers.
 _INTEGER_ROLES = frozenset({"faces", "indices", "pins", "vertices"})
+# What indices count in, with its noun, by role.
+_COUNTED_PARTS = {"indices": ("skin.joints", "joint")}
+_MESH_POINTS = ("the mesh", "point")
 # Keys of the file that differ from the role of their array.
 _ROLE_KEYS = {"strands": "points"}
 # Fills the missing corner of a triangle among quadrangles, and so on.
@@ -72,9 +76,7 @@ class ArrayReader:
             values = self.archives.load_stored(path, array_key)
             message = _value_fault(role, values, count)
             if message is not None:
-                is_from_one = count is not None and role in _INTEGER_ROLES
-                is_from_one &= (values.min(), values.max()) == (1, count)
-                hint = "indices count from 0: subtract 1" if is_from_one else None
+                hint = _index_hint(role, values, count)
                 self.document.add("RIG027", location, f"{text!r} {message}", hint)
         except ValueError as error:
             code = "RIG020" if "pickled" in str(error) else "RIG018"
@@ -139,14 +141,37 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
         index = _first_index(is_wrong & ~is_optional)
         if index is None:
             return None
-        range_text = "" if count is None else f" to {count - 1}"
-        return f"contains {values[index]} at {list(index)}, not 0{range_text}"
+        message = f"contains {values[index]} at {list(index)}"
+        if count is None:
+            return f"{message}, not 0 or more"
+        owner, noun = _COUNTED_PARTS.get(role, _MESH_POINTS)
+        range_text = {0: "none", 1: "only 0"}.get(count, f"0 to {count - 1}")
+        return f"{message}, but {owner} has {counted(count, noun)}: {range_text}"
     index = _first_index(~np.isfinite(values))
     if index is not None:
         return f"contains {values[index]} at {list(index)}, not a finite number"
     if role == "strands":
         return _strand_fault(values)
     return _weight_fault(values) if role == "weights" else None
+
+
+def _index_hint(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
+    """Return how to correct indices out of range; None if they do not tell."""
+    if count is None or role not in _INTEGER_ROLES:
+        return None
+    if role == "faces":
+        values = values[values != MISSING_CORNER]
+    lowest, highest = (int(values.min()), int(values.max())) if values.size else (0, 0)
+    if highest == count and lowest == 1:
+        return f"{role} count from 0, but these from 1, as in an OBJ: subtract 1"
+    if highest == count and lowest > 1:
+        return f"{role} count from 0; if these count from 1, as in an OBJ, subtract 1"
+    if highest < count:
+        return f"{role} count from 0"
+    if role == "indices":
+        hint = f"the largest is {highest}: list {highest + 1} joints in skin.joints, "
+        return f"{hint}or correct the indices"
+    return f"the largest is {highest}: use the array exported with these points"
 
 
 def _strand_fault(values: npt.NDArray[Any]) -> str | None:

@@ -67,6 +67,7 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
         points=np.zeros((4, 3)),
         normals=np.zeros((4, 3)),
         faces=np.array([[0, 1, 2, 3]]),
+        faces_from_one=np.array([[1, 2, 3, 4], [1, 2, 3, -1]]),
         indices=np.zeros((4, 2), int),
         weights=np.full((4, 2), 0.5),
         dent=np.zeros((4, 3)),
@@ -306,7 +307,20 @@ def test_a_name_that_no_control_can_have(yard: Path, name: str, reason: str) -> 
 
 def test_a_value_of_an_array_is_named_with_its_place(yard: Path) -> None:
     [fault] = faults(yard, CRANE.replace("indices: hull.npz", "indices: hull.npz#far"))
-    assert fault.message == "'hull.npz#far' contains 2 at [0, 1], not 0 to 1"
+    assert fault.message.startswith("'hull.npz#far' contains 2 at [0, 1], but ")
+    assert "skin.joints has 2 joints" in fault.message
+    assert "list 3 joints" in (fault.hint or "")
+
+
+@pytest.mark.parametrize(
+    "reference",
+    ["indices: hull.npz#from_one", "faces: hull.npz#faces_from_one"],
+)
+def test_indices_that_count_from_1_are_recognised(yard: Path, reference: str) -> None:
+    key = reference.partition("#")[0]
+    [fault] = faults(yard, CRANE.replace(key, reference, 1))
+    assert fault.code == "RIG027"
+    assert (fault.hint or "").endswith("subtract 1")
 
 
 def test_triangles_among_quadrangles(yard: Path) -> None:
