@@ -9,7 +9,12 @@ from typing import Any
 from animtool.core.errors import counted, excerpt
 from animtool.core.names import most_similar
 from animtool.documents.other_words import MORE_VALUES, OTHER_VALUES
-from animtool.documents.yaml_values import flow_value, plain_scalar
+from animtool.documents.yaml_values import (
+    MAX_HINT_LENGTH,
+    flow_value,
+    plain_scalar,
+    timed_rows,
+)
 
 # Larger bounds are general limits, not the key's.
 LARGE_NUMBER = 1e9
@@ -100,12 +105,26 @@ def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
     classes = {fault.get("ctx", {}).get("class") for fault in faults}
     if key == "size" and "Sequence" in classes and isinstance(value, int | float):
         return f"write {flow_value([value] * 3)}"
+    if "a list" in kinds and isinstance(value, dict):
+        return _rows_hint(key, value)
     if kinds & {"a number", "a whole number"}:
         return number_hint(key, value)
     if "true or false" in kinds:
         boolean_text = _BOOLEAN_WORDS.get(str(value).lower())
         return boolean_text and f"write {boolean_text}"
     return _choice_hint(faults)
+
+
+def _rows_hint(key: str | int, value: dict[Any, Any]) -> str | None:
+    """Return a hint that writes a mapping of times to values as a list of rows."""
+    times = [plain_scalar(str(time)) for time in value]
+    if not times or not all(type(time) in (int, float) for time in times):
+        return None
+    rows = timed_rows(zip(times, value.values(), strict=True))
+    hint = f"write {key}: {flow_value(rows)}"
+    if len(hint) > MAX_HINT_LENGTH:
+        hint = f"write {key}: {flow_value(rows[:1])[:-1]}, …]"
+    return hint[:MAX_HINT_LENGTH]
 
 
 def number_hint(key: str | int, value: Any) -> str | None:

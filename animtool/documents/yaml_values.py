@@ -9,7 +9,7 @@ its line numbers are computed on demand.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, cast
@@ -37,8 +37,11 @@ MAX_DIGITS = 400
 MAX_HINT_LENGTH = 200
 MAX_SHOWN_KEY_LENGTH = 40
 MAX_KEY_LENGTH = 1000
-# The key whose list is sometimes written as a mapping of times to values.
+# Keys whose list is sometimes written as a mapping of times to values: of a channel,
+# and of rows that start with a time. Some are such a list in passes only.
 TIMED_KEY = "keys"
+ROW_KEYS = frozenset({"during", "hold", "moves", "opens", "temperatures", "turns"})
+PASS_ROW_KEYS = frozenset({"curve", "weight"})
 # Suffixes of YAML and JSON files.
 DOCUMENT_FILE_SUFFIXES = (".yaml", ".yml", ".json")
 
@@ -254,7 +257,7 @@ class _YamlReader:
                 if len(stack) > MAX_DEPTH:
                     self._fail("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
                 collection = _OpenCollection(value, is_flow=bool(event.flow_style))
-                collection.is_keys_value = stack[-1].key == TIMED_KEY
+                collection.timed_key = _timed_key(stack)
                 stack[-1].add_node(value, position, self)
                 stack.append(collection)
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
@@ -315,8 +318,8 @@ class _OpenCollection:
     key: str | None = None  # of a mapping, the key whose value is next
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
     is_flow: bool = False  # whether it is in flow style
-    is_keys_value: bool = False  # whether it is the value of a `keys` list
-    # In the value of `keys`: numbers used as mapping keys, and their positions.
+    timed_key: str | None = None  # the key whose list over time it should be
+    # In the value of that key: numbers used as mapping keys, and their positions.
     times: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
     # Pieces of a text that commas have split: a value with an open bracket, and the
     # keys after it.
@@ -344,7 +347,7 @@ class _OpenCollection:
                 self._rejoin_text(value, position, reader, unquoted)
             return
         placeholder = f"\0{position}"
-        if self.is_keys_value and type(value) in (int, float):
+        if self.timed_key is not None and type(value) in (int, float):
             self.times.append((value, position))
             value = placeholder
         elif unquoted.isdigit() and self._is_decimal(position, reader):
@@ -396,15 +399,18 @@ class _OpenCollection:
         """Report times used as mapping keys, with the correct form as a hint."""
         if not self.times:
             return
-        entries = [
-            {"t": time} | (value if isinstance(value, dict) else {"v": value})
-            for time, position in self.times
-            for value in [self.value[f"\0{position}"]]
-        ]
-        hint = f"write {TIMED_KEY}: {flow_value(entries)}"
+        key = self.timed_key
+        values = [(time, self.value[f"\0{position}"]) for time, position in self.times]
+        entries: list[Any] = timed_rows(values)
+        if key == TIMED_KEY:
+            entries = [
+                {"t": time} | (value if isinstance(value, dict) else {"v": value})
+                for time, value in values
+            ]
+        hint = f"write {key}: {flow_value(entries)}"
         if len(hint) > MAX_HINT_LENGTH:
-            hint = f"write {TIMED_KEY}: {flow_value(entries[:1])[:-1]}, …]"
-        message = f"a key is {self.times[0][0]!r}, not text: {TIMED_KEY} must be a list"
+            hint = f"write {key}: {flow_value(entries[:1])[:-1]}, …]"
+        message = f"a key is {self.times[0][0]!r}, not text: {key} must be a list"
         reader.add_fault("DOC010", message, self.times[0][1], hint[:MAX_HINT_LENGTH])
 
     def _rejoin_text(
@@ -443,6 +449,27 @@ def flow_value(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     return str(value)
+
+
+def timed_rows(values: Iterable[tuple[float, Any]]) -> list[list[Any]]:
+    """Return rows of times and their values, which may be lists.
+
+    >>> timed_rows([(1, 0), (12, [2, 3])])
+    [[1, 0], [12, 2, 3]]
+    """
+    return [
+        [time, *value] if isinstance(value, list) else [time, value]
+        for time, value in values
+    ]
+
+
+def _timed_key(stack: Sequence[_OpenCollection]) -> str | None:
+    """Return the key whose value starts if that is a list over time, else None."""
+    key = stack[-1].key
+    root = stack[1].value if len(stack) > 1 else None
+    is_in_pass = isinstance(root, dict) and next(reversed(root), None) == "passes"
+    keys = {TIMED_KEY, *ROW_KEYS, *(PASS_ROW_KEYS if is_in_pass else ())}
+    return key if key in keys else None
 
 
 def _open_brackets(text: str) -> int:

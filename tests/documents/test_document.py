@@ -190,6 +190,30 @@ def test_times_that_are_keys_are_told_as_a_list(
 
 
 @pytest.mark.parametrize(
+    ("text", "form"),
+    [
+        (
+            "passes:\n- layer: {weight: {1: 0, 12: 1, 24: 0}}",
+            "write weight: [[1, 0], [12, 1], [24, 0]]",
+        ),
+        ("passes:\n- time_warp:\n    curve:\n      1: 5\n", "write curve: [[1, 5]]"),
+        ("systems:\n- a: {moves: {0.5: [1, 2, 3]}}", "write moves: [[0.5, 1, 2, 3]]"),
+        # A goal's weight is a number.
+        ("targets: a\ngoals:\n- weight: {1: 0}", "quote it"),
+    ],
+)
+def test_times_that_are_keys_are_told_as_rows(
+    tmp_path: Path, text: str, form: str
+) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(text, "utf-8")
+    with pytest.raises(FormatError) as caught:
+        read_document(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.hint) == ("DOC010", form)
+
+
+@pytest.mark.parametrize(
     ("name", "hint"), [("walk.bvh", "ends in .yaml"), ("walk.yml", "spaces")]
 )
 def test_a_file_of_another_kind_is_told_what_is_wanted(
