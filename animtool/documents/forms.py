@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import field
 from typing import Any, get_args, get_origin
 
@@ -35,6 +35,14 @@ class EntryExamples:
     """Examples of options by name, for mappings that have a single entry."""
 
     options: Mapping[str, Any] = field(hash=False)
+
+
+@dataclass(frozen=True, slots=True)
+class EntryNames:
+    """Names of which each is an item of a list, with its options below it."""
+
+    noun: str  # what a name is of, such as a pass
+    find: Callable[[], Collection[str]]  # returns the known names
 
 
 def syntax_hint(
@@ -299,3 +307,9 @@ def _takes_file(annotation: Any) -> bool:
     if models:
         return any("file" in fields_of(model) for model in models)
     return get_origin(annotation) is list and _takes_file(get_args(annotation)[0])
+
+
+def entry_names(annotation: Any) -> EntryNames | None:
+    """Return the `EntryNames` of a type; None if it has none."""
+    constraints = getattr(annotation, "__metadata__", ())
+    return next((c for c in constraints if isinstance(c, EntryNames)), None)

@@ -13,6 +13,8 @@ from animtool.core.names import FILE_KINDS, most_similar, nearest, sort_by_simil
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location, location_text
 from animtool.documents.forms import (
+    MAX_EXAMPLE,
+    entry_names,
     example_hint,
     key_named_by,
     missing_key_hint,
@@ -240,7 +242,9 @@ class ModelFaults:
                 continue
             if location and isinstance(value_at(self.value, location), dict):
                 mappings[location] = None
-        locations = list(filter(self._record_unindented_options, mappings))
+        locations = list(filter(self._record_missing_dash, mappings))
+        if not locations:
+            locations = list(filter(self._record_unindented_options, mappings))
         if not locations:
             locations = list(filter(self._record_options_without_name, mappings))
         for location in locations:
@@ -260,6 +264,28 @@ class ModelFaults:
         message = f"options of {name!r} are not below it: {names}"
         hint = f"indent them further, or write {text}"
         key_location = (*location, options[0])
+        self.document.add("DOC022", key_location, message, hint, at_key=True)
+        return True
+
+    def _record_missing_dash(self, location: Location) -> bool:
+        """Record a fault if an item of a list holds several names of items."""
+        names = entry_names(annotation_at(self.model, self.value, location))
+        entry = value_at(self.value, location)
+        if names is None or not _is_list_entry(location) or len(entry) < 2:
+            return False
+        known_names = names.find()
+        if not all(
+            name in known_names and (options is None or isinstance(options, dict))
+            for name, options in entry.items()
+        ):
+            return False
+        first, second, *_ = entry
+        message = f"{second!r} is another {names.noun} in the item of {first!r}"
+        hint = f"each {names.noun} needs its own dash: "
+        items = [{name: options or {}} for name, options in entry.items()]
+        text = flow_text(str(location[-2]), items)
+        hint += f"write {text}" if len(text) <= MAX_EXAMPLE else f"write '- {second}:'"
+        key_location = (*location, second)
         self.document.add("DOC022", key_location, message, hint, at_key=True)
         return True
 

@@ -307,9 +307,17 @@ def find_pass(name: str) -> Pass:
     points = plugin_entry_points(PLUGIN_GROUP)
     if name in points:
         return load_plugin(points[name], Pass)
-    allowed_names = sorted({*PASSES, *points})
     message = f"unknown pass {excerpt(name)}"
-    raise OptionError(Fault("SCN010", message, hint=nearest(name, allowed_names)))
+    raise OptionError(Fault("SCN010", message, hint=nearest(name, pass_names())))
+
+
+def pass_names() -> list[str]:
+    """Return the names of all passes, including those of plug-ins.
+
+    >>> pass_names()[:3]
+    ['blend', 'clean', 'difference']
+    """
+    return sorted({*PASSES, *plugin_entry_points(PLUGIN_GROUP)})
 
 
 def listed_passes() -> list[ListedEntry]:

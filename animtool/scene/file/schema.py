@@ -25,6 +25,8 @@ from animtool.documents.fields import (
     check_numbers,
     with_fields,
 )
+from animtool.documents.forms import EntryNames
+from animtool.motion.passes import pass_names
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.open import SourceOptions
 from animtool.systems.framework.kinds import SYSTEM_KINDS
@@ -255,6 +257,7 @@ class SceneModel(FileModel):
                 dict[str, dict[str, Any] | None],
                 Len(1, 1),
                 AfterValidator(check_numbers),
+                EntryNames("pass", pass_names),
             ]
         ],
         Len(0, 1000),

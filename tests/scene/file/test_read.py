@@ -54,6 +54,36 @@ def test_a_scene_bakes_to_the_file_it_names(shot: Path) -> None:
     assert "endTimeCode = 1016\n" in text
 
 
+@pytest.mark.parametrize(
+    ("entry", "key", "word"),
+    [
+        ("- mirror:\n  trim: {first: 5}", "trim", "{mirror: {}}, {trim: {first: 5}}"),
+        ("- mirror: {}\n  trim:", "trim", "{mirror: {}}, {trim: {}}"),
+        ("- {mirror: , loop: , trim: }", "loop", "{mirror: {}}, {loop: {}}, {trim"),
+        # A key that is an option of the pass too.
+        ("- loop:\n  blend: 12", "blend", "loop: {blend: 12}"),
+    ],
+)
+def test_passes_without_their_dash(shot: Path, entry: str, key: str, word: str) -> None:
+    text = GOOD.replace("- mirror:\n- trim: {first: 5, last: 20}", entry)
+    shot.write_text(text, "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot)
+    [fault] = caught.value.faults
+    assert (fault.code, fault.where) == ("DOC022", f"passes[0].{key}")
+    assert word in (fault.hint or "")
+
+
+@pytest.mark.parametrize("weight", ["{1: 0, 12: 1}", '{"1": 0, "12": 1}'])
+def test_a_weight_over_time_is_told_as_pairs(shot: Path, weight: str) -> None:
+    layer = f"- layer: {{take: walk.bvh, weight: {weight}}}"
+    shot.write_text(GOOD.replace("- mirror:", layer), "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot)
+    [fault] = caught.value.faults
+    assert fault.hint == "write weight: [[1, 0], [12, 1]]"
+
+
 def test_a_bake_reads_its_scene_once(
     shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
