@@ -88,22 +88,46 @@ def load_template(path: Path | str) -> MarkerTemplate:
     return parse_template(read_document(Path(path)))
 
 
+def _check_names(document: Document, model: MarkersModel) -> None:
+    """Record a fault for each name or alias that another marker has (MKT002)."""
+    entry_of_name: dict[str, int] = {}
+    for i, entry in enumerate(model.marker_set):
+        if entry.name in entry_of_name:
+            other = f"marker_set[{entry_of_name[entry.name]}]"
+            message = f"two markers are called {entry.name!r}"
+            hint = f"rename it here, or in {other}"
+            document.add("MKT002", ("marker_set", i, "name"), message, hint)
+        entry_of_name.setdefault(entry.name, i)
+    entry_of_alias: dict[str, int] = {}
+    for i, entry in enumerate(model.marker_set):
+        for k, alias in enumerate(entry.aliases):
+            location: Location = ("marker_set", i, "aliases", k)
+            message, hint = "", "remove the alias"
+            if alias in entry_of_name:
+                other = f"marker_set[{entry_of_name[alias]}]"
+                message = f"the alias {alias!r} is the name of {other}"
+                if entry_of_name[alias] == i:
+                    message = f"the alias {alias!r} is the name of the marker itself"
+            elif entry_of_alias.get(alias) == i:
+                message = f"the alias {alias!r} is listed twice"
+                hint = "remove one of them"
+            elif alias in entry_of_alias:
+                other = f"marker_set[{entry_of_alias[alias]}]"
+                message = f"the alias {alias!r} is an alias of {other} too"
+                hint = "remove one of them"
+            if message:
+                document.add("MKT002", location, message, hint)
+            entry_of_alias.setdefault(alias, i)
+
+
 def parse_template(document: Document) -> MarkerTemplate:
     """Parse a marker template document; see `load_template`."""
     check_version(document, "markers")
     model = validate_document(document, MarkersModel)
     unit = LengthUnit(model.units.length).meters
-    entry_of_name: dict[str, int] = {}
+    _check_names(document, model)
     markers = []
-    for i, entry in enumerate(model.marker_set):
-        names: list[tuple[Location, str]] = [(("name",), entry.name)]
-        names += [(("aliases", k), alias) for k, alias in enumerate(entry.aliases)]
-        for location, name in names:
-            if name in entry_of_name:
-                message = f"two markers are called {name!r}"
-                hint = f"rename it here, or in marker_set[{entry_of_name[name]}]"
-                document.add("MKT002", ("marker_set", i, *location), message, hint)
-            entry_of_name.setdefault(name, i)
+    for entry in model.marker_set:
         x, y, z = (value * unit for value in entry.offset)
         markers.append(
             TemplateMarker(

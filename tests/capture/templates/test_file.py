@@ -44,6 +44,14 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
             "MKT002",
             4,
         ),
+        # The alias is what is wrong, and not the name after it.
+        (
+            "marker_set:\n- {name: B, joint: b, aliases: [A]}\n- {name: A, joint: b}\n",
+            "MKT002",
+            3,
+        ),
+        ("marker_set:\n- {name: A, joint: b, aliases: [A]}\n", "MKT002", 3),
+        ("marker_set:\n- {name: A, joint: b, aliases: [B, B]}\n", "MKT002", 3),
         ("marker_set:\n- {name: A, joint: b, weight: 0}\n", "MKT004", 3),
         ("marker_set:\n- {name: A, joint: b, weight: -1}\n", "", 3),
         ("marker_set:\n- {name: A, joint: b, offset: [1, 2]}\n", "", 3),
@@ -61,6 +69,23 @@ def test_faults_have_their_line(
         load_template(written(tmp_path, text))
     assert caught.value.faults[0].lines == (line,)
     assert code in {"", caught.value.code}
+
+
+def test_an_alias_that_is_a_name_is_located(tmp_path: Path) -> None:
+    text = """\
+marker_set:
+- {name: A, joint: b, offset: [0, 0, 0], aliases: [C, D]}
+- {name: B, joint: b, offset: [0, 0, 0], aliases: [D]}
+- {name: C, joint: b, offset: [0, 0, 0]}
+"""
+    with pytest.raises(FormatError) as caught:
+        load_template(written(tmp_path, text))
+    locations = [(fault.code, fault.where) for fault in caught.value.faults]
+    assert locations == [
+        ("MKT002", "marker_set[0].aliases[0]"),
+        ("MKT002", "marker_set[1].aliases[0]"),
+    ]
+    assert "marker_set[2]" in caught.value.faults[0].message
 
 
 def test_offsets_in_another_unit_are_pointed_out(tmp_path: Path) -> None:
