@@ -99,14 +99,23 @@ def entry_location(
 ) -> EntryLocation:
     """Return the location of an entry and of the keys that are set in its model."""
     keys = {}
-    for name in () if model is None else sorted(model.model_fields_set):
-        keys[name] = document.position((*location, name))
-        value = getattr(model, name)
-        for i in range(len(value)) if isinstance(value, list) else ():
-            if isinstance(value[i], FileModel):
-                keys[f"{name}[{i}]"] = document.position((*location, name, i))
+    for steps in () if model is None else _key_steps(model):
+        keys[location_text(steps)] = document.position((*location, *steps))
     line, column = document.position(location)
     return EntryLocation(document.path, line, column, location_text(location), keys)
+
+
+def _key_steps(model: FileModel) -> Iterator[Location]:
+    """Yield the path of each key that is set in a model and in the models it holds."""
+    for name in sorted(model.model_fields_set):
+        yield (name,)
+        value = getattr(model, name)
+        parts = enumerate(value) if isinstance(value, list) else [(None, value)]
+        for index, part in parts:
+            if isinstance(part, FileModel):
+                steps = (name,) if index is None else (name, index)
+                yield steps
+                yield from ((*steps, *inner) for inner in _key_steps(part))
 
 
 @dataclass(frozen=True, slots=True)

@@ -231,11 +231,7 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
             if name not in names:
                 hint = f"the species are {', '.join(names)}"
                 yield f"unknown species {excerpt(name)}", where, hint
-        speed = species.speed
-        if not speed.least <= speed.cruise <= max_speed(species):
-            message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
-            message += f"between {speed.least:g} and {max_speed(species):g}"
-            yield message, where, None
+        yield from _speed_problems(species, where)
     has_mesh = [species.shows is not None for species in spec.species]
     if any(has_mesh) and not all(has_mesh):
         name = names[has_mesh.index(False)]
@@ -243,6 +239,29 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
         yield "some species show a mesh, but others show points", "species", hint
     if spec.domain is not None:
         yield from _domain_problems(spec, spec.domain)
+
+
+def _speed_problems(species: SpeciesModel, where: str) -> Iterator[Problem]:
+    """Yield a problem if the bounds of a species' speed exclude its cruise."""
+    speed = species.speed
+    if speed.most is not None and speed.least > speed.most:
+        message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
+        message += f"speed.most, {speed.most:g}"
+        yield message, f"{where}.speed.least", "lower least, or raise most"
+    elif speed.least > speed.cruise:
+        cruise = f"speed.cruise, {speed.cruise:g}"
+        if "cruise" not in speed.model_fields_set:
+            cruise += ", the default"
+        message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
+        hint = "lower least, or raise cruise"
+        yield f"{message}{cruise}", f"{where}.speed.least", hint
+    elif speed.most is not None and speed.most < speed.cruise:
+        cruise = f"speed.cruise, {speed.cruise:g}"
+        if "cruise" not in speed.model_fields_set:
+            cruise += ", the default"
+        message = f"speed.most of {species.name!r} is {speed.most:g} m/s, below "
+        hint = "raise most, or lower cruise"
+        yield f"{message}{cruise}", f"{where}.speed.most", hint
 
 
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:

@@ -277,7 +277,16 @@ FAULTS = {
     ),
     "two of a name": (flock(BIRD, BIRD), "SIM060", "'bird'"),
     "a cruise that is too fast": (
-        flock({**BIRD, "speed": {"cruise": 3, "most": 2}}), "SIM060", "cruise"
+        flock({**BIRD, "speed": {"cruise": 3, "most": 2}}),
+        "SIM060", "species[0].speed.most",
+    ),
+    "a least speed above the cruise": (
+        flock({**BIRD, "speed": {"cruise": 6, "least": 8}}),
+        "SIM060", "species[0].speed.least",
+    ),
+    "a least speed above the most": (
+        flock({**BIRD, "speed": {"cruise": 6, "least": 8, "most": 7}}),
+        "SIM060", "species[0].speed.least",
     ),
     "a domain that is too small": (
         flock(BIRD, domain={"size": [3, 9, 9], "wrap": True}), "SIM060", "domain"

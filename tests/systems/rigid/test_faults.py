@@ -226,13 +226,13 @@ systems:
 """
 
 
-def test_the_line_is_that_of_the_entry(tmp_path: Path) -> None:
+def test_the_line_is_that_of_the_key(tmp_path: Path) -> None:
     file = tmp_path / "a.scene.yaml"
     file.write_text(SCENE, "utf-8")
     with pytest.raises(FormatError) as error:
         open_systems(load_scene(file).systems, 1.0)
     (fault,) = error.value.faults
-    assert (fault.lines, fault.column) == ((9,), 7)
+    assert (fault.lines, fault.column) == ((10,), 16)
 
 
 def warned(found: Rigid, code: str) -> list[str | None]:
