@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import field
 
 from animtool.core.arguments import argument
@@ -228,7 +229,9 @@ class _HierarchyParser:
             self.lines.fail("BVH007", message, hint)
         joint.channels = tuple(_CHANNELS[name.lower()] for name in names)
         if len(set(joint.channels)) != count:
-            self.lines.fail("BVH007", "duplicate channel", self._block_label(block))
+            message, hint = _duplicate_channel(joint.channels)
+            message += f" in CHANNELS of {self._block_label(block)}"
+            self.lines.fail("BVH007", message, hint)
 
     def _check_complete(self) -> None:
         if self.stack:
@@ -335,3 +338,22 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     else:
         return []
     return [Fault(code, message, path, (line,), hint, severity)]
+
+
+def _duplicate_channel(channels: Sequence[str]) -> tuple[str, str]:
+    """Return which channel of a joint is repeated, and the one that is likely meant.
+
+    >>> _duplicate_channel(["Xrotation", "Xrotation", "Zrotation"])
+    ("'Xrotation' appears twice", 'one of them is likely Yrotation')
+    """
+    name = next(name for name in channels if channels.count(name) > 1)
+    count = channels.count(name)
+    message = f"{name!r} appears {'twice' if count == 2 else f'{count} times'}"
+    kind = name[1:]  # of the axis
+    same_kind = [channel for channel in channels if channel.endswith(kind)]
+    missing = [n for n in CHANNEL_NAMES if n.endswith(kind) and n not in channels]
+    if len(same_kind) == 3 and len(missing) == 1:
+        return message, f"one of them is likely {missing[0]}"
+    if len(same_kind) == 3 and missing:
+        return message, f"two of them are likely {' and '.join(missing)}"
+    return message, "remove all but one, with its column of numbers"

@@ -371,6 +371,24 @@ def test_malformed_headers(write, case: str) -> None:  # type: ignore[no-untyped
     assert (error.code, error.faults[0].lines) == (code, lines)
 
 
+@pytest.mark.parametrize(
+    ("channels", "repeated", "missing"),
+    [
+        ("3 Xrotation Xrotation Zrotation", "'Xrotation' appears twice", "Yrotation"),
+        ("3 Zposition yposition YPosition", "'Yposition' appears twice", "Xposition"),
+        ("3 Zrotation Zrotation Zrotation", "3 times", "Xrotation and Yrotation"),
+        ("2 Xrotation Xrotation", "'Xrotation' appears twice", "remove all but one"),
+    ],
+)
+def test_a_repeated_channel_is_named(  # type: ignore[no-untyped-def]
+    write, channels: str, repeated: str, missing: str
+) -> None:
+    [reported] = fault(write(f"{CHANNELS} {channels}\n")).faults
+    assert reported.code == "BVH007"
+    assert repeated in reported.message
+    assert missing in (reported.hint or "")
+
+
 MOTION_HEAD = HEADER + "MOTION\n"
 FIRST = MOTION_HEAD.count("\n") + 1
 ROW = " ".join(["1"] * COLUMNS)
