@@ -39,6 +39,8 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 DroppedFrames: TypeAlias = Literal["interpolate", "hold", "close"]
 DROPPED_FRAME_OPTIONS: tuple[DroppedFrames, ...] = ("interpolate", "hold", "close")
 MAX_LISTED_SHAPES = 12
+# Weights are percentages if this fraction is above 1, and none above the maximum.
+MIN_PERCENTAGE_FRACTION, MAX_PERCENTAGE = 0.25, 200.0
 # Joint names and positions [m] of the default rig; positions only need to be distinct.
 _JOINT_NAMES = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
 _DEFAULT_POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
@@ -245,8 +247,22 @@ def _warn_of_values(
             f"{counted(int(out_of_range.sum()), 'weight')} outside 0 to 1, the first "
             f"{recording.shapes[column]} = {recording.weights[row, column]:g}"
         )
-        hint = "set gain and clamp in a remap file"
+        hint = _scale_hint(recording.weights, recording.shapes[column])
         file.warn("LLF109", message, hint, int(recording.line_numbers[row]))
+
+
+def _scale_hint(weights: FloatArray, shape: str) -> str:
+    """Return how to bring weights into 0 to 1; ``shape`` is one that is outside."""
+    sizes = np.abs(weights[np.isfinite(weights) & (weights != 0)])
+    above_1 = np.count_nonzero(sizes > 1) / len(sizes)
+    is_percentage = 1 < sizes.max() <= MAX_PERCENTAGE
+    if not is_percentage or above_1 < MIN_PERCENTAGE_FRACTION:
+        return "set gain and clamp in a remap file"
+    pair = f"{{source: {shape}, target: {shape}, gain: 0.01}}"
+    return (
+        f"weights up to {sizes.max():g} look like percentages: pair each shape in a "
+        f"remap file with gain 0.01, such as {pair}"
+    )
 
 
 def _warn_of_unmatched_names(

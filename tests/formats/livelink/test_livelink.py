@@ -137,6 +137,16 @@ def test_what_is_odd(write: Write, content: str, code: str) -> None:
     assert code in codes
 
 
+def test_percentages_are_told_from_a_few_high_weights(write: Write) -> None:
+    few = rows(1, 2, 3).replace("0.5", "50", 1)
+    percentages = rows(10, 20, 30).replace(",0.", ",30.")
+    for content, is_percentage in ((few, False), (percentages, True)):
+        file = write(content)
+        stream = read_livelink(file)
+        [notice] = [notice for notice in stream.notices if notice.code == "LLF109"]
+        assert ("gain: 0.01" in (notice.hint or "")) is is_percentage
+
+
 def labels(count: int, fps: int, step: int = 1, first: int = 0) -> list[str]:
     made = []
     for i in range(first, first + count * step, step):
