@@ -123,6 +123,9 @@ def version_of(
             if (kind, kinds_in_file[0]) == ("markers", "rig"):
                 hint = "it is a rig file: pass it with "
                 hint += f"{flag('rig')}; a template ends in .markers.yaml"
+            elif (kind, kinds_in_file[0]) == ("targets", "clip"):
+                hint = f"it is a clip file: animtool ik takes it with {flag('clip')}, "
+                hint += f"and with {flag('match')} writes targets from it"
             elif kind == "clip":
                 hint += "; a take is a clip, BVH, glTF, FBX or USD file"
             if kinds_in_file[0] == "scene" != path_kind:

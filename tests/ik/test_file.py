@@ -116,6 +116,15 @@ def test_faults_of_the_head(tmp_path: Path, head: str, code: str, line: int) -> 
         tracks_of(tmp_path, "- {effector: leg_l, hold: [[1, 2]]}", head=head)
 
 
+def test_a_clip_is_told_how_it_is_used(tmp_path: Path) -> None:
+    with pytest.raises(FormatError) as caught:
+        tracks_of(tmp_path, "", head="clip: animtool/1\n")
+    [fault] = caught.value.faults
+    assert fault.code == "DOC009"
+    assert "--clip" in (fault.hint or "")
+    assert "--match" in (fault.hint or "")
+
+
 def test_all_faults_are_said_at_once(folder: Path) -> None:
     path = write_targets(folder, "\n".join(FAULTS.values()), HEAD + "range: [1, 5]\n")
     with refused(*((code, 6 + i) for i, code in enumerate(FAULTS))):
