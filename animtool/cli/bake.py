@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import click
 
@@ -33,7 +34,7 @@ from animtool.cli.outputs import (
 )
 from animtool.core.record import dataclass
 from animtool.core.values import VERSION
-from animtool.core.writers import file_suffixes
+from animtool.core.writers import file_suffixes, writer_of
 
 if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport
@@ -133,7 +134,7 @@ def bake(
             _refuse_capture(sources[0], output)
     sources, output = replace_timeline(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
-        raise click.UsageError("Several sources make one library: name it with -o.")
+        _refuse_unnamed_library(sources)
     loaded_sources = load_sources(sources, dict(params["variables"]))
     loaded_sources = stop_after_pass(loaded_sources, params["until"])
     if params["table"]:
@@ -158,15 +159,24 @@ def bake(
 
 
 def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
-    """Refuse a missing source that was likely meant as the output."""
-    last_source = sources[-1]
-    is_usd = last_source.suffix in USD_SUFFIXES
+    """Refuse a missing source if the output exists: they were likely swapped."""
     if len(sources) == 1 and output is not None:
-        refuse_swapped(last_source, output, "SOURCE and -o")
-    is_missing_output = is_usd and sources[0].exists() and not last_source.exists()
-    if len(sources) == 2 and output is None and is_missing_output:
-        text = f"{last_source} does not exist; to write it, use -o {last_source}"
+        refuse_swapped(sources[0], output, "SOURCE and -o")
+
+
+def _refuse_unnamed_library(sources: Sequence[Path]) -> NoReturn:
+    """Refuse several sources without an output; the last may be meant as the output."""
+    *first_sources, last_source = sources
+    # The name of an array may follow the file name: take.npz#markers.
+    name = shlex.quote(str(last_source))
+    is_missing = not Path(str(last_source).partition("#")[0]).exists()
+    if is_missing and all(source.exists() for source in first_sources):
+        text = f"{last_source} does not exist; to write it, use -o {name}"
         raise click.UsageError(text)
+    text = "Several sources make one library: name it with -o"
+    if not is_missing and writer_of(last_source) is not None:
+        text += f"; if {last_source} is the output, write -o {name}"
+    raise click.UsageError(f"{text}.")
 
 
 def _refuse_capture(source: Path, output: Path) -> None:

@@ -179,6 +179,21 @@ def test_what_makes_no_sense(
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize("name", ["out.bvh", "out.clip.yaml", "o ut.glb", "o.usdc"])
+@pytest.mark.parametrize("options", [[], ["--overwrite"]])
+def test_an_output_without_its_option(
+    takes: list[Path], tmp_path: Path, name: str, options: list[str]
+) -> None:
+    quoted = f"'{name}'" if " " in name else name
+    done = animtool("bake", takes[0], name, *options, cwd=tmp_path)
+    assert done.code == 2
+    assert f"{name} does not exist; to write it, use -o {quoted}" in done.stderr
+    (tmp_path / name).write_bytes(b"")
+    done = animtool("bake", takes[0], name, *options, cwd=tmp_path)
+    assert done.code == 2
+    assert f"if {name} is the output, write -o {quoted}." in done.stderr
+
+
 def test_no_source_is_overwritten(takes: list[Path], tmp_path: Path) -> None:
     second = tmp_path / "second.usda"
     animtool("bake", takes[1], "-o", second)
