@@ -9,7 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from animtool.core.arguments import file_key
+from animtool.core.arguments import argument, file_key
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.core.plugins import load_object
@@ -346,12 +346,21 @@ class Scene:
             matching_numbers = [int(last_pass)]
         if len(matching_numbers) == 1:
             return replace(self, passes=self.passes[: matching_numbers[0]])
-        message = f"unknown pass of the scene {last_pass!r}"
-        if matching_numbers:
-            message = f"several passes of the scene are called {last_pass!r}: use its "
-            message += "number"
         numbered_names = ", ".join(f"{i} {name}" for i, name in enumerate(names, 1))
-        hint = f"the passes: {numbered_names or 'none'}"
+        message = f"the scene has no pass {last_pass!r}"
+        hint = f"its passes are {numbered_names}"
+        if last_pass.isdecimal():
+            message = f"the scene has no pass number {last_pass}"
+        if matching_numbers:
+            message = f"several passes of the scene are called {last_pass!r}"
+            hint = f"use a number: {numbered_names}"
+        elif len(names) == 1:
+            hint = f"its only pass is {numbered_names}"
+        elif not names:
+            message, hint = (
+                "the scene has no passes",
+                f"remove {argument('command.until')}",
+            )
         raise OptionError(Fault("SCN043", message, str(self.path), (), hint))
 
     def _apply_with_preroll(

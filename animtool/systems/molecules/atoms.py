@@ -91,7 +91,9 @@ class Atoms(PointMasses):
         if abs(total) > CHARGE_TOLERANCE:
             message = f"charges have a sum of {total:g} e, but a periodic box must be "
             message += "neutral"
-            refuse(spec.code, message, "species", "use as many of either sign")
+            signs = ("positive", "negative") if total > 0 else ("negative", "positive")
+            hint = f"use less {signs[0]} or more {signs[1]} charge, until they cancel"
+            refuse(spec.code, message, "species", hint)
         return atoms
 
 

@@ -270,14 +270,14 @@ def motion_key_problems(model: BodyModel) -> Iterator[Problem]:
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is dynamic, so it cannot have {key}"
-            yield message, key, "kinematic: true"
+            yield message, key, f"write kinematic: true, or remove {key}"
     for key in ("velocity", "spin") if model.kinematic else ():
         if key in model.model_fields_set:
             message = f"{model.name!r} is kinematic: its moves set its velocity"
-            yield message, key, f"no {key}"
+            yield message, key, f"remove {key}, or kinematic"
     if model.release is not None and not model.kinematic:
-        message = f"{model.name!r} is not kinematic, and cannot be released"
-        yield message, "release", "kinematic: true"
+        message = f"{model.name!r} is dynamic, so it cannot be released"
+        yield message, "release", "write kinematic: true, or remove release"
     if model.pushes and model.kinematic and model.release is None:
         yield f"{model.name!r} is kinematic: forces do not act on it", "pushes", None
     for k, push in enumerate(model.pushes):

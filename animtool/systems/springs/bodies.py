@@ -99,7 +99,8 @@ def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
         entry.report_fault("SIM050", message, "count")
     if model.start == model.end:
         message = "it starts and ends at the same position"
-        entry.report_fault("SIM050", message, "to")
+        hint = "move one end: the rope is as long as their distance"
+        entry.report_fault("SIM050", message, "to", hint=hint)
     tip = model.tip_mass
     if tip is not None:
         tip = entry.checked_mass("tip_mass", tip)
@@ -152,9 +153,7 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
         return _mesh_cloth(entry, model.mesh.prim)
     columns, rows = model.resolution
     _check_grid(entry, "cloth", model.resolution)
-    if not np.cross(model.across, model.up).any():
-        message = "it has no area: across and up are zero or parallel"
-        entry.report_fault("SIM050", message, "across")
+    _check_area(entry, model)
     if not entry.can_build:
         return None
     diagonals = model.springs.diagonals
@@ -285,11 +284,13 @@ def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
     edges = entry.families["structural"]
     if edges is None:
         message = "tetrahedra have structural springs, along their edges"
-        entry.report_fault("SIM050", message, "springs")
+        hint = "add structural to the springs"
+        entry.report_fault("SIM050", message, "springs", hint=hint)
     for name in ("face_diagonals", "body_diagonals"):
         if entry.families[name] is not None:
             message = f"{name} apply to a block, but this has tetrahedra"
-            entry.report_fault("SIM050", message, "springs", name)
+            hint = f"remove {name}"
+            entry.report_fault("SIM050", message, "springs", name, hint=hint)
     if points is None or cells is None or edges is None:
         return None
     message = _tetrahedra_fault(points, cells)
@@ -358,6 +359,23 @@ def _check_grid(entry: BodyEntry, subject: str, resolution: Sequence[int]) -> No
         entry.report_fault("SIM050", message, "resolution")
 
 
+def _check_area(entry: BodyEntry, model: ClothModel) -> None:
+    """Report a fault if the sides of a sheet are zero or parallel."""
+    if np.cross(model.across, model.up).any():
+        return
+    # Of two parallel sides, up is the one to change.
+    key, other = ("up", model.across) if any(model.across) else ("across", model.up)
+    cause, change = f"{key} is zero", "give it a length"
+    if any(model.across) and any(model.up):
+        cause = "across and up are parallel"
+        change = "point up in another direction"
+    axes = ([1, 0, 0], [0, 1, 0]) if key == "across" else ([0, 1, 0], [0, 0, 1])
+    axis = next(axis for axis in axes if not any(other) or np.cross(axis, other).any())
+    hint = f"{change}, such as along {axis}"
+    key = key if key in model.model_fields_set else "across"
+    entry.report_fault("SIM050", f"it has no area: {cause}", key, hint=hint)
+
+
 def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
     """Return the particles at both ends of each grid axis by region name."""
     return {
@@ -372,7 +390,8 @@ def _report_unused_keys(
 ) -> None:
     """Report a fault for each specified key that does not apply."""
     for key in sorted(keys & model.model_fields_set):
-        entry.report_fault("SIM050", f"{key} {reason}", key)
+        hint = f"remove {key}"
+        entry.report_fault("SIM050", f"{key} {reason}", key, hint=hint)
 
 
 BODY_BUILDERS: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {

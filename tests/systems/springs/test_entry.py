@@ -128,6 +128,7 @@ CASES = {
     "a family of none": ("bend:", "bned:", ["DOC020"]),
     "a row of cloth": ("resolution: [5, 4]", "resolution: [5, 1]", ["SIM050"]),
     "no area": ("up: [0, 0.5, 0]", "up: [2, 0, 0]", ["SIM050"]),
+    "no height": ("up: [0, 0.5, 0]", "up: [0, 0, 0]", ["SIM050"]),
     "no volume": ("size: [0.4, 0.4, 0.4]", "size: [0.4, 0, 0.4]", ["SIM050"]),
     "a layer": ("resolution: [3, 3, 3]", "resolution: [3, 1, 3]", ["SIM050"]),
     "drag below nothing": ("mass: 0.1", "mass: 0.1\n    drag: -1", ["SIM050"]),
