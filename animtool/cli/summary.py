@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from animtool.clip.key_report import ChannelError
+    from animtool.clip.key_report import ChannelDeviation
     from animtool.core.errors import Fault
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, MeshReport, TakeReport
@@ -34,7 +34,7 @@ def _scores(indent: str) -> Each:
     return Each("scores", (indent + "{pass_name}: [{scores:scores}]", names))
 
 
-def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
+def channel_lines(errors: Sequence[ChannelDeviation]) -> list[str]:
     """Return a line on the number of channels, and on the largest error by unit."""
     if not errors:
         return []
@@ -43,7 +43,7 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
     counts = [
         counted(groups[group], noun) for group, noun in nouns.items() if group in groups
     ]
-    largest_by_unit: dict[tuple[str | None, bool], ChannelError] = {}
+    largest_by_unit: dict[tuple[str | None, bool], ChannelDeviation] = {}
     for error in errors:
         key = error.unit, error.target.startswith("control/")
         if key not in largest_by_unit or error.error > largest_by_unit[key].error:

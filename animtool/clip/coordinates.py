@@ -49,16 +49,20 @@ class JointMotion:
     """Motion of a joint relative to rest: n = F frames, or 1 if static."""
 
     rotation: FloatArray  # ``(n, 4)``, signs continuous
-    shift: FloatArray  # ``(n, 3)`` [m]
+    translation: FloatArray  # ``(n, 3)`` [m]
     # Angle of a pin [rad], continuous, or offset of a prismatic joint [m] ``(n,)``,
     # else 0.
     coordinate: FloatArray
     # Largest rotation that the joint's type does not allow [rad].
     rotation_error: float
-    shift_error: float  # largest translation that the joint's type does not allow [m]
+    translation_error: (
+        float  # largest translation that the joint's type does not allow [m]
+    )
     # whether the local rotation is exactly that of the rest pose
     is_rotation_at_rest: bool
-    is_shift_at_rest: bool  # whether the local translation is that of the rest pose
+    is_translation_at_rest: (
+        bool  # whether the local translation is that of the rest pose
+    )
 
 
 def relative_joint_motions(
@@ -91,10 +95,15 @@ def _joint_motion(
     """Return a joint's motion relative to its rest frame."""
     inverse_rest = so3.conjugate(joint.rotation)
     rotation_from_rest = so3.align_signs(so3.multiply(inverse_rest, rotation))
-    shift = so3.rotate(inverse_rest, translation - np.array(joint.translation))
+    translation_from_rest = so3.rotate(
+        inverse_rest, translation - np.array(joint.translation)
+    )
     axis = np.array(joint.axis)
     coordinate = np.zeros(1)
-    rotation_error, shift_error = 0.0, float(np.abs(shift).max(initial=0.0))
+    rotation_error, translation_error = (
+        0.0,
+        float(np.abs(translation_from_rest).max(initial=0.0)),
+    )
     if joint.type is JointType.PIN:
         coordinate = np.unwrap(
             2.0 * np.arctan2(rotation_from_rest[:, :3] @ axis, rotation_from_rest[:, 3])
@@ -107,17 +116,17 @@ def _joint_motion(
         residual = so3.angle_between(rotation_from_rest, so3.IDENTITY)
         rotation_error = float(residual.max(initial=0.0))
     if joint.type is JointType.PRISMATIC:
-        coordinate = shift @ axis
-        residual = shift - coordinate[:, None] * axis
-        shift_error = float(np.abs(residual).max(initial=0.0))
+        coordinate = translation_from_rest @ axis
+        residual = translation_from_rest - coordinate[:, None] * axis
+        translation_error = float(np.abs(residual).max(initial=0.0))
     elif joint.type is JointType.FREE:
-        shift_error = 0.0
+        translation_error = 0.0
     return JointMotion(
         rotation_from_rest,
-        shift,
+        translation_from_rest,
         coordinate,
         rotation_error,
-        shift_error,
+        translation_error,
         bool((rotation == np.array(joint.rotation)).all()),
         bool((translation == np.array(joint.translation)).all()),
     )
@@ -185,13 +194,13 @@ def required_control_values(
             if np.abs(vector[:, other_axes]).max(initial=0.0) > tolerances.angle:
                 keyed_names.add(target)
         elif kind == "translation":
-            requested_values[target] = motion.shift[:, "xyz".index(axis)]
+            requested_values[target] = motion.translation[:, "xyz".index(axis)]
         else:
             requested_values[target] = motion.coordinate
             is_unreachable = (
                 motion.rotation_error > tolerances.angle
                 if kind == "angle"
-                else motion.shift_error > tolerances.length
+                else motion.translation_error > tolerances.length
             )
             if is_unreachable:
                 keyed_names.add(target)
@@ -285,12 +294,17 @@ class _KeyedJoint:
         motion, joint, tolerances = self.motion, self.joint, self.tolerances
         rest_translation = np.array(joint.translation)
         rest_rotation = np.array(joint.rotation)
-        if motion.shift_error > tolerances.length and not motion.is_shift_at_rest:
-            local = rest_translation + so3.rotate(rest_rotation, motion.shift)
+        if (
+            motion.translation_error > tolerances.length
+            and not motion.is_translation_at_rest
+        ):
+            local = rest_translation + so3.rotate(rest_rotation, motion.translation)
             yield self._track(ChannelKind.TRANSLATION, "local_translation", local)
         elif joint.type is JointType.PRISMATIC:
             difference = motion.coordinate - expected
-            if self._differs(difference, tolerances.length, motion.is_shift_at_rest):
+            if self._differs(
+                difference, tolerances.length, motion.is_translation_at_rest
+            ):
                 driven_part = self.driven_values("slide", use_fitted=True)
                 driven_vector = driven_part[:, None] * np.array(joint.axis)
                 yield self._track(
@@ -300,13 +314,15 @@ class _KeyedJoint:
                     rest_translation + so3.rotate(rest_rotation, driven_vector),
                 )
         elif joint.type is JointType.FREE:
-            difference = motion.shift - self.driven_vectors("translation")
-            if self._differs(difference, tolerances.length, motion.is_shift_at_rest):
+            difference = motion.translation - self.driven_vectors("translation")
+            if self._differs(
+                difference, tolerances.length, motion.is_translation_at_rest
+            ):
                 driven_part = self.driven_vectors("translation", use_fitted=True)
                 yield self._track(
                     ChannelKind.TRANSLATION,
                     "translation",
-                    motion.shift - driven_part,
+                    motion.translation - driven_part,
                     rest_translation + so3.rotate(rest_rotation, driven_part),
                 )
 

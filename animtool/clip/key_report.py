@@ -28,8 +28,8 @@ MAX_NAMES = 6
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelError:
-    """Largest error of a clip's channel."""
+class ChannelDeviation:
+    """Largest deviation of a clip's channel from the take."""
 
     target: str  # target of the channel
     error: float  # the largest error, in ``unit``
@@ -39,9 +39,9 @@ class ChannelError:
     json_keys: ClassVar[str] = "target error unit frame"
 
 
-def channel_errors(
+def channel_deviations(
     clip: Clip, rig: Rig, take: Take, keyed: Motion, controls: Mapping[str, FloatArray]
-) -> tuple[ChannelError, ...]:
+) -> tuple[ChannelDeviation, ...]:
     """Return the largest error of each channel of a clip: ``controls`` ``(F,)``."""
     units = ClipUnits.of_rig(rig)
     control_keys = {}
@@ -79,7 +79,7 @@ def channel_errors(
         frame_errors, unit = target_errors(channel.target)
         frame = int(np.argmax(frame_errors))
         error, code = float(frame_errors[frame]), float(take.clock.times[frame])
-        reports.append(ChannelError(channel.target, error, unit, code))
+        reports.append(ChannelDeviation(channel.target, error, unit, code))
     return tuple(reports)
 
 
@@ -168,7 +168,7 @@ def _off_type_notes(
         elif track.part == "local_translation":
             is_slider = joint.type is JointType.PRISMATIC
             verb = "moves off its axis" if is_slider else "moves"
-            error = plain_number(motion.shift_error / units.length)
+            error = plain_number(motion.translation_error / units.length)
             amount = f"{error} {unit_name(units.length)}"
         else:
             continue

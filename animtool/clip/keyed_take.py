@@ -23,7 +23,7 @@ from animtool.clip.coordinates import (
     joint_tracks,
     relative_joint_motions,
 )
-from animtool.clip.key_report import ChannelError, channel_errors, key_notices
+from animtool.clip.key_report import ChannelDeviation, channel_deviations, key_notices
 from animtool.clip.reduction.keys import ChannelKind, Reduction, clip_of_reduction
 from animtool.clip.reduction.points import (
     SHELL_DISTANCE,
@@ -71,7 +71,7 @@ class KeyedTake:
     # Keys of the clip; their errors are those of the clip sampled on the rig.
     reduction: Reduction
     controls: tuple[str, ...]  # names of the rig's controls that have keys
-    errors: tuple[ChannelError, ...]  # largest error of each channel
+    errors: tuple[ChannelDeviation, ...]  # largest error of each channel
     # Notes on controls, joint types and mimics that the take does not follow.
     notices: tuple[Fault, ...]
 
@@ -197,7 +197,7 @@ class _KeyingJob:
             clip,
             _measure_errors(reduction, take, sampled_motion, self.base, all_bounds),
             tuple(controls.values_by_name),
-            channel_errors(clip, rig, take, sampled_motion, self.solution.values),
+            channel_deviations(clip, rig, take, sampled_motion, self.solution.values),
             key_notices(rig, self.joint_motions, self.solution, tracks, exact_targets),
         )
 

@@ -26,7 +26,7 @@ BLOCK_FRAMES = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class InterpolationError:
+class InterpolationDeviation:
     """The largest interpolation error of one kind of channel between frames."""
 
     channel: str  # field of a motion
@@ -35,9 +35,9 @@ class InterpolationError:
     size: float  # estimated size [m], [rad], [1]
 
 
-def interpolation_errors(
+def interpolation_deviations(
     sampler: TakeSampler, positions: FramePositions
-) -> list[InterpolationError]:
+) -> list[InterpolationDeviation]:
     """Return the largest interpolation error of each kind of channel.
 
     A smooth curve f deviates from the line between two frames by at most s (1 - s) / 2
@@ -46,7 +46,7 @@ def interpolation_errors(
     deviates more than a smooth one.
     """
     motion = sampler.take.motion
-    errors = []
+    deviations = []
     for name in CURVE_CHANNELS:
         channel: Channel | None = getattr(motion, name)
         if channel is None:
@@ -57,8 +57,8 @@ def interpolation_errors(
         columns = np.flatnonzero(is_interpolated)
         largest = _largest_error(name, channel, columns, positions)
         if largest is not None:
-            errors.append(largest)
-    return errors
+            deviations.append(largest)
+    return deviations
 
 
 def interpolation_notices(
@@ -75,23 +75,24 @@ def interpolation_notices(
         "rotations": NEGLIGIBLE_ANGLE,
     }
     error_texts = []
-    for error in interpolation_errors(sampler, positions):
-        if error.size <= thresholds.get(error.channel, NEGLIGIBLE_WEIGHT):
+    for deviation in interpolation_deviations(sampler, positions):
+        if deviation.size <= thresholds.get(deviation.channel, NEGLIGIBLE_WEIGHT):
             continue
-        size = plain_number(error.size)
+        size = plain_number(deviation.size)
         kind, names = "joint", list(rig.names)
-        if error.channel == "translations":
-            size = length_text(error.size)
-        elif error.channel == "rotations":
-            size = angle_text(float(np.degrees(error.size)))
-        elif error.channel != "scales":
-            kind = error.channel.replace("weights", "shapes")[:-1]
+        if deviation.channel == "translations":
+            size = length_text(deviation.size)
+        elif deviation.channel == "rotations":
+            size = angle_text(float(np.degrees(deviation.size)))
+        elif deviation.channel != "scales":
+            kind = deviation.channel.replace("weights", "shapes")[:-1]
             names = [part.name for part in getattr(rig, f"{kind}s")]
         else:
             kind = "scale of joint"
-        code = float(take.clock.start) + error.frame * float(take.clock.step)
+        name = names[deviation.row]
+        code = float(take.clock.start) + deviation.frame * float(take.clock.step)
         error_texts.append(
-            f"{size} ({kind} {names[error.row]!r}, frame {frame_label(round(code, 2))})"
+            f"{size} ({kind} {name!r}, frame {frame_label(round(code, 2))})"
         )
     if not error_texts:
         return []
@@ -102,13 +103,13 @@ def interpolation_notices(
 
 def _largest_error(
     name: str, channel: Channel, columns: IntArray, positions: FramePositions
-) -> InterpolationError | None:
+) -> InterpolationDeviation | None:
     """Return the largest error of the given columns of a channel."""
     (indices_between,) = np.nonzero(positions.fractions > 0)
     count = len(channel.values)
     if not len(indices_between) or not len(columns) or count < 3:
         return None
-    largest_error: InterpolationError | None = None
+    largest_error: InterpolationDeviation | None = None
     for start in range(0, len(indices_between), BLOCK_FRAMES):
         block = indices_between[start : start + BLOCK_FRAMES]
         frames, fraction = positions.frames[block], positions.fractions[block]
@@ -130,7 +131,7 @@ def _largest_error(
         if largest_error is None or size > largest_error.size:
             frame = float(frames[worst] + fraction[worst])
             row = int(channel.animated[columns[column]])
-            largest_error = InterpolationError(name, row, frame, size)
+            largest_error = InterpolationDeviation(name, row, frame, size)
     return largest_error
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from animtool.cli.summary import BAKE_TEMPLATE, STATS, channel_lines, mesh_groups
-from animtool.clip.key_report import ChannelError
+from animtool.clip.key_report import ChannelDeviation
 from animtool.core.values import plain_value
 from animtool.report.text import render
 from animtool.scene.bake.prims import BakeReport
@@ -38,9 +38,9 @@ def test_the_last_file_names_an_output(outputs: tuple[str, ...], named: str) -> 
 
 def test_the_largest_error_of_each_unit_names_its_channel_once() -> None:
     errors = [
-        ChannelError("joint/knee.rotation", 0.25, "deg", 3.0),
-        ChannelError("joint/hip.rotation", 0.5, "deg", 2.0),
-        ChannelError("joint/hip.slide", 0.1, "cm", 2.0),
+        ChannelDeviation("joint/knee.rotation", 0.25, "deg", 3.0),
+        ChannelDeviation("joint/hip.rotation", 0.5, "deg", 2.0),
+        ChannelDeviation("joint/hip.slide", 0.1, "cm", 2.0),
     ]
     counts, largest = channel_lines(errors)
     assert "3" in counts

@@ -12,7 +12,7 @@ from animtool.core.clock import Clock
 from animtool.edit.between import TakeSampler
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp
-from animtool.edit.straight import interpolation_errors
+from animtool.edit.straight import interpolation_deviations
 from animtool.edit.travel import even_positions
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -37,7 +37,7 @@ def test_the_estimate_is_the_error_of_a_sine() -> None:
     places = even_positions(np.arange(96), 0, Fraction(1, 2), 49)
     errors = {
         e.channel: e
-        for e in interpolation_errors(TakeSampler.from_take(swinging()), places)
+        for e in interpolation_deviations(TakeSampler.from_take(swinging()), places)
     }
     # Halfway between two frames about a peak.
     drop = 1 - np.cos(np.pi / 24)

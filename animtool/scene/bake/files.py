@@ -33,7 +33,7 @@ from animtool.scene.bake.progress import OutputCost
 from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 
 if TYPE_CHECKING:
-    from animtool.clip.key_report import ChannelError
+    from animtool.clip.key_report import ChannelDeviation
     from animtool.clip.keyed_take import KeyedTake
     from animtool.clip.reduction.keys import Reduction
     from animtool.formats.take_text import TakeText
@@ -69,11 +69,11 @@ class ConvertReport:
 
     @property
     def named(self) -> list[Path]:
-        """Output file as a list, as in the reports of solves."""
+        """The output file in a list, the form in which reports of solves name files."""
         return [self.output]
 
     @property
-    def channels(self) -> Sequence[ChannelError] | None:
+    def channels(self) -> Sequence[ChannelDeviation] | None:
         """Approximation errors of the channels of a written clip."""
         return None if self.keyed is None else self.keyed.errors
 

@@ -63,7 +63,7 @@ from animtool.scene.sources.onto_rig import map_names, open_rig
 from animtool.scene.sources.open import SourceOptions, open_source, supports_option
 
 if TYPE_CHECKING:
-    from animtool.clip.key_report import ChannelError
+    from animtool.clip.key_report import ChannelDeviation
     from animtool.scene.bake.bake import OutputReport
 
 
@@ -120,7 +120,7 @@ class IkReport:
     )
 
     @property
-    def channels(self) -> Sequence[ChannelError] | None:
+    def channels(self) -> Sequence[ChannelDeviation] | None:
         """Approximation errors of the channels of a written clip."""
         return None if self.written is None else self.written.channels
 
