@@ -22,7 +22,7 @@ from animtool.rig.skeleton import JointType, Rig
 
 @dataclass(frozen=True, slots=True)
 class ClipChannel:
-    """K keys of a target with D components [m], [rad], [frame]."""
+    """The K keys of one target: times [frame] and D components [m] or [rad]."""
 
     target: str  # ``control/NAME``, ``shape/NAME`` or ``joint/NAME.PART``
     times: FloatArray  # ascending [frames] ``(K,)``

@@ -172,7 +172,7 @@ def _exact_step(step: Fraction | float) -> Fraction:
     return codes_per_frame
 
 
-Choice = TypeVar("Choice", bound=Hashable)
+ChoiceT = TypeVar("ChoiceT", bound=Hashable)
 
 
 def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
@@ -281,6 +281,6 @@ def _value_text(row: Sequence[float], unit: float) -> str:
     return numbers[0] if len(numbers) == 1 else flow_list(numbers)
 
 
-def _most_common(choices: Sequence[Choice], default: Choice) -> Choice:
+def _most_common(choices: Sequence[ChoiceT], default: ChoiceT) -> ChoiceT:
     """Return the most common of the choices; the default if there are no choices."""
     return Counter(choices).most_common(1)[0][0] if choices else default

@@ -54,17 +54,17 @@ class ClipFile:
     # Its text, with locations and with the faults of its keys and types.
     document: Document
     model: ClipModel  # content of the file
-    rig: Path | None  # resolved path of the clip's rig file; None if it names none
+    rig_path: Path | None  # resolved path of the clip's rig file; None if it names none
 
-    def required_rig(self) -> Path:
-        """Return the rig that the clip names."""
-        if self.rig is None:
+    def required_rig_path(self) -> Path:
+        """Return the path of the rig file that the clip names."""
+        if self.rig_path is None:
             check_clip(self)
             path = str(self.document.path)
             hint = "write 'rig: hero.rig.yaml' into it, or pass a rig "
             hint += f"({argument('source.rig')})"
             raise OptionError(Fault("CLIP011", "names no rig", path, (), hint))
-        return self.rig
+        return self.rig_path
 
 
 def open_clip(path: Path | str) -> ClipFile:
@@ -133,7 +133,7 @@ def _load_keys(
 
 def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
     """Return a clip file's rig: the file at ``path``, or else the one it names."""
-    rig_path = file.required_rig() if path is None else path
+    rig_path = file.required_rig_path() if path is None else path
     if path is None and not exists(rig_path):
         _raise_missing_rig(file)
     try:
@@ -161,7 +161,7 @@ def _raise_missing_rig(file: ClipFile) -> NoReturn:
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:
     """Check a clip file against a rig and return the clip."""
-    return _ClipReader(file.document, file.model, rig, file.rig).read_clip()
+    return _ClipReader(file.document, file.model, rig, file.rig_path).read_clip()
 
 
 def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
@@ -206,7 +206,7 @@ class _ClipReader:
         rig: Rig | None,
         named_rig: Path | None = None,
     ) -> None:
-        self.document, self.model, self.rig = document, model, rig
+        self.document, self.model, self.rig_path = document, model, rig
         self.named_rig = named_rig
         self.units = file_units(model, rig)
 
@@ -231,7 +231,7 @@ class _ClipReader:
         warn_of_times(self.document, channels, fps, first, last)
         units, has_unit = self.units, self.model.units.length is not None
         warn_of_numbers(
-            self.document, channels, fps, units, self.rig, has_unit=has_unit
+            self.document, channels, fps, units, self.rig_path, has_unit=has_unit
         )
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)
@@ -241,7 +241,7 @@ class _ClipReader:
         """Replace faults of channels by a single one if the clip is for another rig."""
         faults, count = self.document.faults, len(self.model.channels)
         unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
-        if self.rig is None or not unknown_targets:
+        if self.rig_path is None or not unknown_targets:
             return
         guess_count = sum(
             "did you mean" in (fault.hint or "") for fault in unknown_targets
@@ -256,7 +256,7 @@ class _ClipReader:
             lacks_text = f"lacks {len(unknown_targets)} of the {count} targets"
         subjects = (fault.message.removeprefix("unknown ") for fault in unknown_targets)
         names = listed(list(dict.fromkeys(subjects)), 4)
-        message = f"rig {self.rig.name!r} {lacks_text}: {names}"
+        message = f"rig {self.rig_path.name!r} {lacks_text}: {names}"
         hint = "is it the right rig?"
         rig_fault = replace(unknown_targets[0], message=message, hint=hint)
         if is_for_named_rig:
@@ -326,7 +326,7 @@ class _ClipReader:
         reader = CurveReader(self.document, location, model)
         reader.check()
         target_location = (*location, "target")
-        kind = target_kind(model.target, self.rig)
+        kind = target_kind(model.target, self.rig_path)
         if isinstance(kind, Fault):
             self.document.add(kind.code, target_location, kind.message, kind.hint)
             return None

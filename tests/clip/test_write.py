@@ -142,8 +142,8 @@ def test_any_clip_comes_back(
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.parent.name)
 def test_samples_come_back(path: Path, tmp_path: Path) -> None:
     file = open_clip(path)
-    assert file.rig is not None
-    rig = load_rig(file.rig)
+    assert file.rig_path is not None
+    rig = load_rig(file.rig_path)
     clip = load_clip(file, rig)
     assert_same_clip(written_and_read(clip, rig, tmp_path), clip)
     # Decimals of a person stay decimals in the unit of the rig.

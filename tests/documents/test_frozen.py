@@ -70,8 +70,8 @@ def test_rig_1() -> None:
 
 def test_clip_1() -> None:
     file = open_clip(FROZEN / "clip-1.clip.yaml")
-    assert file.rig == (FROZEN / "rig-1.rig.yaml").resolve()
-    clip = load_clip(file, load_rig(file.rig))
+    assert file.rig_path == (FROZEN / "rig-1.rig.yaml").resolve()
+    clip = load_clip(file, load_rig(file.rig_path))
     assert [len(c.times) for c in clip.channels] == [2, 2, 5, 2, 3, 2, 1, 1, 1]
     assert (clip.first, float(clip.last)) == (-1, 12.5)
 

@@ -27,8 +27,8 @@ GRAVITY = 9.81 / 24**2
 
 def load(name: str) -> tuple[Clip, Rig]:
     file = open_clip(ROOT / f"samples/{name}/{name}.clip.yaml")
-    assert file.rig is not None
-    rig = load_rig(file.rig)
+    assert file.rig_path is not None
+    rig = load_rig(file.rig_path)
     return load_clip(file, rig), rig
 
 

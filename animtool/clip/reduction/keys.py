@@ -30,7 +30,7 @@ class ChannelKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ReducedChannel:
-    """Keys of a joint's part, of a shape's weight or of a control."""
+    """Reduced keys of a joint transform, a shape weight or a control."""
 
     target: str  # target in a clip
     order: str | None  # of the Euler angles, left to right; else None

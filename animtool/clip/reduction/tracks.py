@@ -82,7 +82,7 @@ class KeyTrack:
 
     @property
     def is_animated(self) -> bool:
-        """Whether the track has a sample for each frame, not a single one."""
+        """Whether the track has one sample per frame, rather than one constant."""
         return len(self.samples) > 1
 
 

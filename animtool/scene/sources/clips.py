@@ -35,7 +35,7 @@ def open_clip_source(
     """
     file = open_clip(path)
     loaded_rig = load_clip_rig(file, rig)
-    rig_path = rig or file.required_rig()
+    rig_path = rig or file.required_rig_path()
     clip = load_clip(file, loaded_rig)
     stream = clip_stream(file, clip, loaded_rig, clamp=clamp)
     stream.notices += [*loaded_rig.notices, *clip.notices]

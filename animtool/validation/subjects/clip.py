@@ -40,8 +40,8 @@ class ClipSubject(DocumentSubject):
 
     @cached_property
     def frames(self) -> list[float]:
-        """Number of each frame."""
-        return [float(time) for time in self.take.clock.times]
+        """Time code of each frame."""
+        return [float(time_code) for time_code in self.take.clock.times]
 
     def key_location(self, joint: str, frame: float) -> Location:
         """Return the location of the last key up to a frame in a joint's first channel.
