@@ -37,7 +37,7 @@ from animtool.capture.markers.predict import (
     predict_from_parent_joint,
 )
 from animtool.capture.markers.predict import predict_from_skeleton as by_skeleton
-from animtool.capture.markers.runs import RunLabels
+from animtool.capture.markers.runs import TrackletLabels
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.capture.markers.tracklets import track_points
 from animtool.capture.markers.twins import distinguish_twins
@@ -291,7 +291,7 @@ def test_runs_of_points_and_their_costs() -> None:
     rest = np.linalg.norm(truth[0][:, None] - truth[0], axis=-1)
     given = np.full(len(runs.first), -1)
     given[:10] = np.arange(10)
-    labels = RunLabels(points, runs, 120.0, given, rest)
+    labels = TrackletLabels(points, runs, 120.0, given, rest)
     labels._update_distances()
     some = range(0, len(runs.first), 3)
     costs = [labels._marker_costs(run) for run in some]
@@ -305,7 +305,7 @@ def test_runs_of_points_and_their_costs() -> None:
     )  # fmt: skip
 
 
-def _path(labels: RunLabels, run: int) -> tuple[Any, int, int]:
+def _path(labels: TrackletLabels, run: int) -> tuple[Any, int, int]:
     begin, end, path = labels._run_positions(run)
     return path, begin, end
 

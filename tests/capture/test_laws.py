@@ -72,7 +72,7 @@ from animtool.capture.markers.predict import (
     _rotate_towards,
     _validation_spans,
 )
-from animtool.capture.markers.runs import RunLabels, _merge_known_distances
+from animtool.capture.markers.runs import TrackletLabels, _merge_known_distances
 from animtool.capture.markers.spikes import (
     _is_one_sided,
     _local_level,
@@ -510,12 +510,12 @@ def test_points_are_followed_as_far_as_a_marker_goes() -> None:
     assert track_points(cloud, 100.0).ids[:2, 0].tolist() == [0, 1]
 
 
-def labels(positions: Any, given: Any) -> RunLabels:
+def labels(positions: Any, given: Any) -> TrackletLabels:
     frames, count = positions.shape[:2]
     ids = np.tile(np.arange(count), (frames, 1))
     runs = Tracklets(ids, np.zeros(count, int), np.full(count, frames - 1))
     rest = np.linalg.norm(positions[0][:, None] - positions[0][None], axis=-1)
-    return RunLabels(positions, runs, 100.0, np.array(given), rest)
+    return TrackletLabels(positions, runs, 100.0, np.array(given), rest)
 
 
 def test_a_run_costs_what_it_jumps_and_where_it_is_off() -> None:
@@ -560,7 +560,7 @@ def test_runs_are_named_by_distances_and_ghosts_are_not(
     runs = Tracklets(ids, np.array([0] * 7 + [20]), np.array([39] * 5 + [19, 39, 39]))
     rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
     positions = np.concatenate([body, ghost], axis=1)
-    own = RunLabels(positions, runs, 100.0, np.array([*given, -1]), rest)
+    own = TrackletLabels(positions, runs, 100.0, np.array([*given, -1]), rest)
     own.name_runs()
     assert own.names_of.tolist() == [*wanted, 5]
     assert_array_equal(own.marker_paths()[:, :6], body)

@@ -16,7 +16,7 @@ from animtool.capture.markers.geometry import (
 )
 from animtool.capture.markers.naming import PointNaming, search_names
 from animtool.capture.markers.plausible import plausibility_warnings
-from animtool.capture.markers.runs import RunLabels
+from animtool.capture.markers.runs import TrackletLabels
 from animtool.capture.markers.tracklets import Tracklets, track_points
 from animtool.capture.markers.twins import Exchange, distinguish_twins, is_exchanged
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
@@ -217,14 +217,18 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
-    run_labels = RunLabels(cloud.positions, tracklets, rate, first_names, lengths)
-    names_of, exchanges, pairs = distinguish_twins(run_labels.marker_paths(), rest)
-    is_named = run_labels.names_of >= 0
-    run_labels.names_of = np.where(is_named, names_of[run_labels.names_of], -1)
+    tracklet_labels = TrackletLabels(
+        cloud.positions, tracklets, rate, first_names, lengths
+    )
+    names_of, exchanges, pairs = distinguish_twins(tracklet_labels.marker_paths(), rest)
+    is_named = tracklet_labels.names_of >= 0
+    tracklet_labels.names_of = np.where(
+        is_named, names_of[tracklet_labels.names_of], -1
+    )
     for pair in pairs:
-        _exchange_parts(run_labels, rest, pair)
-    run_labels.name_runs()
-    return _apply_names(cloud, names, tracklets, run_labels.names_of, exchanges)
+        _exchange_parts(tracklet_labels, rest, pair)
+    tracklet_labels.name_runs()
+    return _apply_names(cloud, names, tracklets, tracklet_labels.names_of, exchanges)
 
 
 def _static_template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
@@ -339,23 +343,23 @@ def _base_frames(
 
 
 def _exchange_parts(
-    run_labels: RunLabels, rest_positions: FloatArray, pair: tuple[int, int]
+    tracklet_labels: TrackletLabels, rest_positions: FloatArray, pair: tuple[int, int]
 ) -> None:
     """Exchange two names in those parts of a take in which the shape fits better.
 
     A part ends at a gap of both markers, where continuity is lost.
     """
-    runs = np.flatnonzero(np.isin(run_labels.names_of, pair))
-    first, last = run_labels.tracklets.first, run_labels.tracklets.last
+    runs = np.flatnonzero(np.isin(tracklet_labels.names_of, pair))
+    first, last = tracklet_labels.tracklets.first, tracklet_labels.tracklets.last
     runs = runs[np.argsort(first[runs], kind="stable")]
     ends = np.maximum.accumulate(last[runs])
     parts_of_take = np.split(runs, np.flatnonzero(first[runs][1:] > ends[:-1]) + 1)
     if len(parts_of_take) < 2:
         return
-    marker_positions = run_labels.marker_paths()
+    marker_positions = tracklet_labels.marker_paths()
     for runs_in_part in parts_of_take:
         end = int(last[runs_in_part].max()) + 1
         frames = slice(int(first[runs_in_part].min()), end)
         if is_exchanged(marker_positions[frames], rest_positions, pair):
-            names = run_labels.names_of[runs_in_part]
-            run_labels.names_of[runs_in_part] = sum(pair) - names
+            names = tracklet_labels.names_of[runs_in_part]
+            tracklet_labels.names_of[runs_in_part] = sum(pair) - names

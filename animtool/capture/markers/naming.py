@@ -23,7 +23,7 @@ MAX_TRIALS, MIN_GAIN = 40, 0.05
 # number of restarts, radius [m], random bias [nat], and probability of restarting from
 # scratch.
 MIN_NAMED_FRACTION, LONG_FRACTION, RESTARTS = 0.5, 0.3, 60
-RESTART_RADIUS, RANDOM_BIAS, EMPTY_START = (0.3, 1.2), (0.5, 6.0), 0.4
+RESTART_RADIUS, RANDOM_BIAS, SCRATCH_PROBABILITY = (0.3, 1.2), (0.5, 6.0), 0.4
 # Radius around a doubtful marker [m].
 DOUBT_RADIUS = 0.3
 # Markers this near at rest are exchanged in triples and double pairs [m].
@@ -315,7 +315,7 @@ def search_names(
         bias = rng.normal(0.0, 1.0, best.scores.shape) * bias_scale
         candidate = best.copy()
         # Sometimes restart from scratch with another group.
-        has_seed = rng.random() < EMPTY_START
+        has_seed = rng.random() < SCRATCH_PROBABILITY
         seed = seeds[int(rng.integers(len(seeds)))] if has_seed else {}
         candidate.restart(is_near | bool(seed), seed, bias)
         candidate.improve(-np.inf if seed else best_total)

@@ -37,7 +37,7 @@ NOISE, ACCELERATION, SPEED_ERROR, MAX_STEP_COST = 0.004, 60.0, 0.3, 2.0
 UNKNOWN_SPREAD = 0.25
 
 
-class RunLabels:
+class TrackletLabels:
     """Runs of a point cloud, and the marker that each run is assigned to.
 
     Attributes:

@@ -36,7 +36,7 @@ MAX_EXCHANGES = 12
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A name exchange that fits a take about as well as the chosen names."""
+    """A swap of marker names that fits the take about as well as the chosen names."""
 
     markers: tuple[int, ...]  # the exchanged markers
     score: float  # evidence for the exchange [nat]; negative

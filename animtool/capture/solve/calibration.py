@@ -360,8 +360,8 @@ class _CalibrationState:
         parents = np.array([rig.joints[j].parent for j in self.bones])
         weights = np.zeros((len(self.model.joints), len(self.bones)))
         for e, j in enumerate(self.model.joints.tolist()):
-            children = parents == j if (parents == j).any() else bone_joints == j
-            weights[e, children if children.any() else slice(None)] = 1.0
+            bone_mask = parents == j if (parents == j).any() else bone_joints == j
+            weights[e, bone_mask if bone_mask.any() else slice(None)] = 1.0
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def _side_pairs(self) -> list[tuple[int, int]]:

@@ -24,7 +24,7 @@ from animtool.capture.markers.label import (
     _shape_error,
     label_points,
 )
-from animtool.capture.markers.runs import RunLabels
+from animtool.capture.markers.runs import TrackletLabels
 from animtool.capture.markers.tracklets import Tracklets
 from animtool.capture.markers.twins import distinguish_twins, is_exchanged
 from animtool.core.errors import OptionError
@@ -210,7 +210,7 @@ def test_names_are_exchanged_in_parts(
     """Frames 0 to 3 and 5 to 7, of which both runs of each go on; the third stays."""
     ids = np.array([[0, 1, 4]] * 4 + [[-1, -1, 4]] + [[2, 3, 4]] * 3)
     tracklets = Tracklets(ids, np.array([0, 0, 5, 5, 0]), np.array([3, 3, 7, 7, 7]))
-    work = RunLabels(
+    work = TrackletLabels(
         np.arange(72.0).reshape(8, 3, 3),
         tracklets, 10.0, np.array([0, 2, 0, 2, 1]), np.zeros((3, 3)),
     )  # fmt: skip
@@ -228,7 +228,7 @@ def test_names_are_exchanged_in_parts(
     assert work.names_of.tolist() == wanted
     # A single part has nothing to be exchanged with.
     alone = Tracklets(ids, np.array([0, 0, 3, 5, 0]), np.array([3, 3, 7, 7, 7]))
-    work = RunLabels(
+    work = TrackletLabels(
         work.positions, alone, 10.0, np.array([0, 2, 0, 2, 1]), np.zeros((3, 3))
     )
     _exchange_parts(work, np.zeros((3, 3)), (0, 2))
