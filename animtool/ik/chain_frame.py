@@ -89,15 +89,17 @@ def spans_of_take(
     problem = build(rig, goals, joints=joints, pose=coordinates[0])
     moving = {rig.index(name) for name in problem.joints}
     paths = [rig.upwards(rig.index(goal.joint)) for goal in goals]
-    chain_roots = [max(i for i, j in enumerate(path) if j in moving) for path in paths]
+    root_path_indices = [
+        max(i for i, j in enumerate(path) if j in moving) for path in paths
+    ]
     carriers = [
-        rig.parents[path[chain_root]]
-        for path, chain_root in zip(paths, chain_roots, strict=True)
+        rig.parents[path[root_path_index]]
+        for path, root_path_index in zip(paths, root_path_indices, strict=True)
     ]
     path_joints = {
         j
-        for path, chain_root in zip(paths, chain_roots, strict=True)
-        for j in path[: chain_root + 1]
+        for path, root_path_index in zip(paths, root_path_indices, strict=True)
+        for j in path[: root_path_index + 1]
     }
     rest_poses = _effective_rest_poses(rig, local, coordinates)
     pivot_joints = path_joints - _rotation_joints(goals, paths)

@@ -71,8 +71,8 @@ def find_jumps(
     """Return the jumps of joints, by frame and joint.
 
     A joint jumps where it rotates by more than `jump_threshold` beyond the source, or
-    by more than .5 rad and .1 rad beyond it; where it jerks from rest and stops again;
-    and where the motion around a step does not predict it, as in rule MOT202.
+    by more than .5 rad and .1 rad beyond it; where it starts from rest and stops in
+    one step; and where the motion around a step does not predict it, as in rule MOT202.
 
     Args:
         names: Names of the J joints.
@@ -110,7 +110,7 @@ def find_jumps(
         angles = angles + revolutions[:, moving]
     excess = angles - source_angles
     is_jump = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
-    is_jump |= (excess > jump_threshold(fps)) | _find_jerks(excess, goal_steps)
+    is_jump |= (excess > jump_threshold(fps)) | _find_isolated_steps(excess, goal_steps)
     is_pop = find_rotation_pops(rotations, 1.0 / fps, is_cut_before)[0]
     is_jump |= is_pop & ~find_rotation_pops(source_steps, 1.0 / fps, is_cut_before)[0]
     jumps = _jumps_at(names, is_jump, angles, source_angles, goal_steps)
@@ -120,7 +120,7 @@ def find_jumps(
         np.linalg.norm(rows, axis=2) / length for rows in (displacements, source_steps)
     )
     excess = sizes - source_sizes
-    is_jump = (excess > jump_threshold(fps)) | _find_jerks(excess, goal_steps)
+    is_jump = (excess > jump_threshold(fps)) | _find_isolated_steps(excess, goal_steps)
     limits = (1.0 / fps, is_cut_before, MIN_SLIDE * length, SLIDE_NOISE * length)
     is_jump |= (
         find_translation_pops(displacements, *limits)[0]
@@ -156,7 +156,7 @@ def _rotation_steps(rotations: FloatArray) -> FloatArray:
     return so3.log(so3.multiply(rotations[1:], so3.conjugate(rotations[:-1])))
 
 
-def _find_jerks(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
+def _find_isolated_steps(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
     """Return a mask of steps ``(F - 1, N)`` that far exceed the adjacent steps."""
     largest_neighbour = np.zeros_like(steps)
     for offset in range(1, NEIGHBOURS + 1):
@@ -164,10 +164,12 @@ def _find_jerks(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
         np.maximum(later, steps[:-offset], out=later)
         np.maximum(earlier, steps[offset:], out=earlier)
     goal_threshold = MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
-    jerks = steps > np.maximum(NEIGHBOUR_FACTOR * largest_neighbour, goal_threshold)
+    is_isolated = steps > np.maximum(
+        NEIGHBOUR_FACTOR * largest_neighbour, goal_threshold
+    )
     # The first and the last step have neighbours on one side only.
-    jerks[:1] = jerks[-1:] = False
-    return np.asarray(jerks, np.bool_)
+    is_isolated[:1] = is_isolated[-1:] = False
+    return np.asarray(is_isolated, np.bool_)
 
 
 def _jumps_at(

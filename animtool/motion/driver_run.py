@@ -146,7 +146,7 @@ class DriverRun:
         return notices
 
     def unwrap_angles(self, j: int, angles: FloatArray) -> FloatArray:
-        """Return the unwrapped angles ``(F,)`` of an unlimited pin."""
+        """Return the angles ``(F,)`` of a hinge without limits, made continuous."""
         last_angle = self._last_angles.get(j, 0.0)
         unwrapped_angles = np.unwrap(np.concatenate([[last_angle], angles]))[1:]
         if len(unwrapped_angles):

@@ -78,7 +78,7 @@ def rotate_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
 
 
 def transform_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
-    """Apply a placement, of one frame or one for each frame, to a motion.
+    """Apply a placement with one frame, or one per frame of the motion, to a motion.
 
     ``roots``: joints without a parent ``(R,)``.
     """

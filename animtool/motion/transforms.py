@@ -119,7 +119,7 @@ class Track:
 
 
 def apply_placement(transforms: Transforms, placement: Placement) -> Transforms:
-    """Apply a placement, of one frame or one for each time, to transforms."""
+    """Apply a placement with one frame, or one per time, to transforms."""
     if transforms.matrices is not None:
         matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
         matrices[:, :3, :3] = so3.to_matrix(placement.rotations)

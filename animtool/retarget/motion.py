@@ -35,11 +35,11 @@ from animtool.retarget.legs_in_limits import solve_within_limits
 from animtool.retarget.map import JointMap
 from animtool.retarget.poses import (
     LocalRotations,
-    bend_hinges,
     distribute_twist,
     local_rotations,
     relative_to_hips,
     root_translations,
+    twist_to_hinge_axes,
     world_rotations,
 )
 from animtool.retarget.props import PropTracks
@@ -234,7 +234,7 @@ class Retargeting:
         local = motion.translations.dense(), motion.rotations.dense()
         positions = forward_kinematics(source.rig, *local).positions
         world = world_rotations(source.rig, local[1])
-        rotations = bend_hinges(transfer, transfer.rotations(world))
+        rotations = twist_to_hinge_axes(transfer, transfer.rotations(world))
         posed = local_rotations(transfer, rotations)
         bones = transfer.bones(world, local[0], posed.world)
         relative = relative_to_hips(target, posed.world, bones, limb_joints(target))

@@ -45,7 +45,7 @@ def relative_to_hips(
     return np.asarray(positions - middle_of_hips(target, positions)[:, None])
 
 
-def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
+def twist_to_hinge_axes(transfer: Transfer, rotations: FloatArray) -> FloatArray:
     """Twist limbs so that they bend about the axes of their pins ``(F, K, 4)``.
 
     The joint above twists about its bone, so that the bone below the pin keeps its

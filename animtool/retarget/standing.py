@@ -48,10 +48,12 @@ MIN_TRUNK_COSINE = 0.6
 LYING_VARIATION = 0.06
 # Minimum cosine between arms and legs of a four-legged stance [1].
 MIN_FOURS_COSINE = 0.8
-# On the ground, the lowest joint is within the first distance of 0 and not farther
-# below it than the second, relative to the height, in this fraction of the frames,
-# since some bodies jump [1].
-GROUND_DISTANCE, GROUND_DEPTH, GROUND_FRACTION = 0.08, 0.02, 0.6
+# On the ground, the lowest joint is at most this far from 0, relative to height [1].
+MAX_GROUND_DISTANCE = 0.08
+# A body on level ground has no joint farther below 0, relative to the height [1].
+MAX_DEPTH_BELOW_GROUND = 0.02
+# Minimum fraction of frames on the ground; the others allow for jumps [1].
+MIN_GROUND_FRACTION = 0.6
 # A walking body travels at least this far over the ground, and at most this far
 # vertically, relative to its height [1].
 MIN_TRAVEL, MAX_VERTICAL_TRAVEL = 0.6, 0.25
@@ -215,10 +217,12 @@ def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
     feet = (positions @ np.array(axis.vector)).min(axis=1) / body_size
     lowest = (positions @ np.array(up.vector)).min(axis=1) / body_size
-    is_on_ground = float((np.abs(feet) < GROUND_DISTANCE).mean()) >= GROUND_FRACTION
+    is_on_ground = (
+        float((np.abs(feet) < MAX_GROUND_DISTANCE).mean()) >= MIN_GROUND_FRACTION
+    )
     # A lying body has nothing below the ground.
-    is_level = (lowest > -GROUND_DEPTH) & (lowest < GROUND_DISTANCE)
-    return is_on_ground and float(is_level.mean()) < GROUND_FRACTION
+    is_level = (lowest > -MAX_DEPTH_BELOW_GROUND) & (lowest < MAX_GROUND_DISTANCE)
+    return is_on_ground and float(is_level.mean()) < MIN_GROUND_FRACTION
 
 
 def _travels_across(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:

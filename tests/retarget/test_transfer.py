@@ -29,9 +29,9 @@ from animtool.retarget.poses import (
     _clamp_to_limits,
     _normalize,
     _twist_joint,
-    bend_hinges,
     relative_to_hips,
     root_translations,
+    twist_to_hinge_axes,
     world_rotations,
 )
 from animtool.retarget.report import (
@@ -326,16 +326,16 @@ def test_what_bends_at_a_pin_is_twisted_so_that_it_can(
 ) -> None:
     """The forearm is bent by 60 degrees about z, and its pin is along y."""
     turns = np.array([[so3.IDENTITY, turn(Z, 60), turn(Z, 60)]])
-    made = bend_hinges(pinned((0.0, 1.0, 0.0), limits), turns)
+    made = twist_to_hinge_axes(pinned((0.0, 1.0, 0.0), limits), turns)
     twist = turn(X, 90 * side)
     assert so3.angle_between(made[0, 0], twist) == pytest.approx(0, abs=1e-9)
     slight = np.array([[so3.IDENTITY, turn(Z, 2), so3.IDENTITY]])
     assert_allclose(
-        bend_hinges(pinned((0.0, 1.0, 0.0), limits), slight)[0, 0], so3.IDENTITY
+        twist_to_hinge_axes(pinned((0.0, 1.0, 0.0), limits), slight)[0, 0], so3.IDENTITY
     )
     half = np.degrees(np.arcsin(0.125))
     between = np.array([[so3.IDENTITY, turn(Z, half), so3.IDENTITY]])
-    found = bend_hinges(pinned((0.0, 1.0, 0.0), limits), between)
+    found = twist_to_hinge_axes(pinned((0.0, 1.0, 0.0), limits), between)
     assert so3.angle_between(found[0, 0], so3.IDENTITY) == pytest.approx(np.pi / 4)
 
 
