@@ -83,7 +83,7 @@ class Accessor:
         return ELEMENT_WIDTHS[self.element_type]
 
     @property
-    def where(self) -> str:
+    def pointer(self) -> str:
         """JSON pointer of the accessor."""
         return self.item.pointer
 
@@ -172,24 +172,24 @@ class Accessors:
         count = accessor.count * accessor.width
         self._number_count += count
         self._zero_count += count if accessor.view < 0 else 0
-        opened_bytes = self.container.bytes + self.buffers.opened_bytes
+        opened_bytes = self.container.byte_count + self.buffers.opened_bytes
         limit = MAX_NUMBERS + NUMBERS_PER_BYTE * opened_bytes
         if self._number_count > limit or self._zero_count > MAX_ZERO_NUMBERS:
             message = f"{accessor.count} elements need more bytes than the file has"
-            self.notes.fail("GLT013", accessor.where, message)
+            self.notes.fail("GLT013", accessor.pointer, message)
 
     def _dense_values(self, accessor: Accessor) -> AnyArray:
         dtype = COMPONENT_TYPES[accessor.component_type]
         shape = (accessor.count, accessor.width)
         if accessor.view < 0:
             return np.zeros(shape, dtype)
-        view = self._require_view(accessor.view, accessor.where)
+        view = self._require_view(accessor.view, accessor.pointer)
         return self._elements(view, accessor.offset, shape, dtype, view.stride)
 
     def _replace_sparse(
         self, accessor: Accessor, sparse: SparseValues, base: AnyArray
     ) -> AnyArray:
-        where = f"{accessor.where}/sparse"
+        where = f"{accessor.pointer}/sparse"
         index_view = self._require_view(sparse.index_view, f"{where}/indices")
         value_view = self._require_view(sparse.value_view, f"{where}/values")
         dtype = COMPONENT_TYPES[accessor.component_type]
@@ -299,13 +299,13 @@ class Accessors:
             if stride < element_bytes:
                 message = f"elements have {element_bytes} bytes, but byteStride is "
                 message += f"{stride}"
-                self.notes.fail("GLT008", accessor.where, message)
+                self.notes.fail("GLT008", accessor.pointer, message)
             end = accessor.offset + stride * (accessor.count - 1) + element_bytes
             if end > view.length:
-                self._fail_beyond_view(accessor.where, end, view)
+                self._fail_beyond_view(accessor.pointer, end, view)
             if (view.offset + accessor.offset) % dtype.itemsize:
                 message = f"its bytes do not start at a multiple of {dtype.itemsize}"
-                self.notes.warn("GLT105", accessor.where, message)
+                self.notes.warn("GLT105", accessor.pointer, message)
         sparse = accessor.sparse
         if sparse is None:
             return
@@ -317,7 +317,7 @@ class Accessors:
         ):
             sparse_view = self.views[view_index]
             if sparse_view is not None and end > sparse_view.length:
-                where = f"{accessor.where}/sparse/{key}"
+                where = f"{accessor.pointer}/sparse/{key}"
                 self._fail_beyond_view(where, end, sparse_view)
 
     def _fail_beyond_view(self, where: str, end: int, view: BufferView) -> NoReturn:
@@ -382,4 +382,4 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
     if len(non_finite_indices):
         i = int(non_finite_indices[0, 0])
         message = f"element {i} is {values[tuple(non_finite_indices[0])]}, not finite"
-        accessor.item.notes.fail("GLT010", accessor.where, message)
+        accessor.item.notes.fail("GLT010", accessor.pointer, message)

@@ -144,7 +144,7 @@ class Animation:
     name: str | None
     tracks: tuple[GltfTrack, ...]
     extras: dict[str, Any]
-    where: str
+    pointer: str
 
     @property
     def span(self) -> tuple[float, float]:
@@ -366,7 +366,7 @@ def _check_unit_length(
         shortest, longest = float(squares.min()), float(squares.max())
     if shortest <= 0.0:
         message = "a rotation key has length 0"
-        samplers.items[index].notes.fail("GLT010", entry.where, message)
+        samplers.items[index].notes.fail("GLT010", entry.pointer, message)
     if max(1.0 - shortest, longest - 1.0) > 2 * tolerance:
         message = f"rotation keys have lengths from {shortest**0.5:.6g} to "
         message += f"{longest**0.5:.6g}: they are normalised"

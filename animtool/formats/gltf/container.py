@@ -32,7 +32,7 @@ class Container:
     root: JsonItem
     binary: memoryview | None  # None for a .gltf, and a GLB without it
     is_glb: bool
-    bytes: int  # size of the file [byte]
+    byte_count: int  # size of the file [byte]
     may_have_extensions: bool  # whether any object may have extensions
 
 

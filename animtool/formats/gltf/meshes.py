@@ -54,7 +54,7 @@ class Primitive:
     indices: int
     mode: int
     targets: tuple[MorphTarget, ...]
-    where: str
+    pointer: str
 
     @property
     def vertex_key(self) -> tuple[Any, ...]:
@@ -71,7 +71,7 @@ class MeshEntry:
     # Default weights of its targets; nodes may override them.
     weights: tuple[float, ...]
     target_names: tuple[str, ...]  # empty if the file has none
-    where: str
+    pointer: str
     original_name: str | None = None  # written by animtool if the node's name differs
 
     @property
@@ -375,7 +375,7 @@ def read_skin_weights(
     if out_of_range.any():
         has_weight = out_of_range & (weights > 0)
         index = np.argwhere(has_weight if has_weight.any() else out_of_range)[0, 1] // 4
-        where = f"{primitive.where}/attributes/JOINTS_{int(index)}"
+        where = f"{primitive.pointer}/attributes/JOINTS_{int(index)}"
         message = f"joint {int(indices[out_of_range].max())} of a skin with "
         message += f"{joint_count}"
         if has_weight.any():
@@ -384,7 +384,7 @@ def read_skin_weights(
         indices[out_of_range] = 0
     weight_sums = weights.sum(axis=1)
     sum_errors = np.abs(weight_sums - 1.0)
-    where = f"{primitive.where}/attributes/WEIGHTS_0"
+    where = f"{primitive.pointer}/attributes/WEIGHTS_0"
     has_data = all(accessors.has_data(accessor) for accessor in primitive.weights)
     if has_data and sum_errors.max(initial=0.0) > WEIGHT_SUM_TOLERANCE:
         weight_sum = weight_sums[sum_errors.argmax()]
@@ -410,7 +410,7 @@ def _check_duplicate_joints(
     has_duplicate = (sorted_indices[:, 1:] == sorted_indices[:, :-1]).any(axis=1)
     if has_duplicate.any():
         message = f"{int(has_duplicate.sum())} vertices have two weights of one joint"
-        where = f"{primitive.where}/attributes/JOINTS_0"
+        where = f"{primitive.pointer}/attributes/JOINTS_0"
         notes.warn("GLT104", where, f"{message}: they are added")
 
 

@@ -45,7 +45,10 @@ class SamplerKeys:
     out_slopes: FloatArray | None = None  # slopes out of the keys ``(K, W)`` [1/s]
 
     def accessor_rows(self, *, scalars: bool = False) -> FloatArray:
-        """Return rows of the output accessor; ``scalars`` gives one number each."""
+        """Return the rows of the output accessor; with ``scalars``, one number a row.
+
+        Cubic splines have three rows a key: incoming slope, value and outgoing slope.
+        """
         values = self.values
         if self.in_slopes is not None and self.out_slopes is not None:
             values = np.stack([self.in_slopes, self.values, self.out_slopes], axis=1)

@@ -91,7 +91,7 @@ def find_frame_range(
         message += f"{values_per_frame} numbers, above the limit"
         hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
-            Fault("GLT013", message, path, (), hint, where=animation.where)
+            Fault("GLT013", message, path, (), hint, where=animation.pointer)
         )
     notices = _unit_warning(times, path, animation)
     if not _fits_rate(times, rate):
@@ -118,7 +118,7 @@ def _unit_warning(times: FloatArray, path: str, animation: Animation) -> list[Fa
     )
     hint = "key times of a glTF are in seconds: export it again"
     severity = Severity.WARNING
-    return [Fault("GLT120", message, path, (), hint, severity, where=animation.where)]
+    return [Fault("GLT120", message, path, (), hint, severity, where=animation.pointer)]
 
 
 def key_times(animation: Animation) -> FloatArray:
@@ -153,7 +153,7 @@ def _off_frame_fault(
     message += f"frames at {rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     hint = f"set another rate with {argument('source.fps')}"
     return Fault(
-        "GLT110", message, path, (), hint, Severity.NOTE, where=animation.where
+        "GLT110", message, path, (), hint, Severity.NOTE, where=animation.pointer
     )
 
 

@@ -204,13 +204,13 @@ def _joints_first(values: FloatArray, dtype: type[np.floating[Any]]) -> Any:
     The samples of a joint are copied as one element, in chunks of frames that stay in
     the processor's cache.
     """
-    frames, joints, width = values.shape
+    frame_count, joint_count, width = values.shape
     element = np.dtype((np.void, width * np.dtype(dtype).itemsize))
-    table = np.empty((joints, frames), element)
-    for first in range(0, frames, _CHUNK_FRAMES):
+    table = np.empty((joint_count, frame_count), element)
+    for first in range(0, frame_count, _CHUNK_FRAMES):
         rows = np.ascontiguousarray(values[first : first + _CHUNK_FRAMES], dtype)
         table[:, first : first + _CHUNK_FRAMES] = rows.view(element)[:, :, 0].T
-    return table.view(dtype).reshape(joints, frames, width)
+    return table.view(dtype).reshape(joint_count, frame_count, width)
 
 
 def _joint_keys(

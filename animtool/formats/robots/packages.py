@@ -51,14 +51,14 @@ class PackageFolders:
 
     def find(self, name: str) -> Path | None:
         """Return the path of a file name; None if missing."""
-        scheme = _URI_SCHEME.fullmatch(name)
-        if scheme is None:
+        uri_match = _URI_SCHEME.fullmatch(name)
+        if uri_match is None:
             return self._inside_project(self.folder / name, name)
-        kind, location = scheme[1].lower(), scheme[2]
-        if kind == "file":
+        scheme, location = uri_match[1].lower(), uri_match[2]
+        if scheme == "file":
             return self._inside_project(Path("/" + location.lstrip("/")), name)
-        if kind not in _PACKAGE_SCHEMES:
-            raise OutsideError(f"{kind}:// is of a network, and is never opened")
+        if scheme not in _PACKAGE_SCHEMES:
+            raise OutsideError(f"{scheme}:// is of a network, and is never opened")
         # Some writers add a third slash.
         package, _, relative = location.lstrip("/").partition("/")
         candidates = [folder for folder in self._candidate_folders(package) if relative]

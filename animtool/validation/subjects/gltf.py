@@ -73,7 +73,7 @@ def _clip_subjects(
             faults += error.faults
             continue
         take = build_stream(built_rig, sampler, frames).collect()
-        subject = clip_subject(gltf.path, built_rig.rig, take, animation.where)
+        subject = clip_subject(gltf.path, built_rig.rig, take, animation.pointer)
         subjects.append(_trim_to_keys(subject, sampler, animation, frames))
     return subjects
 
