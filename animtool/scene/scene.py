@@ -178,7 +178,7 @@ class Scene:
         context = self._context(writes_files=writes_files)
         props = self._open_props(stream)
         dropped = stream.dropped
-        stream = self._with_props(stream, props, dropped, retimed=True)
+        stream = self._with_props(stream, props, dropped, select_retimed=True)
         pass_index = 0
         for entry in self.passes:
             pass_context = context
@@ -187,7 +187,7 @@ class Scene:
                 pass_context = replace(context, progress=pass_progress)
                 pass_index += 1
             stream = self._apply_pass(stream, entry, pass_context)
-        stream = self._with_props(stream, props, dropped, retimed=False)
+        stream = self._with_props(stream, props, dropped, select_retimed=False)
         if block_progress is not None:
             stream.blocks = block_progress.blocks(stream.blocks)
         return stream
@@ -199,7 +199,9 @@ class Scene:
         """
         source = self._source()
         props = self._open_props(source)
-        with_props = self._with_props(source, props, source.dropped, retimed=True)
+        with_props = self._with_props(
+            source, props, source.dropped, select_retimed=True
+        )
         take, stream = _collect_stream(with_props)
         yield take, stream
         context = self._context(writes_files=False)
@@ -275,10 +277,12 @@ class Scene:
         props: Sequence[OpenProp],
         dropped: Callable[[FloatArray], Placement] | None,
         *,
-        retimed: bool,
+        select_retimed: bool,
     ) -> TakeStream:
-        """Return a take with those props that passes retime, or with the others."""
-        matching_props = [prop for prop in props if prop.entry.retimed is retimed]
+        """Return a take with its retimed props, or with its other props."""
+        matching_props = [
+            prop for prop in props if prop.entry.retimed is select_retimed
+        ]
         if not matching_props:
             return stream
         from animtool.scene.sources.props import with_props

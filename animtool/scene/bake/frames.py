@@ -369,7 +369,7 @@ class BakedTake:
         stream = self.plan.stream
         stream = replace(stream, blocks=self._count_frames(stream.blocks))
         if self._recorder is not None:
-            stream = self._recorder.read(stream)
+            stream = self._recorder.record_while_read(stream)
         sampled_take = sample_take(self.plan, stream)
         if stream.tracks:
             from animtool.usd.props.writer import PropSamples

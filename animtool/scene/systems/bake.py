@@ -165,7 +165,7 @@ class SystemFrames:
     def _finish(self, layer: Any) -> None:
         """Set the last simulated frame; save requested states."""
         run, prims = self.run, self.prims
-        if run.stopped is not None and prims.recorder is None:
+        if run.stop_error is not None and prims.recorder is None:
             metadata = prims.job.metadata
             span = replace(metadata.span, last=prims.codes[run.frames_done - 1])
             author_metadata(layer, replace(metadata, span=span))
@@ -180,7 +180,7 @@ class SystemFrames:
         report, run, written_meshes = state.report, self.run, self.written
         assert report is not None
         report.notices += self.notices
-        report.stopped = run.stopped
+        report.stopped = run.stop_error
         report.result.outputs[:0] = self.files
         report.result.bytes += sum(map(written_size, self.files))
         for take in report.takes:
@@ -188,7 +188,7 @@ class SystemFrames:
             take.simulated += run.simulated
         if self.prims.recorder is not None:
             return
-        if run.stopped is not None:
+        if run.stop_error is not None:
             report.result.span = layer_span(self.stopped_layer)
             stopped_take = report.takes[0]
             stopped_take.source_frames = stopped_take.written.samples = run.frames_done

@@ -211,7 +211,7 @@ class CharacterRecorder:
         """Time codes that were written, ascending ``(F,)``."""
         return np.concatenate(self._codes)
 
-    def read(self, stream: TakeStream) -> TakeStream:
+    def record_while_read(self, stream: TakeStream) -> TakeStream:
         """Return a take that records its frames while it is read."""
         if not self.records_motion:
             return stream

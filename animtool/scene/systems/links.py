@@ -12,7 +12,7 @@ from animtool.documents.document import Document, Location, parse_location
 from animtool.scene.file.entries import ScenePass, SceneSystem
 from animtool.systems.framework.fields import SystemSurfaceModel
 from animtool.systems.framework.kinds import SYSTEM_KINDS
-from animtool.systems.framework.spec import Member
+from animtool.systems.framework.spec import JoinedEntry
 
 
 def simulation_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
@@ -174,15 +174,15 @@ def _check_body(
     return False
 
 
-def to_member(system: SceneSystem) -> Member:
-    """Return the data of a system from which it is built with other systems."""
+def to_joined_entry(system: SceneSystem) -> JoinedEntry:
+    """Return the scene entry of a system, for simulation together with others."""
     setup = system.setup
-    return Member(system.name, system.kind, setup.spec, setup.parts, setup.record)
+    return JoinedEntry(system.name, system.kind, setup.spec, setup.parts, setup.record)
 
 
 def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
     """Record faults of systems that cannot be joined."""
-    members = [to_member(system) for system in systems]
+    members = [to_joined_entry(system) for system in systems]
     for system in systems:
         record = system.setup.record
         for fault in [] if record is None else record.joined_faults(members):

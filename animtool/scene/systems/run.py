@@ -108,7 +108,7 @@ class SystemRun:
         self.systems = systems
         self.seconds = [0.0] * len(systems)
         self.written = [i for i, system in enumerate(systems) if system.written]
-        self.stopped: ToleranceError | None = None
+        self.stop_error: ToleranceError | None = None
         self.frames_done = 0
         self._character = character
         self._phases: ProgressPhases | None = None
@@ -191,7 +191,7 @@ class SystemRun:
                     raise ToleranceError(faults) from error
                 kept = f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
                 note = Fault("SIM193", kept, severity=Severity.NOTE)
-                self.stopped = ToleranceError([*faults, note])
+                self.stop_error = ToleranceError([*faults, note])
                 break
             yield float(code), system_frames
             self.frames_done = k + 1

@@ -76,7 +76,7 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
 
 
 def _view(entry_run: EntryRun, name: str) -> SpringView:
-    """Return the simulation view of a rope or strand."""
+    """Return the rope's or strands' part of their shared spring simulation."""
     view = entry_run.simulation
     if isinstance(view, SpringView) and isinstance(view.body.shape, CurveShape):
         return view

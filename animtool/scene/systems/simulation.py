@@ -22,7 +22,11 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.bake.progress import Progress, ProgressPhases, TimeProgress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.scene.systems.links import joined_groups, simulation_order, to_member
+from animtool.scene.systems.links import (
+    joined_groups,
+    simulation_order,
+    to_joined_entry,
+)
 from animtool.scene.systems.proportions import placement_warnings
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Poses
@@ -168,7 +172,7 @@ def run_entries(
         setups[0].parts,
         poses,
         budget,
-        [to_member(member) for member in members],
+        [to_joined_entry(member) for member in members],
         lambda: context.clock(start_time),
         context.phase,
         carriers,

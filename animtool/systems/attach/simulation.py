@@ -243,16 +243,18 @@ class AttachSimulation:
         for earlier, later in pairwise(poses):
             self._advance_actors(FramePoses(self.rig, earlier, later))
 
-    def _advance(self, pose: LocalPose, code: float) -> None:
+    def _advance(self, pose: LocalPose, time_code: float) -> None:
         """Advance all actors to the next frame, or follow the animation."""
         assert self._previous_pose is not None
         frame_poses = FramePoses(self.rig, self._previous_pose, pose)
-        if self.resumed is not None and code <= self.resumed.frame:
+        if self.resumed is not None and time_code <= self.resumed.frame:
             for actor in self.actors:
                 actor.follow_animation(frame_poses)
             self._frame += 1
             return
-        self._advance_actors(frame_poses, has_teleport=code in self.options.teleports)
+        self._advance_actors(
+            frame_poses, has_teleport=time_code in self.options.teleports
+        )
 
     def _advance_actors(
         self,
@@ -282,16 +284,16 @@ class AttachSimulation:
             for sheet in self._world.sheets:
                 sheet.motion.forget(earliest_time)
 
-    def _save_and_resume(self, code: float) -> None:
+    def _save_and_resume(self, time_code: float) -> None:
         """Save requested states, and load resumed states at their frame."""
-        if self.resumed is not None and code == self.resumed.frame:
+        if self.resumed is not None and time_code == self.resumed.frame:
             for actor in self.actors:
                 resumed_state = self.resumed.states[actor.body.name]
                 motion = np.stack([resumed_state.positions, resumed_state.velocities])
                 actor.set_motion(motion, resumed_state.passages)
-        if code in self.options.save_at:
+        if time_code in self.options.save_at:
             for actor in self.actors:
-                name, clock = state_name_and_clock(actor.body, code)
+                name, clock = state_name_and_clock(actor.body, time_code)
                 positions, velocities = actor.grid.state.motion
                 passages = actor.grid.state.passages
                 state = AttachState(positions, velocities, passages)
@@ -339,10 +341,10 @@ class AttachSimulation:
                 frames = zip(row.simulated, weights.tolist(), strict=True)
                 row.simulated = [points + weight * offset for points, weight in frames]
             actor.meter = ContactMeter()
-            for code, points, surroundings in zip(
+            for time_code, points, surroundings in zip(
                 self.codes, row.simulated, row.surroundings, strict=True
             ):
-                actor.measure(code, points, surroundings)
+                actor.measure(time_code, points, surroundings)
         return self._blend(motion, self._codes(self._prepended_frames, count), rows)
 
     def _simulate_cycle(

@@ -77,7 +77,7 @@ def check_motion(motion: FloatArray) -> None:
 
 
 def cells_and_substeps(steps: int) -> tuple[int, int]:
-    """Return the cells of a frame and the steps per cell, at least ``steps`` in total.
+    """Return cells per frame and substeps per cell, at least ``steps`` steps in total.
 
     >>> cells_and_substeps(3), cells_and_substeps(10), cells_and_substeps(46)
     ((3, 1), (5, 2), (8, 6))
@@ -85,7 +85,7 @@ def cells_and_substeps(steps: int) -> tuple[int, int]:
     if steps <= MAX_CELLS:
         return steps, 1
     cell_counts = range(MAX_CELLS, MIN_CELLS - 1, -1)
-    candidates = [(cells, math.ceil(steps / cells)) for cells in cell_counts]
+    candidates = [(count, math.ceil(steps / count)) for count in cell_counts]
     return min(candidates, key=math.prod)
 
 
@@ -154,7 +154,7 @@ def build_plan(
 ) -> SpringPlan:
     """Return the spring system of a network with its steps in a frame [s], by xpbd."""
     min_steps = math.ceil(step_rate(network, settings) * duration - 1e-9)
-    cells, substeps = cells_and_substeps(max(1, min_steps))
+    cell_count, substeps = cells_and_substeps(max(1, min_steps))
     has_rate = settings.options.rate is not None
     options = SpringOptions(
         Solver.XPBD,
@@ -163,7 +163,7 @@ def build_plan(
         # The strain of stiff cloth springs is clamped too.
         clamped_strain=settings.stretch if len(network.triangles) else 0.0,
     )
-    choice = SolverChoice(Solver.XPBD, duration / cells, substeps, "", math.inf)
+    choice = SolverChoice(Solver.XPBD, duration / cell_count, substeps, "", math.inf)
     return SpringPlan(build_system(network, settings, down), options, choice)
 
 

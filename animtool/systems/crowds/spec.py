@@ -1,4 +1,4 @@
-"""Keys of crowds in scene files."""
+"""Schema of the crowd entries in scene files."""
 
 from __future__ import annotations
 

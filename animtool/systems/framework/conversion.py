@@ -222,7 +222,7 @@ class SceneUnits:
         return value
 
     def array_factor(self, description: str | None) -> float:
-        """Return the factor for arrays of a key, from the unit in the description."""
+        """Return the factor to metres and degrees from the unit in a description."""
         units = _BRACKETS.findall(description or "")
         return self.factor(units[0]) if units else 1.0
 

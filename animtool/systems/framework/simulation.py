@@ -25,7 +25,7 @@ from animtool.sim.trajectory import Stats
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Setting
     from animtool.systems.framework.body_carriers import CarrierBodies
-    from animtool.systems.framework.spec import Member
+    from animtool.systems.framework.spec import JoinedEntry
 
 State = TypeVar("State")
 # Progress callback; None without.
@@ -88,7 +88,7 @@ class SimContext:
     parts: Mapping[str, Any]
     poses: Callable[[Any], Poses]
     budget: int | None = None
-    members: Sequence[Member] = ()
+    members: Sequence[JoinedEntry] = ()
     clock: Callable[[], Progress] = lambda: None
     phase: Callable[[], Progress] = lambda: None
     carriers: Mapping[str, CarrierBodies] = field(default_factory=dict)

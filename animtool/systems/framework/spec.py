@@ -142,7 +142,7 @@ class ForcedSpec(CollidingSpec):
 
 
 @dataclass(frozen=True, slots=True)
-class Member:
+class JoinedEntry:
     """One of the scene entries that are simulated together."""
 
     name: str
@@ -181,5 +181,5 @@ class EntryRecord(Protocol):
     def joined_systems(self) -> Sequence[tuple[str, str]]:
         """Names of joined systems, and the keys that name them."""
 
-    def joined_faults(self, members: Sequence[Member]) -> Sequence[Fault]:
+    def joined_faults(self, members: Sequence[JoinedEntry]) -> Sequence[Fault]:
         """Return the faults of joins with other systems, with the key of each join."""

@@ -68,9 +68,9 @@ class SolidProperties:
 def combine_solids(
     solids: Sequence[SolidProperties], densities: Sequence[float]
 ) -> SolidProperties:
-    """Return the combined mass properties of solids, with the mass [kg] as volume.
+    """Return the combined mass properties of solids with densities [kg/m³].
 
-    The inertia of the result is in [kg m²].
+    In the result, ``volume`` holds the mass [kg], and the inertia is in [kg m²].
     """
     masses = np.array([solid.volume for solid in solids]) * np.array(densities)
     centres = np.array([solid.centre for solid in solids])

@@ -145,7 +145,7 @@ def _closed_loops(kinds_and_bodies: IntArray, body_count: int) -> list[list[int]
 
 
 def _joint_jacobians(
-    joint: IntArray, frame: FloatArray, centres: FloatArray, size: float
+    joint: IntArray, joint_frame: FloatArray, centres: FloatArray, size: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return Jacobians of the constrained and of the free directions of a joint.
 
@@ -153,12 +153,12 @@ def _joint_jacobians(
     these directions ``(R, 6 N)``.
     """
     kind, first, second = joint.tolist()
-    axes = so3.to_matrix(frame[3:]).T
+    axes = so3.to_matrix(joint_frame[3:]).T
     # Translations along all axes, then rotations about them.
     jacobian: FloatArray = np.zeros((6, len(centres), 6))
     for body, sign in ((second, 1.0), (first, -1.0)):
         if body >= 0:
-            lever_arm = (frame[:3] - centres[body]) / size
+            lever_arm = (joint_frame[:3] - centres[body]) / size
             jacobian[:3, body, :3] = jacobian[3:, body, 3:] = sign * axes
             jacobian[:3, body, 3:] = sign * np.cross(lever_arm, axes)
     rows = [*_LOCKED_TRANSLATIONS[kind], *(3 + i for i in _LOCKED_ROTATIONS[kind])]

@@ -106,8 +106,8 @@ def ragdoll_transforms(
     """
     rig = ragdoll.rig
     body_of_joint = {int(j): i for i, j in enumerate(ragdoll.joints)}
-    rigid_joints = {k for j in body_of_joint for k in rig.upwards(j)[1:]}
-    rigid_joints -= body_of_joint.keys()
+    bodiless_ancestors = {k for j in body_of_joint for k in rig.upwards(j)[1:]}
+    bodiless_ancestors -= body_of_joint.keys()
     new_translations, new_rotations = local_translations.copy(), local_rotations.copy()
     root_bodies = np.flatnonzero(ragdoll.parent_bodies < 0).tolist()
     root_joints = {movable_root(rig, int(ragdoll.joints[i])): i for i in root_bodies}
@@ -116,7 +116,7 @@ def ragdoll_transforms(
     positions = np.zeros((frame_count, joints, 3))
     world_rotations = np.zeros((frame_count, joints, 4))
     for j, joint in enumerate(rig.joints):
-        if j in rigid_joints:
+        if j in bodiless_ancestors:
             new_translations[:, j] = local_translations[0, j]
             new_rotations[:, j] = local_rotations[0, j]
         parent = joint.parent

@@ -145,8 +145,8 @@ class Teleports:
     """Teleports of pins and targets, which move the attached particles as well.
 
     Driven particles ``(H,)`` are those of pins, then those of targets. If one of a
-    connected group is faster than the limit [m/s], all driven particles of the group
-    stay until the end of that interval and then teleport. Attached particles move
+    connected group is faster than ``max_speed`` [m/s], all driven particles of the
+    group stay until the end of that interval and then teleport. Attached particles move
     rigidly with them and gain no velocity. The time between two teleports is a stage.
     """
 
@@ -155,13 +155,13 @@ class Teleports:
         body: Body,
         driven_particles: IntArray,
         paths: tuple[TimedPositions, TimedPositions],
-        limit: float,
+        max_speed: float,
     ) -> None:
-        self._driven_particles, self._limit = driven_particles, limit
+        self._driven_particles, self._max_speed = driven_particles, max_speed
         self._pin_count = paths[0][1].shape[1]
         self._knots, self._positions = _merge_paths(paths)
         distances = np.linalg.norm(np.diff(self._positions, axis=0), axis=2)
-        is_too_fast = distances > limit * np.diff(self._knots)[:, None]
+        is_too_fast = distances > max_speed * np.diff(self._knots)[:, None]
         self._group_of_particle = np.zeros(len(body.positions), np.int64)
         if is_too_fast.any():
             self._group_of_particle = _connected_groups(body)
@@ -238,7 +238,7 @@ class Teleports:
             names = ["pins"] if has_teleported[: self._pin_count].any() else []
             names += ["targets"] if has_teleported[self._pin_count :].any() else []
             message = (
-                f"{' and '.join(names)} move faster than {self._limit:g} m/s until "
+                f"{' and '.join(names)} move faster than {self._max_speed:g} m/s until "
                 f"{t:g} s: attached particles move along without gaining velocity"
             )
             hint = "raise the speed limit if they should pull it along"

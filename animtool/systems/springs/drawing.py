@@ -38,7 +38,7 @@ class CurveShape:
         """Whether any spring can tear, which changes the topology."""
         return bool(np.isfinite(self.springs.limit).any())
 
-    def row(
+    def frame(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> CurvesFrame:
         """Return curves at points ``(N, 3)`` [m], split at torn springs ``(S,)``."""
@@ -77,7 +77,7 @@ class FaceShape:
         side_springs = self._spring_of_side[self._spring_of_side >= 0]
         return bool(np.isfinite(self.springs.limit[side_springs]).any())
 
-    def row(
+    def frame(
         self,
         points: FloatArray,
         velocities: FloatArray,
@@ -161,7 +161,7 @@ class Tearing:
     rotations: _NeighbourRotations
     middles: tuple[_FaceMiddle, ...]
 
-    def row(
+    def frame(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> MeshFrame:
         """Return the mesh frame, as `FaceShape.row` does."""

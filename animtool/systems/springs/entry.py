@@ -17,7 +17,7 @@ from animtool.core.options import ENTRY_RANGE_MESSAGE, range_faults
 from animtool.core.record import dataclass
 from animtool.documents.fields import record_of
 from animtool.systems.framework.body_carriers import BodyCarrier
-from animtool.systems.framework.spec import Member, PinnedPoints
+from animtool.systems.framework.spec import JoinedEntry, PinnedPoints
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODY_BUILDERS, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_options, check_supports_self_contact
@@ -96,7 +96,7 @@ class SpringEntry:
             noun: len(shape.counts),
         }
 
-    def joined_faults(self, members: Sequence[Member]) -> list[Fault]:
+    def joined_faults(self, members: Sequence[JoinedEntry]) -> list[Fault]:
         """Return faults of joins with other systems (SIM046, SIM052)."""
         bodies = {member.name: member.record.body for member in members}
         faults = []
@@ -128,7 +128,7 @@ def _join_faults(join: Join, other_body: SpringBody) -> list[Fault]:
     return located_faults
 
 
-def join_pairs(members: Sequence[Member], starts: IntArray) -> IntArray:
+def join_pairs(members: Sequence[JoinedEntry], starts: IntArray) -> IntArray:
     """Return pairs of particles to merge ``(J, 2)``: removed, replacement.
 
     Particles are numbered over all systems; ``starts`` has the first index of each.

@@ -19,7 +19,7 @@ from animtool.systems.framework.meter import (
     collider_depths,
 )
 from animtool.systems.framework.simulation import Diagnostics
-from animtool.systems.framework.spec import Member
+from animtool.systems.framework.spec import JoinedEntry
 from animtool.systems.springs.body import Body
 from animtool.systems.springs.crossings import SelfCrossings, thin_notices, widest_gap
 from animtool.systems.springs.drawing import FaceShape, Tearing
@@ -32,7 +32,7 @@ class SpringView:
     """Frames and diagnostics of one entry of a spring simulation."""
 
     simulation: SpringSimulation
-    member: Member  # the scene entry
+    member: JoinedEntry  # the scene entry
     rows: IntArray  # particle indices in the simulation ``(N,)``
     springs: slice  # spring indices in the simulation
     member_notices: Sequence[Fault]  # warnings about this entry alone
@@ -81,7 +81,7 @@ class SpringView:
             self._self_crossings.count_if_due(t, points)
         self._measure(points, t, state)
         shape = self._torn_mesh or self.body.shape
-        frame: Frame = shape.row(points, velocities, self.torn(state))
+        frame: Frame = shape.frame(points, velocities, self.torn(state))
         return frame
 
     def _measure(self, points: FloatArray, t: float, state: SpringState) -> None:
