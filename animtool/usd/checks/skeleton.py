@@ -100,15 +100,17 @@ def _check_numbers(prim: Any, name: str) -> Iterator[Fault]:
 
 def _check_pair(
     prim: Any,
-    lower_name: str,
-    upper_name: str,
+    lower_limit_name: str,
+    upper_limit_name: str,
     *,
     reversible: bool = False,
     unlimited_value: float | None = None,
 ) -> Iterator[Fault]:
-    yield from _check_numbers(prim, lower_name)
-    yield from _check_numbers(prim, upper_name)
-    attributes = [prim.GetAttribute(name) for name in (lower_name, upper_name)]
+    yield from _check_numbers(prim, lower_limit_name)
+    yield from _check_numbers(prim, upper_limit_name)
+    attributes = [
+        prim.GetAttribute(name) for name in (lower_limit_name, upper_limit_name)
+    ]
     lower_value, upper_value = (attr.Get() if attr else None for attr in attributes)
     if (
         lower_value is None
@@ -118,9 +120,8 @@ def _check_pair(
     ):
         return
     if lower_value > upper_value:
-        message = (
-            f"{lower_name.rpartition(':')[2]} {lower_value:g} is above {upper_value:g}"
-        )
+        lower_label = lower_limit_name.rpartition(":")[2]
+        message = f"{lower_label} {lower_value:g} is above {upper_value:g}"
         yield finding("USD271", attributes[0].GetPath(), message)
 
 

@@ -206,20 +206,20 @@ def _check_off_frame_ends(
     subject: StageSubject, start: float, end: float, sample_span: tuple[float, float]
 ) -> Iterator[Fault]:
     """Yield a fault if the range starts or ends between frames without a sample."""
-    ends = {"starts": start, "ends": end}
-    off_frame_ends = {
+    codes_by_verb = {"starts": start, "ends": end}
+    off_frame_codes = {
         verb: code
-        for verb, code in ends.items()
+        for verb, code in codes_by_verb.items()
         if abs(code - round(code)) > TIME_TOLERANCE
     }
-    if not off_frame_ends:
+    if not off_frame_codes:
         return
     sample_times = {
         round(t, 6) for attr in subject.attributes for t in subject.times(attr)
     }
     unsampled_ends = [
         f"{verb} at {frame_label(code)}"
-        for verb, code in off_frame_ends.items()
+        for verb, code in off_frame_codes.items()
         if round(code, 6) not in sample_times
     ]
     if unsampled_ends:

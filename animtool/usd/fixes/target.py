@@ -38,7 +38,7 @@ class NotFixableError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Result of an edit."""
+    """What an edit changed: a text for the report, and the largest change."""
 
     text: str  # the action and its counts, for the report
     # Largest change of a number, None if not meaningful.

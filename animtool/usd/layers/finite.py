@@ -18,10 +18,10 @@ from animtool.core.array_types import Float32Array, FloatArray
 from animtool.core.errors import Fault, OutputError
 from animtool.core.record import dataclass
 
-# Largest finite number by type letter, the last letter of USD's type names.
+# Largest finite number by type code, the last letter of USD's type names.
 _TYPE_LIMITS = {
-    letter: float(np.finfo(dtype).max)
-    for letter, dtype in (("h", np.float16), ("f", np.float32), ("d", np.float64))
+    type_code: float(np.finfo(dtype).max)
+    for type_code, dtype in (("h", np.float16), ("f", np.float32), ("d", np.float64))
 }
 _TYPE_NAMES = {"h": "float16", "f": "float32", "d": "float64"}
 _SCALAR_LETTERS = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": "d"}
@@ -55,7 +55,7 @@ class ValueLabels:
 
 @cache
 def float_letter(type_name: Any) -> str:
-    """Return the type letter (h, f or d) of a value type; empty if not a float."""
+    """Return the type code (h, f or d) of a value type; empty if not a float."""
     name = str(type_name.scalarType.cppTypeName)
     if name in _SCALAR_LETTERS:
         return _SCALAR_LETTERS[name]
@@ -64,29 +64,31 @@ def float_letter(type_name: Any) -> str:
 
 def narrow_floats(
     values: FloatArray,
-    letter: str,
+    type_code: str,
     labels: ValueLabels,
-    codes: FloatArray | None = None,
+    time_codes: FloatArray | None = None,
 ) -> npt.NDArray[Any]:
     """Return values as float16 (``h``) or float32 (``f``).
 
-    ``values`` are ``(F, N, …)``, or ``(N, …)`` without ``codes``, the time codes
-    ``(F,)``.
+    ``values`` are ``(F, N, …)`` at time codes ``(F,)``, or ``(N, …)`` without them.
     """
-    dtype = np.float16 if letter == "h" else np.float32
+    dtype = np.float16 if type_code == "h" else np.float32
     with np.errstate(over="ignore"):
         narrowed = values.astype(dtype)
-    if narrowed.size and not _is_in_range(narrowed, _TYPE_LIMITS[letter]):
-        _refuse_non_finite(values, narrowed, letter, labels, codes)
+    if narrowed.size and not _is_in_range(narrowed, _TYPE_LIMITS[type_code]):
+        _refuse_non_finite(values, narrowed, type_code, labels, time_codes)
     return narrowed
 
 
 def round_to_float32(
-    points: FloatArray, meters_per_unit: float, labels: ValueLabels, codes: FloatArray
+    points: FloatArray,
+    meters_per_unit: float,
+    labels: ValueLabels,
+    time_codes: FloatArray,
 ) -> tuple[Float32Array, float, int, int]:
     """Return points as float32, the largest rounding error, and its frame and vertex.
 
-    ``points`` are ``(F, V, 3)``, ``codes`` the time codes ``(F,)``.
+    ``points`` are ``(F, V, 3)``, time codes ``(F,)``.
     """
     rounded_points, error, frame, vertex = _kernels.round_points(
         points, meters_per_unit
@@ -97,7 +99,7 @@ def round_to_float32(
         with np.errstate(all="ignore"):
             in_unit = points / meters_per_unit
             in_float32 = in_unit.astype(np.float32)
-        _refuse_non_finite(in_unit, in_float32, "f", labels, codes)
+        _refuse_non_finite(in_unit, in_float32, "f", labels, time_codes)
     return rounded_points, error, frame, vertex
 
 
@@ -108,31 +110,35 @@ def rounded_outwards(bounds: FloatArray) -> Float32Array:
 
 
 def check_rows(
-    rows: npt.NDArray[Any], letter: str, labels: ValueLabels, codes: FloatArray
+    rows: npt.NDArray[Any], type_code: str, labels: ValueLabels, time_codes: FloatArray
 ) -> None:
     """Raise `OutputError` if an attribute's type cannot store a value (USD170).
 
-    ``rows`` are ``(F, …)``, ``codes`` the time codes ``(F,)``.
+    ``rows`` are ``(F, …)``, time codes ``(F,)``.
     """
-    if not np.isfinite(codes).all():
+    if not np.isfinite(time_codes).all():
         raise _value_error(labels, "a time code is not finite")
-    if rows.size and not _is_in_range(rows, _TYPE_LIMITS[letter]):
-        _refuse_non_finite(rows, rows, letter, labels, codes)
+    if rows.size and not _is_in_range(rows, _TYPE_LIMITS[type_code]):
+        _refuse_non_finite(rows, rows, type_code, labels, time_codes)
 
 
 def check_value(
-    value: Any, letter: str, labels: ValueLabels, code: float | None = None
+    value: Any, type_code: str, labels: ValueLabels, time_code: float | None = None
 ) -> None:
     """Raise `OutputError` if an attribute's type cannot store a value (USD170).
 
     ``code`` is the time code; None is the default.
     """
     floats = floats_of(value)
-    if floats is None or not floats.size or _is_in_range(floats, _TYPE_LIMITS[letter]):
+    if (
+        floats is None
+        or not floats.size
+        or _is_in_range(floats, _TYPE_LIMITS[type_code])
+    ):
         return
-    codes = None if code is None else np.array([code])
-    rows = floats if code is None else floats[None]
-    _refuse_non_finite(rows, rows, letter, labels, codes)
+    time_codes = None if time_code is None else np.array([time_code])
+    rows = floats if time_code is None else floats[None]
+    _refuse_non_finite(rows, rows, type_code, labels, time_codes)
 
 
 def check_data(value: object, name: str) -> None:
@@ -174,20 +180,20 @@ def _is_in_range(values: npt.NDArray[Any], limit: float) -> bool:
 def _refuse_non_finite(
     values: npt.NDArray[Any],
     narrowed: npt.NDArray[Any],
-    letter: str,
+    type_code: str,
     labels: ValueLabels,
-    codes: FloatArray | None,
+    time_codes: FloatArray | None,
 ) -> None:
     """Raise an error for the first value that would not be finite in the file."""
-    limit = _TYPE_LIMITS[letter]
+    limit = _TYPE_LIMITS[type_code]
     indices = np.argwhere(~(np.abs(narrowed) <= limit))
     if not len(indices):
         return
     index = tuple(indices[0].tolist())
     value = float(values[index])
-    element_index = index if codes is None else index[1:]
-    at_frame = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
-    range_text = f"{_TYPE_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
+    element_index = index if time_codes is None else index[1:]
+    at_frame = "" if time_codes is None else f" at frame {time_codes[index[0]]:.10g}"
+    range_text = f"{_TYPE_NAMES[type_code]} can hold finite numbers up to {limit:.6g}"
     raise _value_error(
         labels, f"{labels.label(element_index)}{at_frame} is {value:.6g}; {range_text}"
     )

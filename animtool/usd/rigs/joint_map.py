@@ -120,7 +120,7 @@ def map_joints(
     if take.joints and skeleton.rig.joints:
         rig = skeleton.rig
         if converted_take is not None:
-            rig = transform_rig(skeleton.rig, converted_take.upright_scale)
+            rig = transform_rig(skeleton.rig, converted_take.upright_placement)
         fit, fit_notices = check_fit(
             at_origin(take),
             rig,
@@ -138,7 +138,7 @@ def map_joints(
         fit,
         None if converted_take is None else converted_take.rig_from_take,
         np.array(take.roots, np.int64),
-        1.0 if converted_take is None else converted_take.upright_scale.size,
+        1.0 if converted_take is None else converted_take.upright_placement.size,
     )
 
 

@@ -394,7 +394,7 @@ def read_source_meshes(
         rig_placement = local_placement(skeletons[0].GetPrim(), rig.rig)
         rest_placement = rig_placement.rest_placement
         if placement == DROP:
-            rest_placement = rig_placement.upright_scale
+            rest_placement = rig_placement.upright_placement
         meshes = _stage_meshes(skeletons[0], rig, path, rest_placement)
         unskinned_notices = animated_mesh_notice(skeletons[0], str(path), placement)
         return replace(meshes, notices=meshes.notices + unskinned_notices)

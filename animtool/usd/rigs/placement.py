@@ -57,11 +57,11 @@ class SkeletonPlacement:
     @property
     def rest_placement(self) -> Placement:
         """Scale, upright rotation, position and heading of the rest pose."""
-        heading, upright_scale = self._split_rest()
-        return heading.after(upright_scale)
+        heading, upright_placement = self._split_rest()
+        return heading.after(upright_placement)
 
     @property
-    def upright_scale(self) -> Placement:
+    def upright_placement(self) -> Placement:
         """Scale and upright rotation of the rest pose."""
         return self._split_rest()[1]
 
@@ -334,7 +334,7 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
     With ``drop`` as ``choice`` the rig is only scaled and upright; None keeps its
     position and heading.
     """
-    sized_rig = transform_rig(rig, placement.upright_scale)
+    sized_rig = transform_rig(rig, placement.upright_placement)
     if choice == DROP:
         return sized_rig
     heading_placement = placement.heading_placement

@@ -209,7 +209,7 @@ def _character_root(skeleton: Any) -> str:
     return str(top_prim.GetPath())
 
 
-def can_have_character(stage: Any, prim_path: str, where: str) -> bool:
+def has_character_at(stage: Any, prim_path: str, where: str) -> bool:
     """Return whether a stage has a character at a path; False for a movable rig layer.
 
     A rig layer has a single character at the top and no prim at the start of the path.

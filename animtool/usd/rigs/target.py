@@ -36,7 +36,7 @@ from animtool.usd.rigs.prims import (
     skipped_skeletons_notice,
     up_axis,
 )
-from animtool.usd.rigs.skinned import can_have_character, unbound_notice
+from animtool.usd.rigs.skinned import has_character_at, unbound_notice
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
     new_path: str | None = None
     if prim_path is not None:
         check_prim_path(prim_path)
-        if not can_have_character(stage, prim_path, str(path)):
+        if not has_character_at(stage, prim_path, str(path)):
             prim_path, new_path = None, prim_path
     skeletons, root = _skeletons_below(stage, path, search_root(stage, prim_path))
     prim = skeletons[0].GetPrim()

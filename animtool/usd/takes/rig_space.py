@@ -32,7 +32,7 @@ class RigSpaceTake:
     """A take converted to the space of a rig layer."""
 
     stream: TakeStream  # the take, without its placement if dropped
-    upright_scale: Placement  # scale and upright rotation from rig to take
+    upright_placement: Placement  # scale and upright rotation from rig to take
     # Returns the placement from take space to the rig's space at time codes ``(F,)``;
     # None is the identity.
     rig_from_take: Callable[[FloatArray], Placement] | None
@@ -91,7 +91,7 @@ def convert_to_rig_space(
         stream = replace(stream, rig=rig)
     has_no_rest = not rig.has_rest and rig.placement is None and choice != KEEP
     if has_no_rest and _has_world_lengths(
-        rig, local_rig, rig_placement.upright_scale.size
+        rig, local_rig, rig_placement.upright_placement.size
     ):
         has_no_rest, choice = False, choice or KEEP
     # Without a rest pose the take is in the space of its rig, which is this one.
@@ -113,18 +113,18 @@ def convert_to_rig_space(
     if is_in_rig_space:
         identity = Placement.from_rotation(so3.IDENTITY)
         return RigSpaceTake(stream, identity, None, notices)
-    upright_scale = rig_placement.upright_scale
+    upright_placement = rig_placement.upright_placement
     if keep_placement and rig_placement.is_animated:
         return RigSpaceTake(
             stream,
-            upright_scale,
+            upright_placement,
             lambda codes: placement_at(codes).fixed.inverse(),
             notices,
         )
-    inverse = (rig_placement.fixed if keep_placement else upright_scale).inverse()
+    inverse = (rig_placement.fixed if keep_placement else upright_placement).inverse()
     is_needed = keep_placement or not inverse.is_identity
     return RigSpaceTake(
-        stream, upright_scale, (lambda _: inverse) if is_needed else None, notices
+        stream, upright_placement, (lambda _: inverse) if is_needed else None, notices
     )
 
 
@@ -164,7 +164,7 @@ def _is_rest_placed(
             rest_world(transform_rig(local_rig, candidate)).positions[0, rig_joints]
             - rest_positions
         ).max(axis=1)
-        for candidate in (rig_placement.rest_placement, rig_placement.upright_scale)
+        for candidate in (rig_placement.rest_placement, rig_placement.upright_placement)
     )
     is_root = np.array([take.joints[j].parent < 0 for j, _ in joint_pairs])
     return any(
