@@ -45,7 +45,7 @@ class CutOptions:
 
 
 def cut_metadata(
-    metadata: Mapping[str, Any], owner_text: str, *, allows_fps: bool = False
+    metadata: Mapping[str, Any], owner_label: str, *, allows_fps: bool = False
 ) -> tuple[CutOptions, list[tuple[str, str]]]:
     """Return the shot settings in metadata, and a message and hint for each fault.
 
@@ -57,7 +57,7 @@ def cut_metadata(
     stated_values = metadata.get("animtool")
     if stated_values is None:
         return CutOptions(), []
-    location = f"metadata.animtool of {owner_text}"
+    location = f"metadata.animtool of {owner_label}"
     names = [entry.name for entry in fields(CutOptions)]
     if not allows_fps:
         names.remove("fps")

@@ -223,10 +223,10 @@ class _CutReader:
         self.faults.append(Fault(code, message, str(self.path), (), hint))
 
     def read_metadata(
-        self, schema: Any, owner_text: str, *, allows_fps: bool = False
+        self, schema: Any, owner_label: str, *, allows_fps: bool = False
     ) -> CutOptions:
         """Return the ``metadata.animtool`` of a clip or of the timeline."""
-        owner = (schema.metadata, owner_text)
+        owner = (schema.metadata, owner_label)
         options, faults = cut_metadata(*owner, allows_fps=allows_fps)
         for message, hint in faults:
             self.add_fault("BAT047", message, hint)

@@ -72,7 +72,7 @@ class ItemReport:
 
     @property
     def failure_text(self) -> str:
-        """Reason of the failure in one line."""
+        """Why the item failed, in one line; empty without faults."""
         if not self.faults:
             return ""
         first_fault, *others = self.faults

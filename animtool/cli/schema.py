@@ -52,7 +52,7 @@ REPORT_MODELS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
 
 
 def model_of(kind: str) -> type[BaseModel]:
-    """Return the model of a kind of file."""
+    """Return the schema class that validates a kind of file."""
     model: Any = load_object({**MODELS, **REPORT_MODELS}[kind])
     return model if isinstance(model, type) else model()
 

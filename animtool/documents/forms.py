@@ -59,14 +59,14 @@ def syntax_hint(
     match = field_at(model, value, location)
     if match is None:
         return None
-    depth, info = match
+    depth, field_info = match
     entry = value_at(value, location)
-    examples = info.examples or [None]
+    examples = field_info.examples or [None]
     example, inner_steps = examples[0], location[depth:]
     is_mapping = expects_list and isinstance(entry, dict) and not inner_steps
     holds_mappings = not isinstance(example, list) or not _are_numbers(example)
     if is_mapping and holds_mappings and not _converted_value(entry, example):
-        entries = _list_entries(annotation_of(info), entry)
+        entries = _list_entries(annotation_of(field_info), entry)
         for example_entries in (entries, entries[:1]):
             text = flow_text(str(location[depth - 1]), example_entries)
             if example_entries and len(text) <= MAX_EXAMPLE:
@@ -74,14 +74,14 @@ def syntax_hint(
                 return f"{word} {text}"
         if entries:
             return f"write '- {next(iter(entries[0]))}:', with a dash for each entry"
-    entry_examples = _entry_examples(annotation_of(info))
+    entry_examples = _entry_examples(annotation_of(field_info))
     options = {} if entry_examples is None else entry_examples.options
     name = inner_steps[0] if inner_steps else entry
     if isinstance(name, str) and name in options:
         example = {name: options[name]}
-    elif isinstance(entry, str) and _takes_file(annotation_of(info)):
+    elif isinstance(entry, str) and _takes_file(annotation_of(field_info)):
         # In a list, show the form of one entry.
-        is_list = inner_steps or not models_of(annotation_of(info))
+        is_list = inner_steps or not models_of(annotation_of(field_info))
         example = [{"file": entry}] if is_list else {"file": entry}
     if not isinstance(example, list | tuple | dict):
         return None

@@ -91,7 +91,7 @@ class ArrayReader:
         shape: Shape,
         count: int | None = None,
     ) -> ArraySource | None:
-        """Return an array like `read_array`; None if the entry has none."""
+        """Read an array as `read_array` does; None if the entry has no array."""
         if text is None:
             return None
         return self.read_array(location, text, role, shape, count)

@@ -217,7 +217,7 @@ class _FileNumbers:
         )
 
     def drive_entry(self, drive: Drive) -> str:
-        """Return a drive with its numbers in the units of the text."""
+        """Return the entry of a drive in the rig file, in the units of that file."""
         kind, _, name = drive.target.partition("/")
         unit = (
             self.meters if drive.is_length else self.radians if drive.is_angle else 1.0

@@ -135,7 +135,7 @@ class TextDraft:
         return findings[:1]
 
     def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
-        """Return the text with a finding fixed, unless that writes arrays.
+        """Return the text with the first finding fixed, unless its fix writes arrays.
 
         Fixes that write arrays come last, since other fixes are validated with existing
         files.

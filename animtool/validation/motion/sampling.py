@@ -95,8 +95,8 @@ MAX_FEW_REMAINDER, MIN_FEW_STEPS = 0.06, 2
 # of this many frames [1]. Joints are not assumed smoother than this fraction of a
 # typical step (text with few digits), or than this [rad].
 OUTLIER_RATIO, BLOCK_FRAMES, MIN_ROUGHNESS, MIN_NOISE = 5.0, 40, 0.02, 1e-5
-# A joint shows a loss if its step is this many times the typical deviation [1].
-SHOWING_RATIO = 4.0
+# A joint can show a loss if its step is this many times the typical deviation [1].
+SIGNIFICANT_RATIO = 4.0
 # Gaps between samples are longer than this many steps [1].
 GAP_RATIO = 1.6
 # Number of steps around a repeated frame that are examined together [1].
@@ -212,20 +212,22 @@ def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
         + (MIN_ROUGHNESS**2) * np.median(squared_steps, axis=0)
         + MIN_NOISE**2
     )
-    shows_loss = squared_steps > SHOWING_RATIO**2 * noise
-    shows_loss &= squared_steps > 0.001 * squared_steps.max(axis=1, keepdims=True)
-    showing_count = shows_loss.sum(axis=1)
-    weighted_deviation = (shows_loss * deviations / noise).sum(axis=1)
+    is_significant = squared_steps > SIGNIFICANT_RATIO**2 * noise
+    is_significant &= squared_steps > 0.001 * squared_steps.max(axis=1, keepdims=True)
+    significant_count = is_significant.sum(axis=1)
+    weighted_deviation = (is_significant * deviations / noise).sum(axis=1)
     total_steps = np.sqrt(squared_steps.sum(axis=1))
-    is_possible = (showing_count >= MIN_FEW_STEPS) & (
-        weighted_deviation > OUTLIER_RATIO**2 * showing_count
+    is_possible = (significant_count >= MIN_FEW_STEPS) & (
+        weighted_deviation > OUTLIER_RATIO**2 * significant_count
     )
     is_possible &= total_steps > MIN_LOSS_PACE * np.median(total_steps)
     is_possible &= ~(subject.cuts() | _near_repeats(subject))[2:-2]
     products = np.einsum("snc,snc->sn", middle_steps, predicted_step)
     is_contradicting = products < CONTRADICTING_STEPS * squared_steps
-    loss_weight = (shows_loss * squared_steps).sum(axis=1)
-    contradicting_weight = (shows_loss * is_contradicting * squared_steps).sum(axis=1)
+    loss_weight = (is_significant * squared_steps).sum(axis=1)
+    contradicting_weight = (is_significant * is_contradicting * squared_steps).sum(
+        axis=1
+    )
     contradicting_weight /= np.maximum(loss_weight, np.finfo(float).tiny)
     is_possible &= contradicting_weight < CERTAIN_CONTRADICTING
     is_consistent = contradicting_weight < MAX_CONTRADICTING_FEW
@@ -234,21 +236,21 @@ def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     for lost_count in range(1, MAX_LOST_FRAMES + 1):
         prediction = _predicted_step(near_steps, far_steps, lost_count)
         remaining_squares = _squared_lengths(middle_steps - prediction)
-        weighted_remaining = (shows_loss * remaining_squares / noise).sum(axis=1)
-        is_better = shows_loss & (remaining_squares < 0.5 * deviations)
+        weighted_remaining = (is_significant * remaining_squares / noise).sum(axis=1)
+        is_better = is_significant & (remaining_squares < 0.5 * deviations)
         better_count = is_better.sum(axis=1)
         is_loss = weighted_remaining < max_remainder
-        is_loss &= better_count > MIN_JOINT_FRACTION * showing_count
+        is_loss &= better_count > MIN_JOINT_FRACTION * significant_count
         is_loss &= contradicting_weight < MAX_CONTRADICTING
         is_loss |= (weighted_remaining < CERTAIN_REMAINDER * weighted_deviation) & (
-            better_count > CERTAIN_JOINTS * showing_count
+            better_count > CERTAIN_JOINTS * significant_count
         )
         better_steps = (is_better * squared_steps).sum(axis=1)
         is_few_loss = weighted_remaining < MAX_FEW_REMAINDER * weighted_deviation
-        is_few_loss &= better_count == showing_count
+        is_few_loss &= better_count == significant_count
         is_few_loss &= better_steps > MIN_FEW_PACE * squared_steps.sum(axis=1)
         is_few_loss &= _in_two_limbs(subject, is_better)
-        is_loss = np.where(showing_count >= MIN_JOINTS, is_loss, is_few_loss)
+        is_loss = np.where(significant_count >= MIN_JOINTS, is_loss, is_few_loss)
         is_loss &= is_possible
         ratios[2:-2][is_loss & ~is_lost[2:-2]] = lost_count + 1.0
         is_lost[2:-2] |= is_loss

@@ -90,7 +90,7 @@ class MotionSubject:
 
     @cached_property
     def _step_rates(self) -> FloatArray:
-        """Length of each time step relative to the typical one ``(F - 1,)``."""
+        """Median time step divided by each time step ``(F - 1,)`` [1]."""
         steps = np.diff(self.times)
         return np.asarray(np.median(steps) / steps if len(steps) else steps)
 
