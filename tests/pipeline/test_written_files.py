@@ -65,7 +65,7 @@ SCENES = [
     ("source: {file: good.clip.yaml}", "", "DOC021", 1),
     ("range: [1001, 1007]", "range: [1, 9, 2]", "DOC022", 3),
     ("range: [1001, 1007]", "range: [1.5, 9]", "DOC022", 3),
-    ("- loop: {}", "- loop: {}\n  trim: {}", "DOC022", 7),
+    ("- loop: {}", "- loop: {}\n  trim: {}", "DOC022", 8),
     ("last: 8", "lats: 8", "SCN001", 6),
     ("last: 8", "last: soon", "SCN002", 6),
     ("range: [1001, 1007]", "range: [9, 1]", "SCN003", 3),

@@ -208,8 +208,8 @@ def test_those_of_a_place_go_their_way_by_their_cruise() -> None:
     ("own", "domain", "wheres"),
     [
         ({"speed": {"cruise": 3, "least": 3, "most": 3}}, None, []),
-        ({"speed": {"cruise": 3, "least": 3.1}}, None, ["species[1]"]),
-        ({"speed": {"cruise": 3, "most": 2.9}}, None, ["species[1]"]),
+        ({"speed": {"cruise": 3, "least": 3.1}}, None, ["species[1].speed.least"]),
+        ({"speed": {"cruise": 3, "most": 2.9}}, None, ["species[1].speed.most"]),
         ({"joins": ["s", "b"]}, None, []),
         ({"joins": ["c"]}, None, ["species[1]"]),
         ({"flees": [{"species": "c", "weight": 1, "radius": 1}]}, None, ["species[1]"]),
