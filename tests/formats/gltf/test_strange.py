@@ -120,9 +120,16 @@ def test_a_strange_file_comes_back(tmp_path: Path, seed: int) -> None:
             np.testing.assert_allclose(
                 theirs[name], rows, rtol=0, atol=1e-6 * size, err_msg=name
             )
-    notices = again.gltf.notes.notices
-    warned = {one.code for one in notices if one.severity is Severity.WARNING}
+    before, after = (
+        {
+            one.code
+            for one in file.gltf.notes.notices
+            if one.severity is Severity.WARNING
+        }
+        for file in (whole, again)
+    )
     # Cubic keys of small integers are not of unit length, which is not theirs to have.
-    assert warned <= {"GLT103"}
+    # Equal inverse bind matrices stay equal.
+    assert after <= {"GLT103"} | (before & {"GLT119"})
     if seed % 8 == 0:
         assert not issues(output)
