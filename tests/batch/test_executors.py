@@ -124,7 +124,7 @@ def test_processes_that_do_not_begin_end_the_run(
 ) -> None:
     monkeypatch.setattr(pool, "serve", serve)
     limit = 0.2 if serve is serve_nothing else 60.0
-    monkeypatch.setattr(pool, "MAX_START", limit)
+    monkeypatch.setattr(pool, "MAX_START_SECONDS", limit)
     with raises(OutputError, "BAT071", match=said):
         list(find_executor("processes").load()(work(tmp_path, 1, jobs=1)))
 

@@ -126,7 +126,7 @@ class _Recorded:
         try:
             report = run_batch(self.batch, RunOptions(dry_run=True))
             # What accidents do to a record never makes an item seem up to date.
-            scores_table(report.scored)
+            scores_table(report.items_with_scores)
             status = report.items[changed].status
             assert not by_bytes or status is ItemStatus.NOT_RUN
             self._settled()
