@@ -115,7 +115,7 @@ def root_warning(
     With an ``interval``, the time between two frames [s], the warning includes roots
     that are too low, as with another unit (MOT213).
     """
-    if not is_character(rig.names) or len(rig.roots) != 1:
+    if not motion.frames or not is_character(rig.names) or len(rig.roots) != 1:
         return None
     root, leg_length = int(rig.roots[0]), _leg_length(rig)
     if leg_length is None:
@@ -166,17 +166,19 @@ def _problem(
         message += f"{legs_text} long: its translations use another unit than the "
         return "MOT213", f"{message}skeleton", f"divide them by {factor:g}"
     if _is_leg_length(-heights):
-        message = (
-            f"is {length_text(-height * leg_length)} below 0, which is the length "
-        )
+        message = f"is {length_text(-height * leg_length)} below 0, about the length "
         message += "of the legs: its height has the other sign"
         return "MOT214", message, f"negate its {up_name} translations"
     travel = float(np.ptp(heights))
     for axis in np.flatnonzero(up == 0) if travel >= MIN_VERTICAL_TRAVEL else ():
-        if _is_leg_length(ratios[:, axis]):
+        # The other axis may point up or down.
+        median = float(np.median(ratios[:, axis]))
+        if _is_leg_length(math.copysign(1.0, median) * ratios[:, axis]):
+            distance = length_text(abs(median) * leg_length)
             message = f"travels {length_text(travel * leg_length)} along {up_name} and "
-            message += f"stays at {legs_text} along {'XYZ'[axis]}, the length of the "
-            message += "legs: its translations have another up axis than the skeleton"
+            message += f"stays {distance} from 0 along {'XYZ'[axis]}, about the length "
+            message += "of the legs: its translations have another up axis than the "
+            message += "skeleton"
             hint = "exchange these two translations, or export the file again"
             return "MOT214", message, hint
     return None

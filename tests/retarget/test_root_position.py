@@ -68,6 +68,10 @@ def test_roots_with_another_up_axis(walk: Take, order: tuple[int, int, int]) -> 
     found = problem(walk, (roots * [0, 1, 0] + path)[:, order])
     assert found is not None
     assert found.code == "MOT214"
+    # With the other axis pointing down.
+    below = problem(walk, -(roots * [0, 1, 0] + path)[:, order])
+    assert below is not None
+    assert below.code == "MOT214"
     # Climbing, not walking.
     assert problem(walk, roots + path[:, [1, 0, 1]]) is None
 
@@ -108,3 +112,8 @@ def test_commands_report_it_once(walk: Take, tmp_path: Path, factor: float) -> N
     ):
         done = animtool(*command)
         assert (done.stdout + done.stderr).count("MOT213") == 1
+
+
+def test_no_frames_and_one_frame(walk: Take) -> None:
+    for count in (0, 1):
+        assert root_warning(walk.rig, walk.motion.select(slice(0, count))) is None
