@@ -34,7 +34,8 @@ def warn_of_strands(document: Document, model: RigModel, rig: Rig) -> None:
         except ValueError:
             continue
         if message is not None:
-            hint = "strands go from root to tip: write points[:, ::-1]"
+            hint = "strands go from root to tip: reverse the points of each, in numpy "
+            hint += "points[:, ::-1]"
             document.warn("RIG119", ("attach", i, "points"), message, hint)
 
 
