@@ -261,13 +261,13 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
 
 def _are_integer_degrees_in_radians(values: FloatArray) -> bool:
     """Return whether rounded values are whole degrees if they are radians."""
-    numbers = np.array(sorted({*values[values != 0.0].tolist()}))
+    numbers = values[values != 0.0]
+    if not (numbers.size and MIN_SPAN <= np.abs(numbers).max() <= FULL_REVOLUTION):
+        return False
     degrees = np.degrees(numbers)
-    return (
-        len(numbers) >= MIN_INTEGERS
-        and MIN_SPAN <= np.abs(numbers).max() <= FULL_REVOLUTION
-        and bool((np.abs(degrees - np.round(degrees)) <= INTEGER_TOLERANCE).all())
-    )
+    if not (np.abs(degrees - np.round(degrees)) <= INTEGER_TOLERANCE).all():
+        return False
+    return len({*numbers.tolist()}) >= MIN_INTEGERS
 
 
 def _look_like_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) -> bool:
