@@ -46,12 +46,7 @@ from animtool.retarget.props import PropTracks
 from animtool.retarget.report import ContactFrames, FitMeter, RetargetReport
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer
-from animtool.retarget.verdict import (
-    TakeStatus,
-    Verdict,
-    VerdictReason,
-    is_likely_scale,
-)
+from animtool.retarget.verdict import Verdict, VerdictReason, is_likely_scale
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
@@ -265,9 +260,7 @@ class Retargeting:
         if not is_likely_scale(scale):
             text = f"{plain_number(scale)} times that of the take"
             reasons.append(VerdictReason("size", text))
-        if not reasons or verdict.status is TakeStatus.UNUSABLE:
-            return verdict
-        return Verdict(TakeStatus.LOOK, (*verdict.reasons, *reasons))
+        return verdict.with_reasons(reasons)
 
     @property
     def stopped_by_rest_frame(self) -> list[str]:

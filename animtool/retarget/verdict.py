@@ -109,6 +109,12 @@ class Verdict:
         is_good = self.status is TakeStatus.LOOK and not reasons
         return Verdict(TakeStatus.GOOD if is_good else self.status, reasons)
 
+    def with_reasons(self, reasons: Sequence[VerdictReason]) -> Verdict:
+        """Return the verdict with further reasons; a good take then needs a check."""
+        if not reasons or self.status is TakeStatus.UNUSABLE:
+            return self
+        return Verdict(TakeStatus.LOOK, (*self.reasons, *reasons))
+
 
 def assess_take(
     scores: PassScores,

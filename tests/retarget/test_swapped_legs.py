@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -45,3 +46,12 @@ def test_commands_report_it_once(swapped: Path, tmp_path: Path) -> None:
     ):
         done = animtool(*command)
         assert (done.stdout + done.stderr).count("MOT210") == 1
+
+
+def test_the_verdict_of_retarget(swapped: Path) -> None:
+    for path, status in (
+        (swapped, "check these frames"),
+        (SAMPLES / "walk/walk.bvh", "good"),
+    ):
+        done = animtool("retarget", path, "--to", RIG, "--format", "json")
+        assert json.loads(done.stdout)["verdict"] == status

@@ -21,7 +21,7 @@ from animtool.retarget.motion import Retargeting
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import RetargetReport
 from animtool.retarget.take_pass import checked_blocks, retarget_stream
-from animtool.retarget.verdict import FrameNumbers, Verdict
+from animtool.retarget.verdict import FrameNumbers, Verdict, VerdictReason
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.files import ConvertReport
@@ -33,6 +33,13 @@ from animtool.scene.sources.open import SourceOptions, open_source
 
 if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
+
+# Warnings about the take that make its result doubtful, in words of the verdict.
+SUSPECT_SOURCES = {
+    "MOT210": "left and right of the take",
+    "MOT213": "the unit of the take",
+    "MOT214": "the up axis of the take",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +108,14 @@ class RetargetResult:
     @property
     def verdict(self) -> Verdict:
         """Whether the take is usable; frames are those of the output."""
-        return self.retargeting.verdict().in_output_frames(self.frame_numbers)
+        verdict = self.retargeting.verdict().in_output_frames(self.frame_numbers)
+        codes = dict.fromkeys(notice.code for notice in self.notices)
+        reasons = [
+            VerdictReason(SUSPECT_SOURCES[code])
+            for code in codes
+            if code in SUSPECT_SOURCES
+        ]
+        return verdict.with_reasons(reasons)
 
     @property
     def score(self) -> RetargetReport:

@@ -307,6 +307,10 @@ def _run_notices(
 def _check(options: RagdollOptions, option: str = "") -> None:
     """Raise the faults of all options, or of the named option only."""
     faults = [fault for fault in range_faults(options) if option in ("", fault.where)]
+    has_density = options.density != RagdollOptions().density
+    if option in ("", "density") and options.mass is not None and has_density:
+        message = "a ragdoll has both a mass and a density"
+        faults.append(Fault("SIM062", message, hint="keep one", where="density"))
     if faults:
         raise OptionError(faults)
 

@@ -227,6 +227,7 @@ def test_joints_below_the_last_body_go_on() -> None:
         ({"start": 9.0, "end": 9.0}, "which is not after start"),
         ({"mass": 0.0}, "mass"),
         ({"density": -1.0}, "density"),
+        ({"mass": 70.0, "density": 985.0}, "both a mass and a density"),
         ({"step": 0.0}, "step must be more than 0 and at most 1, not 0"),
         ({"substeps": 1001}, "substeps must be 1 or more and at most 1000, not 1001"),
     ],
