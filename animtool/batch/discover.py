@@ -16,6 +16,7 @@ from animtool.batch.inputs import (
     cuts_of,
     missing_inputs_error,
     resolve_overrides,
+    shared_output_fault,
     with_timeline_as_cuts,
 )
 from animtool.batch.item import (
@@ -196,6 +197,8 @@ def find_batch(spec: BatchSpec) -> Batch:
     check_effects(spec, item_task, shots, overrides)
     items = _ItemListBuilder(spec, item_task, shots, sample, overrides).build()
     _check_roots(spec, items)
+    if spec.path is not None and (fault := shared_output_fault(spec, len(items))):
+        raise OptionError(fault)
     options = spec.options
     notices = (*cuts.notices, *overrides.notices)
     refuse_warnings(notices, strict=options.strict)

@@ -26,6 +26,7 @@ from animtool.core.files.reading import (
 from animtool.core.rates import rate_label
 from animtool.core.readers import BVH, DOCUMENT, FBX, GLTF, READERS, URDF, is_timeline
 from animtool.core.record import dataclass
+from animtool.documents.document import Document
 
 # Suffixes of files that are searched for in folders. USD is excluded: outputs are USD,
 # and would be inputs of the next run.
@@ -144,9 +145,26 @@ def _matched_inputs(
     return sorted_files, lambda path: resolve(path) in excluded_paths, unmatched
 
 
-def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
-    """Return a warning for each input entry that matches no file."""
-    return _matched_inputs(spec)[2]
+def input_faults(spec: BatchSpec, document: Document) -> list[Fault]:
+    """Return a warning for each entry without a file, and a fault of the output."""
+    files, _, unmatched = _matched_inputs(spec)
+    shared = None if spec.cuts else shared_output_fault(spec, len(files))
+    if shared is None:
+        return unmatched
+    fault = document.fault(shared.code, ("output",), shared.message, shared.hint)
+    return [*unmatched, fault]
+
+
+def shared_output_fault(spec: BatchSpec, item_count: int) -> Fault | None:
+    """Return the fault of one output file for several items (OUT007); else None."""
+    output = spec.output
+    if output is None or item_count < 2 or "{" in output or not Path(output).suffix:
+        return None
+    path = Path(output)
+    example = (path.parent / f"{path.stem}_{{stem}}{path.suffix}").as_posix()
+    message = f"output {output!r} is the same file for {item_count} items"
+    hint = f"use {{stem}}, the name of the input, such as {example!r}"
+    return Fault("OUT007", message, spec.path_text, (), hint)
 
 
 def _is_missing(pattern: str, matched_files: Mapping[Path, MatchedFile]) -> bool:

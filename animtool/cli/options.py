@@ -166,10 +166,25 @@ def _parse_processes(text: str) -> int:
     return int(text)
 
 
+class _FilePath(click.Path):
+    """The path of a file; an empty text is refused."""
+
+    def convert(
+        self,
+        value: Any,
+        param: click.Parameter | None,
+        ctx: click.Context | None,
+    ) -> Any:
+        if value == "":
+            message = "the path is empty; is a variable of the shell not set?"
+            self.fail(message, param, ctx)
+        return super().convert(value, param, ctx)
+
+
 # Unreadable files are reported by their reader.
-FILE = click.Path(path_type=Path, dir_okay=False)
-INPUT = click.Path(path_type=Path, readable=False)
-OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
+FILE = _FilePath(path_type=Path, dir_okay=False)
+INPUT = _FilePath(path_type=Path, readable=False)
+OUTPUT = _FilePath(path_type=Path, allow_dash=True, readable=False)
 RATE = ParsedType("rate", parse_rate)
 LENGTH = ParsedType("length", parse_length)
 DISTANCE = ParsedType("length", _parse_distance)

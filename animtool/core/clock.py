@@ -8,7 +8,7 @@ from numbers import Rational
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.rates import rate_label
+from animtool.core.rates import rate_from_float, rate_label
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -19,6 +19,10 @@ MAX_FRAMES = 10_000_000
 # Time codes are float64 values of fractions such as 1001 + 1/5; fractions up to this
 # denominator are recovered.
 MAX_STEP_DENOMINATOR = 10_000
+
+
+# Rates and steps divide seconds and frames less finely.
+MAX_BINARY_FRACTION = 2**30
 
 
 def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
@@ -44,6 +48,12 @@ def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
         numerators = first + increment * np.arange(count, dtype=np.int64)
         return numerators / float(denominator)
     return np.array([float(start + i * step) for i in range(count)])
+
+
+def _is_float(number: Rational) -> bool:
+    """Return whether a fraction is that of a binary float, such as Fraction(23.976)."""
+    denominator = int(number.denominator)
+    return denominator > MAX_BINARY_FRACTION and denominator.bit_count() == 1
 
 
 def time_fraction(time: float) -> Fraction:
@@ -82,9 +92,13 @@ class Clock:
         faults = []
         for name in ("fps", "start", "step"):
             value = getattr(self, name)
-            if not isinstance(value, Rational):
+            if not isinstance(value, Rational) or _is_float(value):
                 message = f"{name} is {value!r}, which is not exact"
-                faults.append(Fault("TAKE003", message, hint="write a Fraction"))
+                hint = "write a Fraction"
+                is_number = isinstance(value, float | Fraction)
+                if name == "fps" and is_number and 0 < value < math.inf:
+                    hint = f"write {rate_from_float(float(value))!r}"
+                faults.append(Fault("TAKE003", message, hint=hint))
                 continue
             object.__setattr__(self, name, Fraction(value))
             if value <= 0 and name != "start":

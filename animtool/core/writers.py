@@ -189,6 +189,8 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
         message = f"{suffix_text(path)} is not a format that animtool writes"
         if not path.suffix:
             message = "has no suffix, which tells the format"
+            if path.name in WRITERS:
+                message = f"has only a suffix, {path.name}, and no name before it"
     hint = f"allowed: {', '.join(_motion_suffixes())}"
     if writer is None and path.suffix.lower() in _READ_ONLY_FORMATS:
         message, hint = _read_only_error_parts(path)

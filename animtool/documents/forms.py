@@ -27,6 +27,7 @@ from animtool.documents.yaml_values import plain_scalar
 MAX_EXAMPLE = 100
 _NUMBER_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*(?:[-xX:,]|\.\.)\s*(-?\d+(?:\.\d+)?)")
 _NUMBER_UNIT = re.compile(r"\d+([A-Za-z]+)")
+_TIME_CODE = re.compile(r"\d+:\d\d:\d\d[:;]\d\d")
 _RANGE_LENGTH = 2
 
 
@@ -83,10 +84,13 @@ def syntax_hint(
         # In a list, show the form of one entry.
         is_list = inner_steps or not models_of(annotation_of(field_info))
         example = [{"file": entry}] if is_list else {"file": entry}
-    if not isinstance(example, list | tuple | dict):
+    group = None
+    if inner_steps and isinstance(entry, str):
+        group = _named_group(value_at(value, location[:depth]), example)
+    if group == [] or not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    converted_value = None if inner_steps else _converted_value(entry, example)
+    converted_value = group if inner_steps else _converted_value(entry, example)
     if converted_value is not None:
         return f"write {_shortened_flow(key, converted_value)}"
     text = flow_text(key, example)
@@ -191,7 +195,9 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
         return f"add a unit, such as {entry}{unit[1]}"
     if example is None or isinstance(example, bool | list | tuple | dict):
         return None
-    return _example_text(location[-1], example)
+    hint = _example_text(location[-1], example)
+    is_time_code = isinstance(entry, str) and _TIME_CODE.fullmatch(entry)
+    return f"times are frame numbers, {hint}" if is_time_code else hint
 
 
 def paired_entries(
@@ -249,6 +255,20 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
     if isinstance(value, list):
         return _nested_list(value, example)
     return None
+
+
+def _named_group(names: Any, example: Any) -> list[Any] | None:
+    """Return names as the only list of an example's entry; None if it has none.
+
+    The list is empty if not all of ``names`` are texts.
+    """
+    entry = example[0] if isinstance(example, list) and example else None
+    if not isinstance(entry, dict) or len(entry) != 1 or not isinstance(names, list):
+        return None
+    [(key, example_names)] = entry.items()
+    if not isinstance(example_names, list) or not isinstance(example_names[0], str):
+        return None
+    return [{key: names}] if all(isinstance(name, str) for name in names) else []
 
 
 def _nested_list(value: list[Any], example: Sequence[Any]) -> list[Any] | None:

@@ -90,6 +90,8 @@ def _outside_hint(path: Path, name: str, is_output: bool) -> str:
 
 def missing_hint(document: Document, name: str) -> str | None:
     """Return a hint with the name of a similar file; None if there is none."""
+    if "\\" in name:
+        return f"write / in paths: {name.replace(chr(92), '/')}"
     return unexpanded_hint(name) or nearest_file(Path(name), document.path.parent)
 
 

@@ -8,6 +8,8 @@ from animtool.documents.yaml_mistakes import YamlFault, find_typing_mistake
 
 # An entry whose keys are on its line: `- trim: first: 5, last: 60`.
 _ENTRY_ON_A_LINE = re.compile(r"\s*-\s+(\w+):\s+(\w+:\s[^#{}\[\]]*[^\s#{}\[\]])\s*")
+# A condition as C has it: `x > 0.5 ? 90 : 0`.
+_CONDITION = re.compile(r"\S\s*\?[^?{}\[\]]*\s:\s?$|\S\s*\?[^?{}\[\]]*\s:\s")
 # Messages of libyaml's scanner, each with a message and a hint; the first match counts.
 _SCANNER_FAULTS = {
     "expected ',' or ']'": ("a list in [ ] is not closed", "add a comma or ]"),
@@ -19,7 +21,7 @@ _SCANNER_FAULTS = {
     "scanning a quoted scalar": ("a quote is not closed", "close it on the same line"),
     "unknown escape character": (
         "unknown escape in double quotes",
-        "use single quotes, or write \\\\ for a backslash",
+        "write / in paths, and \\\\ for a backslash",
     ),
     "cannot start any token": (
         "a value cannot start with this character",
@@ -107,6 +109,12 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
         return _indentation_fault(lines, line, column)
+    line_text = lines[min(line, len(lines)) - 1]
+    if "expected ',' or" in problem and _CONDITION.search(line_text[:column]):
+        hint = "put the expression in quotes; smoothstep(low, high, x) stands for a "
+        hint += "condition"
+        message = "': ' in 'a ? b : c' separates a key from its value"
+        return YamlFault(message, hint, line, column)
     known_fault = next((f for w, f in _SCANNER_FAULTS.items() if w in problem), None)
     message, hint_ = known_fault or (f"invalid YAML: {problem}", None)
     return YamlFault(message, hint_, line, column)

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from animtool.core.arguments import argument
 from animtool.core.clock import MAX_FRAMES, Clock
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, excerpt
 
 
 def exact_fraction(number: float, name: str) -> Fraction:
@@ -17,7 +17,12 @@ def exact_fraction(number: float, name: str) -> Fraction:
     >>> exact_fraction(0.1, "pivot")
     Fraction(1, 10)
     """
-    if not math.isfinite(number):
+    try:
+        is_finite = math.isfinite(number)
+    except TypeError as error:
+        message = f"{name} must be a number, not {excerpt(repr(number))}"
+        raise TypeError(message) from error
+    if not is_finite:
         raise frame_error(f"{name} is {number}, which is not a frame")
     return Fraction(repr(float(number)))
 

@@ -115,6 +115,7 @@ class Channel:
         >>> Channel.from_dense(np.arange(12.0).reshape(2, 2, 3)).animated.tolist()
         [0, 1]
         """
+        values = np.asarray(values)
         if values.ndim != 3 or not len(values):
             refuse("TAKE001", f"values must have shape (F, J, K), not {values.shape}")
         return Channel(values[0].copy(), np.arange(values.shape[1]), values).compact()

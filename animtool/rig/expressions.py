@@ -176,6 +176,11 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
     return Expression(text, tuple(sorted(names)), tree, program)
 
 
+CONDITION_FAULT = (
+    "conditions are not allowed; smoothstep(low, high, x) rises from 0 to 1"
+)
+
+
 def _syntax_fault(text: str, error: Exception) -> str:
     """Return a message that explains an expression's syntax error."""
     if isinstance(error, RecursionError | MemoryError):
@@ -184,6 +189,8 @@ def _syntax_fault(text: str, error: Exception) -> str:
     if offset >= len(text) or text.rstrip().endswith(tuple("+-*/,(")):
         return "the expression ends too early"
     text_before, after_text = text[:offset].rstrip(), text[offset:]
+    if after_text.startswith("?"):
+        return CONDITION_FAULT
     if re.search(r"[\w.)]$", text_before) and re.match(r"[A-Za-z_(]", after_text):
         message = f"no operator before {excerpt(after_text)}; "
         return f"{message}write {text_before} * {after_text}"
@@ -307,8 +314,11 @@ def _allowed_children(node: ast.expr, text: str, names: set[str]) -> list[ast.ex
                 raise ValueError(
                     f"{name} takes {argument_count} values, not {len(children)}"
                 )
-        case ast.BinOp(op=ast.Pow()):
-            raise ValueError("'**' is not allowed; write pow(a, b)")
+        case ast.BinOp(op=ast.Pow() | ast.BitXor() as operator):
+            sign = "**" if isinstance(operator, ast.Pow) else "^"
+            raise ValueError(f"{sign!r} is not allowed; write pow(a, b)")
+        case ast.Compare() | ast.IfExp() | ast.BoolOp():
+            raise ValueError(CONDITION_FAULT)
         case _:
             source_text = (ast.get_source_segment(text, node) or text)[:40]
             raise ValueError(

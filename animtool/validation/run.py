@@ -62,8 +62,11 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
             fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
             unmatched_patterns.append(fault)
     if not files:
-        paths_text = ", ".join(texts) or "nothing"
-        message = f"no file to check in {paths_text}"
+        message = f"no file to check in {', '.join(texts)}"
+        if not texts:
+            message = "the path is empty"
+            hint = "is a variable of the shell not set? the current folder is '.'"
+            raise NoMatchError(Fault("VAL006", message, hint=hint))
         hint = "animtool checks .rig.yaml, .clip.yaml, .scene.yaml, .bvh and .usda; "
         hint += "animtool explain VAL006 lists all names"
         suggestion = nearest_file(Path(texts[0])) if texts else None

@@ -6,11 +6,14 @@ from fractions import Fraction
 from pathlib import Path
 
 import pytest
+from support.batch import take_files
 
+from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.batch.spec import Limits, parse_bytes, parse_seconds
-from animtool.core.errors import FormatError
+from animtool.core.errors import FormatError, OptionError
 from animtool.core.units import LengthUnit, UpAxis
+from animtool.validation.run import validate
 
 HEAD = "batch: animtool/1\ninputs: [takes]\n"
 
@@ -129,3 +132,20 @@ LARGE = ["9" * 400 + "TB", "9999999999999GB"]
 def test_what_is_no_size(text: str) -> None:
     with pytest.raises(ValueError, match="is not a size such as 2GB or 512MiB"):
         parse_bytes(text)
+
+
+def test_one_output_of_several_inputs_is_found_by_validate(tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 3)
+    path = tmp_path / "b.batch.yaml"
+    for output, found in (
+        ("out/one.usdc", [("OUT007", (3,))]),
+        ("out/{stem}.usdc", []),
+        ("out/", []),
+    ):
+        path.write_text(f"batch: animtool/1\ninputs: [takes]\noutput: '{output}'\n")
+        report = validate([path])
+        assert [(f.code, f.lines) for f in report] == found
+        if found:
+            with pytest.raises(OptionError) as refused:
+                find_batch(load_batch(path))
+            assert [fault.code for fault in refused.value.faults] == ["OUT007"]

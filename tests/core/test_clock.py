@@ -53,3 +53,11 @@ def test_a_clock_that_is_none(fps: Any, step: Any, faults: int) -> None:
 def test_whole_numbers_are_exact() -> None:
     clock = Clock(30000, 1, 1001, 5)  # type: ignore[arg-type]
     assert clock.rate == Fraction(30000, 1001)
+
+
+def test_a_rate_that_is_a_float_names_the_fraction() -> None:
+    for fps in (23.976, Fraction(23.976)):
+        with pytest.raises(AnimtoolError) as caught:
+            Clock(fps, Fraction(1), Fraction(1), 5)  # type: ignore[arg-type]
+        (fault,) = caught.value.faults
+        assert (fault.code, fault.hint) == ("TAKE003", "write Fraction(24000, 1001)")

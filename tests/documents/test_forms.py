@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, Field
 
-from animtool.documents.forms import syntax_hint
+from animtool.documents.forms import example_hint, syntax_hint
 
 
 class Shown(BaseModel):
@@ -16,6 +16,8 @@ class Shown(BaseModel):
     passes: list[dict[str, int]] = Field(examples=[[{"mirror": 0}, {"loop": 1}]])
     range: list[int] = Field(examples=[[1, 48]])
     spans: list[list[int]] = Field(examples=[[[12, 30], [48, 60]]])
+    pins: list[dict[str, list[str]]] = Field(examples=[[{"particles": ["start"]}]])
+    t: float = Field(examples=[12.5])
 
 
 @pytest.mark.parametrize(
@@ -78,3 +80,18 @@ def test_a_mapping_becomes_the_entries_of_a_list(
     key: str, given: Any, hint: str
 ) -> None:
     assert syntax_hint(Lists, {key: given}, (key,), expects_list=True) == hint
+
+
+def test_names_in_place_of_a_group() -> None:
+    for names, hint in (
+        (["left", "right"], "write pins: [{particles: [left, right]}]"),
+        (["left", 3], None),
+    ):
+        location = ("pins", 0)
+        assert syntax_hint(Shown, {"pins": names}, location, expects_list=False) == hint
+
+
+def test_a_time_code_in_place_of_a_frame() -> None:
+    hint = example_hint(Shown, {"t": "00:00:01:00"}, ("t",))
+    assert hint == "times are frame numbers, for example t: 12.5"
+    assert example_hint(Shown, {"t": "soon"}, ("t",)) == "for example t: 12.5"

@@ -25,6 +25,7 @@ HEAD = "rig: animtool/1\n"
         ("name: {a: 1\njoints: 1\n", (2, 7), "'{' is not closed"),
         ('name: "a\n', (2, 7), "a quote is not closed"),
         ('name: "\\q"\n', (2, 8), "unknown escape"),
+        ("a: {expr: b > 0.5 ? 90 : 0}\n", (2, 24), "': ' in 'a ? b : c'"),
         ("joints:\n- name: a\n type: b\n", (4, 2), "this line starts in column 2"),
         ("joints:\n- {name: a}\n - {name: b}\n", (4, 2), "the '-' on this line"),
     ],

@@ -160,3 +160,9 @@ def test_no_memory_is_not_called_a_faulty_expression(
     monkeypatch.setattr(ast, "parse", full)
     with pytest.raises(MemoryError):
         parse_expression("1")
+
+
+@pytest.mark.parametrize("text", ["a > 0.5", "a if b else c", "a > 0.5 ? 90 : 0"])
+def test_a_condition_names_what_stands_for_it(text: str) -> None:
+    with pytest.raises(ValueError, match="smoothstep"):
+        parse_expression(text)

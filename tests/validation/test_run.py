@@ -324,3 +324,13 @@ def test_usd_layers(tmp_path: Path) -> None:
     layer.write_text(text, "utf-8")
     (found,) = validate(layer, ValidateOptions(select=("USD254",)))
     assert (found.path, found.severity) == (str(layer), Severity.ERROR)
+
+
+def test_an_empty_path_and_folders_within_a_name() -> None:
+    with pytest.raises(NoMatchError) as empty:
+        find_files([""])
+    assert [fault.code for fault in empty.value.faults] == ["VAL006"]
+    with pytest.raises(FormatError) as caught:
+        find_files(["shots/**.bvh"])
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.hint) == ("IO001", "write 'shots/**/*.bvh'")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool.capture.cameras.camera import Cameras
+from animtool.capture.cameras.camera import Camera, Cameras
 from animtool.core.arguments import argument, flag
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -81,6 +82,19 @@ class Observations:
         if self.confidences is None:
             return None
         return np.ascontiguousarray(self.confidences[first:end:step], np.float64)
+
+
+def other_pixels(
+    observations: Observations, cameras: Sequence[Camera]
+) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
+    """Yield the stored pixels in another convention, with its name and remedy."""
+    stored = observations.stored
+    yield "[v, u]", "exchange them", np.ascontiguousarray(stored[..., ::-1])
+    if observations.missing is None and all(camera.size for camera in cameras):
+        heights = np.array([camera.size[1] for camera in cameras if camera.size])
+        flipped = np.array(stored, np.float64)
+        flipped[..., 1] = heights[:, None] / observations.unit - flipped[..., 1]
+        yield "counted from the bottom", "write the height minus v", flipped
 
 
 def read_observations(

@@ -15,9 +15,14 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.capture.cameras.camera import Cameras, camera_parameters
-from animtool.capture.cameras.conventions import better_convention
+from animtool.capture.cameras.conventions import MIN_IMPROVEMENT, better_convention
+from animtool.capture.cameras.delays import delay_warnings
 from animtool.capture.cameras.noise import USED, measure_noise, sampled_initial_noise
-from animtool.capture.cameras.observations import Observations, match_cameras
+from animtool.capture.cameras.observations import (
+    Observations,
+    match_cameras,
+    other_pixels,
+)
 from animtool.capture.cameras.report import (
     ObservationCounts,
     Triangulation,
@@ -98,6 +103,10 @@ def _check_options(options: TriangulateOptions) -> None:
         raise OptionError(Fault("CAP001", message, where="min_angle"))
 
 
+# Warnings about a camera that a delay explains.
+POSE_CODES = {"CAM101", "CAM102", "CAM111"}
+
+
 class _TriangulationRun:
     """State of a triangulation."""
 
@@ -145,6 +154,7 @@ class _TriangulationRun:
         limit = SUSPECT_NOISE * width
         if noise.pose_changes or not noise.cameras_agree or median_noise > limit:
             self._refuse_other_convention(limit)
+            self._refuse_other_pixels(limit)
         if median_noise > MAX_NOISE * width:
             message = "cameras disagree: their rays miss each other by "
             message += f"{median_noise:.0f} px"
@@ -174,6 +184,19 @@ class _TriangulationRun:
         hint = f"{remedy}: x_camera = rotation * x_world + translation"
         path = self.cameras.path or None
         raise OptionError(Fault("CAM014", message, path, hint=hint))
+
+    def _refuse_other_pixels(self, limit: float) -> None:
+        """Raise if pixels fit as [v, u], or with v upwards (CAM014)."""
+        cameras, observations = self.cameras.cameras, self.observations
+        as_read = sampled_initial_noise(observations, cameras)
+        for text, remedy, stored in other_pixels(observations, cameras):
+            noise = sampled_initial_noise(replace(observations, stored=stored), cameras)
+            if noise <= min(limit, as_read / MIN_IMPROVEMENT):
+                message = f"rays of the cameras miss each other by {as_read:.1f} px, "
+                message += f"but by {noise:.1f} px if pixels are {text}"
+                hint = f"{remedy}: u points right and v down, from the top left"
+                path = observations.path or None
+                raise OptionError(Fault("CAM014", message, path, hint=hint))
 
     @property
     def _max_condition(self) -> float:
@@ -363,8 +386,17 @@ class _TriangulationRun:
         keep_moved = self.options.keep_moved
         notices = self.notices
         path, clock = observations.path, observations.clock
+        errors = [report.error_px for report in reports]
+        delays = delay_warnings(observations, cameras, self.positions, errors)
         for report, camera in zip(reports, cameras, strict=True):
-            notices += camera_notices(report, camera, clock, path, is_kept=keep_moved)
+            of_camera = camera_notices(report, camera, clock, path, is_kept=keep_moved)
+            # A delay explains what looks like another pose.
+            notices += [
+                notice
+                for notice in of_camera
+                if report.name not in delays or notice.code not in POSE_CODES
+            ]
+        notices += delays.values()
         is_visible = self.known[..., 4] > 1
         notices += lost_frames(self.positions, is_visible, clock, path)
         notices += gap_notices(

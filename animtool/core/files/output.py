@@ -217,8 +217,10 @@ def _refuse_duplicates(targets: Iterable[OutputTarget | WrittenFile]) -> None:
     for output in targets:
         first_path = names.setdefault(name_key(output.final), output.path)
         if first_path is not output.path:
-            message = f"and {str(first_path)!r} would be the same file"
-            fault = Fault("OUT007", message, str(output.path), (), "rename one")
+            message, hint = "is the output of two writers", "name another file for one"
+            if str(first_path) != str(output.path):
+                message = f"is the same file as {str(first_path)!r}"
+            fault = Fault("OUT007", message, str(output.path), (), hint)
             raise OptionError(fault)
 
 

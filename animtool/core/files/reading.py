@@ -421,12 +421,28 @@ def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
         parts = path.parts
         first = next(i for i, part in enumerate(parts) if is_pattern(part))
         base = Path(*parts[:first])
+        _check_folder_wildcards(text, parts)
         shows_hidden = any(part.startswith(".") for part in parts[first:])
         for file in sorted(base.glob("/".join(parts[first:]))):
             if file.is_file() if shows_hidden else _is_shown(file, base):
                 yield MatchedFile(file, base)
     else:
         yield MatchedFile(path, path.parent)
+
+
+def _check_folder_wildcards(text: str, parts: Sequence[str]) -> None:
+    """Raise IO001 if ``**`` is not a folder between slashes."""
+    fixed_parts = []
+    for part in parts:
+        before, separator, after = part.partition("**")
+        if separator and (before or after):
+            fixed_parts += ["**", f"{before}*{after.lstrip('*')}"]
+        else:
+            fixed_parts.append(part)
+    if fixed_parts != list(parts):
+        message = "'**' stands for folders, and takes the place of a folder's name"
+        hint = f"write {str(Path(*fixed_parts).as_posix())!r}"
+        raise FormatError(Fault("IO001", message, text, hint=hint))
 
 
 def _is_shown(file: Path, folder: Path) -> bool:

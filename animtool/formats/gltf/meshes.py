@@ -347,7 +347,12 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEnt
         if (row_error > 1e-4).any() and accessors.has_data(accessor_index):
             joint = int(row_error.argmax())
             message = f"the last row of matrix {joint} is not 0 0 0 1"
-            item.notes.fail("GLT010", where, message)
+            column_error = np.abs(columns[:, 3] - [0.0, 0.0, 0.0, 1.0]).max()
+            hint = "glTF stores columns, each with four numbers"
+            if column_error <= 1e-4:
+                message += ", but its last column is: they are stored by rows"
+                hint = "transpose all matrices: glTF stores columns"
+            item.notes.fail("GLT010", where, message, hint)
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     skeleton = item.integer("skeleton")
     if skeleton is not None and not 0 <= skeleton < node_count:

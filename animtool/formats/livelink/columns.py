@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from animtool.formats.trajectories import CaptureFile
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE
 from animtool.rig.shapes import arkit_name
 
+_DECIMAL_COMMA = re.compile(r"-?\d+,\d+")
 # Names as written by the app; they are read case-insensitively.
 TIMECODE_COLUMN, COUNT_COLUMN = "Timecode", "BlendShapeCount"
 # Rotations about the axes of the face: up, left, and forward.
@@ -208,6 +211,13 @@ class _RecordingTable:
                     try:
                         values[r, c] = float(text) if text else np.nan
                     except ValueError:
+                        if _DECIMAL_COMMA.fullmatch(text):
+                            message = "numbers have decimal commas, such as "
+                            fault = self._cell_fault(
+                                "LLF004", c, message + excerpt(text), number
+                            )
+                            hint = "write decimal points in their place"
+                            raise FormatError(replace(fault, hint=hint)) from None
                         message = f"{self.names[c]}: {excerpt(text)} is not a number"
                         faults.append(self._cell_fault("LLF004", c, message, number))
             if len(faults) >= MAX_FAULTS:

@@ -48,6 +48,12 @@ MAX_FRAMES_PER_ROW = 10
 # Two revolutions [rad]: joints of a body rotate less, and values in degrees soon exceed
 # it.
 MAX_RADIANS = 4 * np.pi
+# A body whose root moves by so much [m] bends so many joints farther than 2π degrees;
+# one that stands bends some of so many farther than π, with a margin, in degrees.
+MIN_TRAVEL, MIN_TRAVELLING_ANGLES = 0.5, 5
+MIN_STANDING_ANGLES, MAX_STANDING_RADIANS = 8, 3.3
+# Smaller changes and angles are noise [deg].
+MIN_CHANGE, MIN_RADIANS = 0.1, 0.7
 
 
 def read_mot(
@@ -87,8 +93,10 @@ def read_mot(
     if header.in_degrees is None:
         _warn_unstated_unit(file, header.invalid_in_degrees)
     values = fill_gaps(table.values[:, table_columns], table.times)
-    if not header.in_degrees:
-        is_angle = [coordinate.is_angle for coordinate in columns]
+    is_angle = np.array([coordinate.is_angle for coordinate in columns], np.bool_)
+    if header.in_degrees:
+        _warn_likely_radians(file, values[:, is_angle], values[:, ~is_angle])
+    else:
         names = [
             header.names[c] for c, a in zip(table_columns, is_angle, strict=True) if a
         ]
@@ -149,6 +157,29 @@ def _warn_likely_degrees(
     message = f"angles are read as radians, but {excerpt(name)} reaches {value:.4g}, "
     message += f"which is {value / (2 * np.pi):.3g} revolutions"
     hint = "write inDegrees=yes in the header if they are degrees"
+    file.warn("MOF112", message, hint)
+
+
+def _warn_likely_radians(
+    file: CaptureFile, angles: FloatArray, slides: FloatArray
+) -> None:
+    """Warn about angles ``(R, A)`` [deg] that are likely radians (MOF112).
+
+    Either the body travels by ``slides`` ``(R, S)`` [m], or many angles change, and all
+    angles are tiny.
+    """
+    changing_count = int((np.ptp(angles, axis=0) > MIN_CHANGE).sum())
+    largest = float(np.abs(angles).max(initial=0.0))
+    travel = float(np.ptp(slides, axis=0).max(initial=0.0))
+    is_travelling = travel >= MIN_TRAVEL and changing_count >= MIN_TRAVELLING_ANGLES
+    limit = 2 * np.pi if is_travelling else MAX_STANDING_RADIANS
+    is_body = is_travelling or changing_count >= MIN_STANDING_ANGLES
+    if not is_body or not MIN_RADIANS <= largest <= limit:
+        return
+    message = f"angles are read as degrees, but none of {changing_count} that change "
+    message += f"exceeds {largest:.3g}"
+    hint = "write inDegrees=no in the header if they are radians: "
+    hint += f"{largest:.3g} rad is {np.degrees(largest):.3g} deg"
     file.warn("MOF112", message, hint)
 
 

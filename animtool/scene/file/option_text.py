@@ -28,6 +28,8 @@ def parse_frame_range(text: str) -> FrameRange:
         suggestion = "1-240 or 1-240x2"
         if foreign_match is not None:
             first, last, step = foreign_match.groups()
+            if int(first) > int(last):
+                first, last = last, first
             suggestion = f"{first}-{last}" + (f"x{step}" if step else "")
         raise ValueError(f"{text!r} is not a range such as {suggestion}")
     first = int(match[1])

@@ -16,6 +16,7 @@ from animtool.rig.suspicions import (
     QUARTER_ROUNDING,
     TIGHT_LIMIT,
     are_multiples,
+    warn_of_quaternion,
     warn_of_quaternion_length,
 )
 from animtool.scene.systems.suspicious_forces import MAX_GRAVITY
@@ -40,6 +41,10 @@ MIN_DENSITY = 10.0
 # Rubber on rubber has 1.5, and gears mesh [1].
 MAX_FRICTION = 5.0
 GRAMS_PER_KILOGRAM = 1000.0
+# Shoulders of an elephant, and a tall giraffe with room to spare [m].
+MAX_AGENT_RADIUS, MAX_AGENT_HEIGHT = 3.0, 10.0
+# Ions have whole numbers of e, atoms of molecules hundredths; coulombs are below 1e-17.
+ELEMENTARY_CHARGE, MAX_COULOMBS = 1.602176634e-19, 1e-12
 # Pitch has 2e5, but hardly flows; lava has up to 10, and water 1e-6 [m²/s].
 MAX_VISCOSITY, WATER_VISCOSITY = 100.0, 1e-6
 # Densities of liquids, which may be in the wrong key [kg/m³].
@@ -217,6 +222,43 @@ def _warn_of_body(
         _warn_of_grams(document, location, mass, density_text)
 
 
+def warn_of_agents_and_atoms(
+    document: Document, location: Location, values: Mapping[str, Any]
+) -> None:
+    """Warn of agents in centimetres and of charges in coulombs (SIM200)."""
+    for i, population in enumerate(values.get("populations") or ()):
+        _warn_of_agent_size(document, (*location, "populations", i), population)
+    for i, species in enumerate(values.get("species") or ()):
+        _warn_of_charge(document, (*location, "species", i), species)
+
+
+def _warn_of_agent_size(
+    document: Document, location: Location, population: Mapping[str, Any]
+) -> None:
+    """Warn of agents whose size seems to be in centimetres (SIM200)."""
+    for key, largest in ("radius", MAX_AGENT_RADIUS), ("height", MAX_AGENT_HEIGHT):
+        length = population.get(key)
+        if isinstance(length, int | float) and length > largest:
+            message = f"{key} {length:g} is {length:g} m, larger than any person or "
+            message += "animal"
+            hint = f"for {length:g} cm write {length / 100:g}"
+            document.warn("SIM200", (*location, key), message, hint)
+            return
+
+
+def _warn_of_charge(
+    document: Document, location: Location, species: Mapping[str, Any]
+) -> None:
+    """Warn of a charge that seems to be in coulombs (SIM200)."""
+    charge = species.get("charge")
+    if isinstance(charge, int | float) and 0 < abs(charge) < MAX_COULOMBS:
+        message = f"charge {charge:g} has no effect: charges are in e, the elementary "
+        message += "charge"
+        count = round(charge / ELEMENTARY_CHARGE, 3)
+        hint = f"for {charge:g} C write {plain_number(count)}"
+        document.warn("SIM200", (*location, "charge"), message, hint)
+
+
 def _warn_of_grams(
     document: Document, location: Location, mass: float, mass_text: str
 ) -> None:
@@ -275,10 +317,17 @@ def warn_of_radians(
 def warn_of_rotations(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn once if a quaternion is not of unit length (RIG110)."""
+    """Warn of a quaternion that is not of unit length (RIG110), or has w last (SIM200).
+
+    Each is reported once.
+    """
+    has_w_last = False
     for key_location, key, value in stated_keys(location, values):
         if key in ROTATION_KEYS and _is_quaternion(value):
             warn_of_quaternion_length(document, key_location, value)
+            if value == [0, 0, 0, 1] and not has_w_last:
+                has_w_last = True
+                warn_of_quaternion(document, "SIM200", key_location)
         for i, row in enumerate(value if key == "turns" else ()):
             if isinstance(row, list) and _is_quaternion(row[1:]):
                 warn_of_quaternion_length(document, (*key_location, i), row[1:])

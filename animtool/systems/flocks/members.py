@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
@@ -199,6 +200,10 @@ def _start_motion(
     if points is None and velocities is not None:
         message = "velocities need points"
         refuse("SIM060", message, hint="points: birds.npz")
+    if species.direction is not None and not math.hypot(*species.direction):
+        message = f"direction [0, 0, 0] of {species.name!r} points nowhere"
+        hint = "write the mean direction of flight, such as [0, 0, 1]"
+        refuse("SIM060", message, "direction", hint)
     emitter = Emitter(
         place=data["place"],
         poses=data["poses"],

@@ -31,6 +31,10 @@ _FAULT_PATTERNS: dict[str, _FaultText] = {
         f"is USD text of version {match[1]}; the installed USD reads {match[2]}",
         "save it with an older USD, or update usd-core",
     ),
+    r"Cannot determine file format": lambda _, __: (
+        "is not a USD file",
+        "animtool convert writes rigs, clips and takes as USD",
+    ),
     r"Expected (\S+)": lambda match, __: (
         f"{match[1]!r} is missing",
         f"add {match[1]!r} before this line",

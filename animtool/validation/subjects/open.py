@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 def open_batch(document: Document) -> CheckedFile:
     """Return the subject of a batch file."""
     from animtool.batch.file import batch_of_document
-    from animtool.batch.inputs import unmatched_inputs
+    from animtool.batch.inputs import input_faults
 
     batch = batch_of_document(document)
-    return CheckedFile(Kind.BATCH, unmatched_inputs(batch), batch)
+    return CheckedFile(Kind.BATCH, input_faults(batch, document), batch)
 
 
 def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:

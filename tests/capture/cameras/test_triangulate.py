@@ -421,3 +421,38 @@ def test_a_long_range_is_judged_by_fifty_of_its_frames_and_their_confidences() -
     run.noise[:] = 0.4
     assert run._is_better_without(1, PoseShift(20, 220, 1.0))
     assert asked == [(20, 220, 4)]
+
+
+@pytest.mark.parametrize("delay", [-5, 0, 2, 7])
+def test_a_late_camera_is_named_with_its_delay(delay: int) -> None:
+    cameras = ring(5)
+    seen = observed(cameras, POINTS, noise=0.3)
+    shifted = seen.stored.copy()
+    shifted[:, 2] = np.roll(shifted[:, 2], delay, axis=0)
+    result = triangulate(replace(seen, stored=shifted), cameras)
+    delayed = [notice for notice in result.notices if notice.code == "CAM115"]
+    assert len(delayed) == bool(delay)
+    for notice in delayed:
+        name = cameras.cameras[2].name
+        assert repr(name) in notice.message
+        assert notice.hint is not None
+        assert notice.hint.startswith(f"shift its frames by {-delay}")
+        others = {one.code for one in result.notices if repr(name) in one.message}
+        assert others == {"CAM115"}
+
+
+@pytest.mark.parametrize("is_swapped", [True, False])
+def test_pixels_in_another_convention_are_named(is_swapped: bool) -> None:
+    cameras = ring(5)
+    seen = observed(cameras, POINTS)
+    stored = seen.stored[..., ::-1].copy()
+    if not is_swapped:
+        heights = [camera.size[1] for camera in cameras.cameras if camera.size]
+        assert len(heights) == 5
+        stored = seen.stored.copy()
+        stored[..., 1] = np.array(heights)[:, None] - stored[..., 1]
+    with pytest.raises(AnimtoolError) as caught:
+        triangulate(replace(seen, stored=stored), cameras)
+    (fault,) = caught.value.faults
+    assert fault.code == "CAM014"
+    assert ("[v, u]" in fault.message) is is_swapped

@@ -315,3 +315,15 @@ def test_one_damaged_time_code_is_its_own_fault(write: Write) -> None:
     with pytest.raises(FormatError, match="the largest is 59") as caught:
         read_livelink(write(text), fps=60)
     assert len(caught.value.faults) == 1
+
+
+def test_decimal_commas_are_one_fault(write: Write) -> None:
+    text = (HEADER + "\n" + ROW.format(1, 0) + "\n" + ROW.format(2, 0) + "\n").replace(
+        ",", ";"
+    )
+    path = write(text.replace("0.5", "0,5"))
+    with pytest.raises(FormatError) as caught:
+        read_livelink(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines) == ("LLF004", (2,))
+    assert fault.hint is not None

@@ -372,3 +372,25 @@ def test_degrees_declared_as_radians(write: Callable[[str], Path]) -> None:
     small = rows.replace("170", "12.5")
     notices = read_mot(write(f"inDegrees=no\nendheader\n{small}")).notices
     assert "MOF112" not in codes(notices)
+
+
+@pytest.mark.parametrize(
+    ("angle", "count", "travel", "found"),
+    [
+        (1.2, 8, 0.0, True),  # a body that stands, in radians
+        (12.0, 8, 0.0, False),
+        (1.2, 7, 0.0, False),  # a hand
+        (5.0, 5, 1.0, True),  # a body that walks
+        (40.0, 5, 1.0, False),
+    ],
+)
+def test_radians_declared_as_degrees(
+    write: Callable[[str], Path], angle: float, count: int, travel: float, found: bool
+) -> None:
+    names = "\t".join(["time", "pelvis_tx", *(f"angle_{i}" for i in range(count))])
+    lines = [
+        "\t".join(map(str, [0.01 * row, travel * row, *[angle * row] * count]))
+        for row in range(2)
+    ]
+    text = "\n".join(["inDegrees=yes", "endheader", names, *lines, ""])
+    assert ("MOF112" in codes(read_mot(write(text)).notices)) is found

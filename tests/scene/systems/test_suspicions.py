@@ -395,3 +395,38 @@ def _codes_of_pass(folder: Path, entry: str) -> int:
     path = write_beast(folder, text, bones=2, last=2, way=0)
     codes = [fault.code for fault in validate(path)]
     return codes.count("SIM200")
+
+
+PEOPLE = """\
+- crowds:
+    name: guests
+    goals: [{name: north, at: [0, 0, 15]}]
+    populations: [{name: all, count: 1, route: [north], radius: 0.3, height: 1.8}]
+"""
+SALT = """\
+- molecules:
+    name: salt
+    species:
+    - {name: sodium, count: 8, charge: 1}
+    - {name: chlorine, count: 8, charge: -1}
+    box: [2.25, 2.25, 2.25]
+    step: 0.002
+"""
+
+
+@pytest.mark.parametrize(
+    ("systems", "old", "new", "found"),
+    [
+        (PEOPLE, "radius: 0.3", "radius: 22", 1),
+        (PEOPLE, "height: 1.8", "height: 175", 1),
+        (PEOPLE, "height: 1.8", "height: 5.8", 0),  # a giraffe
+        (SALT, "1}", "1.6e-19}", 2),
+        (SALT, "1}", "0.002}", 0),
+    ],
+)
+def test_agents_and_charges(
+    systems: str, old: str, new: str, found: int, tmp_path: Path
+) -> None:
+    assert old in systems
+    assert codes(tmp_path, systems) == []
+    assert codes(tmp_path, systems.replace(old, new)) == ["SIM200"] * found
