@@ -11,6 +11,7 @@ from types import FrameType
 
 # Flag of code that is no body of a module or class, which run as it is imported.
 FUNCTION = 1
+COMPREHENSIONS = {"<genexpr>", "<listcomp>", "<setcomp>", "<dictcomp>"}
 
 
 class Calls:
@@ -32,8 +33,12 @@ class Calls:
             return
         if not frame.f_code.co_flags & 1:  # a body of a class is not optimised
             return
-        self.modules.add(name)
         caller = frame.f_back
+        # A comprehension in the body of a module is part of it.
+        if frame.f_code.co_name in COMPREHENSIONS and caller is not None:
+            if not caller.f_code.co_flags & FUNCTION:
+                return
+        self.modules.add(name)
         while caller is not None:
             other = caller.f_globals.get("__name__", "")
             if other.startswith("animtool"):
