@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from animtool.core.quantities import MIN_FRAMES, frames_hint
+from animtool.core.quantities import MIN_FRAMES, frames_hint, plain_number
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 
 # A whole number of seconds from which a duration may be one of frames [s].
 MIN_SUSPICIOUS_SECONDS = 20.0
+# Fewer steps a second are not meant by a step of so many seconds [s].
+MIN_STEPS = 10.0
 # Lists of rows that begin with a time, and keys of a time at which something begins.
 ROW_KEYS = {"moves", "turns", "gusts", "bursts"}
 START_KEYS = {"start", "release", "opens", "bursts"}
@@ -56,6 +58,8 @@ def warn_of_times(
     ``values`` are the stated keys of the system at a location.
     """
     _warn_of_durations(document, location, values, times)
+    if values.get("bodies"):
+        _warn_of_step(document, location, values.get("step"), times)
     if times.frames is None:
         return
     end = f"but the scene ends at {times.length:.3g} s"
@@ -77,6 +81,16 @@ def warn_of_times(
                 "SIM200", (*key_location, row), message, times.hint(starts[row])
             )
             return
+
+
+def _warn_of_step(
+    document: Document, location: Location, step: object, times: SceneTimes
+) -> None:
+    """Warn of a step of rigid bodies that is likely a number of steps a second."""
+    if isinstance(step, int | float) and step >= max(MIN_STEPS, times.length):
+        message = f"step {step:g} is {step:g} s"
+        hint = f"for {step:g} steps a second write {plain_number(1 / step)}"
+        document.warn("SIM200", (*location, "step"), message, hint)
 
 
 def stated_keys(

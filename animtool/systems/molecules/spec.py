@@ -9,6 +9,7 @@ from annotated_types import Ge, Le, Len
 
 from animtool.core.errors import Problem
 from animtool.core.options import key
+from animtool.core.quantities import plain_number
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Count,
@@ -33,6 +34,9 @@ NANOMETRE = 1e-9  # [m]
 FREEZING = 273.15  # 0 °C [K]
 # No molecule fits in a box so small, but a box in metres is [nm].
 MAX_METRES = 1e-5
+# The unit of atomic masses [kg]; an electron has 5.5e-4 of it [u].
+ATOMIC_MASS, MIN_MASS = 1.66053907e-27, 5e-4
+MAX_ATOM_SIZE = 1.5  # atoms and united atoms are below 0.7 [nm]
 
 
 class AtomsModel(FileModel):
@@ -163,16 +167,34 @@ class MoleculesModel(PlacementModel, SystemSpec):
         """Cut-off distance of interactions [nm]."""
         return self.cutoff or 2.5 * max(species.sigma for species in self.species)
 
+    def _box_problem(self, min_side: float, reach: float) -> Problem:
+        """Return the conflict of a box [nm] that is too small for the cut-off [nm]."""
+        sigma = max(species.sigma for species in self.species)
+        message = f"the box is {min_side:g} nm wide, but twice the cut-off is "
+        message += f"{2 * reach:g} nm"
+        hint = f"use cutoff: {min_side / 2:.3g}, or a larger box"
+        if min_side < MAX_METRES:
+            numbers = ", ".join(f"{side / NANOMETRE:g}" for side in self.box)
+            hint = f"lengths of molecules are in nm: write [{numbers}]"
+        elif self.cutoff is None and sigma > MAX_ATOM_SIZE:
+            message += f", 5 times sigma, {sigma:g} nm"
+            hint = f"for {sigma:g} ångström write sigma: {plain_number(sigma / 10, 4)}"
+        return message, "box", hint
+
     def problems(self) -> Iterator[Problem]:
         """Yield conflicts between box, cut-off, lattice and thermostat."""
+        for species in self.species:
+            if species.mass < MIN_MASS:
+                mass = plain_number(species.mass / ATOMIC_MASS, 4)
+                message = (
+                    f"mass {species.mass:g} u of {species.name!r} is below that of "
+                )
+                message += "an electron"
+                hint = f"masses are in u: for {species.mass:g} kg write {mass}"
+                yield message, "species", hint
         min_side, reach = min(self.box), self.cutoff_distance
         if min_side < 2 * reach:
-            message = f"the box is {min_side:g} nm wide, but twice the cut-off is "
-            hint = f"use cutoff: {min_side / 2:.3g}, or a larger box"
-            if min_side < MAX_METRES:
-                numbers = ", ".join(f"{side / NANOMETRE:g}" for side in self.box)
-                hint = f"lengths of molecules are in nm: write [{numbers}]"
-            yield f"{message}{2 * reach:g} nm", "box", hint
+            yield self._box_problem(min_side, reach)
         if self.switch is not None and self.switch > reach:
             message = f"the switch starts at {self.switch:g} nm, beyond the cut-off of "
             yield f"{message}{reach:g} nm", "switch", None

@@ -68,6 +68,8 @@ def codes(folder: Path, systems: str, head: str = "") -> list[str]:
         (BALL, "mass: 1.5", "mass: 1500", True),
         (BALL, "mass: 1.5", "mass: 90", False),
         (BOX, "mass: 1.5", "density: 2.7", True),
+        (BOX, "name: crates", "name: crates\n    step: 240", True),
+        (BOX, "name: crates", "name: crates\n    step: 0.01", False),
         (BOX, "mass: 1.5", "density: 20", False),  # foam
         (BOX, "mass: 1.5", "mass: 1.5, friction: 60", True),
         (BOX, "mass: 1.5", "mass: 1.5, friction: 1.5", False),
