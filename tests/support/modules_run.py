@@ -35,9 +35,9 @@ class Calls:
             return
         caller = frame.f_back
         # A comprehension in the body of a module is part of it.
-        if frame.f_code.co_name in COMPREHENSIONS and caller is not None:
-            if not caller.f_code.co_flags & FUNCTION:
-                return
+        is_comprehension = frame.f_code.co_name in COMPREHENSIONS
+        if is_comprehension and caller and not caller.f_code.co_flags & FUNCTION:
+            return
         self.modules.add(name)
         while caller is not None:
             other = caller.f_globals.get("__name__", "")
