@@ -89,7 +89,7 @@ def find_anatomy(
     *,
     preset: str | None = None,
     positions: FloatArray | None = None,
-    by_names: bool = True,
+    uses_names: bool = True,
 ) -> Anatomy:
     """Return the role of each joint of a skeleton.
 
@@ -99,7 +99,7 @@ def find_anatomy(
         positions: Joint positions in a standing pose ``(J, 3)`` [m], world;
             None is the rest pose. Only sides and fingers depend on it, and only if
             names do not tell.
-        by_names: Whether names are used.
+        uses_names: Whether names are used.
     """
     names = [joint.source_name or joint.name for joint in rig.joints]
     if preset is None:
@@ -110,25 +110,28 @@ def find_anatomy(
     chosen_preset: Preset | None = None
     if preset is not None:
         chosen_preset = find_preset(preset)
-    elif by_names:
+    elif uses_names:
         chosen_preset = best_preset(names, parsed_names)
-    votes = role_votes(parsed_names, chosen_preset) if by_names else [{} for _ in names]
-    kinds = [name.kind if by_names else "" for name in parsed_names]
-    body = SkeletonTree.of(rig, votes, kinds)
+    votes: list[dict[str, float]] = [{} for _ in names]
+    if uses_names:
+        votes = role_votes(parsed_names, chosen_preset)
+    joint_kinds = [name.kind if uses_names else "" for name in parsed_names]
+    body = SkeletonTree.of(rig, votes, joint_kinds)
     search = _RoleSearch(body, [""] * len(names))
-    notices = _largest_tree(search)
+    notices = _ignore_smaller_trees(search)
     _find_limbs(search)
     up = find_up_direction(body, search.tip_joints)
     if up is None and positions is not None:
         search.body = replace(body, positions=positions)
         up = find_up_direction(search.body, search.tip_joints)
     is_rest_pose = search.body is body
-    left = find_left_direction(search.body, search.tip_joints, up, at_rest=is_rest_pose)
+    tips = search.tip_joints
+    left = find_left_direction(search.body, tips, up, is_rest_pose=is_rest_pose)
     _assign_sides_by_position(search, left)
     _assign_trunk(search)
-    for limb in search.tip_joints:
+    for limb in tips:
         _assign_limb(search, limb)
-    _assign_remaining(search)
+    _assign_other_roles(search)
     notices += _anatomy_warnings(search)
     evidence = [_role_source(role, votes[j]) for j, role in enumerate(search.roles)]
     confidence = tuple(_CONFIDENCE[source] for source in evidence)
@@ -148,7 +151,7 @@ def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
     return RoleSource.PRESET if weight == 1.0 else RoleSource.NAME
 
 
-def _largest_tree(search: _RoleSearch) -> list[Fault]:
+def _ignore_smaller_trees(search: _RoleSearch) -> list[Fault]:
     """Ignore all joint trees but the largest; warn if another looks like a body."""
     body = search.body
     roots = body.rig.roots
@@ -186,7 +189,7 @@ def _find_limbs(search: _RoleSearch) -> None:
     body = search.body
     for limb, roles in _LIMB_ROLES.items():
         for side in SIDES:
-            tip = _tip_by_names(search, {f"{role}_{side}" for role in roles})
+            tip = _find_named_tip(search, {f"{role}_{side}" for role in roles})
             if tip >= 0:
                 search.tip_joints[f"{limb}_{side}"] = tip
     for limb, joint_pair in zip(("leg", "arm"), find_limb_pairs(body), strict=True):
@@ -201,7 +204,7 @@ def _find_limbs(search: _RoleSearch) -> None:
                 search.tip_joints[f"{limb}_{side}"] = body.longest_path(limb_root)[-1]
 
 
-def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
+def _find_named_tip(search: _RoleSearch, limb_roles: set[str]) -> int:
     """Return the joint with the most limb roles named along its path; -1 for none."""
     body = search.body
     best_joint, best_score = -1, 0.0
@@ -218,10 +221,10 @@ def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
     return best_joint
 
 
-def _assign_sides_by_position(search: _RoleSearch, direction: FloatArray) -> None:
+def _assign_sides_by_position(search: _RoleSearch, left_direction: FloatArray) -> None:
     """Assign left and right by limb positions, or by file order if these coincide.
 
-    ``direction``: the body's left ``(3,)``.
+    ``left_direction``: the body's left ``(3,)``.
     """
     body, tip_joints = search.body, search.tip_joints
     for limb in search.unsided_limbs:
@@ -234,7 +237,7 @@ def _assign_sides_by_position(search: _RoleSearch, direction: FloatArray) -> Non
             left_middle, right_middle = (
                 body.positions[chain[:end_index]].mean(axis=0) for chain in chains
             )
-            signed_distance = float((left_middle - right_middle) @ direction)
+            signed_distance = float((left_middle - right_middle) @ left_direction)
             if abs(signed_distance) > 0.01 * body.size:
                 break
         if abs(signed_distance) <= 1e-3 * max(body.size, 1e-30):
@@ -305,11 +308,11 @@ def _find_hips(search: _RoleSearch, fork: int, leg_fork: int) -> int:
     named_hips = _find_by_name(search, "hips")
     if fork < 0:
         return named_hips if named_hips >= 0 else leg_fork
-    near_fork = set(body.rig.upwards(fork)) | set(body.path(fork, max(leg_fork, fork)))
-    candidates = [j for j in near_fork if "hips" in body.votes[j]]
+    joints_near_fork = {*body.rig.upwards(fork), *body.path(fork, max(leg_fork, fork))}
+    candidates = [j for j in joints_near_fork if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
-    top_voted = [j for j in candidates if body.votes[j]["hips"] == weight]
-    return max(top_voted, key=lambda j: (j == fork, j), default=fork)
+    top_candidates = [j for j in candidates if body.votes[j]["hips"] == weight]
+    return max(top_candidates, key=lambda j: (j == fork, j), default=fork)
 
 
 def _find_head(search: _RoleSearch, chest: int) -> int:
@@ -329,7 +332,7 @@ def _find_head(search: _RoleSearch, chest: int) -> int:
 
 def _assign_limb(search: _RoleSearch, limb: str) -> None:
     """Assign roles to the joints of an arm or leg and to its fingers."""
-    body, kind, side = search.body, *limb.split("_")
+    body, limb_kind, side = search.body, *limb.split("_")
     tip = search.tip_joints[limb]
     other_tips = [j for name, j in search.tip_joints.items() if name != limb]
     used_joints = {j for other in other_tips for j in body.rig.upwards(other)}
@@ -339,18 +342,18 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
     if not path:
         return
     branch = -1
-    if kind == "arm":
+    if limb_kind == "arm":
         path, branch = _split_hand(search, path, side)
     else:
         path = _split_toes(search, path)
     joint_roles = split_limb(body, path, _LIMB_SHAPES[limb], branch)
     for j, role_of_joint in zip(path, joint_roles, strict=True):
-        search.set_role(j, "" if body.kinds[j] == CONTROL else role_of_joint)
+        search.set_role(j, "" if body.joint_kinds[j] == CONTROL else role_of_joint)
     hand_joints = list(compress(path, (r == f"hand_{side}" for r in joint_roles)))
-    if kind == "arm" and hand_joints:
+    if limb_kind == "arm" and hand_joints:
         for j, role in finger_roles(body, hand_joints, side).items():
-            search.set_role(j, "" if body.kinds[j] == CONTROL else role)
-    if kind == "leg":
+            search.set_role(j, "" if body.joint_kinds[j] == CONTROL else role)
+    if limb_kind == "leg":
         _assign_toes(search, side)
 
 
@@ -362,8 +365,8 @@ def _split_hand(
     hand_indices = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hand_indices:
         return path[: hand_indices[-1] + 1], path[hand_indices[-1]]
-    branch, count = search.body.widest_branching(path)
-    if count < 2:
+    branch, branch_count = search.body.widest_branching(path)
+    if branch_count < 2:
         return path, -1
     return path[: path.index(branch) + 1], branch
 
@@ -375,9 +378,9 @@ def _split_toes(search: _RoleSearch, path: list[int]) -> list[int]:
         max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in path
     ]
     toe_indices = [i for i, role in enumerate(likely_roles) if base_role(role) == "toe"]
-    last_named = max((i for i, j in enumerate(path) if body.votes[j]), default=2)
+    last_named_index = max((i for i, j in enumerate(path) if body.votes[j]), default=2)
     forks = [i for i, j in enumerate(path) if len(body.limb_children(j)) > 1]
-    candidates = [*toe_indices, *(i for i in forks if i >= max(last_named, 2))]
+    candidates = [*toe_indices, *(i for i in forks if i >= max(last_named_index, 2))]
     return path[: candidates[0] + 1] if candidates else path
 
 
@@ -390,32 +393,34 @@ def _assign_toes(search: _RoleSearch, side: str) -> None:
     toe_roots = [
         j
         for j in body.limb_children(feet[-1])
-        if search.roles[j] in {"", role} and not body.kinds[j]
+        if search.roles[j] in {"", role} and not body.joint_kinds[j]
     ]
     if len(toe_roots) < 2:
         return
     last_joints = [body.longest_path(j)[-1] for j in toe_roots]
-    ends = body.positions[last_joints] + body.last_bones[last_joints]
-    directions = ends - body.positions[feet[-1]]
+    toe_ends = body.positions[last_joints] + body.last_bones[last_joints]
+    directions = toe_ends - body.positions[feet[-1]]
     lengths = np.linalg.norm(directions, axis=1)
-    longest = int(np.argmax(lengths))
-    alignment = directions @ directions[longest] / max(float(lengths[longest]), 1e-30)
-    is_toe = alignment > _MIN_TOE_FRACTION * alignment.max()
+    longest_index = int(np.argmax(lengths))
+    longest_toe, length = directions[longest_index], float(lengths[longest_index])
+    forward_lengths = directions @ longest_toe / max(length, 1e-30)
+    is_toe = forward_lengths > _MIN_TOE_FRACTION * forward_lengths.max()
     toes = list(compress(toe_roots, is_toe))
     for toe in toes if len(toes) > 1 else ():
         for j in range(toe, len(search.roles)):
-            if toe in body.rig.upwards(j) and not body.kinds[j] and not body.is_tip(j):
+            is_plain_joint = not body.joint_kinds[j] and not body.is_tip(j)
+            if is_plain_joint and toe in body.rig.upwards(j):
                 search.set_role(j, role)
 
 
-def _assign_remaining(search: _RoleSearch) -> None:
+def _assign_other_roles(search: _RoleSearch) -> None:
     """Assign face roles; mark other joints as twist, end or control joints."""
     body = search.body
     for j, votes in enumerate(body.votes):
         for role in votes:
             if base_role(role) in {"jaw", "eye"} and role not in search.roles:
                 search.set_role(j, role)
-    for j, kind in enumerate(body.kinds):
+    for j, kind in enumerate(body.joint_kinds):
         is_leaf = not body.children[j]
         if not search.roles[j] and (kind or (is_leaf and body.is_tip(j))):
             search.roles[j] = kind or END
@@ -424,7 +429,7 @@ def _assign_remaining(search: _RoleSearch) -> None:
 MISSING_LEG_TEXTS = ("whole left leg", "whole right leg")
 
 
-def _missing_legs(roles: Sequence[str]) -> str:
+def _missing_legs_text(roles: Sequence[str]) -> str:
     """Return the missing legs of a skeleton as text; empty if both are complete."""
     complete_sides = [
         {f"{role}_{side}" for role in ("thigh", "shin", "foot")} <= {*roles}
@@ -439,22 +444,22 @@ def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
     """Return warnings about missing or ambiguous parts, with the fallback used."""
     body, rig, roles = search.body, search.body.rig, search.roles
     hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
-    fingerless = [
+    fingerless_hands = [
         repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0
     ]
     warnings = []
     # Without any limb it is no body: a lamp, a snake.
-    missing = _missing_legs(roles) if search.tip_joints else ""
-    if missing:
+    missing_legs = _missing_legs_text(roles) if search.tip_joints else ""
+    if missing_legs:
         hint = "root motion is scaled like the rest of the body, and no feet are held"
-        if missing in MISSING_LEG_TEXTS:
+        if missing_legs in MISSING_LEG_TEXTS:
             hint = "only the other foot is held"
-        warnings.append(("MAP101", f"{rig.name!r} has no {missing}", hint))
+        warnings.append(("MAP101", f"{rig.name!r} has no {missing_legs}", hint))
     if len(rig.joints) > 1 and body.size <= 0:
         message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
         warnings.append(("MAP102", message, "joints are mapped by name only"))
-    if fingerless:
-        names = listed(fingerless, MAX_LISTED_JOINTS)
+    if fingerless_hands:
+        names = listed(fingerless_hands, MAX_LISTED_JOINTS)
         message = f"the rest pose of {rig.name!r} does not show where {names} end"
         hint = "the hand is assumed to continue the forearm"
         warnings.append(("MAP104", message, hint))

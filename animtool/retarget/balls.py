@@ -40,10 +40,10 @@ def find_balls(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]
         else:
             other_shape = None if other_leg is None else _foot_shape(other, side)
             leg_ratio = skeleton.leg_length(side) / (other.leg_length(side) or 1.0)
-            end = _toeless_ball(skeleton, side, other_shape, leg_ratio)
-            if end is None:
+            toeless_ball = _toeless_ball(skeleton, side, other_shape, leg_ratio)
+            if toeless_ball is None:
                 continue
-            ankle_to_ball = end
+            ankle_to_ball = toeless_ball
         offset = so3.rotate(so3.conjugate(skeleton.rotations[foot]), ankle_to_ball)
         balls[side] = Ball(toes[0] if len(toes) == 1 else -1, offset)
     return balls
@@ -55,11 +55,11 @@ def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
     parents = skeleton.rig.parents
     first_joints = []
     for first_joint in sorted(j for j in joints if int(parents[j]) not in joints):
-        chain_ends = [j for j in joints if first_joint in skeleton.rig.upwards(j)]
-        foot = skeleton.positions[skeleton.first(f"foot_{side}")]
-        length = float(np.linalg.norm(skeleton.positions[max(chain_ends)] - foot))
+        toe_chain = [j for j in joints if first_joint in skeleton.rig.upwards(j)]
+        foot = skeleton.positions[skeleton.first_joint(f"foot_{side}")]
+        length = float(np.linalg.norm(skeleton.positions[max(toe_chain)] - foot))
         distance = float(np.linalg.norm(skeleton.positions[first_joint] - foot))
-        next_joints = [j for j in chain_ends if int(parents[j]) == first_joint]
+        next_joints = [j for j in toe_chain if int(parents[j]) == first_joint]
         has_metatarsal = next_joints and distance < METATARSAL_START * length
         first_joints.append(next_joints[0] if has_metatarsal else first_joint)
     return first_joints
@@ -70,12 +70,12 @@ def _ankle_to_ball(
 ) -> FloatArray:
     """Return the vector from the ankle to the ball of the toe joints ``(3,)`` [m]."""
     offsets = skeleton.positions[list(toes)] - skeleton.positions[foot]
-    facing = skeleton.facing
-    if len(offsets) == 1 or facing is None:
+    facing_axes = skeleton.facing_axes
+    if len(offsets) == 1 or facing_axes is None:
         return np.asarray(offsets.mean(axis=0))
-    foremost = offsets[int(np.argmax(offsets @ facing[2]))]
-    sideways_offset = float((offsets.mean(axis=0) - foremost) @ facing[0])
-    return np.asarray(foremost + sideways_offset * facing[0])
+    foremost = offsets[int(np.argmax(offsets @ facing_axes[2]))]
+    sideways_offset = float((offsets.mean(axis=0) - foremost) @ facing_axes[0])
+    return np.asarray(foremost + sideways_offset * facing_axes[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,65 +88,65 @@ class _FootShape:
 
 def _foot_shape(skeleton: RoledSkeleton, side: str) -> _FootShape | None:
     """Return the shape of a foot; None if the skeleton's facing is unknown."""
-    facing = skeleton.facing
-    foot = skeleton.first(f"foot_{side}")
+    facing_axes = skeleton.facing_axes
+    foot = skeleton.first_joint(f"foot_{side}")
     toes = _first_toe_joints(skeleton, side)
-    if facing is None:
+    if facing_axes is None:
         return None
-    start = skeleton.positions[foot]
-    tip = _vector_to_tip(skeleton, toes or [foot], start)
+    ankle = skeleton.positions[foot]
+    tip = _vector_to_tip(skeleton, toes or [foot], ankle)
     ball = _ankle_to_ball(skeleton, foot, toes) if toes else None
     return _FootShape(
-        *(None if offset is None else facing @ offset for offset in (ball, tip))
+        *(None if offset is None else facing_axes @ offset for offset in (ball, tip))
     )
 
 
 def _vector_to_tip(
-    skeleton: RoledSkeleton, joints: Sequence[int], start: FloatArray
+    skeleton: RoledSkeleton, joints: Sequence[int], ankle: FloatArray
 ) -> FloatArray | None:
     """Return the vector to the farthest end of a joint chain ``(3,)``."""
     rig = skeleton.rig
-    count, top_joints = len(rig.joints), {*joints}
-    descendants = [j for j in range(count) if not top_joints.isdisjoint(rig.upwards(j))]
-    offsets = [skeleton.positions[j] - start for j in descendants]
+    all_joints, top_joints = range(len(rig.joints)), {*joints}
+    descendants = [j for j in all_joints if not top_joints.isdisjoint(rig.upwards(j))]
+    offsets = [skeleton.positions[j] - ankle for j in descendants]
     for j in descendants:
         offsets += [
             skeleton.positions[j]
             + so3.rotate(skeleton.rotations[j], np.asarray(tip))
-            - start
+            - ankle
             for tip in rig.joints[j].tips
         ]
     return max(offsets, key=lambda offset: float(offset @ offset), default=None)
 
 
 def _toeless_ball(
-    skeleton: RoledSkeleton, side: str, other: _FootShape | None, leg_ratio: float
+    skeleton: RoledSkeleton, side: str, other_shape: _FootShape | None, leg_ratio: float
 ) -> FloatArray | None:
     """Return the vector from the ankle to the ball of a foot without toes ``(3,)``."""
     leg = skeleton.leg(side)
     assert leg is not None
     ankle = skeleton.positions[leg[2]]
     tip = _foot_end(skeleton, leg, ankle)
-    facing = skeleton.facing
-    if facing is None or other is None or other.ball is None:
+    facing_axes = skeleton.facing_axes
+    if facing_axes is None or other_shape is None or other_shape.ball is None:
         return tip
     if tip is None:
-        return np.asarray(leg_ratio * (other.ball @ facing))
-    if other.tip is None:
+        return np.asarray(leg_ratio * (other_shape.ball @ facing_axes))
+    if other_shape.tip is None:
         return tip
-    lengths = [float(np.linalg.norm(offset)) for offset in (other.ball, other.tip)]
+    lengths = [float(np.linalg.norm(v)) for v in (other_shape.ball, other_shape.tip)]
     if not 0 < lengths[0] < lengths[1]:
         return tip
     geometric_mean = leg_ratio * float(np.sqrt(lengths[0] * lengths[1]))
     if float(np.linalg.norm(tip)) <= geometric_mean:
         return tip
     # It ends where the other foot's toes end.
-    tip_in_axes = facing @ tip
+    tip_in_axes = facing_axes @ tip
     fractions = [
         a / b if abs(b) > MIN_FOOT_LENGTH * lengths[1] else 1.0
-        for a, b in zip(other.ball, other.tip, strict=True)
+        for a, b in zip(other_shape.ball, other_shape.tip, strict=True)
     ]
-    return np.asarray((tip_in_axes * np.clip(fractions, 0.0, 1.0)) @ facing)
+    return np.asarray((tip_in_axes * np.clip(fractions, 0.0, 1.0)) @ facing_axes)
 
 
 def _foot_end(

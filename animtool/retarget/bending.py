@@ -18,10 +18,10 @@ OPPOSITE_TOLERANCE = 1e-9
 
 def bend_limb(
     hip: FloatArray,
-    joints: tuple[FloatArray, FloatArray],
+    joint_positions: tuple[FloatArray, FloatArray],
     goal: FloatArray,
     rotations: tuple[FloatArray, FloatArray],
-    hinge: FloatArray,
+    straight_axis: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return thigh and shin rotations ``(F, 4)`` that bring the ankle to its goal.
 
@@ -29,12 +29,12 @@ def bend_limb(
 
     Args:
         hip: Start of the thigh ``(F, 3)`` [m].
-        joints: Current positions of knee and ankle ``(F, 3)`` [m].
+        joint_positions: Current positions of knee and ankle ``(F, 3)`` [m].
         goal: Ankle goals ``(F, 3)`` [m].
         rotations: World rotations of thigh and shin ``(F, 4)``.
-        hinge: Knee axis of a straight leg ``(F, 3)``.
+        straight_axis: Knee axis of a straight leg ``(F, 3)``.
     """
-    knee, ankle = joints
+    knee, ankle = joint_positions
     thigh, shin = knee - hip, ankle - knee
     a, b = (np.linalg.norm(bone, axis=1) for bone in (thigh, shin))
     goal_distance = np.linalg.norm(goal - hip, axis=1)
@@ -48,7 +48,7 @@ def bend_limb(
     axis_length = np.linalg.norm(hinge_axis, axis=1, keepdims=True)
     is_bent = axis_length > 1e-3 * (a * b)[:, None]
     unit_axis = hinge_axis / np.maximum(axis_length, 1e-300)
-    hinge_axis = np.where(is_bent, unit_axis, hinge)
+    hinge_axis = np.where(is_bent, unit_axis, straight_axis)
     cosine = np.clip((goal_distance**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
     sine = (np.cross(thigh, shin) * hinge_axis).sum(axis=1)
     current_angle = np.arctan2(sine, (thigh * shin).sum(axis=1))
@@ -64,10 +64,10 @@ def bend_limb(
 def bend_at_pin(
     hip: FloatArray,
     goal: FloatArray,
-    thigh: FloatArray,
+    thigh_rotations: FloatArray,
     bones: tuple[FloatArray, FloatArray],
-    axis: FloatArray,
-    angle: FloatArray,
+    pin_axis: FloatArray,
+    current_angles: FloatArray,
     limits: RangeLimit | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return thigh rotations ``(F, 4)`` and pin-knee angles ``(F,)`` [rad] for a goal.
@@ -78,21 +78,21 @@ def bend_at_pin(
     Args:
         hip: Start of the thigh ``(F, 3)`` [m].
         goal: Ankle goals ``(F, 3)`` [m].
-        thigh: Current world rotations of the thigh ``(F, 4)``.
+        thigh_rotations: Current world rotations of the thigh ``(F, 4)``.
         bones: Vector of the thigh, and of the shin with the knee at rest, both in the
             frame of the thigh ``(3,)`` [m].
-        axis: Unit axis of the knee in that frame ``(3,)``.
-        angle: Current angle of the knee ``(F,)`` [rad].
+        pin_axis: Unit axis of the knee in that frame ``(3,)``.
+        current_angles: Current angle of the knee ``(F,)`` [rad].
         limits: Limits of the knee; they determine its bending direction, else its
             current bend does.
     """
     upper, lower = bones
-    axial_product = float((upper @ axis) * (lower @ axis))
+    axial_product = float((upper @ pin_axis) * (lower @ pin_axis))
     cosine = float(upper @ lower) - axial_product
-    sine = float(upper @ np.cross(axis, lower))
+    sine = float(upper @ np.cross(pin_axis, lower))
     amplitude = float(np.hypot(cosine, sine))
     if not amplitude:
-        return thigh, angle
+        return thigh_rotations, current_angles
     goal_distance = np.linalg.norm(goal - hip, axis=1)
     required_product = (goal_distance**2 - upper @ upper - lower @ lower) / 2
     required_cosine = required_product - axial_product
@@ -101,8 +101,8 @@ def bend_at_pin(
     candidates = np.stack(
         [straight_angle + opening_angles, straight_angle - opening_angles]
     )
-    candidates -= 2 * np.pi * np.round((candidates - angle) / (2 * np.pi))
-    angle_changes = np.abs(candidates - angle)
+    candidates -= 2 * np.pi * np.round((candidates - current_angles) / (2 * np.pi))
+    angle_changes = np.abs(candidates - current_angles)
     if limits is not None:
         # Near straight, both directions are equally near; no knee bends beyond its
         # stop.
@@ -110,9 +110,9 @@ def bend_at_pin(
     chosen_angle = np.where(angle_changes[0] <= angle_changes[1], *candidates)
     if limits is not None:
         chosen_angle = limits.clamped(chosen_angle)
-    tip = upper + so3.rotate(so3.from_axis_angle(axis, chosen_angle), lower)
-    swing = shortest_rotations(so3.rotate(thigh, tip), goal - hip)
-    return so3.multiply(swing, thigh), chosen_angle
+    tip = upper + so3.rotate(so3.from_axis_angle(pin_axis, chosen_angle), lower)
+    swing = shortest_rotations(so3.rotate(thigh_rotations, tip), goal - hip)
+    return so3.multiply(swing, thigh_rotations), chosen_angle
 
 
 def shortest_rotations(

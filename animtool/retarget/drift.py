@@ -98,8 +98,8 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
     root_on_ground = root_positions[:, a] + 1j * root_positions[:, b]
     angle, shift = _root_correction(take, options, stance, root_on_ground, rotations)
     positions = root_positions.copy()
-    corrected = np.exp(1j * angle) * root_on_ground + shift
-    positions[:, a], positions[:, b] = corrected.real, corrected.imag
+    corrected_ground = np.exp(1j * angle) * root_on_ground + shift
+    positions[:, a], positions[:, b] = corrected_ground.real, corrected_ground.imag
     if options.height:
         positions[:, up] -= stance.height
     rotation = so3.from_axis_angle(np.eye(3)[up], angle)
@@ -126,8 +126,8 @@ def _root_correction(
     take: Take,
     options: DriftOptions,
     stance: _StanceTracks,
-    root: ComplexArray,
-    rotations: FloatArray,
+    root_on_ground: ComplexArray,
+    root_rotations: FloatArray,
 ) -> tuple[FloatArray, ComplexArray]:
     """Return the root's correction: rotation ``(F,)`` [rad] and shift ``(F,)`` [m].
 
@@ -135,19 +135,21 @@ def _root_correction(
     """
     rate, up = float(take.clock.rate), _ground_axes(take)[0]
     spin = -stance.spin
-    speed = stance.speed if options.place else np.zeros(len(root))
+    speed = stance.speed if options.place else np.zeros(len(root_on_ground))
     angle = _integrate(spin, rate)
     if options.closed:
-        heading_change = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
+        first, last = root_rotations[0], root_rotations[-1]
+        heading_change = so3.multiply(last, so3.conjugate(first))
         heading_error = _angle_about_up(heading_change[None], up)[0] + angle[-1]
-        spin = spin - (heading_error / max(len(root) - 1, 1)) * rate
+        spin = spin - (heading_error / max(len(root_on_ground) - 1, 1)) * rate
         angle = _integrate(spin, rate)
-    position_error = 1j * (stance.spin + spin) * stance.position
-    displacement = -np.exp(1j * angle) * (speed + position_error)
-    shift = _integrate(displacement, rate)
+    residual_spin_velocity = 1j * (stance.spin + spin) * stance.position
+    shift_rate = -np.exp(1j * angle) * (speed + residual_spin_velocity)
+    shift = _integrate(shift_rate, rate)
     if options.closed:
-        start, end = np.exp(1j * angle[[0, -1]]) * root[[0, -1]] + shift[[0, -1]]
-        shift = shift - (end - start) * np.linspace(0.0, 1.0, len(root))
+        ends = [0, -1]
+        start, end = np.exp(1j * angle[ends]) * root_on_ground[ends] + shift[ends]
+        shift = shift - (end - start) * np.linspace(0.0, 1.0, len(root_on_ground))
     return angle, shift
 
 
@@ -184,17 +186,18 @@ def _stance_tracks(
         is_planted = find_contacts(ankle, toe, rate, skeleton.leg_length(side), up).any
         rotations = so3.from_matrix(world.linear[:, leg[2]])
         for start, end in runs(is_planted):
-            edge = round(LANDING_FRACTION * (end - start))
-            stance_frames = slice(start + edge, end - edge)
+            landing_frames = round(LANDING_FRACTION * (end - start))
+            stance_frames = slice(start + landing_frames, end - landing_frames)
             if stance_frames.stop - stance_frames.start < MIN_STANCE_FRAMES:
                 continue
             # A foot that rolls over its toe moves its ankle.
-            speeds = [
+            velocities = [
                 _least_squares_rate(path[stance_frames], rate) for path in (ankle, toe)
             ]
-            is_toe_slower = np.linalg.norm(speeds[1]) < np.linalg.norm(speeds[0])
-            pivot, speed = (toe, speeds[1]) if is_toe_slower else (ankle, speeds[0])
-            ground = float(np.median(pivot[is_planted, up]))
+            pivot, velocity = ankle, velocities[0]
+            if np.linalg.norm(velocities[1]) < np.linalg.norm(velocity):
+                pivot, velocity = toe, velocities[1]
+            ground_height = float(np.median(pivot[is_planted, up]))
             inverse_start = so3.conjugate(rotations[stance_frames.start])
             relative = so3.multiply(rotations[stance_frames], inverse_start)
             headings = np.unwrap(_angle_about_up(relative, up))
@@ -204,9 +207,9 @@ def _stance_tracks(
             length = stance_frames.stop - stance_frames.start
             middle_frame = (stance_frames.start + stance_frames.stop - 1) / 2
             mean_position = pivot[stance_frames].mean(axis=0)
-            row = [middle_frame, length, spin, *speed[[a, b]], *mean_position[[a, b]]]
-            contact_rows.append(row)
-            positions = pivot[stance_frames][:, [a, b, up]] - [0.0, 0.0, ground]
+            ground_values = [*velocity[[a, b]], *mean_position[[a, b]]]
+            contact_rows.append([middle_frame, length, spin, *ground_values])
+            positions = pivot[stance_frames][:, [a, b, up]] - [0.0, 0.0, ground_height]
             position_sums[stance_frames] += positions
             contact_counts[stance_frames] += 1
     if (contact_counts > 0).sum() <= MIN_STANCE_FRAMES:
@@ -218,12 +221,12 @@ def _stance_tracks(
     contacts[:, 3] += smooth_spin * contacts[:, 6]
     contacts[:, 4] -= smooth_spin * contacts[:, 5]
     medians = [smooth_spin, *(_windowed_medians(contacts, k, window) for k in (3, 4))]
-    tracks = [np.interp(frames, contacts[:, 0], column) for column in medians]
-    drift = lowpass(np.stack(tracks, axis=1), DRIFT_FREQUENCY, rate)
+    median_tracks = [np.interp(frames, contacts[:, 0], column) for column in medians]
+    drift = lowpass(np.stack(median_tracks, axis=1), DRIFT_FREQUENCY, rate)
     position_sums /= np.maximum(contact_counts, 1)[:, None]
-    valid = contact_counts > 0
-    position = lowpass(position_sums[:, :2], STEP_FREQUENCY, rate, valid=valid)
-    height = lowpass(position_sums[:, 2], DRIFT_FREQUENCY, rate, valid=valid)
+    is_measured = contact_counts > 0
+    position = lowpass(position_sums[:, :2], STEP_FREQUENCY, rate, valid=is_measured)
+    height = lowpass(position_sums[:, 2], DRIFT_FREQUENCY, rate, valid=is_measured)
     return _StanceTracks(
         position[:, 0] + 1j * position[:, 1],
         drift[:, 1] + 1j * drift[:, 2],

@@ -101,10 +101,11 @@ def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
 def _noisiest_joint(take: Take) -> tuple[float, str]:
     """Return the largest rotation noise of any joint [rad], and that joint's name."""
     channel = take.motion.rotations
-    levels = [
+    noise_levels = [
         rotation_noise(channel.values[:, k]) for k in range(len(channel.animated))
     ]
-    if not levels:
+    if not noise_levels:
         return 0.0, ""
-    noisiest = int(np.argmax(levels))
-    return levels[noisiest], take.rig.names[int(channel.animated[noisiest])]
+    noisiest_index = int(np.argmax(noise_levels))
+    joint = int(channel.animated[noisiest_index])
+    return noise_levels[noisiest_index], take.rig.names[joint]

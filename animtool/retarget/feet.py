@@ -106,11 +106,11 @@ def plant_feet(
         for foot, toe_vector in zip(feet, toe_vectors, strict=True)
     ]
     hips = hips.copy()
-    heel_heights = [
+    ankle_rises = [
         _ankle_rise(foot, toe_vector, up)
         for foot, toe_vector in zip(feet, toe_vectors, strict=True)
     ]
-    hips[:, up] += _hip_lift(hips, feet, pinned_points, heel_heights, fps, up)
+    hips[:, up] += _hip_lift(hips, feet, pinned_points, ankle_rises, fps, up)
     is_planted = [foot.contacts.any for foot in feet]
     ankles = [
         _pinned_path(hips + ankle, toe_vector, foot, fps, up)
@@ -120,10 +120,11 @@ def plant_feet(
     ]
     hip_drop, hip_rise = _hip_shifts(hips, feet, ankles, fps, up)
     hips[:, up] += hip_rise - hip_drop
-    soles = [foot.height + _toe_height(foot, up) for foot in feet]
-    rolls = [_toe_roll(foot.contacts.toe, fps) for foot in feet]
-    lowered = max(float(hip_drop.max(initial=0.0)), 0.0)
-    return PlacedFeet(hips, ankles, rotations, is_planted, rolls, soles, lowered)
+    sole_heights = [foot.height + _toe_height(foot, up) for foot in feet]
+    toe_rolls = [_toe_roll(foot.contacts.toe, fps) for foot in feet]
+    max_lowering = max(float(hip_drop.max(initial=0.0)), 0.0)
+    states = is_planted, toe_rolls, sole_heights
+    return PlacedFeet(hips, ankles, rotations, *states, max_lowering)
 
 
 def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
@@ -265,7 +266,7 @@ def _pinned_path(
     contacts = foot.contacts
     is_planted = contacts.any
     correction = np.zeros_like(ankle)
-    level = foot.height + _toe_height(foot, up)
+    planted_height = foot.height + _toe_height(foot, up)
     for start, end in runs(is_planted):
         ankle_path, toe_offset = ankle[start:end], ankle_to_toe[start:end].copy()
         heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
@@ -274,15 +275,15 @@ def _pinned_path(
             flat_frames = np.arange(end - start)
         # A heel that is planted alone stays where it is in the nearest frame with the
         # toe.
-        heel_only = np.flatnonzero(heel & ~toe)
-        positions_in_flat = np.searchsorted(flat_frames, heel_only)
-        flat_before = flat_frames[np.maximum(positions_in_flat - 1, 0)]
-        flat_after = flat_frames[np.minimum(positions_in_flat, len(flat_frames) - 1)]
-        is_before_nearer = heel_only - flat_before <= flat_after - heel_only
-        nearest_flat = np.where(is_before_nearer, flat_before, flat_after)
-        toe_offset[heel_only] = toe_offset[nearest_flat]
+        heel_only_frames = np.flatnonzero(heel & ~toe)
+        insertion_indices = np.searchsorted(flat_frames, heel_only_frames)
+        flat_before = flat_frames[np.maximum(insertion_indices - 1, 0)]
+        flat_after = flat_frames[np.minimum(insertion_indices, len(flat_frames) - 1)]
+        is_after_nearer = flat_after - heel_only_frames < heel_only_frames - flat_before
+        nearest_flat = np.where(is_after_nearer, flat_after, flat_before)
+        toe_offset[heel_only_frames] = toe_offset[nearest_flat]
         goal = (ankle_path + toe_offset)[flat_frames].mean(axis=0)
-        goal[up] = level
+        goal[up] = planted_height
         if foot.toe is None:
             # A kneeling body rests on its toes, even without toe joints.
             median_height = float(np.median(foot.height_change[start:end]))
@@ -291,14 +292,14 @@ def _pinned_path(
         correction[start:end] = goal - toe_offset - ankle_path
     fill_between(correction, is_planted, fps)
     toe_height = (ankle + ankle_to_toe)[:, up]
-    _raise_above_ground(correction[:, up], toe_height, level, is_planted, fps)
+    _raise_above_ground(correction[:, up], toe_height, planted_height, is_planted, fps)
     return ankle + correction
 
 
 def _raise_above_ground(
     correction: FloatArray,
-    toe: FloatArray,
-    level: float,
+    toe_heights: FloatArray,
+    min_height: float,
     is_planted: BoolArray,
     fps: float,
 ) -> None:
@@ -306,8 +307,8 @@ def _raise_above_ground(
 
     Args:
         correction: Height correction of a foot.
-        toe: Height of the toe without that correction ``(F,)`` [m].
-        level: Lowest allowed height [m].
+        toe_heights: Height of the toe without that correction ``(F,)`` [m].
+        min_height: Lowest allowed height [m].
         is_planted: Whether the foot is planted ``(F,)``.
         fps: Frames a second.
     """
@@ -315,10 +316,11 @@ def _raise_above_ground(
         return  # the ground is unknown
     is_fixed = is_planted.copy()
     for _ in range(MAX_ITERATIONS):
-        is_below = ~is_planted & (toe + correction < level - MAX_PENETRATION)
+        heights = toe_heights + correction
+        is_below = ~is_planted & (heights < min_height - MAX_PENETRATION)
         if not is_below.any():
             return
-        correction[is_below] = (level - toe)[is_below]
+        correction[is_below] = (min_height - toe_heights)[is_below]
         is_fixed |= is_below
         correction_rows = correction[:, None].copy()
         fill_between(correction_rows, is_fixed, fps)
@@ -333,8 +335,8 @@ def fill_between(
         return
     weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
     weighted_values = values * np.where(is_fixed, FIXED_WEIGHT, 0.0)[:, None]
-    filled = smooth_path_to_targets(weights, weighted_values, (fade * fps) ** 4)
-    values[~is_fixed] = filled[~is_fixed]
+    faded_values = smooth_path_to_targets(weights, weighted_values, (fade * fps) ** 4)
+    values[~is_fixed] = faded_values[~is_fixed]
 
 
 def _hip_shifts(
@@ -389,8 +391,8 @@ def smooth_cover(values: FloatArray, width: float) -> FloatArray:
 
 def _local_maxima(values: FloatArray) -> BoolArray:
     """Return a mask of the values that are positive local maxima ``(F,)``."""
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    is_peak = (values >= padded[:-2]) & (values >= padded[2:])
+    padded_values = np.pad(values, 1, constant_values=-np.inf)
+    is_peak = (values >= padded_values[:-2]) & (values >= padded_values[2:])
     return np.asarray(is_peak & (values > 0))
 
 
@@ -402,6 +404,7 @@ def upper_envelope(
     It is smoothed by a Gaussian of ``smooth`` frames; None uses a quarter of the width.
     """
     half_width = int(np.ceil(width))
-    padded = np.pad(values, half_width, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half_width + 1)
+    padded_values = np.pad(values, half_width, mode="edge")
+    view = np.lib.stride_tricks.sliding_window_view
+    windows = view(padded_values, 2 * half_width + 1)
     return gaussian_smooth(windows.max(axis=1), width / 4 if smooth is None else smooth)

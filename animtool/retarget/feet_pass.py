@@ -44,7 +44,7 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     settings = RetargetOptions(map=path)
     try:
         retargeting, _, notices = retarget_stream(
-            TakeStream.of(take), take.rig, settings, plant_similar_legs=True
+            TakeStream.of(take), take.rig, settings, plants_similar_legs=True
         )
     except OptionError as error:
         context.notices.append(no_body_warning(error))
@@ -57,7 +57,7 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     context.notices.extend(
         notice for notice in notices if not (is_known and notice.code == "MAP009")
     )
-    if retargeting.contact_frames.placed is None:
+    if retargeting.contact_frames.placed_feet is None:
         return take
     motion = Motion.concatenate(list(retargeting.blocks()))
     context.scores.append(fit_scores(retargeting.report()))
@@ -69,7 +69,7 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
         if parent in joints_of_legs:
             joints_of_legs.add(j)
     rotating_joints = np.array(sorted(joints_of_legs))
-    root = np.array([max(skeleton.first("hips"), 0)])
+    root = np.array([max(skeleton.first_joint("hips"), 0)])
     rotations = motion.rotations.gather(rotating_joints)
     planted_motion = replace(
         take.motion,

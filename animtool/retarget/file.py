@@ -100,7 +100,7 @@ class MapFile:
     model: MapModel
 
 
-class FileEntry(NamedTuple):
+class ResolvedEntry(NamedTuple):
     """Source and target joints of a map file's entry, as joint indices."""
 
     source: tuple[int, ...]
@@ -109,12 +109,13 @@ class FileEntry(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class FileMap:
+class ResolvedMap:
     """A map file resolved for two skeletons."""
 
-    entries: tuple[FileEntry, ...]
+    entries: tuple[ResolvedEntry, ...]
     twists: tuple[TwistFraction, ...] | None
-    ignored: tuple[frozenset[int], frozenset[int]]  # source and target joints at rest
+    # Source joints and target joints that stay at rest.
+    ignored_joints: tuple[frozenset[int], frozenset[int]]
     is_exclusive: bool  # whether joints that the file omits stay unmapped
 
 
@@ -128,7 +129,7 @@ def load_map(path: Path | str) -> MapFile:
 
 
 def parse_map_document(document: Document) -> MapFile:
-    """Return the map file that a document describes."""
+    """Return a document as a map file; raise on repeated targets or unknown roles."""
     check_version(document, "map")
     model = validate_document(document, MapModel)
     entry_of_joint: dict[str, int] = {}
@@ -147,7 +148,7 @@ def parse_map_document(document: Document) -> MapFile:
     return MapFile(document, model)
 
 
-def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
+def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
     """Return a map file's joints as indices of two skeletons.
 
     A joint is matched by its name or by its name in the source file, with or without
@@ -155,25 +156,27 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     """
     document, model = file.document, file.model
     rigs = {"source": source, "target": target}
-    indices = {side: _joints_by_name(rig) for side, rig in rigs.items()}
-    _check_sides(file, rigs, indices)
+    joints_by_name = {side: _joints_by_name(rig) for side, rig in rigs.items()}
+    _refuse_swapped_map(file, rigs, joints_by_name)
 
     def joint_indices(
         side: str, names: Sequence[str], *location: str | int
     ) -> tuple[int, ...]:
         """Return the indices of joints by name; record unknown ones."""
         for i, name in enumerate(names):
-            if name not in indices[side]:
+            if name not in joints_by_name[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
                 other = "target" if side == "source" else "source"
-                hint = nearest(name, indices[side])
-                if name in indices[other]:
+                hint = nearest(name, joints_by_name[side])
+                if name in joints_by_name[other]:
                     hint = f"it is a joint of the {other} {rigs[other].name!r}"
                 document.add("MAP001", (*location, i), message, hint)
-        return tuple(indices[side][name] for name in names if name in indices[side])
+        return tuple(
+            joints_by_name[side][n] for n in names if n in joints_by_name[side]
+        )
 
     entries = [
-        FileEntry(
+        ResolvedEntry(
             joint_indices("source", _name_list(entry.source), "joints", i, "source"),
             joint_indices("target", _name_list(entry.target), "joints", i, "target"),
             entry.role or "",
@@ -193,7 +196,7 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
         for side in rigs
     ]
     document.check()
-    return FileMap(
+    return ResolvedMap(
         tuple(entries),
         None if model.twists is None else tuple(twists),
         (ignored[0], ignored[1]),
@@ -201,14 +204,14 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     )
 
 
-def _check_sides(
-    file: MapFile, rigs: Mapping[str, Rig], indices: Mapping[str, Mapping[str, int]]
+def _refuse_swapped_map(
+    file: MapFile, rigs: Mapping[str, Rig], joints: Mapping[str, Mapping[str, int]]
 ) -> None:
     """Raise a single fault if a map has source and target swapped (MAP001)."""
     document, entries = file.document, file.model.joints
     for side, other in (("source", "target"), ("target", "source")):
         names = [name for entry in entries for name in _name_list(getattr(entry, side))]
-        if not all(n in indices[other] and n not in indices[side] for n in names):
+        if not all(n in joints[other] and n not in joints[side] for n in names):
             return
     name = names[0]
     message = "source and target are swapped in this map: its targets, such as "
@@ -225,9 +228,9 @@ def _name_list(value: str | list[str]) -> list[str]:
 
 def _joints_by_name(rig: Rig) -> Mapping[str, int]:
     """Return a lookup of joint indices by every name that matches a joint."""
-    index: dict[str, int] = {}
+    joints: dict[str, int] = {}
     names_in_file = [joint.source_name or joint.name for joint in rig.joints]
     for names in (rig.names, names_in_file, strip_common_prefix(names_in_file)):
         for j, name in enumerate(names):
-            index.setdefault(name, j)
-    return index
+            joints.setdefault(name, j)
+    return joints

@@ -62,14 +62,15 @@ def _digits_by_position(
     body: SkeletonTree, paths: Sequence[list[int]], hand: int
 ) -> list[str]:
     """Return each path's finger by knuckle order; the thumb is nearest the wrist."""
-    count = len(paths)
-    if count <= 2 and max(map(len, paths)) < 3:
+    path_count = len(paths)
+    if path_count <= 2 and max(map(len, paths)) < 3:
         # A mitten next to a thumb, which is shorter or begins first.
-        thumb = min(range(count), key=lambda i: (len(paths[i]), -i))
-        return [
-            "thumb" if i == thumb and count > 1 else MITTEN_ROLE for i in range(count)
-        ]
-    if count == 1:
+        thumb_index = min(range(path_count), key=lambda i: (len(paths[i]), -i))
+        digits = [MITTEN_ROLE] * path_count
+        if path_count > 1:
+            digits[thumb_index] = "thumb"
+        return digits
+    if path_count == 1:
         return ["index"]
     wrist = body.positions[hand]
     # All metacarpals begin near the wrist; the third joint from the end does not.
@@ -83,18 +84,18 @@ def _digits_by_position(
     mean_finger_direction = directions.sum(axis=0)
     mean_finger_direction /= max(float(np.linalg.norm(mean_finger_direction)), 1e-30)
     largest_extent = max(float(np.abs(knuckle_offsets @ mean_direction).max()), 1e-30)
-    scores = knuckle_offsets @ mean_direction / largest_extent
-    scores = scores + directions @ mean_finger_direction
-    thumb = int(np.argmin(scores))
-    finger_indices = [i for i in range(count) if i != thumb]
+    finger_scores = knuckle_offsets @ mean_direction / largest_extent
+    finger_scores = finger_scores + directions @ mean_finger_direction
+    thumb_index = int(np.argmin(finger_scores))
+    finger_indices = [i for i in range(path_count) if i != thumb_index]
     knuckle_center = knuckles[finger_indices].mean(axis=0)
-    across_palm = knuckles[thumb] - knuckle_center
+    across_palm = knuckles[thumb_index] - knuckle_center
     across_palm -= mean_direction * (across_palm @ mean_direction)
     finger_indices.sort(
         key=lambda i: -float((knuckles[i] - knuckle_center) @ across_palm)
     )
-    digits = [""] * count
-    digits[thumb] = "thumb"
+    digits = [""] * path_count
+    digits[thumb_index] = "thumb"
     for i, digit in zip(finger_indices, DIGITS[1:], strict=False):
         digits[i] = digit
     return digits
@@ -118,14 +119,14 @@ def _phalanx_roles(
     else:
         # A finger with one joint more than the thumb begins with its metacarpal, and so
         # does a finger of four joints whose last joint carries a bone.
-        carries_bone = body.tip_lengths[path[-1]] > 0
-        has_metacarpal = len(path) > 3 and (carries_bone or len(path) > thumb_length)
+        has_last_bone = body.tip_lengths[path[-1]] > 0
+        has_metacarpal = len(path) > 3 and (has_last_bone or len(path) > thumb_length)
         best_start = int(not has_metacarpal)
     roles = {}
     for i, j in enumerate(path):
-        number = i + best_start
-        if number > 3:
+        phalanx = i + best_start
+        if phalanx > 3:
             roles[j] = END
-        elif number >= (digit == "thumb"):
-            roles[j] = f"{digit}_{number}_{side}"
+        elif phalanx >= (digit == "thumb"):
+            roles[j] = f"{digit}_{phalanx}_{side}"
     return roles

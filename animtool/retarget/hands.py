@@ -49,29 +49,28 @@ class ArmTracks(Rows):
     def of(
         transfer: Transfer,
         side: str,
-        source: FloatArray,
+        source_positions: FloatArray,
         rotations: FloatArray,
-        relative: FloatArray,
+        offsets: FloatArray,
     ) -> ArmTracks:
         """Return the arm tracks of a block of frames.
 
         Args:
             transfer: The transfer between the skeletons.
             side: Side of the arm.
-            source: Source joints in the target's axes ``(F, J, 3)`` [m].
+            source_positions: Source joints in the target's axes ``(F, J, 3)`` [m].
             rotations: World rotations of the target ``(F, K, 4)``.
-            relative: Target joints relative to the middle of its hips ``(F, K, 3)``
-                [m].
+            offsets: Target joints relative to the middle of its hips ``(F, K, 3)`` [m].
         """
-        target, other = (
+        target_arm, source_arm = (
             arm_joints(skeleton, side)
             for skeleton in (transfer.target, transfer.source)
         )
-        assert target is not None
-        assert other is not None
-        return ArmTracks(
-            relative[:, target], rotations[:, target[:2]], source[:, other[2]]
-        )
+        assert target_arm is not None
+        assert source_arm is not None
+        bone_rotations = rotations[:, target_arm[:2]]
+        source_wrist = source_positions[:, source_arm[2]]
+        return ArmTracks(offsets[:, target_arm], bone_rotations, source_wrist)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,19 +93,18 @@ class AnkleHeights:
     target: float
 
     @staticmethod
-    def lift(floor: AnkleHeights | None, scale: float, up: int) -> FloatArray:
+    def lift(ankle_heights: AnkleHeights | None, scale: float, up: int) -> FloatArray:
         """Return the offset that puts the scaled source on the ground ``(3,)`` [m]."""
         lift = np.zeros(3)
-        if floor is not None:
-            lift[up] = floor.target - scale * floor.source
+        if ankle_heights is not None:
+            lift[up] = ankle_heights.target - scale * ankle_heights.source
         return lift
 
 
 def arm_joints(skeleton: RoledSkeleton, side: str) -> list[int] | None:
     """Return shoulder, elbow and wrist of an arm; None if the skeleton lacks one."""
-    arm = [
-        skeleton.first(f"{role}_{side}") for role in ("upper_arm", "forearm", "hand")
-    ]
+    roles = [f"{role}_{side}" for role in ("upper_arm", "forearm", "hand")]
+    arm = list(map(skeleton.first_joint, roles))
     return arm if min(arm) >= 0 else None
 
 
@@ -115,7 +113,7 @@ def hand_contacts(
     sides: str,
     tracks: Sequence[ArmTracks],
     hips: FloatArray,
-    floor: AnkleHeights | None,
+    ankle_heights: AnkleHeights | None,
     fps: float,
     props: Sequence[PropMotion] = (),
 ) -> list[HandContact]:
@@ -130,22 +128,22 @@ def hand_contacts(
         sides: Sides of the arms.
         tracks: Tracks of each arm.
         hips: Middle of the target's hips ``(F, 3)`` [m].
-        floor: Ground height; None if there are no feet to determine it.
+        ankle_heights: Ground height; None if there are no feet to determine it.
         fps: Frames a second.
         props: Props that the hands may grip.
     """
     up = up_index(transfer.target.rig)
-    ground_offset = AnkleHeights.lift(floor, transfer.scale, up)
+    ground_offset = AnkleHeights.lift(ankle_heights, transfer.scale, up)
     wrists = [hips + arm.joints[:, 2] for arm in tracks]
     lengths = [_arm_length(transfer.source, side) for side in sides]
     scales = [
         _arm_length(transfer.target, side) / length if length > 0 else 1.0
         for side, length in zip(sides, lengths, strict=True)
     ]
-    count = len(hips)
+    frame_count = len(hips)
     shoulders = [hips + arm.joints[:, 0] for arm in tracks]
     goals = [wrist.copy() for wrist in wrists]
-    is_active = [np.zeros(count, np.bool_) for _ in tracks]
+    is_active = [np.zeros(frame_count, np.bool_) for _ in tracks]
     if len(tracks) == 2:
         separation = tracks[0].source_wrist - tracks[1].source_wrist
         is_joined = _are_hands_joined(separation, min(lengths), fps)
@@ -159,25 +157,26 @@ def hand_contacts(
             is_active[k] |= is_joined
     contacts = []
     for k, side in enumerate(sides):
-        source, length, ground_level = tracks[k].source_wrist, lengths[k], None
-        grip_frames, gripped_props = np.zeros(count, np.bool_), set()
+        source_wrist, length, ground_level = tracks[k].source_wrist, lengths[k], None
+        is_gripping, gripped_props = np.zeros(frame_count, np.bool_), frozenset[int]()
         for prop in props:
-            is_gripped = prop.find_gripped_frames(source, length, fps) & ~grip_frames
+            is_gripped = prop.find_gripped_frames(source_wrist, length, fps)
+            is_gripped &= ~is_gripping
             if not is_gripped.any():
                 continue
-            grip = so3.rotate(prop.rotations, prop.in_prop_frame(source))
+            grip = so3.rotate(prop.rotations, prop.in_prop_frame(source_wrist))
             origin = transfer.scale * prop.positions + ground_offset
             goals[k][is_gripped] = (origin + grip)[is_gripped]
             is_active[k] |= is_gripped
-            grip_frames |= is_gripped
-            gripped_props.add(prop.track)
-        if floor is not None:
-            height = source[:, up] - floor.source
+            is_gripping |= is_gripped
+            gripped_props |= {prop.track}
+        if ankle_heights is not None:
+            height = source_wrist[:, up] - ankle_heights.source
             kept_height = np.minimum(height, GROUND_HEIGHT / 2 * length)
-            ground_level = floor.target + transfer.scale * kept_height
-            is_slow = find_contacts(source, None, fps, length, up).ankle & ~grip_frames
-            is_near = height < GROUND_HEIGHT * length
-            for start, end in runs(is_slow & is_near & ~is_active[k]):
+            ground_level = ankle_heights.target + transfer.scale * kept_height
+            is_slow = find_contacts(source_wrist, None, fps, length, up).ankle
+            is_free = is_slow & ~is_gripping & ~is_active[k]
+            for start, end in runs(is_free & (height < GROUND_HEIGHT * length)):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
                 goals[k][start:end, up] = float(ground_level[start:end].mean())
                 is_active[k][start:end] = True
@@ -192,8 +191,7 @@ def hand_contacts(
         bends = _arm_rotations(
             transfer.target, side, tracks[k], shoulders[k], goals[k], is_contact, fps
         )
-        prop_tracks = frozenset(gripped_props)
-        contacts.append(HandContact(side, goals[k], is_active[k], bends, prop_tracks))
+        contacts.append(HandContact(side, goals[k], is_active[k], bends, gripped_props))
     return contacts
 
 
@@ -286,9 +284,9 @@ def elbow_hinge(skeleton: RoledSkeleton, arm: Sequence[int]) -> FloatArray:
 
     It is perpendicular to the upper arm and as level as possible.
     """
-    bone = skeleton.bone(arm[0])
-    facing = skeleton.facing
-    up = np.array([0.0, 1.0, 0.0]) if facing is None else facing[1]
+    bone = skeleton.bone_direction(arm[0])
+    facing_axes = skeleton.facing_axes
+    up = np.array([0.0, 1.0, 0.0]) if facing_axes is None else facing_axes[1]
     axis = np.cross(up, np.array([1.0, 0.0, 0.0]) if bone is None else bone)
     norm = float(np.linalg.norm(axis))
     axis = axis / norm if norm > 0 else np.array([0.0, 0.0, 1.0])

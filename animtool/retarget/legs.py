@@ -41,35 +41,34 @@ class LegTracks(Rows):
     def of(
         transfer: Transfer,
         side: str,
-        source: FloatArray,
+        source_positions: FloatArray,
         source_ball: FloatArray,
         rotations: FloatArray,
-        relative: FloatArray,
+        offsets: FloatArray,
     ) -> LegTracks:
         """Return the leg tracks of a block of frames.
 
         Args:
             transfer: The transfer between the skeletons.
             side: Side of the leg.
-            source: Source joints in the target's axes ``(F, J, 3)`` [m].
+            source_positions: Source joints in the target's axes ``(F, J, 3)`` [m].
             source_ball: Ball of the source's foot, or its ankle, in these axes ``(F,
                 3)`` [m].
             rotations: World rotations of the target ``(F, K, 4)``.
-            relative: Target joints relative to the middle of its hips ``(F, K, 3)``
-                [m].
+            offsets: Target joints relative to the middle of its hips ``(F, K, 3)`` [m].
         """
         target = transfer.target
         thigh, shin, foot, _ = leg_joints(target, side)
         thigh_parent = int(target.rig.parents[thigh])
         source_thigh, _, ankle, _ = leg_joints(transfer.source, side)
         source_points = np.concatenate(
-            [source[:, [source_thigh, ankle]], source_ball[:, None]], axis=1
+            [source_positions[:, [source_thigh, ankle]], source_ball[:, None]], axis=1
         )
         return LegTracks(
-            relative[:, thigh],
-            relative[:, foot],
-            ball_of_foot(target, side, relative, rotations),
-            relative[:, shin],
+            offsets[:, thigh],
+            offsets[:, foot],
+            ball_of_foot(target, side, offsets, rotations),
+            offsets[:, shin],
             rotations[:, [max(thigh_parent, 0), thigh, shin, foot]],
             source_points.reshape(len(source_points), 9),
         )
@@ -94,7 +93,7 @@ class LegTracks(Rows):
             self.ankle,
             self.toe if side in transfer.target.balls else None,
             self.rotations[:, 3],
-            None if transfer.similar_legs else _flat_rotation(transfer, leg[2]),
+            None if transfer.has_similar_legs else _flat_rotation(transfer, leg[2]),
             _planted_ankle_height(transfer, side, contacts.ground, up),
             longest_reach,
             shortest_reach,
@@ -104,7 +103,7 @@ class LegTracks(Rows):
 
 
 def up_index(rig: Rig) -> int:
-    """Return the index of the up axis."""
+    """Return the index of a rig's up axis in a vector: 1 for Y, 2 for Z."""
     return 1 if rig.up is UpAxis.Y else 2
 
 
@@ -149,16 +148,16 @@ def _leg_reach(
         lower_limit, upper_limit = joint.limits.low, joint.limits.high
     # The squared distance varies with the cosine of the angle about that of its
     # maximum.
-    pin = np.array(joint.axis, np.float64)
+    pin_axis = np.array(joint.axis, np.float64)
     bone = so3.rotate(so3.conjugate(rest_rotation), upper)
-    cosine = bone @ lower - (bone @ pin) * (lower @ pin)
-    straight_angle = np.arctan2(bone @ np.cross(pin, lower), cosine)
+    cosine = bone @ lower - (bone @ pin_axis) * (lower @ pin_axis)
+    straight_angle = np.arctan2(bone @ np.cross(pin_axis, lower), cosine)
     free_angle = straight_angle + np.pi * np.arange(-4, 5)
     angles = np.append(
         free_angle[(free_angle > lower_limit) & (free_angle < upper_limit)],
         [lower_limit, upper_limit],
     )
-    rotations = so3.from_axis_angle(pin, angles)
+    rotations = so3.from_axis_angle(pin_axis, angles)
     tips = upper + so3.rotate(so3.multiply(rest_rotation, rotations), lower)
     distances = np.linalg.norm(tips, axis=1)
     return float(distances.min()), float(distances.max())
@@ -170,8 +169,8 @@ def _flat_rotation(transfer: Transfer, foot: int) -> FloatArray:
     A source whose rest pose lies down does not define that rotation.
     """
     target = transfer.target
-    facing, up = target.facing, up_index(target.rig)
-    if facing is None or facing[1, up] < MIN_STANDING_COSINE:
+    facing_axes, up = target.facing_axes, up_index(target.rig)
+    if facing_axes is None or facing_axes[1, up] < MIN_STANDING_COSINE:
         return np.asarray(transfer.rest_alignment[foot])
     return np.asarray(target.rotations[foot])
 
@@ -182,7 +181,7 @@ def _planted_ankle_height(
     """Return the height of a planted ankle above the ground [m]."""
     target, source = transfer.target, transfer.source
     leg = leg_joints(target, side)
-    if transfer.similar_legs:
+    if transfer.has_similar_legs:
         return transfer.scale * ground
     lowest = float(target.positions[:, up].min())
     ankle = float(target.positions[leg[2], up])
@@ -201,7 +200,7 @@ def _planted_ankle_height(
 def ankle_rotations(
     target: RoledSkeleton,
     side: str,
-    joints: FloatArray,
+    joint_positions: FloatArray,
     goal: FloatArray,
     rotations: tuple[FloatArray, FloatArray],
     swivel: FloatArray | None = None,
@@ -211,45 +210,44 @@ def ankle_rotations(
     Args:
         target: The skeleton.
         side: Side of the leg.
-        joints: Starts of thigh, shin and foot ``(F, 3, 3)`` [m].
+        joint_positions: Starts of thigh, shin and foot ``(F, 3, 3)`` [m].
         goal: Goal of the ankle ``(F, 3)`` [m].
         rotations: Current world rotations of thigh and shin ``(F, 4)``.
         swivel: Rotation of the knee about the line from hip to ankle ``(F,)`` [rad].
     """
     leg = leg_joints(target, side)[:3]
     bone_rotations = limb_rotations(
-        target, leg, joints, goal, rotations, _knee_axis(target, leg[1])
+        target, leg, joint_positions, goal, rotations, _knee_axis(target, leg[1])
     )
     if swivel is None:
         return bone_rotations
-    return swivel_leg(bone_rotations, goal - joints[:, 0], swivel)
+    return swivel_leg(bone_rotations, goal - joint_positions[:, 0], swivel)
 
 
 def limb_rotations(
     target: RoledSkeleton,
     limb: Sequence[int],
-    joints: FloatArray,
+    joint_positions: FloatArray,
     goal: FloatArray,
     rotations: tuple[FloatArray, FloatArray],
-    hinge: FloatArray,
+    hinge_axis: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return world rotations of a limb's two bones that bring its end to a goal.
 
     Args:
         target: The skeleton.
         limb: Joints of the limb: first, middle and end.
-        joints: Positions of these joints ``(F, 3, 3)`` [m].
+        joint_positions: Positions of these joints ``(F, 3, 3)`` [m].
         goal: Goal of the end ``(F, 3)`` [m].
         rotations: Current world rotations of both bones ``(F, 4)``.
-        hinge: Rotation axis of a straight limb's middle joint, in that joint's frame
-            ``(3,)``.
+        hinge_axis: Rotation axis of a straight limb's middle joint ``(3,)``, in that
+            joint's frame.
     """
     if target.rig.joints[limb[1]].type is JointType.PIN:
-        return _bend_pin_limb(target, limb, joints[:, 0], goal, rotations)
-    joint_positions = joints[:, 1], joints[:, 2]
-    return bend_limb(
-        joints[:, 0], joint_positions, goal, rotations, so3.rotate(rotations[1], hinge)
-    )
+        return _bend_pin_limb(target, limb, joint_positions[:, 0], goal, rotations)
+    start, middle, end = (joint_positions[:, i] for i in range(3))
+    straight_axis = so3.rotate(rotations[1], hinge_axis)
+    return bend_limb(start, (middle, end), goal, rotations, straight_axis)
 
 
 def swivel_leg(
@@ -272,16 +270,16 @@ def _bend_pin_limb(
     rig, (_, middle, end_joint) = target.rig, limb
     joint, rest_rotation = rig.joints[middle], rig.rest_rotations[middle]
     local_rotation = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
-    pin = np.array(joint.axis, np.float64)
+    pin_axis = np.array(joint.axis, np.float64)
     from_rest = so3.multiply(so3.conjugate(rest_rotation), local_rotation)
     angle = swing_twist(from_rest, joint.axis)[1]
     lower = so3.rotate(rest_rotation, target.offset(middle, end_joint))
     bones = rig.rest_translations[middle], lower
     limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
-    upper, pin_angle = bend_at_pin(
-        start, goal, rotations[0], bones, so3.rotate(rest_rotation, pin), angle, limits
-    )
-    bend = so3.multiply(rest_rotation, so3.from_axis_angle(pin, pin_angle))
+    axis = so3.rotate(rest_rotation, pin_axis)
+    pin = bones, axis, angle, limits
+    upper, pin_angle = bend_at_pin(start, goal, rotations[0], *pin)
+    bend = so3.multiply(rest_rotation, so3.from_axis_angle(pin_axis, pin_angle))
     return upper, so3.multiply(upper, bend)
 
 
@@ -290,6 +288,6 @@ def _knee_axis(target: RoledSkeleton, shin: int) -> FloatArray:
     joint = target.rig.joints[shin]
     if joint.type is JointType.PIN:
         return np.array(joint.axis, np.float64)
-    facing = target.facing
-    left_axis = np.eye(3)[0] if facing is None else facing[0]
+    facing_axes = target.facing_axes
+    left_axis = np.eye(3)[0] if facing_axes is None else facing_axes[0]
     return so3.rotate(so3.conjugate(target.rotations[shin]), left_axis)

@@ -120,15 +120,15 @@ class _Leg:
         )
         parent_rotation = self.tracks.rotations[:, 0]
         rest_rotation = rig.rest_rotations[thigh]
-        frame = so3.multiply(parent_rotation, rest_rotation)
-        local = so3.multiply(so3.conjugate(frame), thigh_rotation)
+        rest_world_rotation = so3.multiply(parent_rotation, rest_rotation)
+        local = so3.multiply(so3.conjugate(rest_world_rotation), thigh_rotation)
         clamped_local = so3.multiply(rest_rotation, limit.clamped(local))
-        clamped = so3.multiply(parent_rotation, clamped_local)
+        clamped_thigh = so3.multiply(parent_rotation, clamped_local)
         # The knee keeps its bend.
         bend = so3.multiply(so3.conjugate(thigh_rotation), shin_rotation)
-        shin_rotation = so3.multiply(clamped, bend)
+        shin_rotation = so3.multiply(clamped_thigh, bend)
         bones = rig.rest_translations
-        knee = hip_positions + so3.rotate(clamped, bones[shin])
+        knee = hip_positions + so3.rotate(clamped_thigh, bones[shin])
         ankle = knee + so3.rotate(shin_rotation, bones[foot])
         up = up_index(rig)
         depth = np.maximum(self.ankle_goal[:, up] - ankle[:, up], 0.0)
@@ -151,8 +151,8 @@ def solve_within_limits(
         feet_paths: Goals of hips and feet.
         fps: Frames a second.
     """
-    feet = (feet_paths.ankles, feet_paths.rotations, feet_paths.is_planted)
-    legs = [_Leg(target, *leg) for leg in zip(sides, tracks, *feet, strict=True)]
+    foot_arrays = (feet_paths.ankles, feet_paths.rotations, feet_paths.is_planted)
+    legs = [_Leg(target, *leg) for leg in zip(sides, tracks, *foot_arrays, strict=True)]
     hips = feet_paths.hips.copy()
     angles = [leg.solve_swivel(hips, fps) for leg in legs]
     for attempt in range(MAX_HIP_ITERATIONS):

@@ -62,10 +62,6 @@ class JointMap:
     target: Anatomy
     notices: tuple[Fault, ...] = ()
 
-    def by_role(self, role: str) -> JointPair | None:
-        """Return the first pair of a role; None if it is not mapped."""
-        return next((pair for pair in self.pairs if pair.role == role), None)
-
 
 def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
     """Format a joint map as the text of a map file that users can edit.

@@ -51,7 +51,7 @@ from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
 # Fraction of the frames at limits that only a wrong rest pose explains [1].
-MIN_STOPPED = 0.95
+MIN_STOPPED_FRACTION = 0.95
 
 # Frames of a block: its arrays fit into the processor's cache. Blocks begin at the
 # first frame of a take, whatever the blocks of the input are.
@@ -101,7 +101,7 @@ class Retargeting:
         fps: float,
         *,
         lock: bool = True,
-        plant_similar_legs: bool = False,
+        plants_similar_legs: bool = False,
         hands: bool = False,
         props: PropTracks | None = None,
     ) -> None:
@@ -113,7 +113,7 @@ class Retargeting:
             motions: Motion of the source, block by block.
             fps: Frames a second.
             lock: Whether planted feet stay in place.
-            plant_similar_legs: Whether ``lock`` also applies to legs like those of the
+            plants_similar_legs: Whether ``lock`` also applies to legs like those of the
                 source; else such legs move as the source's do.
             hands: Whether hands keep their contacts.
             props: Tracks of the take that hands may grip.
@@ -132,44 +132,45 @@ class Retargeting:
         arms = ""
         if hands:
             arms = "".join(s for s in "lr" if all(arm_joints(k, s) for k in skeletons))
-        tracks, arm_tracks = self._read_tracks(motions, legs, arms)
+        leg_tracks, arm_tracks = self._read_tracks(motions, legs, arms)
         feet = [
-            leg_tracks.foot(transfer, side, fps)
-            for leg_tracks, side in zip(tracks, legs, strict=True)
+            tracks.foot(transfer, side, fps)
+            for tracks, side in zip(leg_tracks, legs, strict=True)
         ]
-        planted = None
-        if legs and lock and (plant_similar_legs or not transfer.similar_legs):
-            planted = self._plant_feet(legs, tracks, feet, fps)
-        floor = _ankle_heights(transfer, feet, are_planted=planted is not None)
+        placed_feet = None
+        if legs and lock and (plants_similar_legs or not transfer.has_similar_legs):
+            placed_feet = self._plant_feet(legs, leg_tracks, feet, fps)
+        are_planted = placed_feet is not None
+        ankle_heights = _ankle_heights(transfer, feet, are_planted=are_planted)
         hand_goals = hand_contacts(
             transfer,
             arms,
             arm_tracks,
             self._hips,
-            floor,
+            ankle_heights,
             fps,
             props.moving_props(transfer) if props is not None and arms else (),
         )
         # Offset of gripped props (3,) [m].
         up = up_index(transfer.target.rig)
-        self.lift = AnkleHeights.lift(floor, transfer.scale, up)
+        self.lift = AnkleHeights.lift(ankle_heights, transfer.scale, up)
         contacts = tuple(foot.contacts for foot in feet)
-        self.contact_frames = ContactFrames(legs, contacts, planted, hand_goals)
+        self.contact_frames = ContactFrames(legs, contacts, placed_feet, hand_goals)
         self._meter = FitMeter(transfer, joint_map, self.contact_frames)
-        self._clamped_frames: Counter[int] = Counter()
-        self._frames = 0
+        self._clamped_counts: Counter[int] = Counter()
+        self._frame_count = 0
 
     def _read_tracks(
         self, motions: Iterable[Motion], legs: str, arms: str
     ) -> tuple[list[LegTracks], list[ArmTracks]]:
         """Read the take and return the motion of its legs and arms over all frames."""
         transfer = self.transfer
-        tracks: list[list[LegTracks]] = []
+        leg_tracks: list[list[LegTracks]] = []
         arm_tracks: list[list[ArmTracks]] = []
         hips = []
         for motion in split_blocks(motions, BLOCK_FRAMES):
-            moving = len(motion.rotations.animated) + len(motion.translations.animated)
-            self._is_animated |= moving > 0
+            for channel in (motion.rotations, motion.translations):
+                self._is_animated |= len(channel.animated) > 0
             self._record_moving_joints(motion)
             block = self._pose_frames(motion, legs)
             rotations = block.rotations
@@ -178,16 +179,16 @@ class Retargeting:
                 LegTracks.of(transfer, side, source, block.balls[:, k], *target)
                 for k, side in enumerate(legs)
             ]
-            tracks.append(block_legs)
-            block_tracks = [ArmTracks.of(transfer, s, source, *target) for s in arms]
-            arm_tracks.append(block_tracks)
+            leg_tracks.append(block_legs)
+            block_arms = [ArmTracks.of(transfer, s, source, *target) for s in arms]
+            arm_tracks.append(block_arms)
             hips.append(block.hips)
             arrays = [block.source, rotations.local, rotations.world, block.bones]
             self._spool.append([*arrays, block.relative_positions, block.balls])
-            self._clamped_blocks.append(rotations.clamped)
+            self._clamped_blocks.append(rotations.clamped_frames)
         self._hips = np.concatenate(hips)
         return (
-            [LegTracks.concatenate(blocks) for blocks in zip(*tracks, strict=True)],
+            [LegTracks.concatenate(blocks) for blocks in zip(*leg_tracks, strict=True)],
             [ArmTracks.concatenate(blocks) for blocks in zip(*arm_tracks, strict=True)],
         )
 
@@ -216,11 +217,11 @@ class Retargeting:
             foot.height - transfer.scale * foot.contacts.ground for foot in feet
         ]
         self._hips[:, up] += float(np.mean(ground_offsets))
-        placed = plant_feet(self._hips, feet, fps, up)
+        placed_feet = plant_feet(self._hips, feet, fps, up)
         self._hips, self._swivels = solve_within_limits(
-            transfer.target, legs, tracks, placed, fps
+            transfer.target, legs, tracks, placed_feet, fps
         )
-        return placed
+        return placed_feet
 
     def _pose_frames(self, motion: Motion, legs: str) -> _PosedFrames:
         """Transfer frames to the target rig, before feet are planted."""
@@ -230,29 +231,33 @@ class Retargeting:
         positions = forward_kinematics(source.rig, *local).positions
         world = world_rotations(source.rig, local[1])
         rotations = twist_to_hinge_axes(transfer, transfer.rotations(world))
-        posed = local_rotations(transfer, rotations)
-        bones = transfer.bones(world, local[0], posed.world)
-        relative = relative_to_hips(target, posed.world, bones, limb_joints(target))
+        limited_rotations = local_rotations(transfer, rotations)
+        world_limited = limited_rotations.world
+        bones = transfer.bones(world, local[0], world_limited)
+        relative = relative_to_hips(target, world_limited, bones, limb_joints(target))
         hips = transfer.hips(positions)
         balls = np.zeros((len(positions), len(legs), 3))
         for k, side in enumerate(legs):
             balls[:, k] = ball_of_foot(source, side, positions, world)
         source_positions = transfer.to_target_axes(positions)
         balls = transfer.to_target_axes(balls)
-        return _PosedFrames(source_positions, balls, posed, bones, relative, hips)
+        return _PosedFrames(
+            source_positions, balls, limited_rotations, bones, relative, hips
+        )
 
     @property
-    def clamped(self) -> Mapping[int, float]:
+    def clamped_fractions(self) -> Mapping[int, float]:
         """Fraction of the frames so far in which limits clamp each joint."""
-        return {j: count / self._frames for j, count in self._clamped_frames.items()}
+        counts = self._clamped_counts
+        return {j: count / self._frame_count for j, count in counts.items()}
 
     def report(self) -> RetargetReport:
         """Return the fit report of the frames so far."""
-        return self._meter.report(self.clamped)
+        return self._meter.report(self.clamped_fractions)
 
     def verdict(self) -> Verdict:
-        """Return whether the frames so far are usable."""
-        verdict = self._meter.verdict(self.clamped, self.ignored_errors)
+        """Return whether the frames so far are usable, and which ones to check."""
+        verdict = self._meter.verdict(self.clamped_fractions, self.ignored_errors)
         reasons = []
         if stopped := self.stopped_by_rest_frame:
             reasons.append(VerdictReason("stopped by their limits", listed(stopped)))
@@ -268,48 +273,49 @@ class Retargeting:
         if self.rest_frame is None:
             return []
         names = self.transfer.target.rig.names
-        return [names[j] for j, part in self.clamped.items() if part >= MIN_STOPPED]
+        fractions = self.clamped_fractions.items()
+        return [names[j] for j, part in fractions if part >= MIN_STOPPED_FRACTION]
 
     def blocks(self) -> Iterator[Motion]:
         """Yield the target's motion block by block; it can be read once."""
         rig = self.transfer.target.rig
-        first_rows: tuple[FloatArray, FloatArray] | None = None
+        first_values: tuple[FloatArray, FloatArray] | None = None
         last_rotations: FloatArray | None = None
-        twists: FloatArray | None = None
-        for clamped, arrays in zip(
+        twist_angles: FloatArray | None = None
+        for clamped_frames, arrays in zip(
             self._clamped_blocks, self._spool.drain(), strict=True
         ):
-            begin, count = self._frames, len(arrays[0])
+            begin, count = self._frame_count, len(arrays[0])
             hips = self._hips[begin : begin + count]
-            source, local, world, bones, hip_relative, balls = arrays
-            rotations = LocalRotations(local, world, clamped)
-            rotations = self._solve_legs(rotations, hips, hip_relative, begin)
+            source, local, world, bones, relative_positions, balls = arrays
+            rotations = LocalRotations(local, world, clamped_frames)
+            rotations = self._solve_legs(rotations, hips, relative_positions, begin)
             rotations = self._solve_arms(rotations, begin)
-            self._frames += count
-            for j, is_clamped in rotations.clamped.items():
-                self._clamped_frames[j] += int(is_clamped.sum())
+            self._frame_count += count
+            for j, is_clamped in rotations.clamped_frames.items():
+                self._clamped_counts[j] += int(is_clamped.sum())
             local = rotations.local
-            twists = distribute_twist(self.transfer, local, twists)
-            root, path = root_translations(
-                self.transfer.target, hips, rotations.world, bones, hip_relative
+            twist_angles = distribute_twist(self.transfer, local, twist_angles)
+            root, root_path = root_translations(
+                self.transfer.target, hips, rotations.world, bones, relative_positions
             )
             translations = np.broadcast_to(bones, (count, *bones.shape[1:])).copy()
-            translations[:, root] = path
+            translations[:, root] = root_path
             local = so3.align_signs(local, last_rotations)
             last_rotations = local[-1]
-            if first_rows is None:
-                first_rows = translations[0].copy(), local[0].copy()
+            if first_values is None:
+                first_values = translations[0].copy(), local[0].copy()
             # Motion from rounding alone is removed.
-            for values, first_row in zip(
-                (translations, local), first_rows, strict=True
+            for values, first_value in zip(
+                (translations, local), first_values, strict=True
             ):
-                static = np.abs(values - first_row) < ROUNDING_TOLERANCE
-                np.copyto(values, first_row, where=static)
-            posed = forward_kinematics(rig, translations, local)
-            self._meter.add(begin, posed, source, balls)
+                is_static = np.abs(values - first_value) < ROUNDING_TOLERANCE
+                np.copyto(values, first_value, where=is_static)
+            world_pose = forward_kinematics(rig, translations, local)
+            self._meter.add(begin, world_pose, source, balls)
             yield Motion(
-                self._animated_channel(translations, first_rows[0]),
-                self._animated_channel(local, first_rows[1]),
+                self._animated_channel(translations, first_values[0]),
+                self._animated_channel(local, first_values[1]),
             )
 
     def _animated_channel(self, values: FloatArray, first: FloatArray) -> Channel:
@@ -326,11 +332,12 @@ class Retargeting:
         begin: int,
     ) -> LocalRotations:
         """Return rotations with legs that bring the feet to their placed positions."""
-        target, placed = self.transfer.target, self.contact_frames.placed
-        if placed is None:
+        target, placed_feet = self.transfer.target, self.contact_frames.placed_feet
+        if placed_feet is None:
             return rotations
         legs = [leg_joints(target, side) for side in self.contact_frames.sides]
-        goals = [ankle[begin : begin + len(hips)].copy() for ankle in placed.ankles]
+        frames = slice(begin, begin + len(hips))
+        goals = [ankle[frames].copy() for ankle in placed_feet.ankles]
         rows = np.arange(len(hips))
         solution = self._solve_ankles(
             rotations, hips, relative_positions, goals, rows + begin
@@ -341,7 +348,7 @@ class Retargeting:
             output_frames = rows + begin
             for k, (_, _, foot, _) in enumerate(legs):
                 ball = target.balls.get(self.contact_frames.sides[k])
-                if foot not in solution.clamped or ball is None:
+                if foot not in solution.clamped_frames or ball is None:
                     continue
                 bone = ball.offset
                 if ball.toe >= 0:
@@ -349,21 +356,22 @@ class Retargeting:
                     toe = relative_positions[rows, ball.toe]
                     tip = toe - relative_positions[rows, foot]
                     bone = so3.rotate(inverse_rotation, tip)
-                requested = placed.rotations[k][output_frames]
-                actual = solution.world[rows, foot]
-                toe_error = so3.rotate(requested, bone) - so3.rotate(actual, bone)
-                toe_roll = placed.toe_rolls[k][output_frames, None]
-                goal = placed.ankles[k][output_frames] + toe_roll * toe_error
+                goal_rotations = placed_feet.rotations[k][output_frames]
+                solved_rotations = solution.world[rows, foot]
+                toe_error = so3.rotate(goal_rotations, bone)
+                toe_error -= so3.rotate(solved_rotations, bone)
+                toe_roll = placed_feet.toe_rolls[k][output_frames, None]
+                goal = placed_feet.ankles[k][output_frames] + toe_roll * toe_error
                 error = np.abs(goal - goals[k][rows]).max(axis=1)
                 largest_error = np.maximum(largest_error, error)
                 goals[k][rows] = goal
             rows = rows[largest_error > ANKLE_TOLERANCE * target.size]
             if not len(rows):
                 break
-            row_goals = [goal[rows] for goal in goals]
-            poses = rotations.rows(rows), hips[rows], relative_positions[rows]
-            corrected = self._solve_ankles(*poses, row_goals, rows + begin)
-            solution.set_rows(rows, corrected)
+            frame_goals = [goal[rows] for goal in goals]
+            poses = rotations.select(rows), hips[rows], relative_positions[rows]
+            corrected_rotations = self._solve_ankles(*poses, frame_goals, rows + begin)
+            solution.replace_frames(rows, corrected_rotations)
         return solution
 
     def _solve_ankles(
@@ -375,8 +383,8 @@ class Retargeting:
         frames: IntArray,
     ) -> LocalRotations:
         """Return rotations with ankles at their goals and planted feet held."""
-        target, placed = self.transfer.target, self.contact_frames.placed
-        assert placed is not None
+        target, placed_feet = self.transfer.target, self.contact_frames.placed_feet
+        assert placed_feet is not None
         world = rotations.world.copy()
         changed_joints: set[int] = set()
         for k, side in enumerate(self.contact_frames.sides):
@@ -386,7 +394,7 @@ class Retargeting:
             world[:, leg[0]], world[:, leg[1]] = ankle_rotations(
                 target, side, joints, goals[k], bone_rotations, self._swivels[k][frames]
             )
-            world[:, leg[2]] = placed.rotations[k][frames]
+            world[:, leg[2]] = placed_feet.rotations[k][frames]
             changed_joints.update(leg[:3])
         return local_rotations(self.transfer, world, rotations, changed_joints)
 
@@ -419,20 +427,20 @@ def _ankle_heights(
     return AnkleHeights(ground, float(np.mean([foot.height for foot in feet])))
 
 
-def split_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
+def split_blocks(motions: Iterable[Motion], block_size: int) -> Iterator[Motion]:
     """Yield a motion in blocks of a size [frames]; the last has the remainder."""
     buffered_blocks: list[Motion] = []
-    count = 0
+    frame_count = 0
     for motion in motions:
         start = 0
         while start < motion.frames:
-            end = min(start + size - count, motion.frames)
+            end = min(start + block_size - frame_count, motion.frames)
             buffered_blocks.append(motion.select(slice(start, end)))
-            count += end - start
+            frame_count += end - start
             start = end
-            if count == size:
+            if frame_count == block_size:
                 yield Motion.concatenate(buffered_blocks)
-                buffered_blocks, count = [], 0
+                buffered_blocks, frame_count = [], 0
     if buffered_blocks:
         yield Motion.concatenate(buffered_blocks)
 
@@ -454,10 +462,10 @@ class Retargeted:
 
 def limb_joints(skeleton: RoledSkeleton) -> set[int]:
     """Return the joints that determine hips, legs and arms."""
-    joints = {max(skeleton.first("hips"), 0)}
+    joints = {max(skeleton.first_joint("hips"), 0)}
     for side in "lr":
         joints.update(skeleton.leg(side) or (), arm_joints(skeleton, side) or ())
-        joints.add(skeleton.first(f"thigh_{side}"))
+        joints.add(skeleton.first_joint(f"thigh_{side}"))
     return {joint for joint in joints if joint >= 0}
 
 
@@ -467,7 +475,7 @@ def build_transfer(
     joint_map: JointMap,
     rest: FloatArray | None = None,
     *,
-    as_rig: bool = False,
+    has_same_rest: bool = False,
 ) -> Transfer:
     """Return the transfer of poses from one rig to another.
 
@@ -477,12 +485,14 @@ def build_transfer(
         joint_map: Which joints follow which.
         rest: Local rotations of the source's joints in its rest pose ``(J, 4)``; None
             uses the rest pose of its rig.
-        as_rig: Whether source and target rest in the same pose, whatever the bones look
-            like.
+        has_same_rest: Whether source and target rest in the same pose, whatever the
+            bones look like.
     """
-    source_skeleton = RoledSkeleton.of(source, joint_map.source.roles, rest)
-    target_skeleton = RoledSkeleton.of(target, joint_map.target.roles)
-    return Transfer.of(source_skeleton, target_skeleton, joint_map, as_rig=as_rig)
+    skeletons = (
+        RoledSkeleton.of(source, joint_map.source.roles, rest),
+        RoledSkeleton.of(target, joint_map.target.roles),
+    )
+    return Transfer.of(*skeletons, joint_map, has_same_rest=has_same_rest)
 
 
 def retarget_take(

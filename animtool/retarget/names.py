@@ -52,7 +52,7 @@ _CONTROL_WORDS = {
 # Minimum fraction of names that share a common prefix.
 _MIN_PREFIX_FRACTION = 0.6
 # Number of names of a convention that a skeleton needs to match it.
-_MIN_NAMES = 6
+_MIN_MATCHED_NAMES = 6
 # Entry of the presets with words that many conventions use.
 COMMON_WORDS = "words"
 # Votes of a word that many conventions use, and of a word of another convention.
@@ -73,15 +73,11 @@ class Preset:
     """A naming convention, such as that of a rigging tool: names and their roles."""
 
     name: str
-    title: str
-    source: str  # where the names of the convention were found
-    # whether all names come from there; else some are derived by a rule
-    is_complete: bool
     roles_by_key: Mapping[str, frozenset[str]]  # roles without sides, by `name_key`
     names_by_role: Mapping[str, tuple[str, ...]]  # names by role, the default first
 
     @property
-    def unparsed_names(self) -> frozenset[str]:
+    def full_names(self) -> frozenset[str]:
         """All joint names of the convention, as spelled."""
         return frozenset(
             name for names in self.names_by_role.values() for name in names
@@ -107,22 +103,22 @@ def _split_side(words: Sequence[str]) -> tuple[str, list[str]]:
 
 def strip_common_prefix(names: Sequence[str]) -> list[str]:
     """Return names without namespaces and without their common prefix."""
-    without_namespace = [_NAMESPACE.sub("", name) or name for name in names]
-    without_namespace = [_PREFIX.sub("", name) for name in without_namespace]
+    bare_names = [_NAMESPACE.sub("", name) or name for name in names]
+    bare_names = [_PREFIX.sub("", name) for name in bare_names]
     prefix_counts = Counter(
-        name[: mark.end()]
-        for name in without_namespace
-        for mark in re.finditer(r"[ _.\-]+", name)
+        name[: separator.end()]
+        for name in bare_names
+        for separator in re.finditer(r"[ _.\-]+", name)
     )
     common_prefixes = [
-        start
-        for start, count in prefix_counts.items()
-        if count > max(_MIN_PREFIX_FRACTION * len(without_namespace), 2)
-        and _split_words(start)
-        and not any(word.lower() in _SIDE_WORDS for word in _split_words(start))
+        prefix
+        for prefix, count in prefix_counts.items()
+        if count > max(_MIN_PREFIX_FRACTION * len(bare_names), 2)
+        and _split_words(prefix)
+        and not any(word.lower() in _SIDE_WORDS for word in _split_words(prefix))
     ]
-    longest = max(common_prefixes, key=len, default="")
-    return [name.removeprefix(longest) or name for name in without_namespace]
+    longest_prefix = max(common_prefixes, key=len, default="")
+    return [name.removeprefix(longest_prefix) or name for name in bare_names]
 
 
 def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
@@ -151,10 +147,12 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
 
 def _strip_side_letter(name: str, other: str) -> str:
     """Remove the only letter that differs from a partner's name; "" for no partner."""
-    differing = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
-    if len(name) != len(other) or len(differing) != 1:
+    letters = enumerate(zip(name, other, strict=False))
+    differing_indices = [i for i, (a, b) in letters if a != b]
+    if len(name) != len(other) or len(differing_indices) != 1:
         return ""
-    return name[: differing[0]] + " " + name[differing[0] + 1 :]
+    index = differing_indices[0]
+    return f"{name[:index]} {name[index + 1 :]}"
 
 
 def _name_kind(name: str, words: Sequence[str]) -> str:
@@ -179,7 +177,7 @@ def _load_tables() -> Mapping[str, Preset]:
 
 @cache
 def presets() -> Mapping[str, Preset]:
-    """Return the shipped conventions, by name."""
+    """Return the shipped naming conventions, by name."""
     return {
         name: preset for name, preset in _load_tables().items() if name != COMMON_WORDS
     }
@@ -187,25 +185,22 @@ def presets() -> Mapping[str, Preset]:
 
 def _read_preset(name: str, entry: dict[str, Any]) -> Preset:
     """Return a convention from its entry in the presets file."""
-    keys: dict[str, set[str]] = {}
-    joints: dict[str, list[str]] = {}
+    roles_by_key: dict[str, set[str]] = {}
+    names_by_role: dict[str, list[str]] = {}
     for role, template in _templates(_expand_digits(entry)):
         name_without_side = _NAMESPACE.sub("", template.replace("{s}", " "))
         words = _split_words(_PREFIX.sub("", name_without_side))
-        keys.setdefault("".join(words).lower(), set()).add(role)
+        roles_by_key.setdefault("".join(words).lower(), set()).add(role)
         if "{s}" in template:
             for word, side in zip(entry["sides"], SIDES, strict=True):
-                text = template.replace("{s}", word)
-                joints.setdefault(f"{role}_{side}", []).append(text)
+                joint_name = template.replace("{s}", word)
+                names_by_role.setdefault(f"{role}_{side}", []).append(joint_name)
         else:
-            joints.setdefault(role, []).append(template)
+            names_by_role.setdefault(role, []).append(template)
     return Preset(
         name,
-        entry["title"],
-        entry["source"],
-        entry["seen"],
-        {key: frozenset(roles) for key, roles in keys.items()},
-        {role: tuple(dict.fromkeys(texts)) for role, texts in joints.items()},
+        {key: frozenset(roles) for key, roles in roles_by_key.items()},
+        {role: tuple(dict.fromkeys(names)) for role, names in names_by_role.items()},
     )
 
 
@@ -224,15 +219,15 @@ def _expand_digits(entry: Mapping[str, Any]) -> dict[str, Any]:
 def _templates(joints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield pairs of a role without side and a name template of that role."""
     for role, value in joints.items():
-        entries = value if isinstance(value, list) else [value]
-        for i, entry in enumerate(entries):
-            names = entry if isinstance(entry, list) else [entry]
-            for text in names:
-                yield (f"{role}_{i + 1}" if role in DIGITS else role), text
+        spelling_groups = value if isinstance(value, list) else [value]
+        for i, spellings in enumerate(spelling_groups):
+            alternatives = spellings if isinstance(spellings, list) else [spellings]
+            for template in alternatives:
+                yield (f"{role}_{i + 1}" if role in DIGITS else role), template
 
 
 def find_preset(name: str) -> Preset:
-    """Return a shipped convention."""
+    """Return a shipped naming convention; raise if its name is unknown (MAP003)."""
     table = presets()
     if name not in table:
         hint = nearest(name, sorted(table))
@@ -249,13 +244,13 @@ def best_preset(
         name: (
             # Full names, including prefixes, distinguish conventions that share words.
             len(keys & preset.roles_by_key.keys())
-            + 0.1 * len(preset.unparsed_names.intersection(names)),
+            + 0.1 * len(preset.full_names.intersection(names)),
             -len(preset.roles_by_key),
         )
         for name, preset in presets().items()
     }
     name = max(scores, key=lambda candidate: scores[candidate])
-    return presets()[name] if scores[name][0] >= _MIN_NAMES else None
+    return presets()[name] if scores[name][0] >= _MIN_MATCHED_NAMES else None
 
 
 def role_votes(

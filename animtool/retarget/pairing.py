@@ -14,7 +14,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed, warning
 from animtool.core.record import dataclass
 from animtool.retarget.anatomy import find_anatomy
-from animtool.retarget.file import FileMap, MapFile, load_map, resolve_map
+from animtool.retarget.file import MapFile, ResolvedMap, load_map, resolve_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.roles import (
@@ -47,9 +47,9 @@ _NEXT_ROLES = {
     "foot": ("toe",),
 }
 # Joints that other joints move, that end bones, or that are no part of the body.
-_NO_ROLE = frozenset({TWIST, END, CONTROL})
+_KINDS_WITHOUT_ROLE = frozenset({TWIST, END, CONTROL})
 # Evidence from the name of a joint.
-_NAME_SOURCES = frozenset({RoleSource.NAME, RoleSource.PRESET, RoleSource.FILE})
+_NAME_EVIDENCE = frozenset({RoleSource.NAME, RoleSource.PRESET, RoleSource.FILE})
 # A take with fewer joints has no limb.
 MIN_BODY_JOINTS = 4
 # Twist joints belong to the bone given by their name or position.
@@ -91,33 +91,33 @@ def map_joints(
     >>> [(pair.source, pair.target, pair.role) for pair in found.pairs]
     [(2, 0, 'hand_l')]
     """
-    file_map: FileMap | None = None
+    file_map: ResolvedMap | None = None
     if map_file is not None:
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
         file_map = resolve_map(file, source, target)
-    by_names = mode != "structure"
-    find = partial(find_anatomy, by_names=by_names)
+    uses_names = mode != "structure"
+    find_roles = partial(find_anatomy, uses_names=uses_names)
     anatomies = (
-        find(source, preset=preset, positions=source_positions),
-        find(target, preset=target_preset, positions=target_positions),
+        find_roles(source, preset=preset, positions=source_positions),
+        find_roles(target, preset=target_preset, positions=target_positions),
     )
-    pairing = _PairCollector((source, target), anatomies)
+    collector = _PairCollector((source, target), anatomies)
     if file_map is not None:
-        pairing.add_file(file_map)
+        collector.add_file(file_map)
     if file_map is None or not file_map.is_exclusive:
         if mode == "rename":
-            pairing.add_same_names()
+            collector.add_same_names()
         for role in ROLES:
-            pairing.add_role(role, mode)
+            collector.add_role(role, mode)
         if mode != "rename":
-            pairing.add_mittens()
-        if by_names and mode != "rename" and source is not target:
-            pairing.add_remaining_names()
-    pairs, chains = pairing.pairs, pairing.chains
+            collector.add_mittens()
+        if uses_names and mode != "rename" and source is not target:
+            collector.add_remaining_names()
+    pairs, chains, rigs = collector.pairs, collector.chains, (source, target)
     if file_map is not None and file_map.twists is not None:
         twists = file_map.twists
     else:
-        twists = _twist_fractions(target, anatomies[1], pairing)
+        twists = _twist_fractions(target, anatomies[1], collector)
     if not pairs:
         message = f"no joint of {source.name!r} maps to one of {target.name!r}"
         hint = "name a preset for each, or write a map file"
@@ -139,13 +139,13 @@ def map_joints(
         (
             *anatomies[0].notices,
             *anatomies[1].notices,
-            *_crossed_sides((source, target), anatomies, pairs.values(), map_file),
-            *_leg_counts((source, target), anatomies),
+            *_crossed_side_warnings(rigs, anatomies, pairs.values(), map_file),
+            *_leg_count_warnings(rigs, anatomies),
         ),
     )
 
 
-def _crossed_sides(
+def _crossed_side_warnings(
     rigs: tuple[Rig, Rig],
     anatomies: tuple[Anatomy, Anatomy],
     pairs: Iterable[JointPair],
@@ -170,7 +170,7 @@ def _crossed_sides(
     return [Fault("MAP108", message, file_path, (), hint, Severity.WARNING)]
 
 
-def _leg_counts(
+def _leg_count_warnings(
     rigs: tuple[Rig, Rig], anatomies: tuple[Anatomy, Anatomy]
 ) -> list[Fault]:
     """Return a warning if one skeleton is a biped and the other not (MAP109)."""
@@ -207,11 +207,11 @@ class _PairCollector:
     pairs: dict[int, JointPair] = field(default_factory=dict)  # by joint of the target
     chains: list[JointChain] = field(default_factory=list)
     # Joints that a file keeps at rest, on both sides.
-    ignored: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
+    ignored_joints: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
 
-    def add_file(self, file_map: FileMap) -> None:
+    def add_file(self, file_map: ResolvedMap) -> None:
         """Pair the joints that a map file names."""
-        self.ignored = file_map.ignored
+        self.ignored_joints = file_map.ignored_joints
         for entry in file_map.entries:
             role = entry.role or self.anatomies[1].roles[entry.target[0]]
             role = role if role in ROLES else ""
@@ -222,7 +222,8 @@ class _PairCollector:
         source, target = self.rigs
         names = {name: j for j, name in enumerate(source.names)}
         for j, name in enumerate(target.names):
-            if name in names and j not in self.pairs and j not in self.ignored[1]:
+            is_used = j in self.pairs or j in self.ignored_joints[1]
+            if name in names and not is_used:
                 self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
 
     def add_remaining_names(self) -> None:
@@ -232,11 +233,11 @@ class _PairCollector:
         for pair in self.pairs.values():
             source_joints[pair.target] = pair.source
         used_joints = {j for chain in self.chains for j in chain.source}
-        used_joints |= self.ignored[0]
+        used_joints |= self.ignored_joints[0]
         for joint, other in equal_name_pairs(source, target, source_joints):
             roles = self.anatomies[0].roles[other], self.anatomies[1].roles[joint]
-            is_free = other not in used_joints and joint not in self.ignored[1]
-            if is_free and _NO_ROLE.isdisjoint(roles):
+            is_free = other not in used_joints and joint not in self.ignored_joints[1]
+            if is_free and _KINDS_WITHOUT_ROLE.isdisjoint(roles):
                 self.pairs[joint] = JointPair(other, joint, "", RoleSource.NAME, 1.0)
 
     def add_role(self, role: str, mode: MapMode) -> None:
@@ -246,9 +247,11 @@ class _PairCollector:
                 j
                 for j in anatomy.chain(role)
                 if j not in ignored
-                and (mode != "names" or anatomy.evidence[j] in _NAME_SOURCES)
+                and (mode != "names" or anatomy.evidence[j] in _NAME_EVIDENCE)
             ]
-            for anatomy, ignored in zip(self.anatomies, self.ignored, strict=True)
+            for anatomy, ignored in zip(
+                self.anatomies, self.ignored_joints, strict=True
+            )
         )
         target_joints = [j for j in target_joints if j not in self.pairs]
         if mode == "rename":
@@ -289,7 +292,7 @@ class _PairCollector:
             source_joints, target_joints = mittens
             if source_joints and not target_joints:
                 for j in first_joints[1]:
-                    if j not in self.pairs and j not in self.ignored[1]:
+                    if j not in self.pairs and j not in self.ignored_joints[1]:
                         self._add(self.anatomies[1].roles[j], source_joints[:1], [j])
             elif target_joints and first_joints[0] and not source_joints:
                 middle_finger = first_joints[0][min(1, len(first_joints[0]) - 1)]
@@ -316,10 +319,10 @@ class _PairCollector:
             chain = JointChain(role, *joints, *map(tuple, fractions))
             self.chains.append(chain)
         for i, j in enumerate(target_joints):
-            nearest = i
+            nearest_index = i
             if len(source_joints) != len(target_joints):
-                nearest = _last_index_before(fractions[0], fractions[1][i])
-            source_joint = source_joints[nearest]
+                nearest_index = _nearest_index(fractions[0], fractions[1][i])
+            source_joint = source_joints[nearest_index]
             anatomy, joint = min(
                 zip(self.anatomies, (source_joint, j), strict=True),
                 key=lambda anatomy_joint: anatomy_joint[0].confidence[anatomy_joint[1]],
@@ -350,18 +353,18 @@ def _toes_inside_out(
     return sorted(toes, key=lambda toe: -float(positions[toe[0]] @ inward_direction))
 
 
-def _last_index_before(starts: Sequence[float], position: float) -> int:
+def _nearest_index(starts: Sequence[float], position: float) -> int:
     """Return the index of the joint that begins nearest to a position on its chain."""
     return int(np.argmin(np.abs(np.asarray(starts) - position)))
 
 
 def _chain_fractions(rig: Rig, anatomy: Anatomy, chain: Sequence[int]) -> list[float]:
     """Return the start of each joint of a chain, as fractions of the chain's length."""
-    steps = [0.0, *(_path_length(rig, a, b) for a, b in pairwise(chain))]
-    chain_length = sum(steps) + _bone_length(rig, anatomy, chain[-1])
-    if chain_length <= 0 or max(steps) <= 0:
+    step_lengths = [0.0, *(_path_length(rig, a, b) for a, b in pairwise(chain))]
+    chain_length = sum(step_lengths) + _bone_length(rig, anatomy, chain[-1])
+    if chain_length <= 0 or max(step_lengths) <= 0:
         return [i / len(chain) for i in range(len(chain))]
-    return [float(distance) / chain_length for distance in np.cumsum(steps)]
+    return [float(distance) / chain_length for distance in np.cumsum(step_lengths)]
 
 
 def _path_length(rig: Rig, upper: int, lower: int) -> float:
@@ -389,13 +392,14 @@ def _bone_length(rig: Rig, anatomy: Anatomy, joint: int) -> float:
 
 
 def _twist_fractions(
-    target: Rig, anatomy: Anatomy, pairing: _PairCollector
+    target: Rig, anatomy: Anatomy, collector: _PairCollector
 ) -> tuple[TwistFraction, ...]:
     """Return the fraction of a bone's twist that each joint along the bone takes."""
     fractions = []
     for j, role in enumerate(anatomy.roles):
         bone = target.joints[j].parent
-        if role != TWIST or bone < 0 or j in {*pairing.pairs, *pairing.ignored[1]}:
+        is_used = j in collector.pairs or j in collector.ignored_joints[1]
+        if role != TWIST or bone < 0 or is_used:
             continue
         if base_role(anatomy.roles[bone]) not in _TWIST_BONES:
             continue

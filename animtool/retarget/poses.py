@@ -59,7 +59,7 @@ def twist_to_hinge_axes(transfer: Transfer, rotations: FloatArray) -> FloatArray
             continue
         # Joints that follow none stay at rest.
         is_ball = rig.joints[parent].type is JointType.BALL
-        bone = target.bone(j)
+        bone = target.bone_direction(j)
         if not is_ball or transfer.source_joints[j] < 0 or bone is None:
             continue
         upper_bone = _normalize(rig.rest_translations[j])
@@ -78,9 +78,9 @@ def twist_to_hinge_axes(transfer: Transfer, rotations: FloatArray) -> FloatArray
             bend_sign = np.full_like(bend_sign, 1.0 if bends_forward else -1.0)
         along_bone = (axis * upper_direction).sum(axis=1)[:, None]
         perpendicular = axis - along_bone * upper_direction
-        crossed = np.cross(perpendicular, bend_normal * bend_sign)
+        cross_product = np.cross(perpendicular, bend_normal * bend_sign)
         angle = np.arctan2(
-            (crossed * upper_direction).sum(axis=1),
+            (cross_product * upper_direction).sum(axis=1),
             (perpendicular * bend_normal * bend_sign).sum(axis=1),
         )
         bend_weight = (sine - BEND_SINES[0]) / (BEND_SINES[1] - BEND_SINES[0])
@@ -103,19 +103,21 @@ class LocalRotations:
 
     local: FloatArray  # local rotations (F, K, 4)
     world: FloatArray  # world rotations (F, K, 4)
-    clamped: dict[int, BoolArray]  # joints that limits clamp, with the frames (F,)
+    # Masks of the frames in which limits clamp a joint (F,), by joint.
+    clamped_frames: dict[int, BoolArray]
 
-    def rows(self, frames: IntArray) -> LocalRotations:
+    def select(self, frames: IntArray) -> LocalRotations:
         """Return the rotations of the selected frames."""
-        clamped = {j: mask[frames] for j, mask in self.clamped.items()}
-        return LocalRotations(self.local[frames], self.world[frames], clamped)
+        clamped_frames = {j: mask[frames] for j, mask in self.clamped_frames.items()}
+        return LocalRotations(self.local[frames], self.world[frames], clamped_frames)
 
-    def set_rows(self, frames: IntArray, other: LocalRotations) -> None:
+    def replace_frames(self, frames: IntArray, other: LocalRotations) -> None:
         """Replace the rotations of the selected frames."""
         self.local[frames], self.world[frames] = other.local, other.world
-        for j in {*self.clamped, *other.clamped}:
-            mask = self.clamped.setdefault(j, np.zeros(len(self.local), np.bool_))
-            mask[frames] = other.clamped.get(j, False)
+        for j in {*self.clamped_frames, *other.clamped_frames}:
+            unclamped = np.zeros(len(self.local), np.bool_)
+            mask = self.clamped_frames.setdefault(j, unclamped)
+            mask[frames] = other.clamped_frames.get(j, False)
 
 
 def local_rotations(
@@ -139,11 +141,12 @@ def local_rotations(
     rig = target.rig
     if previous is None:
         local, world = np.zeros_like(rotations), np.zeros_like(rotations)
-        clamped: dict[int, BoolArray] = {}
+        clamped_frames: dict[int, BoolArray] = {}
         outdated_joints = set(range(len(rig.joints)))
     else:
         local, world = previous.local.copy(), previous.world.copy()
-        clamped, outdated_joints = dict(previous.clamped), set(changed_joints)
+        clamped_frames = dict(previous.clamped_frames)
+        outdated_joints = set(changed_joints)
     for j, joint in enumerate(rig.joints):
         parent, rest_rotation = int(rig.parents[j]), rig.rest_rotations[j]
         if parent in outdated_joints:
@@ -160,17 +163,17 @@ def local_rotations(
             twisted_joint = _twist_joint(target, j)
             if twisted_joint >= 0:
                 twisted_rest = so3.conjugate(rig.rest_rotations[twisted_joint])
-                twisted = so3.multiply(rotations[:, twisted_joint], twisted_rest)
-                joint_local = so3.multiply(inverse_parent, twisted)
+                untwisted = so3.multiply(rotations[:, twisted_joint], twisted_rest)
+                joint_local = so3.multiply(inverse_parent, untwisted)
         joint_local, is_clamped = _clamp_to_limits(joint, rest_rotation, joint_local)
-        clamped.pop(j, None)
+        clamped_frames.pop(j, None)
         if is_clamped.any():
-            clamped[j] = np.broadcast_to(is_clamped, len(local)).copy()
+            clamped_frames[j] = np.broadcast_to(is_clamped, len(local)).copy()
         local[:, j] = joint_local
         world[:, j] = joint_local
         if parent_rotation is not None:
             world[:, j] = so3.multiply(parent_rotation, joint_local)
-    return LocalRotations(local, world, clamped)
+    return LocalRotations(local, world, clamped_frames)
 
 
 def _twist_joint(target: RoledSkeleton, j: int) -> int:
@@ -273,7 +276,7 @@ def root_translations(
         relative: Joints relative to the middle of the hips ``(F, K, 3)`` [m].
     """
     rig = target.rig
-    root = max(target.first("hips"), 0)
+    root = max(target.first_joint("hips"), 0)
     position = hips + relative[:, root]
     parent = int(rig.parents[root])
     if parent < 0:

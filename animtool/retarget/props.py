@@ -83,27 +83,26 @@ class PropTracks:
         motions = []
         for i, track in enumerate(self.tracks):
             if track.has_transform and track.is_animated:
-                upright = rotate_track(track, transfer.upright).at(times[:, i])
-                motion = PropMotion(i, upright.translations, upright.rotations)
+                up_rotation = rotate_track(track, transfer.up_rotation).at(times[:, i])
+                motion = PropMotion(i, up_rotation.translations, up_rotation.rotations)
                 motions.append(motion)
         return motions
 
     def rescale_gripped(
-        self, gripped: set[int], transfer: Transfer, lift: FloatArray
+        self, gripped_tracks: set[int], transfer: Transfer, lift: FloatArray
     ) -> tuple[Track, ...]:
         """Return the tracks, with gripped props scaled to follow the target.
 
         Args:
-            gripped: Indices of the gripped tracks.
+            gripped_tracks: Indices of the gripped tracks.
             transfer: The transfer between the skeletons.
             lift: Offset of the target's ground ``(3,)`` [m].
         """
-        return tuple(
-            _scale_track(rotate_track(track, transfer.upright), transfer.scale, lift)
-            if i in gripped
-            else track
-            for i, track in enumerate(self.tracks)
-        )
+        tracks = list(self.tracks)
+        for i in gripped_tracks:
+            upright_track = rotate_track(tracks[i], transfer.up_rotation)
+            tracks[i] = _scale_track(upright_track, transfer.scale, lift)
+        return tuple(tracks)
 
 
 def _scale_track(track: Track, scale: float, lift: FloatArray) -> Track:
@@ -111,12 +110,12 @@ def _scale_track(track: Track, scale: float, lift: FloatArray) -> Track:
 
     def sample(times: FloatArray) -> Transforms:
         """Return the transforms at the times, positions scaled and lifted."""
-        sampled = track.sample(times)
-        matrices = sampled.matrices
+        transforms = track.sample(times)
+        matrices = transforms.matrices
         if matrices is not None:
             matrices = matrices.copy()
             matrices[:, :3, 3] = scale * matrices[:, :3, 3] + lift
-        translations = scale * sampled.translations + lift
-        return replace(sampled, translations=translations, matrices=matrices)
+        translations = scale * transforms.translations + lift
+        return replace(transforms, translations=translations, matrices=matrices)
 
     return replace(track, sample=sample)

@@ -35,7 +35,7 @@ MAX_BONE_ANGLE = np.radians(3.0)  # [rad]
 MAX_ACCELERATION = 1.25  # of the source's
 MAX_CLAMPED_FRACTION = 0.05  # of frames
 # A heel farther from its goal than this fraction of the size has yielded [1].
-RAISED_HEEL_HEIGHT = 1e-4
+MIN_HEEL_ERROR = 1e-4
 MAX_UNMAPPED = 0.2  # of the source's joints
 
 
@@ -76,7 +76,7 @@ class ContactFrames:
 
     sides: str  # sides of the legs that both skeletons have, such as "lr"
     contacts: Sequence[FootContacts]  # contacts of each of these feet
-    placed: PlacedFeet | None  # None if feet are not planted
+    placed_feet: PlacedFeet | None  # None if feet are not planted
     hands: Sequence[HandContact] = ()  # hands that keep their contacts
 
 
@@ -95,7 +95,7 @@ class FitMeter:
         self._transfer, self._joint_map = transfer, joint_map
         self._contact_frames = contact_frames
         self._up = up_index(transfer.target.rig)
-        self._frames = 0
+        self._frame_count = 0
         # Ankle and ball of each foot, of the target and of the source, scaled; the ball
         # is the ankle if it is unknown (F, 2, 2, 3).
         self._foot_blocks: list[list[FloatArray]] = [[] for _ in contact_frames.sides]
@@ -120,7 +120,7 @@ class FitMeter:
     def add(
         self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
     ) -> None:
-        """Add the next block of frames.
+        """Measure the fit of the next block of frames.
 
         Args:
             begin: Index of the first frame of the block.
@@ -129,7 +129,7 @@ class FitMeter:
             balls: Balls of the source's feet in these axes ``(F, L, 3)`` [m].
         """
         target = world.positions
-        self._frames += len(target)
+        self._frame_count += len(target)
         frames = slice(begin, begin + len(target))
         for k, side in enumerate(self._contact_frames.sides):
             ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
@@ -146,27 +146,27 @@ class FitMeter:
         self._reach_error = float(np.fmax(self._reach_error, largest))
         self._add_score("hands", reach_errors)
         for hand in self._contact_frames.hands:
-            wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
+            wrist = target[:, self._transfer.target.first_joint(f"hand_{hand.side}")]
             hand_errors = np.linalg.norm(wrist - hand.goal[frames], axis=1)
             largest = hand_errors[hand.is_active[frames]].max(initial=0.0)
             self._hand_error = max(self._hand_error, float(largest))
         pairs = self._joint_map.pairs
-        current = [
+        joint_paths = [
             target[:, [pair.target for pair in pairs]],
             self._path_ratios * source[:, [pair.source for pair in pairs]],
         ]
         if self._last_frames:
-            current = [
+            joint_paths = [
                 np.concatenate(parts)
-                for parts in zip(self._last_frames, current, strict=True)
+                for parts in zip(self._last_frames, joint_paths, strict=True)
             ]
-        self._last_frames = [points[-2:].copy() for points in current]
-        if len(current[0]) > 2:
+        self._last_frames = [points[-2:].copy() for points in joint_paths]
+        if len(joint_paths[0]) > 2:
             accelerations = [
                 np.linalg.norm(np.diff(points, 2, axis=0), axis=2).max(
                     axis=1, initial=0
                 )
-                for points in current
+                for points in joint_paths
             ]
             largest_of_block = [values.max(initial=0.0) for values in accelerations]
             maxima = np.maximum(self._max_accelerations, largest_of_block)
@@ -174,7 +174,7 @@ class FitMeter:
             self._add_score("acceleration", accelerations[0])
 
     def _add_score(self, score: str, values: FloatArray) -> None:
-        """Add per-frame values of a score."""
+        """Append the per-frame values ``(F,)`` of a score in one block."""
         self._frame_values.setdefault(score, []).append(values)
 
     def _both_skeletons(
@@ -190,14 +190,14 @@ class FitMeter:
     ) -> None:
         """Add the angles between corresponding bones, except those of planted legs."""
         contact_frames = self._contact_frames
-        angle_sum, count, largest_angle = self._angle_sums
-        bends, counts = np.zeros((2, len(target)))
+        angle_sum, angle_count, largest_angle = self._angle_sums
+        angle_sums, angle_counts = np.zeros((2, len(target)))
         for side in "lr":
             for role, end_role in BONE_ENDS.items():
                 directions = []
                 for skeleton, points, _ in self._both_skeletons(target, source):
-                    start_joint = skeleton.first(f"{role}_{side}")
-                    end_joint = skeleton.first(f"{end_role}_{side}")
+                    start_joint = skeleton.first_joint(f"{role}_{side}")
+                    end_joint = skeleton.first_joint(f"{end_role}_{side}")
                     if min(start_joint, end_joint) >= 0 and skeleton.are_distinct(
                         start_joint, end_joint
                     ):
@@ -208,26 +208,27 @@ class FitMeter:
                 cross_length = np.linalg.norm(np.cross(a, b), axis=1)
                 cosine = (a * b).sum(axis=1)
                 angle = np.arctan2(cross_length, cosine)
-                rows: BoolArray | slice = slice(None)
+                frame_mask: BoolArray | slice = slice(None)
                 if role in {"thigh", "shin"} and side in contact_frames.sides:
                     k = contact_frames.sides.index(side)
-                    rows = ~contact_frames.contacts[k].any[frames]
-                angle = angle[rows]
-                bends[rows] += angle
-                counts[rows] += 1
-                angle_sum, count = angle_sum + float(angle.sum()), count + len(angle)
+                    frame_mask = ~contact_frames.contacts[k].any[frames]
+                angle = angle[frame_mask]
+                angle_sums[frame_mask] += angle
+                angle_counts[frame_mask] += 1
+                angle_sum += float(angle.sum())
+                angle_count += len(angle)
                 largest_angle = max(largest_angle, float(angle.max(initial=0.0)))
-        self._angle_sums = angle_sum, count, largest_angle
-        self._add_score("limbs", bends / np.maximum(counts, 1))
+        self._angle_sums = angle_sum, angle_count, largest_angle
+        self._add_score("limbs", angle_sums / np.maximum(angle_counts, 1))
 
     def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
         """Return a mask of frames in which limits lift a planted heel ``(F,)``."""
-        planted = self._contact_frames.placed
+        placed_feet = self._contact_frames.placed_feet
         contacts = self._contact_frames.contacts[k]
-        if planted is None or not contacts.toe.any():
+        if placed_feet is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
-        heel_distance = np.linalg.norm(ankle - planted.ankles[k], axis=1)
-        min_distance = RAISED_HEEL_HEIGHT * self._transfer.target.size
+        heel_distance = np.linalg.norm(ankle - placed_feet.ankles[k], axis=1)
+        min_distance = MIN_HEEL_ERROR * self._transfer.target.size
         return np.asarray(contacts.toe & (heel_distance > min_distance))
 
     def _keep_worst(self, score: str, values: FloatArray) -> None:
@@ -236,15 +237,15 @@ class FitMeter:
         self._worst_by_frame[score] = np.fmax(previous, values)
 
     def verdict(
-        self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
+        self, clamped_fractions: Mapping[int, float], ignored_errors: Sequence[Fault]
     ) -> Verdict:
-        """Return whether the frames so far are usable; see `report`.
+        """Return whether the frames so far are usable, and which ones to check.
 
         Args:
-            clamped: Fraction of frames in which limits clamp each joint.
-            forced: Errors ignored on request.
+            clamped_fractions: Fraction of frames in which limits clamp each joint.
+            ignored_errors: Errors ignored on request.
         """
-        report = self.report(clamped)
+        report = self.report(clamped_fractions)
         values = {
             name: np.concatenate(blocks) for name, blocks in self._frame_values.items()
         } | self._worst_by_frame
@@ -253,13 +254,13 @@ class FitMeter:
             source_largest = max(float(self._max_accelerations[1]), 1e-300)
             values["acceleration"] = np.pad(values["acceleration"] / source_largest, 1)
         source_values = {"drift": report.source_drift_max}
-        return assess_take(fit_scores(report), values, source_values, forced)
+        return assess_take(fit_scores(report), values, source_values, ignored_errors)
 
-    def report(self, clamped: Mapping[int, float]) -> RetargetReport:
+    def report(self, clamped_fractions: Mapping[int, float]) -> RetargetReport:
         """Return the fit scores of the frames so far.
 
         Args:
-            clamped: Fraction of frames in which limits clamp each joint.
+            clamped_fractions: Fraction of frames in which limits clamp each joint.
         """
         transfer, joint_map = self._transfer, self._joint_map
         contact_frames = self._contact_frames
@@ -273,11 +274,11 @@ class FitMeter:
             contacts = contact_frames.contacts[k]
             planted_frames += float(contacts.any.mean()) / len(contact_frames.sides)
             has_toe = side in transfer.target.balls
-            both_balls = has_toe and side in transfer.source.balls
+            has_both_balls = has_toe and side in transfer.source.balls
             is_heel_planted = contacts.ankle & ~self._is_heel_raised(k, feet[:, 0, 0])
-            for joint, mask in enumerate((is_heel_planted, contacts.toe)):
-                if joint == 0 or both_balls:
-                    drift = _drift_in_contacts(feet[:, 0, joint], mask, self._up)
+            for joint, is_planted in enumerate((is_heel_planted, contacts.toe)):
+                if joint == 0 or has_both_balls:
+                    drift = _drift_in_contacts(feet[:, 0, joint], is_planted, self._up)
                     all_drifts.append(drift)
                     self._keep_worst("drift", drift)
                     source_mask = contacts.toe if joint else contacts.ankle
@@ -288,8 +289,8 @@ class FitMeter:
             is_flat = contacts.toe if has_toe else contacts.any
             if is_flat.any():
                 ground_level = float(np.median(sole_height[is_flat]))
-                if contact_frames.placed is not None:
-                    ground_level = contact_frames.placed.sole_heights[k]
+                if contact_frames.placed_feet is not None:
+                    ground_level = contact_frames.placed_feet.sole_heights[k]
                 sole_errors = np.where(is_flat, np.abs(sole_height - ground_level), 0.0)
                 max_errors.append(float(sole_errors.max()))
                 self._keep_worst("soles", sole_errors)
@@ -298,13 +299,13 @@ class FitMeter:
             values[~np.isnan(values)]
             for values in map(np.concatenate, (all_drifts, source_drifts))
         )
-        angle_sum, count, max_angle = self._angle_sums
+        angle_sum, angle_count, max_angle = self._angle_sums
         fastest, source_fastest = self._max_accelerations.tolist()
         names, source_names = transfer.target.rig.names, transfer.source.rig.names
         joints = transfer.target.rig.joints
-        planted = contact_frames.placed
+        placed_feet = contact_frames.placed_feet
         return RetargetReport(
-            self._frames,
+            self._frame_count,
             transfer.scale,
             len(joint_map.pairs),
             planted_frames,
@@ -315,12 +316,12 @@ class FitMeter:
             max([0.0, *depths]) if depths else math.nan,
             self._reach_error,
             self._hand_error,
-            angle_sum / count if count else math.nan,
-            max_angle if count else math.nan,
+            angle_sum / angle_count if angle_count else math.nan,
+            max_angle if angle_count else math.nan,
             fastest / source_fastest if source_fastest > 0 else math.nan,
-            0.0 if planted is None else planted.max_lowering,
-            {names[j]: fraction for j, fraction in clamped.items()},
-            _mean_clamped(joint_map, clamped),
+            0.0 if placed_feet is None else placed_feet.max_lowering,
+            {names[j]: fraction for j, fraction in clamped_fractions.items()},
+            _mean_clamped(joint_map, clamped_fractions),
             tuple(source_names[j] for j in joint_map.unmapped_source),
             tuple(
                 names[j] for j in joint_map.unmapped_target if joints[j].driven is None
@@ -353,11 +354,11 @@ def fit_scores(report: RetargetReport) -> PassScores:
     )
 
 
-def _mean_clamped(joint_map: JointMap, clamped: Mapping[int, float]) -> float:
+def _mean_clamped(joint_map: JointMap, clamped_fractions: Mapping[int, float]) -> float:
     """Return the mean clamped fraction of frames over the paired joints but fingers."""
     fingers = {*FINGER_ROLES, MITTEN_ROLE}
     joints = [p.target for p in joint_map.pairs if base_role(p.role) not in fingers]
-    return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)
+    return sum(clamped_fractions.get(j, 0.0) for j in joints) / max(len(joints), 1)
 
 
 def _drift_in_contacts(
@@ -389,11 +390,11 @@ def _reach_errors(
             arm = arm_joints(skeleton, side)
             if arm is None:
                 continue
-            arms = points[:, arm]
-            length = np.linalg.norm(np.diff(arms[0], axis=0), axis=1).sum()
+            arm_positions = points[:, arm]
+            length = np.linalg.norm(np.diff(arm_positions[0], axis=0), axis=1).sum()
             if length > 0:
-                reach = np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1)
-                arm_fractions.append(reach / length)
+                arm_vectors = arm_positions[:, 2] - arm_positions[:, 0]
+                arm_fractions.append(np.linalg.norm(arm_vectors, axis=1) / length)
         if len(arm_fractions) == 2:
             errors = np.abs(arm_fractions[0] - arm_fractions[1])
             largest_errors = np.fmax(largest_errors, errors)

@@ -20,7 +20,7 @@ MIN_BONE_LENGTH = 1e-4
 MIN_LEG_DROP = 0.7
 # Heights of hands that are on the ground, and that hang or are stretched out, in
 # heights of the hips. Quadrupeds have at most 0.1, bipeds with hanging arms 0.87.
-LOW_HANDS, HIGH_HANDS = 0.35, 0.6
+LOW_HAND_HEIGHT, HIGH_HAND_HEIGHT = 0.35, 0.6
 # Role at the end of each role's bone.
 _NEXT_ROLES = {
     "upper_arm": "forearm",
@@ -60,12 +60,12 @@ class RoledSkeleton:
             rest = forward_kinematics(rig, rig.rest_translations[None], pose[None])
         return RoledSkeleton(rig, roles, rest.positions[0], rest.rotations[0])
 
-    def last(self, role: str) -> int:
+    def last_joint(self, role: str) -> int:
         """Return the last joint of a role; -1 for none."""
         joints = [j for j, joint_role in enumerate(self.roles) if joint_role == role]
         return max(joints, default=-1)
 
-    def first(self, role: str) -> int:
+    def first_joint(self, role: str) -> int:
         """Return the first joint of a role; -1 for none."""
         return self.roles.index(role) if role in self.roles else -1
 
@@ -74,7 +74,7 @@ class RoledSkeleton:
         children = [k for k, parent in enumerate(self.rig.parents) if parent == joint]
         return [k for k in children if self.roles[k] not in {"", TWIST, END}]
 
-    def bone(self, joint: int) -> FloatArray | None:
+    def bone_direction(self, joint: int) -> FloatArray | None:
         """Return the rest direction of a joint's bone, a unit vector ``(3,)``.
 
         Return None for a joint without a bone.
@@ -82,7 +82,7 @@ class RoledSkeleton:
         end_joint, role = -1, self.roles[joint]
         side_suffix, role_name = role[len(base_role(role)) :], base_role(role)
         if role_name in _NEXT_ROLES:
-            end_joint = self.first(_NEXT_ROLES[role_name] + side_suffix)
+            end_joint = self.first_joint(_NEXT_ROLES[role_name] + side_suffix)
         if end_joint < 0:
             children = [k for k, p in enumerate(self.rig.parents) if p == joint]
             end_joint = children[0] if len(children) == 1 else -1
@@ -107,21 +107,22 @@ class RoledSkeleton:
 
     def stands_on_hands(self) -> bool | None:
         """Return whether the hands are on the ground at rest; None if unclear."""
-        sides = [
-            [self.last(f"{role}_{side}") for side in "lr"]
+        limb_joints = [
+            [self.last_joint(f"{role}_{side}") for side in "lr"]
             for role in ("thigh", "foot", "hand")
         ]
-        if min(map(min, sides)) < 0:
+        if min(map(min, limb_joints)) < 0:
             return None
         heights = self.positions @ self.rig.up.vector
-        hips, feet, hands = (heights[joints] for joints in sides)
+        hips, feet, hands = (heights[joints] for joints in limb_joints)
         drop, lengths = float(hips.min() - feet.max()), self.path_lengths
-        if drop < MIN_LEG_DROP * float((lengths[sides[1]] - lengths[sides[0]]).min()):
+        leg_lengths = lengths[limb_joints[1]] - lengths[limb_joints[0]]
+        if drop < MIN_LEG_DROP * float(leg_lengths.min()):
             return None
         hand_height = float(hands.min() - feet.min()) / max(drop, np.finfo(float).tiny)
-        if LOW_HANDS < hand_height < HIGH_HANDS:
+        if LOW_HAND_HEIGHT < hand_height < HIGH_HAND_HEIGHT:
             return None
-        return hand_height <= LOW_HANDS
+        return hand_height <= LOW_HAND_HEIGHT
 
     @property
     def size(self) -> float:
@@ -132,7 +133,7 @@ class RoledSkeleton:
     def path_lengths(self) -> FloatArray:
         """Rest length of the path from the hips to each joint ``(J,)`` [m]."""
         lengths = np.zeros(len(self.rig.joints))
-        hips = self.first("hips")
+        hips = self.first_joint("hips")
         for j, parent in enumerate(self.rig.parents.tolist()):
             if parent >= 0 and j != hips:
                 bone = self.positions[j] - self.positions[parent]
@@ -140,16 +141,16 @@ class RoledSkeleton:
         return lengths
 
     @property
-    def facing(self) -> FloatArray | None:
+    def facing_axes(self) -> FloatArray | None:
         """Rows left, up and forward of the upright body ``(3, 3)``; None if unknown."""
         directions = []
         for pair in (("thigh_l", "thigh_r"), ("upper_arm_l", "upper_arm_r")):
-            left_side, right_side = map(self.first, pair)
+            left_side, right_side = map(self.first_joint, pair)
             if left_side >= 0 and right_side >= 0:
                 left, right = self.positions[left_side], self.positions[right_side]
                 directions.append(left - right)
-        hips, head = self.first("hips"), self.first("head")
-        head = head if head >= 0 else self.last("spine")
+        hips, head = self.first_joint("hips"), self.first_joint("head")
+        head = head if head >= 0 else self.last_joint("spine")
         if not directions or hips < 0 or head < 0:
             return None
         left_side = directions[0] / (np.linalg.norm(directions[0]) or 1.0)
@@ -163,9 +164,9 @@ class RoledSkeleton:
     def leg(self, side: str) -> tuple[int, int, int, int] | None:
         """Return thigh, shin, foot and toe (-1 for none) of a side, if it has a leg."""
         thigh, shin, foot = (
-            self.first(f"{role}_{side}") for role in ("thigh", "shin", "foot")
+            self.first_joint(f"{role}_{side}") for role in ("thigh", "shin", "foot")
         )
-        toe = self.first(f"toe_{side}")
+        toe = self.first_joint(f"toe_{side}")
         return None if min(thigh, shin, foot) < 0 else (thigh, shin, foot, toe)
 
     def leg_length(self, side: str) -> float:
@@ -176,7 +177,7 @@ class RoledSkeleton:
         points = self.positions[list(leg[:3])]
         return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
-    def leg_bones(self, side: str) -> FloatArray:
+    def leg_bone_lengths(self, side: str) -> FloatArray:
         """Return the lengths of thigh, shin and, if known, foot ``(2 or 3,)`` [m]."""
         leg = self.leg(side)
         assert leg is not None

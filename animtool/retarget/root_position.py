@@ -94,7 +94,7 @@ def low_height_factor(
 
 
 def factor_text(factor: float) -> str:
-    """Return a factor as text.
+    """Return a unit factor as text, as a multiple or a fraction.
 
     >>> factor_text(100.0), factor_text(0.01)
     ('100 times', '1/100')
@@ -122,9 +122,9 @@ def root_warning(
         return None
     name, up = rig.joints[root].name, np.array(rig.up.vector, float)
     ratios = motion.translations.gather(np.array([root]))[:, 0] / leg_length
-    problem = _problem(ratios, up, leg_length)
+    problem = _translation_problem(ratios, up, leg_length)
     if problem is None and interval is not None:
-        problem = _low_problem(rig, motion, ratios @ up, leg_length, interval)
+        problem = _low_root_problem(rig, motion, ratios @ up, leg_length, interval)
     if problem is None:
         return None
     code, message, hint = problem
@@ -137,7 +137,7 @@ def _leg_length(rig: Rig) -> float | None:
     None if the root is elsewhere, or if the legs are not upright at rest.
     """
     positions = rest_world(rig).positions[0]
-    up, hips = np.array(rig.up.vector, float), _hips(rig)
+    up, hips = np.array(rig.up.vector, float), _find_hips(rig)
     feet = find_feet(rig.names)
     joint = int(feet[(positions[feet] @ up).argmin()])
     length = float((positions[hips] - positions[joint]) @ up)
@@ -151,7 +151,7 @@ def _leg_length(rig: Rig) -> float | None:
     return length if is_upright and distance <= MAX_HIPS_DISTANCE * length else None
 
 
-def _problem(
+def _translation_problem(
     ratios: FloatArray, up: FloatArray, leg_length: float
 ) -> tuple[str, str, str] | None:
     """Return the code, the message and the hint for a root's translations.
@@ -184,7 +184,7 @@ def _problem(
     return None
 
 
-def _low_problem(
+def _low_root_problem(
     rig: Rig, motion: Motion, ratios: FloatArray, leg_length: float, interval: float
 ) -> tuple[str, str, str] | None:
     """Return the code, the message and the hint for a root that is too low.
@@ -213,7 +213,7 @@ def _is_leg_length(ratios: FloatArray) -> bool:
     return is_close and float(ratios.std()) < HEIGHT_DEVIATION
 
 
-def _hips(rig: Rig) -> int:
+def _find_hips(rig: Rig) -> int:
     """Return the lowest joint whose subtree contains all feet."""
     paths: list[list[int]] = []
     for joint in find_feet(rig.names).tolist():

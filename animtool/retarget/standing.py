@@ -29,7 +29,7 @@ from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
 from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
 
 # Smallest size of what a user chose a unit for: of a prop, and of many joints [m].
-MIN_SIZES, MIN_JOINTS = (0.01, 0.05), 8
+MIN_SIZES, MIN_CHARACTER_JOINTS = (0.01, 0.05), 8
 # Formats that state their unit, as details of a stream name them.
 SIZED_FORMATS = frozenset({"USD", "glTF", "FBX"})
 # Sizes of people [m].
@@ -58,7 +58,7 @@ MIN_GROUND_FRACTION = 0.6
 # vertically, relative to its height [1].
 MIN_TRAVEL, MAX_VERTICAL_TRAVEL = 0.6, 0.25
 # Number of sampled frames: at first, and of a long take.
-FIRST_SAMPLES, MAX_SAMPLES = 3, 2000
+FIRST_SAMPLE_COUNT, MAX_SAMPLE_COUNT = 3, 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +68,15 @@ class Stance:
     Attributes:
         axis: The axis along which it stands, if that is not the up axis.
         fraction: Fraction of the frames in which it stands along that axis.
-        upside_down: Whether the body is upside down in nearly all frames.
+        is_upside_down: Whether the body is upside down in nearly all frames.
     """
 
     axis: UpAxis | None = None
     fraction: float = 0.0
-    upside_down: bool = False
+    is_upside_down: bool = False
 
 
-def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
+def standing_directions(roles: Sequence[str], positions: FloatArray) -> FloatArray:
     """Return the unit direction from feet to head in each frame ``(F, 3)``.
 
     Unit vectors, or 0 where the body does not stand: crawling, sitting on its heels, or
@@ -133,7 +133,7 @@ def _limb_vectors(
 
 
 def _unit_vectors(vectors: FloatArray) -> FloatArray:
-    """Return unit vectors; zero vectors stay zero."""
+    """Scale vectors ``(F, 3)`` to length 1; zero vectors stay zero."""
     sizes = np.linalg.norm(vectors, axis=1)
     return np.asarray(vectors / np.maximum(sizes, 1e-12)[:, None])
 
@@ -153,15 +153,17 @@ def measure_stance(
         up: The assumed up axis.
         rest: Joint positions at rest ``(J, 3)`` [m]; None if unknown.
     """
-    axes, other_axis = body_axes(roles, positions), _other_axis(up)
+    axes, other_axis = standing_directions(roles, positions), _other_axis(up)
     is_along_other = axes @ np.array(other_axis.vector) > MIN_STANDING_COSINE
     cosines = axes @ np.array(up.vector)
     fraction = float(is_along_other.mean())
     upright_fraction = float((cosines > MIN_STANDING_COSINE).mean())
     inverted_fraction = float((cosines < -MIN_STANDING_COSINE).mean())
     if inverted_fraction >= MIN_STANDING_FRACTION:
-        return Stance(fraction=inverted_fraction, upside_down=True)
-    rest_axis = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]
+        return Stance(fraction=inverted_fraction, is_upside_down=True)
+    rest_axis = np.zeros(3)
+    if rest is not None:
+        rest_axis = standing_directions(roles, rest[None])[0]
     is_frequent = fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
     stands_throughout = fraction >= MIN_STANDING_FRACTION
     if rest_axis @ np.array(other_axis.vector) > MIN_STANDING_COSINE:
@@ -193,11 +195,12 @@ def _is_trunk_along(
     legs = _limb_vectors(roles, positions, *_LIMBS[0])
     if trunk is None:
         return False
-    cosines, uprightness = (trunk.mean(axis=0) @ np.array(a.vector) for a in (axis, up))
+    mean_trunk = trunk.mean(axis=0)
+    axis_cosine, up_cosine = (mean_trunk @ np.array(a.vector) for a in (axis, up))
     legs_along_up = 0.0 if legs is None else legs.mean(axis=0) @ np.array(up.vector)
     return bool(
-        cosines > MIN_TRUNK_COSINE
-        and uprightness < MIN_UPRIGHT_COSINE
+        axis_cosine > MIN_TRUNK_COSINE
+        and up_cosine < MIN_UPRIGHT_COSINE
         and legs_along_up > -MIN_TRUNK_COSINE
     )
 
@@ -251,20 +254,20 @@ def find_standing_axis(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis
 
 
 def _standing_axis(
-    rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
+    rig: Rig, motion: Motion, roles: Sequence[str], *, is_inverted: bool = False
 ) -> UpAxis | None:
     """Return the axis of `find_standing_axis`, also if the body is taller along up.
 
-    With ``downwards``, the body stands with the head at the negative end of the axis,
+    With ``is_inverted``, the body stands with the head at the negative end of the axis,
     as in a take that was turned from the wrong axis.
     """
-    frame_step = max(motion.frames // MAX_SAMPLES, 1)
+    frame_step = max(motion.frames // MAX_SAMPLE_COUNT, 1)
     frames = motion.select(slice(0, motion.frames, frame_step))
     world = forward_kinematics(
         rig, frames.translations.dense(), frames.rotations.dense()
     )
     positions, rest = world.positions, rest_world(rig).positions[0]
-    if downwards:
+    if is_inverted:
         mirror = 1.0 - 2.0 * np.array(_other_axis(rig.up).vector)
         positions, rest = positions * mirror, rest * mirror
     return measure_stance(roles, positions, rig.up, rest).axis
@@ -274,7 +277,7 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     """Return whether any sampled pose is taller along the other axis than along up."""
     if not rig.joints or not motion.frames:
         return False
-    sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
+    sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLE_COUNT).astype(int)
     up_vector = np.array(rig.up.vector)
     other_vector = np.array(_other_axis(rig.up).vector)
     for frame in sorted(set(sampled_frames.tolist())):
@@ -308,14 +311,14 @@ def lying_body_notices(
     axis = _standing_axis(rig, motion, roles)
     suggested_axis = axis
     if axis is None and up is not None:
-        axis = _standing_axis(rig, motion, roles, downwards=True)
+        axis = _standing_axis(rig, motion, roles, is_inverted=True)
         suggested_axis, sign = _other_axis(up), "-"
     if axis is None:
         return []
     message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
     if up is rig.up:
-        stated = argument("source.up", up)
-        message = f"the body stands along {sign}{axis}, but {stated} was given"
+        stated_option = argument("source.up", up)
+        message = f"the body stands along {sign}{axis}, but {stated_option} was given"
     if up not in {None, rig.up}:
         chosen_option = argument("source.up", up)
         message = f"read with {chosen_option}, the body stands along {sign}{axis}, "
@@ -396,7 +399,7 @@ def with_source_warnings(
 def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     """Return a warning if the chosen unit gives an implausible size (RIG217)."""
     size = rest_size(rig)
-    low = MIN_SIZES[len(rig.joints) >= MIN_JOINTS]
+    low = MIN_SIZES[len(rig.joints) >= MIN_CHARACTER_JOINTS]
     if not size or low <= size <= MAX_RIG_SIZE:
         return []
     message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
@@ -418,10 +421,10 @@ def unit_warnings(rig: Rig, file_format: object) -> list[Fault]:
     Only formats of `SIZED_FORMATS` are checked.
     """
     size = rest_size(rig)
-    fitting = fitting_unit(rig.names, size, rig.meters_per_unit)
-    if fitting is None or file_format not in SIZED_FORMATS:
+    better_unit = fitting_unit(rig.names, size, rig.meters_per_unit)
+    if better_unit is None or file_format not in SIZED_FORMATS:
         return []
-    texts = unit_texts(size, rig.meters_per_unit, fitting, str(file_format))
+    texts = unit_texts(size, rig.meters_per_unit, better_unit, str(file_format))
     return [warning("MOT213", *texts)]
 
 

@@ -23,7 +23,7 @@ from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
 # Bones shorter than this fraction of the skeleton have zero length.
-_MIN_BONE = 1e-4
+_MIN_BONE_LENGTH = 1e-4
 # The reaches of two paired limbs differ by less than this fraction.
 _PAIR_TOLERANCE = 0.15
 # Minimum reach of a pair of limbs relative to the skeleton's size.
@@ -48,13 +48,13 @@ class SkeletonTree:
     # World positions of joints in the searched pose (J, 3) [m].
     positions: FloatArray
     last_bones: FloatArray  # world vectors of last bones at rest, or 0 (J, 3) [m]
-    kinds: tuple[str, ...]  # kind of each joint's name, such as twist (J,)
+    joint_kinds: tuple[str, ...]  # kind of each joint's name, such as twist (J,)
     # Weights of the roles that each name suggests (J,).
     votes: tuple[dict[str, float], ...]
 
     @classmethod
     def of(
-        cls, rig: Rig, votes: Sequence[dict[str, float]], kinds: Sequence[str]
+        cls, rig: Rig, votes: Sequence[dict[str, float]], joint_kinds: Sequence[str]
     ) -> SkeletonTree:
         """Return the tree of a skeleton at rest."""
         rest_transforms = rest_world(rig)
@@ -63,13 +63,14 @@ class SkeletonTree:
             if joint.tips:
                 farthest = max(joint.tips, key=lambda tip: sum(x * x for x in tip))
                 tips[j] = rest_transforms.linear[0, j] @ np.asarray(farthest)
-        return cls(rig, rest_transforms.positions[0], tips, tuple(kinds), tuple(votes))
+        positions = rest_transforms.positions[0]
+        return cls(rig, positions, tips, tuple(joint_kinds), tuple(votes))
 
     @cached_property
     def children(self) -> list[list[int]]:
         """Children of each joint; controls count only above joints with a role."""
         child_lists: list[list[int]] = [[] for _ in self.rig.joints]
-        is_used = [kind != CONTROL for kind in self.kinds]
+        is_used = [kind != CONTROL for kind in self.joint_kinds]
         for j in range(len(is_used) - 1, -1, -1):
             parent = self.rig.joints[j].parent
             if is_used[j] and parent >= 0:
@@ -120,7 +121,7 @@ class SkeletonTree:
         return path[path.index(top) :] if top in path else []
 
     def lowest_common_ancestor(self, joints: Sequence[int]) -> int:
-        """Return the lowest common ancestor of joints; -1 for none."""
+        """Return the deepest joint whose subtree contains all joints; -1 for none."""
         common_ancestors = set(self.rig.upwards(joints[0]))
         for j in joints[1:]:
             common_ancestors &= set(self.rig.upwards(j))
@@ -140,14 +141,14 @@ class SkeletonTree:
         """Return whether a leaf is a bone end or a twist joint."""
         if self.children[joint] or self.votes[joint]:
             return False
-        return self.kinds[joint] == END or self.is_tip(joint)
+        return self.joint_kinds[joint] == END or self.is_tip(joint)
 
     def is_tip(self, joint: int) -> bool:
         """Return whether a leaf only marks the end of the bone above it."""
         tips = self.rig.joints[joint].tips
         if not tips or not self._has_bone_ends or self.children[joint]:
             return False
-        return float(self.tip_lengths[joint]) <= _MIN_BONE * self.size
+        return float(self.tip_lengths[joint]) <= _MIN_BONE_LENGTH * self.size
 
     @cached_property
     def _has_bone_ends(self) -> bool:
@@ -157,7 +158,7 @@ class SkeletonTree:
         the last joints are ends.
         """
         leaves = [j for j, children in enumerate(self.children) if not children]
-        if any(self.tip_lengths[j] > _MIN_BONE * self.size for j in leaves):
+        if any(self.tip_lengths[j] > _MIN_BONE_LENGTH * self.size for j in leaves):
             return True
         return sum(self._chain_length(leaf) >= 4 for leaf in leaves) >= 6
 
@@ -169,12 +170,12 @@ class SkeletonTree:
 
     def _lies_on_bone(self, leaf: int, other: int) -> bool:
         """Return whether a joint lies on its sibling's bone, or at the joint itself."""
-        if self.votes[leaf] or self.kinds[leaf] == TWIST:
+        if self.votes[leaf] or self.joint_kinds[leaf] == TWIST:
             return not self.votes[leaf]
         if self.children[leaf] or self.rig.joints[leaf].tips:
             return False
         length, bone = float(self.lengths[leaf]), float(self.lengths[other])
-        if length <= _MIN_BONE * self.size:
+        if length <= _MIN_BONE_LENGTH * self.size:
             return True
         offsets = self.rig.rest_translations
         cosine = float(offsets[leaf] @ offsets[other]) / max(length * bone, 1e-30)
@@ -239,7 +240,7 @@ def _similar_subtrees(body: SkeletonTree) -> list[SubtreePair]:
                 pairs.append((more_joints - fewer_joints, longer - shorter, (a, b)))
     best_pairs: list[SubtreePair] = []
     for _, _, pair in sorted(pairs):
-        if not any(set(pair) & set(accepted) for accepted in best_pairs):
+        if not any(set(pair) & set(best_pair) for best_pair in best_pairs):
             best_pairs.append(pair)
     return best_pairs
 
@@ -293,20 +294,24 @@ def find_up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray
 
 
 def find_left_direction(
-    body: SkeletonTree, tips: Mapping[str, int], up: FloatArray | None, *, at_rest: bool
+    body: SkeletonTree,
+    tips: Mapping[str, int],
+    up: FloatArray | None,
+    *,
+    is_rest_pose: bool,
 ) -> FloatArray:
     """Return a body's left direction ``(3,)``, from feet and trunk."""
     if up is None:
         up = np.array(body.rig.up.vector)
     # A body that stands along an axis faces that axis's conventional forward direction.
-    axis = int(np.argmax(np.abs(up)))
-    forward: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
-    up_axis = np.eye(3)[axis] * np.sign(up[axis])
+    up_index = int(np.argmax(np.abs(up)))
+    forward = np.array([0.0, 0.0, 1.0] if up_index == 1 else [0.0, -1.0, 0.0])
+    up_axis = np.eye(3)[up_index] * np.sign(up[up_index])
     feet: FloatArray = np.zeros(3)
     for name in sorted({"leg_l", "leg_r"} & tips.keys()):
         toe = tips[name]
         foot_bone = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
-        tip = body.last_bones[toe] if at_rest else np.zeros(3)
+        tip = body.last_bones[toe] if is_rest_pose else np.zeros(3)
         for bone in (foot_bone, tip):
             horizontal = bone - up_axis * float(bone @ up_axis)
             # A leaning shin or ankle does not show where feet point.
@@ -327,7 +332,7 @@ class LimbShape:
     lower_over_upper: float  # of the upper long bone to the lower one
     before_over_upper: float  # length before the limb, relative to the upper bone
     end_over_upper: float  # length from the end's joint on, relative to the lower bone
-    starts_with_lead: bool  # whether most skeletons have a joint above it
+    has_lead_joint: bool  # whether most skeletons have a joint above it
 
 
 # Standard deviations of the logarithms of these lengths.
@@ -352,28 +357,29 @@ def split_limb(
     for upper, lower, end_index in combinations_with_replacement(range(n + 1), 3):
         for after_end in range(min(end_index + 1, n), n + 1):
             boundaries = [0, upper, lower, end_index, after_end, n]
-            labels = [
+            limb_roles = [
                 role
                 for role, (a, b) in zip(shape.roles, pairwise(boundaries), strict=True)
                 for _ in range(b - a)
             ]
             # How well names agree with roles; the first joint of a role counts most.
             score, previous = 0.0, ""
-            for j, label in zip(path, labels, strict=True):
+            for j, role_of_joint in zip(path, limb_roles, strict=True):
                 votes = body.votes[j]
-                if label in votes:
-                    score += (20.0 if label != previous else 12.0) * votes[label]
+                if role_of_joint in votes:
+                    weight = 20.0 if role_of_joint != previous else 12.0
+                    score += weight * votes[role_of_joint]
                 elif votes:
                     score -= 12.0
-                previous = label
+                previous = role_of_joint
             score += _shape_score(distances, boundaries, shape)
             if branch >= 0:
                 score += 4.0 if end_index < n and path[end_index] == branch else -4.0
-            elif not shape.starts_with_lead and end_index < n - 1:
+            elif not shape.has_lead_joint and end_index < n - 1:
                 triple = [path[lower], path[end_index], path[end_index + 1]]
                 score += _bend_amount(body, triple)
             if score > best_score:
-                best_labels, best_score = labels, score
+                best_labels, best_score = limb_roles, score
     return best_labels + [""] * len(remaining_joints)
 
 
@@ -385,7 +391,7 @@ def _shape_score(
     counts = [b - a for a, b in pairwise(boundaries)]
     score = -0.4 * max(counts[1] - 1, 0) - 0.4 * max(counts[2] - 1, 0)
     score -= 2.0 * (counts[1] == 0) + 2.0 * (counts[2] == 0) + 2.0 * (counts[3] == 0)
-    score -= 0.5 * abs(counts[0] - shape.starts_with_lead)
+    score -= 0.5 * abs(counts[0] - shape.has_lead_joint)
     score -= 0.5 * max(counts[3] - 1, 0) + 0.5 * max(counts[4] - 1, 0)
     length_before, upper_length, lower_length, end_length = np.diff(
         distances[[0, upper, lower, end_index, n]]
@@ -406,9 +412,9 @@ def _shape_score(
     return float(score)
 
 
-def _ratio_penalty(value: float, expected: float, deviation: float) -> float:
+def _ratio_penalty(ratio: float, typical_ratio: float, log_deviation: float) -> float:
     """Return half the squared deviation of a ratio in standard deviations, up to 12."""
-    return min(0.5 * float(np.log(value / expected) / deviation) ** 2, 12.0)
+    return min(0.5 * float(np.log(ratio / typical_ratio) / log_deviation) ** 2, 12.0)
 
 
 def _bend_amount(body: SkeletonTree, joint_triple: Sequence[int]) -> float:

@@ -19,7 +19,7 @@ SWAP_FRACTION = 0.9
 # all frames has it [1].
 MIN_UPRIGHT, MIN_UPRIGHT_FRACTION = 0.9, 0.3
 # Toes must point forward, and hips be apart, by at least this distance [size].
-MIN_FACING = 0.01
+MIN_TOE_LENGTH = 0.01
 # Fewest and most frames of a check of a block.
 MIN_FRAMES, MAX_FRAMES = 8, 64
 SWAPPED_LEGS_HINT = (
@@ -68,7 +68,7 @@ def find_swapped_legs(
     if facing_direction is None:
         return None
     sides = pair_sides(rig.names, rig.parents) if sides is None else sides
-    hips = _hip_pair(rig, sides, feet.tolist(), MIN_FACING * size)
+    hips = _hip_pair(rig, sides, feet.tolist(), MIN_TOE_LENGTH * size)
     if hips is None:
         return None
     left_hip, right_hip = hips
@@ -77,7 +77,7 @@ def find_swapped_legs(
     left_direction = np.cross(up_directions, facing_direction)
     hip_offsets = positions[:, left_hip] - positions[:, right_hip]
     left_distance = np.einsum("fc,fc->f", left_direction, hip_offsets)
-    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_FACING * size
+    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_TOE_LENGTH * size
     # The feet of a crawling or lying body are next to its hips and point anywhere.
     leg_lengths = np.linalg.norm(up_directions, axis=1)
     is_used &= up_directions @ np.array(rig.up.vector) > MIN_UPRIGHT * leg_lengths
@@ -144,14 +144,14 @@ def _hip_pair(
     rest_positions = rest_world(rig).positions[0]
     partners = {int(left): int(sides.partners[left]) for left in sides.left}
     for left in sorted(feet):
-        chain = []
+        paired_joints = []
         joint = left
         while joint >= 0:
             if joint in partners:
-                chain.append(joint)
+                paired_joints.append(joint)
             joint = rig.joints[joint].parent
         # Joints nearest to the root may be at its position.
-        for hip in reversed(chain):
+        for hip in reversed(paired_joints):
             offset = rest_positions[hip] - rest_positions[partners[hip]]
             if np.linalg.norm(offset) > min_width:
                 return hip, partners[hip]

@@ -68,7 +68,7 @@ _DETAIL_ROLES = {*FINGER_ROLES, MITTEN_ROLE, "toe", "jaw", "eye", TWIST, END, CO
 _END_ROLES = {"head", "hand", "foot"}
 MAX_LISTED_LIMBS = 6
 # A bone shorter than this fraction of its rest length has no length [1].
-ZERO_LENGTH = 1e-4
+ZERO_LENGTH_FRACTION = 1e-4
 
 
 def insufficient_pairs_fault(
@@ -122,7 +122,7 @@ def zero_length_fault(
     """
     roles = joint_map.source.roles
     lengths = np.linalg.norm(source.rest_translations, axis=1)
-    has_collapsed = (max_bone_lengths <= ZERO_LENGTH * lengths) & (lengths > 0)
+    has_collapsed = (max_bone_lengths <= ZERO_LENGTH_FRACTION * lengths) & (lengths > 0)
     has_collapsed &= source.parents >= 0
     limb_joints: set[int] = set()
     for start_joint, *_, end_joint in _complete_limbs(roles).values():
@@ -180,7 +180,7 @@ def retarget_stream(
     rig: Rig,
     options: RetargetOptions,
     *,
-    plant_similar_legs: bool = False,
+    plants_similar_legs: bool = False,
     props: PropTracks | None = None,
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
     """Return the retargeting of a take, the joint map, and its warnings.
@@ -189,14 +189,14 @@ def retarget_stream(
         stream: The take.
         rig: The target rig.
         options: Retargeting options.
-        plant_similar_legs: Whether feet are also planted on legs like those of the
+        plants_similar_legs: Whether feet are also planted on legs like those of the
             source.
         props: Tracks of the take that hands may grip.
     """
-    _check_bound(options)
-    as_rig = options.rest == "rig"
+    _check_warn_above(options)
+    has_same_rest = options.rest == "rig"
     frame = None if isinstance(options.rest, str) else options.rest
-    rest_rotations, blocks = _rest_frame(stream.blocks, frame)
+    rest_rotations, blocks = _read_rest_frame(stream.blocks, frame)
     first_block = next(blocks)
     positions = _standing_positions(stream.rig, first_block, rest_rotations)
     joint_map = _pair_joints(stream.rig, rig, options, positions)
@@ -205,8 +205,8 @@ def retarget_stream(
     source = at_origin(stream.rig)
     stance_axis = find_standing_axis(source, first_block, joint_map.source.roles)
     if stance_axis is not None and stream.details.get("up_choice") == "stated":
-        stated = argument("source.up", source.up)
-        message = f"the body stands along {stance_axis}, but {stated} was given"
+        stated_option = argument("source.up", source.up)
+        message = f"the body stands along {stance_axis}, but {stated_option} was given"
         hint = f"read it with {argument('source.up', stance_axis)}"
         notices.append(warning("MOT214", message, hint))
     elif stance_axis is not None:
@@ -216,7 +216,8 @@ def retarget_stream(
         hint += f"{argument('source.up', source.up)} if it lies"
         notices.append(warning("MAP009", message, hint))
         source = replace(source, up=stance_axis)
-    transfer = build_transfer(source, rig, joint_map, rest_rotations, as_rig=as_rig)
+    rest = rest_rotations
+    transfer = build_transfer(source, rig, joint_map, rest, has_same_rest=has_same_rest)
     notices += _size_warnings(stream, transfer.scale)
     known_codes = {notice.code for notice in (*notices, *stream.notices)}
     notices += [
@@ -230,7 +231,7 @@ def retarget_stream(
         chain([first_block], blocks),
         float(stream.fps / stream.step),
         lock=not options.free_feet,
-        plant_similar_legs=plant_similar_legs,
+        plants_similar_legs=plants_similar_legs,
         hands=options.hold_hands,
         props=props,
     )
@@ -240,7 +241,7 @@ def retarget_stream(
         fault = insufficient_pairs_fault(
             source, joint_map, transfer.source_joints, retargeting.moving_joints
         )
-    if fault is not None and not options.force_fit and not plant_similar_legs:
+    if fault is not None and not options.force_fit and not plants_similar_legs:
         raise FormatError(fault)
     retargeting.ignored_errors = [] if fault is None else [fault]
     contacts = () if options.free_feet else retargeting.contact_frames.contacts
@@ -278,20 +279,21 @@ def _pair_joints(
         raise
 
 
-def _rest_frame(
+def _read_rest_frame(
     blocks: Iterator[Motion], frame: int | None
 ) -> tuple[FloatArray | None, Iterator[Motion]]:
     """Return local rotations of the rest frame ``(J, 4)``, and all blocks."""
     if frame is None:
         return None, blocks
-    buffered, count = [], 0
+    read_blocks, frame_count = [], 0
     for motion in blocks:
-        buffered.append(motion)
-        if count < frame <= count + motion.frames:
-            rotations = motion.select(slice(frame - 1 - count, frame - count)).rotations
-            return rotations.dense()[0], chain(buffered, blocks)
-        count += motion.frames
-    message = f"frame {frame} is not in the take, which has frames 1-{count}"
+        read_blocks.append(motion)
+        if frame_count < frame <= frame_count + motion.frames:
+            row = frame - 1 - frame_count
+            rotations = motion.select(slice(row, row + 1)).rotations
+            return rotations.dense()[0], chain(read_blocks, blocks)
+        frame_count += motion.frames
+    message = f"frame {frame} is not in the take, which has frames 1-{frame_count}"
     raise OptionError(Fault("MAP006", message, where="rest"))
 
 
@@ -332,8 +334,8 @@ def _source_warnings(stream: TakeStream, first_block: Motion) -> list[Fault]:
     return [notice for notice in notices if notice is not None]
 
 
-def _rig_of_options(options: RetargetPassOptions) -> Path:
-    """Return the path of the target rig."""
+def _rig_path(options: RetargetPassOptions) -> Path:
+    """Return the path of the target rig; refuse options without one (CAP001)."""
     if options.rig is None:
         refuse("CAP001", "rig must name the file of a rig")
     return options.rig
@@ -342,7 +344,7 @@ def _rig_of_options(options: RetargetPassOptions) -> Path:
 def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     """Run the pass: retarget the take and report its fit."""
     # The take determines root motion, not the rig's stage.
-    rig = at_origin(Rig.load(context.folder / _rig_of_options(options)))
+    rig = at_origin(Rig.load(context.folder / _rig_path(options)))
     names = RetargetOptions.__dataclass_fields__
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
     if settings.map is not None:
@@ -356,18 +358,18 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     retargeting, _, notices = retarget_stream(source, rig, settings, props=props)
     context.notices.extend(notices)
     blocks = checked_blocks(retargeting, settings, stream.notices)
-    retargeted = replace(
+    retargeted_stream = replace(
         source, rig=rig, blocks=_with_fit_report(retargeting, blocks, context)
     )
     if passthrough is None:
-        return retargeted
-    retargeted = passthrough.restore(retargeted)
+        return retargeted_stream
+    retargeted_stream = passthrough.restore(retargeted_stream)
     if props is None:
-        return retargeted
+        return retargeted_stream
     hands, transfer = retargeting.contact_frames.hands, retargeting.transfer
-    gripped = {track for hand in hands for track in hand.props}
-    tracks = props.rescale_gripped(gripped, transfer, retargeting.lift)
-    return replace(retargeted, tracks=tracks)
+    gripped_tracks = {track for hand in hands for track in hand.props}
+    tracks = props.rescale_gripped(gripped_tracks, transfer, retargeting.lift)
+    return replace(retargeted_stream, tracks=tracks)
 
 
 def _with_fit_report(
@@ -408,7 +410,7 @@ def checked_blocks(
             notices.append(Fault("MAP107", message, file, (), hint, Severity.WARNING))
 
 
-def _check_bound(options: Any) -> None:
+def _check_warn_above(options: Any) -> None:
     """Refuse an invalid score bound (CAP001)."""
     bound = options.warn_above
     if bound is not None and not 0 <= bound < np.inf:
@@ -418,8 +420,8 @@ def _check_bound(options: Any) -> None:
 def _option_checks(options: Any) -> OptionChecks:
     """Return the function that checks each option, by option name."""
     return {
-        "rig": lambda: _rig_of_options(options),
-        "warn_above": lambda: _check_bound(options),
+        "rig": lambda: _rig_path(options),
+        "warn_above": lambda: _check_warn_above(options),
     }
 
 

@@ -23,17 +23,17 @@ _AIMED_ROLES = {"upper_arm", "forearm", "hand", "thigh", "shin"}
 # Deviations from rest below this fraction of the skeleton are rounding [1].
 MIN_DEVIATION = 1e-9
 # Bones whose lengths differ by less than this fraction of the leg are equal [1].
-EQUAL_LENGTHS = 1e-6
+LENGTH_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """The transfer of poses from one skeleton to another."""
+    """Maps poses of a source skeleton to a target: joints, rest alignment and scale."""
 
     source: RoledSkeleton
     target: RoledSkeleton
     # Rotation from the source's up axis to the target's (4,).
-    upright: FloatArray
+    up_rotation: FloatArray
     # Length ratio of the target to the source.
     scale: float
     # For each target joint (K,): the source joint that it follows, -1 for none; the
@@ -53,20 +53,20 @@ class Transfer:
         target: RoledSkeleton,
         joint_map: JointMap,
         *,
-        as_rig: bool = False,
+        has_same_rest: bool = False,
     ) -> Transfer:
         """Build the transfer between two skeletons from a joint map.
 
-        ``as_rig``: whether the source's rest pose equals the target's.
+        ``has_same_rest``: whether the source's rest pose equals the target's.
         """
         balls = find_balls(source, target), find_balls(target, source)
         source = replace(source, balls=balls[0])
         target = replace(target, balls=balls[1])
-        up_rotation = up_from_up(target.rig.up, source.rig.up)
-        upright = so3.IDENTITY if up_rotation is None else np.array(up_rotation)
-        count = len(target.rig.joints)
-        source_joints, next_source_joints = np.full(count, -1), np.full(count, -1)
-        next_weights = np.zeros(count)
+        rotation = up_from_up(target.rig.up, source.rig.up)
+        up_rotation = so3.IDENTITY if rotation is None else np.array(rotation)
+        joint_count = len(target.rig.joints)
+        source_joints, next_source_joints = np.full((2, joint_count), -1)
+        next_weights = np.zeros(joint_count)
         for pair in joint_map.pairs:
             source_joints[pair.target] = next_source_joints[pair.target] = pair.source
         for chain in joint_map.chains:
@@ -89,7 +89,9 @@ class Transfer:
             source.rig, target.rig, source_joints
         ):
             source_joints[joint] = next_source_joints[joint] = source_joint
-        aligned = _rest_alignment(source, target, source_joints, upright, as_rig=as_rig)
+        rest_alignment = _rest_alignment(
+            source, target, source_joints, up_rotation, has_same_rest=has_same_rest
+        )
         twists = []
         for twist in joint_map.twists:
             # The next joint below with a role twists the bone.
@@ -98,10 +100,12 @@ class Transfer:
                 twists.append((twist.target, next_joints[0], twist.fraction))
         scale = _leg_ratio(source, target, source_joints)
         joints = source_joints, next_source_joints, next_weights
-        return Transfer(source, target, upright, scale, *joints, aligned, twists)
+        return Transfer(
+            source, target, up_rotation, scale, *joints, rest_alignment, twists
+        )
 
     @property
-    def similar_legs(self) -> bool:
+    def has_similar_legs(self) -> bool:
         """Whether legs and feet of both skeletons are the same up to scale."""
         sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
         skeletons = self.target, self.source
@@ -110,11 +114,11 @@ class Transfer:
             # Feet with other toes roll differently, even if they are equally long.
             if len({ball is not None and ball.toe >= 0 for ball in balls}) > 1:
                 return False
-            bones = [skeleton.leg_bones(side) for skeleton in skeletons]
+            bones = [skeleton.leg_bone_lengths(side) for skeleton in skeletons]
             if len(bones[0]) != len(bones[1]):
                 return False
             length_errors = np.abs(bones[0] - self.scale * bones[1])
-            if (length_errors > EQUAL_LENGTHS * bones[0].sum()).any():
+            if (length_errors > LENGTH_TOLERANCE * bones[0].sum()).any():
                 return False
         return bool(sides)
 
@@ -128,9 +132,9 @@ class Transfer:
         """
         rig = self.target.rig
         rotations_from_rest = so3.multiply(world, so3.conjugate(self.source.rotations))
-        if (self.upright != so3.IDENTITY).any():
-            rotations_from_rest = so3.multiply(self.upright, rotations_from_rest)
-            inverse = so3.conjugate(self.upright)
+        if (self.up_rotation != so3.IDENTITY).any():
+            rotations_from_rest = so3.multiply(self.up_rotation, rotations_from_rest)
+            inverse = so3.conjugate(self.up_rotation)
             rotations_from_rest = so3.multiply(rotations_from_rest, inverse)
         world_rotations = np.zeros((len(world), len(rig.joints), 4))
         for j, parent in enumerate(rig.parents.tolist()):
@@ -168,7 +172,7 @@ class Transfer:
         largest_deviations = np.abs(deviations).max(axis=(0, 2))
         is_moving = largest_deviations > MIN_DEVIATION * self.source.size
         local_translations = target_rig.rest_translations[None]
-        hips = self.target.first("hips")
+        hips = self.target.first_joint("hips")
         for joint, source_joint in enumerate(self.source_joints.tolist()):
             target_parent = int(target_rig.parents[joint])
             source_parent = int(source_rig.parents[max(source_joint, 0)])
@@ -180,10 +184,10 @@ class Transfer:
             ):
                 continue
             if len(local_translations) == 1:
-                count = len(rotations)
-                local_translations = np.repeat(local_translations, count, axis=0)
+                frame_count = len(rotations)
+                local_translations = np.repeat(local_translations, frame_count, axis=0)
             offset = so3.rotate(world[:, source_parent], deviations[:, source_joint])
-            offset = so3.rotate(self.upright, offset)
+            offset = so3.rotate(self.up_rotation, offset)
             inverse_rotations = so3.conjugate(rotations[:, target_parent])
             offset = so3.rotate(inverse_rotations, offset)
             local_translations[:, joint] += self.scale * offset
@@ -199,16 +203,16 @@ class Transfer:
 
     def to_target_axes(self, points: FloatArray) -> FloatArray:
         """Rotate points ``(..., 3)`` from the source's up axis to the target's."""
-        if (self.upright == so3.IDENTITY).all():
+        if (self.up_rotation == so3.IDENTITY).all():
             return points
-        return so3.rotate(self.upright, points)
+        return so3.rotate(self.up_rotation, points)
 
 
 def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray:
     """Return the middle of the thigh joints ``(F, 3)``; the root if there are none."""
-    thighs = [skeleton.first(f"thigh_{side}") for side in "lr"]
+    thighs = [skeleton.first_joint(f"thigh_{side}") for side in "lr"]
     thighs = [j for j in thighs if j >= 0]
-    joints = thighs if len(thighs) == 2 else [max(skeleton.first("hips"), 0)]
+    joints = thighs if len(thighs) == 2 else [max(skeleton.first_joint("hips"), 0)]
     return np.asarray(positions[:, joints].mean(axis=1))
 
 
@@ -227,17 +231,17 @@ def equal_name_pairs(
 
 def _fraction_middles(start_fractions: Sequence[float]) -> FloatArray:
     """Return the midpoint of each bone of a chain, as fractions of its length."""
-    edges = np.append(start_fractions, 1.0)
-    return np.asarray((edges[1:] + edges[:-1]) / 2)
+    boundaries = np.append(start_fractions, 1.0)
+    return np.asarray((boundaries[1:] + boundaries[:-1]) / 2)
 
 
 def _rest_alignment(
     source: RoledSkeleton,
     target: RoledSkeleton,
     source_joints: IntArray,
-    upright: FloatArray,
+    up_rotation: FloatArray,
     *,
-    as_rig: bool,
+    has_same_rest: bool,
 ) -> FloatArray:
     """Return world rotations of the target in the source's rest pose ``(K, 4)``.
 
@@ -245,24 +249,26 @@ def _rest_alignment(
     the rest poses are equal.
     """
     up = np.array(target.rig.up.vector)
-    heading = _heading_alignment(source, target, upright, up)
-    rotations = so3.multiply(heading, target.rotations)
-    for j, source_joint in enumerate(source_joints.tolist() if not as_rig else []):
+    heading_rotation = _heading_alignment(source, target, up_rotation, up)
+    rotations = so3.multiply(heading_rotation, target.rotations)
+    for j, source_joint in enumerate(source_joints.tolist()):
         role = base_role(target.roles[j])
-        if source_joint < 0:
+        if has_same_rest or source_joint < 0:
             continue
-        bone, source_bone = target.bone(j), source.bone(source_joint)
+        bone = target.bone_direction(j)
+        source_bone = source.bone_direction(source_joint)
         if bone is None or source_bone is None:
             continue
-        bone, source_bone = so3.rotate(heading, bone), so3.rotate(upright, source_bone)
+        bone = so3.rotate(heading_rotation, bone)
+        source_bone = so3.rotate(up_rotation, source_bone)
         if role == "foot":
             bone, source_bone = (
                 direction - (direction @ up) * up for direction in (bone, source_bone)
             )
-            sizes = np.linalg.norm(bone), np.linalg.norm(source_bone)
-            if min(sizes) < MIN_BONE_LENGTH:
+            lengths = np.linalg.norm(bone), np.linalg.norm(source_bone)
+            if min(lengths) < MIN_BONE_LENGTH:
                 continue
-            bone, source_bone = bone / sizes[0], source_bone / sizes[1]
+            bone, source_bone = bone / lengths[0], source_bone / lengths[1]
         elif role not in _AIMED_ROLES and role[:-2] not in _FINGER_NAMES:
             continue
         swing = so3.shortest_rotation(bone, source_bone)
@@ -271,16 +277,19 @@ def _rest_alignment(
 
 
 def _heading_alignment(
-    source: RoledSkeleton, target: RoledSkeleton, upright: FloatArray, up: FloatArray
+    source: RoledSkeleton,
+    target: RoledSkeleton,
+    up_rotation: FloatArray,
+    up: FloatArray,
 ) -> FloatArray:
     """Return the rotation from the target's rest heading to the source's ``(4,)``.
 
     A standing body rotates about the vertical alone, so that soles stay level.
     """
-    source_facing, target_facing = source.facing, target.facing
+    source_facing, target_facing = source.facing_axes, target.facing_axes
     if source_facing is None or target_facing is None:
         return so3.IDENTITY
-    source_facing = so3.rotate(upright, source_facing)
+    source_facing = so3.rotate(up_rotation, source_facing)
     if min(source_facing[1] @ up, target_facing[1] @ up) < MIN_STANDING_COSINE:
         return so3.from_matrix(source_facing.T @ target_facing)
     target_forward, source_forward = (
@@ -314,7 +323,7 @@ def _leg_ratio(
     if not leg_lengths:
         path_lengths = target.path_lengths, source.path_lengths
         joint_pairs = [
-            (target.first(role), source.first(role))
+            (target.first_joint(role), source.first_joint(role))
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY_ROLES and role in target.roles
         ] or [

@@ -120,21 +120,21 @@ def assess_take(
     scores: PassScores,
     values: Mapping[str, FloatArray],
     source_values: Mapping[str, float],
-    forced: Sequence[Fault] = (),
+    ignored_errors: Sequence[Fault] = (),
 ) -> Verdict:
-    """Return whether a take is usable.
+    """Return whether a take is usable, and which scores and frames to check.
 
     Args:
         scores: Scores of the full take.
         values: Per-frame values ``(F,)`` of scores that vary over the take.
         source_values: Scores of the source take, where they can be measured.
-        forced: Errors ignored on request.
+        ignored_errors: Errors ignored on request.
     """
-    if forced:
-        look_reasons = tuple(VerdictReason(fault.message) for fault in forced)
+    if ignored_errors:
+        look_reasons = tuple(VerdictReason(fault.message) for fault in ignored_errors)
         return Verdict(TakeStatus.UNUSABLE, look_reasons)
-    by_name = {score.name: score for score in scores.scores}
-    limbs = by_name["limbs"]
+    scores_by_name = {score.name: score for score in scores.scores}
+    limbs = scores_by_name["limbs"]
     if limbs.value > MAX_LIMB_DEVIATION:
         return Verdict(TakeStatus.UNUSABLE, (VerdictReason("limbs", limbs.text),))
     reasons: list[tuple[float, VerdictReason]] = []
@@ -144,8 +144,8 @@ def assess_take(
         if not math.isnan(source_value):
             bound = max(bound, source_value)
         if score.value > bound:
-            exceeds = values.get(score.name, np.zeros(0)) > bound
-            frames = merge_runs(runs(exceeds), MAX_JOINED_GAP)
+            is_above_bound = values.get(score.name, np.zeros(0)) > bound
+            frames = merge_runs(runs(is_above_bound), MAX_JOINED_GAP)
             spans = tuple((first, end - 1) for first, end in frames)
             reason = VerdictReason(score.name, score.text, spans)
             reasons.append((score.excess, reason))

@@ -103,7 +103,7 @@ def test_map_1() -> None:
         ((3,), (4,), "upper_arm_l"),
     ]
     assert found.twists == (TwistFraction(5, 4, 0.25),)
-    assert found.ignored == ({4}, {6})
+    assert found.ignored_joints == ({4}, {6})
     assert not found.is_exclusive
 
 

@@ -293,7 +293,7 @@ def test_any_tree_has_roles_and_any_two_map_or_are_refused(
         name, above = f"{word}.{i:03}", parent % (i + 1) - 1
         joints.append(Joint(name, above, translation=(x, y, 0.0), tips=tips))
     rig = Rig("any", tuple(joints))
-    found = find_anatomy(rig, by_names=by_names)
+    found = find_anatomy(rig, uses_names=by_names)
     assert set(found.roles) <= {*ROLES, TWIST, END, CONTROL, ""}
     singles = ["hips", "head", *(f"{role}_{s}" for role in FINGER_ROLES for s in "lr")]
     assert all(found.roles.count(role) <= 1 for role in singles)

@@ -182,13 +182,13 @@ def test_a_foot_rolls_over_the_foremost_of_its_toes_in_their_middle() -> None:
     toes = [[0.02, -0.05, 0.10], [-0.02, -0.06, 0.14], [0.06, -0.05, 0.12]]
     person: Any = SimpleNamespace(
         positions=np.array([[0.0, 0, 0], *toes]) + np.array([1.0, 0.1, 2.0]),
-        facing=np.eye(3),
+        facing_axes=np.eye(3),
     )
     assert_allclose(
         _ankle_to_ball(person, 0, [1, 2, 3]), [0.02, -0.06, 0.14], atol=1e-12
     )
     assert_allclose(_ankle_to_ball(person, 0, [3]), toes[2], atol=1e-12)
-    person.facing = None
+    person.facing_axes = None
     assert_allclose(_ankle_to_ball(person, 0, [1, 3]), [0.04, -0.05, 0.11], atol=1e-12)
 
 
@@ -212,7 +212,7 @@ def test_a_foot_without_toes_ends_as_what_it_is_nearer_to(
         positions=np.array([[0.0, 0.8, 0], [0, 0.4, 0], [0, 0, 0]]),
         rotations=np.tile([0.0, 0, 0, 1], (3, 1)),
         roles=["thigh_l", "shin_l", "foot_l"],
-        facing=np.eye(3),
+        facing_axes=np.eye(3),
         leg=lambda _: (0, 1, 2, -1),
     )
     other = _FootShape(np.array([0.0, 0, 0.1]), np.array([0.0, 0, 0.2]))

@@ -27,7 +27,11 @@ from animtool.retarget.fingers import _digits_by_position
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import fit_scores
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.standing import body_axes, find_standing_axis, measure_stance
+from animtool.retarget.standing import (
+    find_standing_axis,
+    measure_stance,
+    standing_directions,
+)
 from animtool.retarget.take_pass import retarget_stream
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Joint
@@ -298,7 +302,7 @@ def test_bodies_of_all_kinds(kind: str, named_: bool) -> None:
         rig = replace(rig, joints=tuple(joints))
     known = find_anatomy(rig)
     body = RoledSkeleton.of(rig, known.roles)
-    facing = body.facing
+    facing = body.facing_axes
     shown = {
         "roles": known.roles,
         "found": known.evidence,
@@ -351,7 +355,7 @@ def test_facts_of_takes(name: str) -> None:
         f"facts {name}",
         {
             "facts": asdict(facts),
-            "axes": body_axes(roles, positions),
+            "axes": standing_directions(roles, positions),
             "stands": str(find_standing_axis(take.rig, take.motion, roles)),
             "stance": [
                 measure_stance(roles, where, UpAxis.Y, rest)

@@ -234,10 +234,10 @@ def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
     turn = so3.exp(np.array([0.0, 0, 0.5]))
     names = {"upper_arm_l": 0, "forearm_l": 1, "hand_l": 2}
     arm = SimpleNamespace(
-        first=lambda role: names.get(role, -1),
+        first_joint=lambda role: names.get(role, -1),
         positions=places,
-        bone=lambda _: np.array([0.3, 0.0, 0.0]),
-        facing=np.eye(3)[[2, 1, 0]],
+        bone_direction=lambda _: np.array([0.3, 0.0, 0.0]),
+        facing_axes=np.eye(3)[[2, 1, 0]],
         rotations=np.array([so3.IDENTITY, turn, so3.IDENTITY]),
     )
     person: Any = arm

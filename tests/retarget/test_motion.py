@@ -59,7 +59,7 @@ def test_limbs_are_of_the_hips_on_whichever_joint_these_are(walk: Take) -> None:
     made = onto_rig(walk, walk.rig)
     person = made.transfer.target
     limbs = limb_joints(person)
-    hips = person.first("hips")
+    hips = person.first_joint("hips")
     assert hips == 0
     assert hips in limbs
     names = {walk.rig.names[j] for j in limbs}
@@ -122,7 +122,7 @@ def test_frames_whose_goals_stay_are_not_solved_again(
 
     monkeypatch.setattr(motion.Retargeting, "_solve_ankles", counted)
     made = onto_rig(walk, scaled(walk.rig, 1.0, shin=0.9))
-    assert made.standing.placed is not None
+    assert made.standing.placed_feet is not None
     assert sum(rows) == walk.clock.count
     # Ankles that bend by 15 degrees alone stop feet in some frames.
     stiff = [

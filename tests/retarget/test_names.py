@@ -93,11 +93,9 @@ def test_a_start_that_all_share_is_no_prefix_where_it_says_the_side() -> None:
     ]  # fmt: skip
 
 
-def test_every_preset_has_its_source_and_roles_that_there_are() -> None:
+def test_every_preset_has_roles_that_there_are() -> None:
     assert len(presets()) == 46
     for preset in presets().values():
-        assert preset.title
-        assert preset.source
         assert {role for role in preset.names_by_role if role != "twist"} <= {
             *ROLES,
             *map(base_role, ROLES),
@@ -170,7 +168,7 @@ def test_the_page_of_unknown_presets_lists_all(root: Path) -> None:
 def test_a_convention_is_known_by_six_of_its_names(count: int, known: bool) -> None:
     preset = presets()["mixamo"]
     texts: dict[str, str] = {}
-    for text in sorted(preset.unparsed_names):
+    for text in sorted(preset.full_names):
         (name,) = parse_names([text], np.array([-1]))
         if name.name_key in preset.roles_by_key:
             texts.setdefault(name.name_key, text)

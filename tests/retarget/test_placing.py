@@ -355,7 +355,7 @@ def test_how_high_an_ankle_stands_without_a_ground_at_rest() -> None:
             target.rig, target.roles, moved, target.rotations, feet[1]
         )
         transfer: Any = SimpleNamespace(
-            target=own, source=other, scale=2.0, similar_legs=alike
+            target=own, source=other, scale=2.0, has_similar_legs=alike
         )
         return _planted_ankle_height(transfer, "l", 0.3, 1)
 

@@ -18,8 +18,8 @@ from animtool.retarget.standing import (
     _feet_on_ground,
     _on_one_level,
     _travels_across,
-    body_axes,
     find_standing_axis,
+    standing_directions,
 )
 from animtool.scene.sources.open import open_source
 
@@ -183,7 +183,9 @@ def body(trunk: list[float], legs: list[float], arms: list[float]) -> FloatArray
 def test_a_body_points_away_from_what_it_stands_on(
     ways: tuple[list[float], list[float], list[float]], axis: list[float]
 ) -> None:
-    np.testing.assert_allclose(body_axes(ROLES, body(*ways)), [axis], atol=1e-12)
+    np.testing.assert_allclose(
+        standing_directions(ROLES, body(*ways)), [axis], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(

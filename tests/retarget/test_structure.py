@@ -99,23 +99,23 @@ def test_who_stands_has_a_way_up_and_a_left() -> None:
     assert_allclose(up / np.linalg.norm(up), [0, 1, 0], atol=0.1)
     assert find_up_direction(own, {"leg_l": 4, "leg_r": 7}) is None
     assert_allclose(
-        find_left_direction(own, TIPS, up, at_rest=True), [1, 0, 0], atol=1e-12
+        find_left_direction(own, TIPS, up, is_rest_pose=True), [1, 0, 0], atol=1e-12
     )
     back = standing(-0.2)
     assert_allclose(
-        find_left_direction(back, TIPS, up, at_rest=True), [-1, 0, 0], atol=1e-12
+        find_left_direction(back, TIPS, up, is_rest_pose=True), [-1, 0, 0], atol=1e-12
     )
     # Who hangs head down has the left on the other side.
     down = np.array([0.1, -1.0, 0.2])
     assert_allclose(
-        find_left_direction(own, TIPS, down, at_rest=True), [-1, 0, 0], atol=1e-12
+        find_left_direction(own, TIPS, down, is_rest_pose=True), [-1, 0, 0], atol=1e-12
     )
     # Feet that only hang say nothing: then it is z that is ahead.
     none = standing(0.0)
     assert_allclose(
-        find_left_direction(none, TIPS, None, at_rest=True), [1, 0, 0], atol=1e-12
+        find_left_direction(none, TIPS, None, is_rest_pose=True), [1, 0, 0], atol=1e-12
     )
-    lying = find_left_direction(standing(0.0, UpAxis.Z), {}, None, at_rest=True)
+    lying = find_left_direction(standing(0.0, UpAxis.Z), {}, None, is_rest_pose=True)
     assert_allclose(lying, [1, 0, 0], atol=1e-12)
 
 

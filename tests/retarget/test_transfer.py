@@ -103,20 +103,24 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert own.leg_length("l") == pytest.approx(0.85)
     assert own.leg_length("x") == 0
     assert own.leg("l") == (3, 4, 5, -1)
-    assert (own.first("spine"), own.first("jaw"), own.last("jaw")) == (1, -1, -1)
+    assert (
+        own.first_joint("spine"),
+        own.first_joint("jaw"),
+        own.last_joint("jaw"),
+    ) == (1, -1, -1)
     assert own.size == pytest.approx(1.5)
     ways = own.path_lengths
     assert ways[0] == 0
     assert ways[[5, 11]] == pytest.approx(
         [np.hypot(0.1, 0.05) + 0.85, 0.2 + np.hypot(0.2, 0.3) + 0.55]
     )
-    assert_allclose(own.facing, np.eye(3), atol=1e-12)
-    assert_allclose(own.leg_bones("l"), [0.45, 0.4])
+    assert_allclose(own.facing_axes, np.eye(3), atol=1e-12)
+    assert_allclose(own.leg_bone_lengths("l"), [0.45, 0.4])
     balled = replace(own, balls={"l": Ball(-1, np.array([0, 0, 0.2]))})
-    assert_allclose(balled.leg_bones("l"), [0.45, 0.4, 0.2])
-    assert_allclose(balled.bone(5), Z)
-    assert own.bone(5) is None
-    assert_allclose(own.bone(9), X)
+    assert_allclose(balled.leg_bone_lengths("l"), [0.45, 0.4, 0.2])
+    assert_allclose(balled.bone_direction(5), Z)
+    assert own.bone_direction(5) is None
+    assert_allclose(own.bone_direction(9), X)
     assert_allclose(own.offset(0, 4), [0.1, -0.5, 0], atol=1e-12)
     assert own.are_distinct(0, 1)
     assert not own.are_distinct(1, 1)
@@ -187,7 +191,7 @@ def test_turns_follow_by_the_change_from_rest() -> None:
     own = body()
     made = Transfer.of(own, body(2.0), mapped(WHOLE))
     assert made.scale == pytest.approx(2)
-    assert made.similar_legs
+    assert made.has_similar_legs
     assert made.source_joints.tolist() == list(range(13))  # tails have one name
     world = np.tile(so3.IDENTITY, (1, 13, 1))
     world[0, 3:6] = turn(X, 40)
@@ -264,7 +268,7 @@ def test_legs_are_alike_but_for_their_size(
         replace(p, balls=b)
         for p, b in zip((made.target, made.source), balls, strict=True)
     )
-    assert replace(made, target=own, source=other).similar_legs is alike
+    assert replace(made, target=own, source=other).has_similar_legs is alike
 
 
 def test_places_about_the_hips_and_those_of_the_root() -> None:
@@ -372,15 +376,15 @@ def test_rows_of_turns_are_taken_and_put_with_who_was_held() -> None:
         np.zeros((4, 2, 4)), np.zeros((4, 2, 4)), {0: np.array([1, 1, 0, 0], bool)}
     )
     frames = np.array([1, 2])
-    assert whole.rows(frames).clamped[0].tolist() == [True, False]
+    assert whole.select(frames).clamped_frames[0].tolist() == [True, False]
     other = LocalRotations(
         np.ones((2, 2, 4)), 2 * np.ones((2, 2, 4)), {1: np.array([1, 0], bool)}
     )
-    whole.set_rows(frames, other)
+    whole.replace_frames(frames, other)
     assert whole.local[:, 0, 0].tolist() == [0, 1, 1, 0]
     assert whole.world[:, 0, 0].tolist() == [0, 2, 2, 0]
-    assert whole.clamped[0].tolist() == [True, False, False, False]
-    assert whole.clamped[1].tolist() == [False, True, False, False]
+    assert whole.clamped_frames[0].tolist() == [True, False, False, False]
+    assert whole.clamped_frames[1].tolist() == [False, True, False, False]
 
 
 def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
@@ -444,7 +448,7 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
         assert one.held == {"lt": 0.6}
         assert one.held_mean == pytest.approx(0.05)
         assert (one.scale, one.pairs, one.lowered) == (1, 12, 0)
-    verdict = made.verdict({})
+    verdict = made.verdict({}, ())
     assert verdict.status in set(TakeStatus)
     names = {score.name: score for score in fit_scores(first).scores}
     assert names["not mapped"].value == 0

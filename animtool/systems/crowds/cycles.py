@@ -305,7 +305,7 @@ def _clip_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) ->
 
 def _hip_headings(walker: Walker, world: WorldTransforms) -> FloatArray:
     """Return the heading of the hips at each frame ``(F,)`` [rad]."""
-    hips = max(walker.skeleton.first("hips"), 0)
+    hips = max(walker.skeleton.first_joint("hips"), 0)
     rest = walker.skeleton.rotations[hips]
     rotations = so3.multiply(world.rotations[:, hips], so3.conjugate(rest))
     return np.unwrap(headings_of(rotations)) + walker.heading

@@ -46,7 +46,7 @@ class Walker:
     def of(rig: Rig) -> Walker:
         """Return the legs of a biped at rest; raise SIM149 if it lacks two legs."""
         skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
-        left, right, facing = skeleton.leg("l"), skeleton.leg("r"), skeleton.facing
+        left, right, facing = skeleton.leg("l"), skeleton.leg("r"), skeleton.facing_axes
         if left is None or right is None or facing is None:
             message = f"{rig.name!r} does not have two legs with thigh, shin and foot"
             raise OptionError(Fault("SIM149", message, where="gaits"))

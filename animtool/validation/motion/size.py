@@ -236,7 +236,7 @@ def body_axis(subject: MotionSubject) -> Stance | None:
     rest_positions = rest_world(rig).positions[0] if subject.has_rest else None
     roles = find_anatomy(rig).roles
     stance = measure_stance(roles, subject.positions, rig.up, rest_positions)
-    return None if stance.axis is None and not stance.upside_down else stance
+    return None if stance.axis is None and not stance.is_upside_down else stance
 
 
 def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:
