@@ -133,8 +133,8 @@ def test_records_inside_of_others_are_theirs_too(tmp_path: Path) -> None:
 def test_a_layer_that_a_file_brings_in_is_not_opened_itself(tmp_path: Path) -> None:
     shot, layer = tmp_path / "shot", tmp_path / "layer"
     with recorded_inputs() as inputs:
-        note_input(layer, composed=True)
+        note_input(layer, is_composed=True)
         note_input(shot)
-        note_input(shot, composed=True)
+        note_input(shot, is_composed=True)
     assert set(inputs.states) == {shot, layer}
     assert inputs.opened_paths == {shot}

@@ -62,7 +62,7 @@ def _code_digest() -> str:
     folder = Path(animtool.__file__).parent
     for path in sorted(folder.rglob("*.py")):
         # Line ends differ between a checkout and a wheel on some systems.
-        text = read_input(path, recorded=False).replace(b"\r\n", b"\n")
+        text = read_input(path, is_recorded=False).replace(b"\r\n", b"\n")
         digest.update(f"{path.relative_to(folder).as_posix()}\0{len(text)}\0".encode())
         digest.update(text)
     return digest.hexdigest()[:12]
@@ -121,7 +121,7 @@ def _unfit_reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
     for path, text in check.tokens.items():
         folder = Path(path).parent
         try:
-            is_same = read_input(Path(path), recorded=False) == text.encode()
+            is_same = read_input(Path(path), is_recorded=False) == text.encode()
         except AnimtoolError:
             is_same = False
         if not is_same:

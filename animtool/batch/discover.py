@@ -259,7 +259,7 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
         raise OptionError(faults)
     # Other names at the end may contain a suffix.
     if not pattern.replace("{stem}", "stem").endswith("}"):
-        take_writer(Path(pattern), folders=True)
+        take_writer(Path(pattern), allows_folders=True)
 
 
 def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:

@@ -153,7 +153,7 @@ def file_digest(path: Path) -> str:
     """Return the SHA-256 of a file; empty for a folder, device or pipe."""
     if path.exists() and not path.is_file():
         return ""
-    with open_input(path, None, recorded=False) as file:
+    with open_input(path, None, is_recorded=False) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         file.check()
     return digest

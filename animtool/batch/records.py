@@ -65,7 +65,7 @@ def json_object(data: bytes, *, refuses_duplicates: bool = True) -> dict[str, An
 def json_of_file(path: Path, max_bytes: int) -> dict[str, Any]:
     """Return the JSON object in a file of limited size."""
     try:
-        data = read_input(path, max_bytes, recorded=False)
+        data = read_input(path, max_bytes, is_recorded=False)
     except FormatError as error:
         raise RecordError(error.faults[0].message) from error
     return json_object(data)
@@ -164,7 +164,7 @@ class LineReader:
         lines with invalid content.
         """
         try:
-            raw_file = open_input(self.path, None, recorded=False)
+            raw_file = open_input(self.path, None, is_recorded=False)
         except FormatError as error:
             if isinstance(error.__cause__, FileNotFoundError):
                 return

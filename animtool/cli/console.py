@@ -123,7 +123,7 @@ class Console:
         """Write a record or plain values to stdout as JSON, or as one line of ASCII."""
         indent = None if line else 2
         value = self._with_flags(plain_value(value))
-        self.document(printable_json(value, indent=indent, ascii_only=line))
+        self.document(printable_json(value, indent=indent, is_ascii_only=line))
         sys.stdout.flush()
 
     def document(self, text: str) -> None:

@@ -24,7 +24,7 @@ _ARGUMENT_VALUE = "\ufdd1"
 _ARGUMENT_END = "\ufdd2"
 _CLAUSE_BEGIN = "\ufdd3"
 _CLAUSE_END = "\ufdd4"
-_MARK = re.compile(
+_ARGUMENT_PATTERN = re.compile(
     f"{_ARGUMENT_BEGIN}([a-z0-9_.]+)"
     f"(?:{_ARGUMENT_VALUE}([^{_ARGUMENT_BEGIN}-{_ARGUMENT_END}]*))?{_ARGUMENT_END}"
 )
@@ -33,7 +33,7 @@ _CLAUSE = re.compile(f"{_CLAUSE_BEGIN}([^{_CLAUSE_BEGIN}{_CLAUSE_END}]*){_CLAUSE
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """An argument that a text names."""
+    """An argument that a text mentions, and the value that the text gives it."""
 
     name: str  # dotted name of the field, such as `source.fps`
     value: str | None = None  # value as files write it, if the text states one
@@ -153,7 +153,7 @@ def clause(text: str) -> str:
 
 
 def flag(name: str, value: str = "") -> str:
-    """Return an option for a text that quotes a full command.
+    """Return a command-line flag and its value, for a hint that quotes a command.
 
     >>> flag("shot", "NAME")
     '--shot NAME'
@@ -217,7 +217,7 @@ def _split_arguments(text: str) -> tuple[TextPart, ...]:
     """Split a text without clauses into plain texts and arguments."""
     parts: list[TextPart] = []
     position = 0
-    for match in _MARK.finditer(text):
+    for match in _ARGUMENT_PATTERN.finditer(text):
         parts += [text[position : match.start()], Argument(match[1], match[2])]
         position = match.end()
     return tuple(part for part in (*parts, text[position:]) if part)

@@ -29,16 +29,16 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
         array = np.ascontiguousarray(values, np.float64)
     except (TypeError, ValueError) as error:
         # Texts, and lists of different lengths.
-        expected = ", ".join(map(str, shape))
-        raise ValueError(f"{name} must be numbers of shape ({expected})") from error
+        shape_text = ", ".join(map(str, shape))
+        raise ValueError(f"{name} must be numbers of shape ({shape_text})") from error
     lengths = array.shape
     # Callers mostly know all lengths, or all but the first.
     has_shape = lengths == shape or (
         lengths[1:] == shape[1:] and bool(lengths) and shape[0].__class__ is str
     )
     if not has_shape and not _matches_shape(lengths, shape):
-        expected = ", ".join(map(str, shape))
-        raise ValueError(f"{name} must have shape ({expected}), not {array.shape}")
+        shape_text = ", ".join(map(str, shape))
+        raise ValueError(f"{name} must have shape ({shape_text}), not {array.shape}")
     return array
 
 

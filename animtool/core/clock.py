@@ -34,18 +34,12 @@ def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
     import numpy as np
 
     denominator = start.denominator * step.denominator
-    first = start.numerator * step.denominator
-    increment = step.numerator * start.denominator
+    first_numerator = start.numerator * step.denominator
+    step_numerator = step.numerator * start.denominator
     # Integers of this size are exact in float64, so that one division rounds correctly.
-    if (
-        max(
-            abs(first),
-            abs(first + increment * count),
-            denominator,
-        )
-        < 2**53
-    ):
-        numerators = first + increment * np.arange(count, dtype=np.int64)
+    last_numerator = first_numerator + step_numerator * count
+    if max(abs(first_numerator), abs(last_numerator), denominator) < 2**53:
+        numerators = first_numerator + step_numerator * np.arange(count, dtype=np.int64)
         return numerators / float(denominator)
     return np.array([float(start + i * step) for i in range(count)])
 
@@ -138,7 +132,7 @@ class FrameSpan:
     fps: Fraction  # time codes per second
 
     def __str__(self) -> str:
-        """Return the span as text.
+        """Return the frames and their rate as text.
 
         >>> str(FrameSpan(Fraction(1001), Fraction(2017, 2), Fraction(24)))
         'frames 1001 to 1008.5 at 24 fps'

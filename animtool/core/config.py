@@ -17,12 +17,12 @@ from animtool.core.record import dataclass
 from animtool.core.timecode import is_timecode
 
 # The same depth as for YAML documents.
-MAX_DEPTH = 50
+MAX_TOML_DEPTH = 50
 # The parser's time grows with the square of the number of key parts. Matches start only
 # where no part or escape precedes, so that the search takes linear time.
 _KEY_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _TOO_DEEP_KEY = re.compile(
-    rf"(?<![\w\\-])(?:{_KEY_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}"
+    rf"(?<![\w\\-])(?:{_KEY_PART}[ \t]*+\.[ \t]*+){{{MAX_TOML_DEPTH}}}"
 )
 
 
@@ -40,7 +40,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     except RecursionError as error:
         raise _depth_error() from error
     values: list[Any] = [tables]
-    for _ in range(MAX_DEPTH):
+    for _ in range(MAX_TOML_DEPTH):
         values = [inner for value in values for inner in _nested_values(value)]
         if not values:
             return tables
@@ -48,7 +48,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _depth_error(position: str = "") -> ValueError:
-    return ValueError(f"it is nested deeper than {MAX_DEPTH}{position}")
+    return ValueError(f"it is nested deeper than {MAX_TOML_DEPTH}{position}")
 
 
 def _nested_values(value: Any) -> Iterable[Any]:
@@ -101,17 +101,17 @@ def find_config(path: Path) -> Config:
         config_file, project = folder / "animtool.toml", folder / "pyproject.toml"
         note_input(config_file)
         if config_file.is_file():
-            return _config(config_file, _project_table(config_file))
+            return _config_from_table(config_file, _read_toml(config_file))
         note_input(project)
         if project.is_file():
-            tools = _project_table(project).get("tool", {})
+            tools = _read_toml(project).get("tool", {})
             table = tools.get("animtool") if isinstance(tools, dict) else None
             if table is not None:
-                return _config(project, table)
+                return _config_from_table(project, table)
     return Config()
 
 
-def _project_table(path: Path) -> dict[str, Any]:
+def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return _parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:
@@ -141,11 +141,11 @@ def _lower_first(text: str) -> str:
 _parse_toml = lru_cache(maxsize=8)(parse_toml)
 
 
-def _config(path: Path, table: Any) -> Config:
+def _config_from_table(path: Path, table: Any) -> Config:
     if not isinstance(table, dict):
         message = f"animtool is {table!r}, not a table of settings"
         raise OptionError(Fault("CFG001", message, str(path)))
-    names = [entry.name for entry in fields(Config) if entry.name != "path"]
+    names = [setting.name for setting in fields(Config) if setting.name != "path"]
     for name in table:
         if name not in names:
             message, allowed = f"unknown setting {name!r}", ", ".join(names)
@@ -158,8 +158,8 @@ def _config(path: Path, table: Any) -> Config:
     roots = table.get("roots", [])
     if not isinstance(roots, list) or not all(isinstance(root, str) for root in roots):
         message = f"roots is {excerpt(str(roots))}, not a list of folders"
-        correction = f'write roots = ["{roots}"]' if isinstance(roots, str) else None
-        raise _value_error(path, message, correction)
+        roots_hint = f'write roots = ["{roots}"]' if isinstance(roots, str) else None
+        raise _value_error(path, message, roots_hint)
     folders = (path.parent, *(path.parent / root for root in roots))
     validate = table.get("validate", {})
     if not isinstance(validate, dict):
@@ -169,7 +169,7 @@ def _config(path: Path, table: Any) -> Config:
         message = f"max_array_mb is {limit!r}, not a whole number from 1 to "
         raise _value_error(path, f"{message}{MAX_ARRAY_MB}")
     start_frame = None if start is None else Fraction(start)
-    timeline = _timeline(path, table.get("timeline", {}))
+    timeline = _timeline_from_table(path, table.get("timeline", {}))
     return Config(start_frame, folders, validate, limit, path, timeline)
 
 
@@ -182,12 +182,12 @@ def _value_error(path: Path, message: str, hint: str | None = None) -> OptionErr
     return OptionError(Fault("CFG003", message, str(path), hint=hint))
 
 
-def _timeline(path: Path, table: Any) -> TimelineConfig:
+def _timeline_from_table(path: Path, table: Any) -> TimelineConfig:
     """Return the settings of timelines."""
     if not isinstance(table, dict):
         message = f"timeline is {excerpt(str(table))}, not a table of settings"
         raise _value_error(path, message)
-    names = [entry.name for entry in fields(TimelineConfig)]
+    names = [setting.name for setting in fields(TimelineConfig)]
     values: dict[str, Any] = {}
     for name, value in table.items():
         if name not in names:
@@ -236,9 +236,9 @@ def _version_control_root(folder: Path) -> Path | None:
 
 def innermost_project(folder: Path, target: Path) -> Path | None:
     """Return the innermost project that contains both paths; None without one."""
-    for project in (folder, *folder.parents):
-        if target.is_relative_to(project):
-            return project if _may_be_project(project) else None
+    for folder_above in (folder, *folder.parents):
+        if target.is_relative_to(folder_above):
+            return folder_above if _may_be_project(folder_above) else None
     return None
 
 

@@ -114,7 +114,7 @@ class Fault:
 def warning(
     code: str, message: str, hint: str | None = None, where: str | None = None
 ) -> Fault:
-    """Return a warning."""
+    """Return a fault of severity warning."""
     return Fault(code, message, hint=hint, where=where, severity=Severity.WARNING)
 
 
@@ -325,8 +325,8 @@ def percent_text(fraction: float) -> str:
     >>> percent_text(0.0123), percent_text(5.4973), percent_text(2e-12)
     ('1.2%', '550%', '0%')
     """
-    value = float(f"{100 * fraction:.2g}")
-    return f"{value:.12g}%" if value >= 1e-4 else "0%"
+    percent = float(f"{100 * fraction:.2g}")
+    return f"{percent:.12g}%" if percent >= 1e-4 else "0%"
 
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:

@@ -59,12 +59,12 @@ def _add_case(suite: Element, case: JunitCase) -> None:
     if case.seconds is not None:
         element.set("time", f"{case.seconds:.3f}")
     if case.outcome != "passed":
-        entry = SubElement(element, case.outcome)
+        result = SubElement(element, case.outcome)
         if case.code:
-            entry.set("type", case.code)
+            result.set("type", case.code)
         if case.message:
-            entry.set("message", escaped(case.message))
+            result.set("message", escaped(case.message))
         if case.text:
-            entry.text = escaped_lines(case.text)
+            result.text = escaped_lines(case.text)
     if case.output:
         SubElement(element, "system-out").text = escaped_lines(case.output)

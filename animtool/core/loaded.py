@@ -12,12 +12,12 @@ _LOADERS = {
 }
 
 
-def check_loaded(value: object, expected: type, name: str) -> None:
+def check_loaded(value: object, expected_class: type, name: str) -> None:
     """Raise `TypeError` if an argument is not of a class; name what loads it.
 
     Args:
         value: The argument.
-        expected: Its class, such as ``Rig``.
+        expected_class: Its class, such as ``Rig``.
         name: Its name.
 
     >>> from animtool.rig.skeleton import Rig
@@ -25,20 +25,20 @@ def check_loaded(value: object, expected: type, name: str) -> None:
     Traceback (most recent call last):
     TypeError: rig is a path, not a Rig; write Rig.load('biped.rig.yaml')
     """
-    if isinstance(value, expected):
+    if isinstance(value, expected_class):
         return
-    class_name, type_name = expected.__name__, type(value).__name__
+    class_name, type_name = expected_class.__name__, type(value).__name__
     article = "an" if type_name[:1] in "AEIOUaeiou" else "a"
-    kind, remedy = f"{article} {type_name}", ""
+    value_text, remedy = f"{article} {type_name}", ""
     loader = _LOADERS.get(class_name, "")
     if value is None:
-        kind = "None"
+        value_text = "None"
     if isinstance(value, str | Path):
-        kind = "a path"
+        value_text = "a path"
         remedy = loader.format(repr(str(value)))
-    elif expected.__name__ == "Take" and hasattr(value, "collect"):
+    elif expected_class.__name__ == "Take" and hasattr(value, "collect"):
         remedy = f"{name}.collect()"
-    elif isinstance(getattr(value, class_name.lower(), None), expected):
+    elif isinstance(getattr(value, class_name.lower(), None), expected_class):
         remedy = f"{name}.{class_name.lower()}"
     hint = f"; write {remedy}" if remedy else ""
-    raise TypeError(f"{name} is {kind}, not a {class_name}{hint}")
+    raise TypeError(f"{name} is {value_text}, not a {class_name}{hint}")

@@ -15,13 +15,13 @@ from animtool.core.quantities import CONTROL_CHARACTERS
 # Placeholder of a missing name.
 UNKNOWN = "?"
 # Maximum number of valid names that are searched for a hint.
-MAX_NAMES = 2000
+MAX_SEARCHED_NAMES = 2000
 # Maximum number of them that are compared letter by letter.
 MAX_COMPARED_NAMES = 40
 # Less similar names are different words: position and restitution have 0.63.
 MIN_SIMILARITY = 0.65
 # Longer names are not misspellings.
-MAX_LENGTH = 120
+MAX_NAME_LENGTH = 120
 # Number of names that a hint lists, the nearest first: most lists of keys are shorter.
 MAX_LISTED_NAMES = 24
 # Pattern of variable names.
@@ -87,7 +87,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
     >>> nearest("arm", ["hip", "forearm"])
     'allowed: forearm, hip'
     """
-    unique_names = dict.fromkeys(islice(names, MAX_NAMES))
+    unique_names = dict.fromkeys(islice(names, MAX_SEARCHED_NAMES))
     unique_names.pop(UNKNOWN, None)
     best_match = most_similar(name, unique_names)
     if best_match:
@@ -166,11 +166,11 @@ def scaled_decimal(value: float, unit: float) -> str:
         return decimal_text(value)
     quotient = value / unit
     for digits in range(DEFAULT_DIGITS, MAX_DIGITS + 1):
-        rounded = float(f"{quotient:.{digits}g}")
+        rounded_quotient = float(f"{quotient:.{digits}g}")
         for candidate in (
-            rounded,
-            math.nextafter(rounded, math.inf),
-            math.nextafter(rounded, 0),
+            rounded_quotient,
+            math.nextafter(rounded_quotient, math.inf),
+            math.nextafter(rounded_quotient, 0),
         ):
             if candidate * unit == value:
                 return decimal_text(candidate)
@@ -183,19 +183,19 @@ def yaml_scalar(value: str) -> str:
     >>> yaml_scalar("hips"), yaml_scalar("no: 1"), yaml_scalar("12")
     ('hips', '"no: 1"', '"12"')
     """
-    unquoted = value
+    name_letters = value
     for separator in "_.-/":
-        unquoted = unquoted.replace(separator, "")
+        name_letters = name_letters.replace(separator, "")
     reserved_words = {"null", "true", "false", "nan", "inf"}
-    needs_no_quotes = unquoted.isascii() and unquoted.isalnum() and value[0].isalpha()
-    if needs_no_quotes and value.lower() not in reserved_words:
+    is_plain = name_letters.isascii() and name_letters.isalnum() and value[0].isalpha()
+    if is_plain and value.lower() not in reserved_words:
         return value
     if problem := unreadable_character(value):
         message = f"the name {excerpt(value)} contains {problem!r}, which file names "
         raise FormatError(Fault("DOC023", f"{message}may not", hint="rename it"))
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-    escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)
-    return f'"{escaped}"'
+    escaped_text = value.replace("\\", "\\\\").replace('"', '\\"')
+    letters = (c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped_text)
+    return f'"{"".join(letters)}"'
 
 
 def unreadable_character(value: str) -> str:
@@ -228,9 +228,10 @@ def most_similar(
     >>> most_similar("ebow", ["hand", "elbow"]), most_similar("ebow", ["hip"])
     ('elbow', None)
     """
-    if len(name) > MAX_LENGTH:
+    if len(name) > MAX_NAME_LENGTH:
         return None
-    candidates = [n for n in islice(names, MAX_NAMES) if len(n) <= MAX_LENGTH]
+    searched_names = islice(names, MAX_SEARCHED_NAMES)
+    candidates = [n for n in searched_names if len(n) <= MAX_NAME_LENGTH]
     if len(candidates) > MAX_COMPARED_NAMES:
         pairs = _letter_pairs(name)
         candidates.sort(key=lambda n: len(pairs & _letter_pairs(n)), reverse=True)
@@ -250,11 +251,12 @@ def sort_by_similarity(name: str, names: Iterable[str]) -> list[str]:
     >>> sort_by_similarity("arms", ["hip", "arm", "forearm"])
     ['arm', 'forearm', 'hip']
     """
-    pairs = _letter_pairs(name.lower())
+    letter_pairs = _letter_pairs(name.lower())
 
     def dissimilarity(other_name: str) -> float:
         other_pairs = _letter_pairs(other_name.lower())
-        return -2 * len(pairs & other_pairs) / max(len(pairs) + len(other_pairs), 1)
+        pair_count = len(letter_pairs) + len(other_pairs)
+        return -2 * len(letter_pairs & other_pairs) / max(pair_count, 1)
 
     return sorted(names, key=dissimilarity)
 

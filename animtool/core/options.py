@@ -225,7 +225,7 @@ def with_text_values(
 
 def changed_options(record: Any) -> dict[str, Option]:
     """Return the options of a record whose values differ from their defaults."""
-    defaults = {entry.name: entry.default for entry in fields(record)}
+    defaults = {each.name: each.default for each in fields(record)}
     return {
         name: option
         for name, option in options_of(record).items()
@@ -245,23 +245,23 @@ def refused_options(record: Any, use: str) -> dict[str, Option]:
     The result maps the marker of each to its reason.
     """
     changes = changed_options(record).items()
-    refused = [change for change in changes if use in change[1].not_for]
-    return {option_marker(name, option): option for name, option in refused}
+    refused_changes = [change for change in changes if use in change[1].not_for]
+    return {option_marker(name, option): option for name, option in refused_changes}
 
 
 def clash_messages(record: Any) -> list[str]:
     """Return messages about changed options that exclude or require other options."""
     options, changes = options_of(record), changed_options(record)
-    names = {name: option_marker(name, option) for name, option in options.items()}
+    markers = {name: option_marker(name, option) for name, option in options.items()}
     messages = []
     for name, changed_option in changes.items():
         for excluded_name, message in changed_option.excludes.items():
             if excluded_name in changes:
-                pair_text = f"{names[name]} and {names[excluded_name]}"
+                pair_text = f"{markers[name]} and {markers[excluded_name]}"
                 messages.append(message or f"{pair_text} exclude each other")
         if changed_option.goes_with and changed_option.goes_with not in changes:
-            default_message = f"{names[name]} needs {names[changed_option.goes_with]}"
-            messages.append(changed_option.missing_message or default_message)
+            message = f"{markers[name]} needs {markers[changed_option.goes_with]}"
+            messages.append(changed_option.missing_message or message)
     return messages
 
 

@@ -41,7 +41,7 @@ PAGE_BY_SUBJECT = {
     "units": "howto/units-and-axes",
 }
 # Number of pages in a hint on a topic.
-MAX_MENTIONED = 5
+MAX_HINTED_PAGES = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def all_pages() -> tuple[PageEntry, ...]:
     docs = cast(Path, _DOCS)
     order = list(PAGE_KINDS.values())
     entries = [
-        PageEntry(path.relative_to(docs).with_suffix("").as_posix(), _title(path))
+        PageEntry(path.relative_to(docs).with_suffix("").as_posix(), _page_title(path))
         for path in docs.rglob("*.md")
         if path.relative_to(docs).parts[0] != "rules"
     ]
@@ -107,7 +107,7 @@ def find_page(topic: str) -> PageEntry:
         return pages_about[0]
     if name.strip() and not pages_about:
         pages_about = _most_mentioning(name)
-    names = ", ".join(page.name for page in pages_about[:MAX_MENTIONED])
+    names = ", ".join(page.name for page in pages_about[:MAX_HINTED_PAGES])
     hint = f"it is a subject of {names}"
     if not names:
         hint = nearest(name, [page.name.split("/")[-1] for page in pages])
@@ -118,7 +118,7 @@ def find_page(topic: str) -> PageEntry:
 
 def _defining_pages(topic: str) -> list[PageEntry]:
     """Return the pages with a topic in a heading, or at the start of a table's row."""
-    row = re.compile(rf"^\| `{re.escape(topic)}`", re.MULTILINE | re.IGNORECASE)
+    row_pattern = re.compile(rf"^\| `{re.escape(topic)}`", re.MULTILINE | re.IGNORECASE)
     return [
         page
         for page in all_pages()
@@ -126,7 +126,7 @@ def _defining_pages(topic: str) -> list[PageEntry]:
         and _count_mentions(page, topic)
         and (
             any(topic in heading.lower() for heading in _headings(page))
-            or row.search(page_markdown(page))
+            or row_pattern.search(page_markdown(page))
         )
     ]
 
@@ -149,6 +149,6 @@ def _headings(page: PageEntry) -> list[str]:
     return re.findall(r"^#+ (.+)$", page_markdown(page), re.MULTILINE)
 
 
-def _title(path: Path) -> str:
+def _page_title(path: Path) -> str:
     with path.open("rb") as file:
         return file.readline().decode("utf-8").lstrip("# ").strip()

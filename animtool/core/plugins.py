@@ -33,7 +33,7 @@ def lazy_names(
     >>> import_name("Fault")
     <class 'animtool.core.errors.Fault'>
     """
-    names = vars(sys.modules[package])
+    package_names = vars(sys.modules[package])
 
     def import_name(name: str) -> object:
         """Import the module of a public name when the name is first used."""
@@ -45,8 +45,8 @@ def lazy_names(
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = importlib.import_module(modules[name])
         is_module = modules[name] == f"{package}.{name}"
-        names[name] = module if is_module else getattr(module, name)
-        return names[name]
+        package_names[name] = module if is_module else getattr(module, name)
+        return package_names[name]
 
     def list_names() -> list[str]:
         return sorted(modules)
@@ -54,7 +54,7 @@ def lazy_names(
     return import_name, list_names
 
 
-Kind = TypeVar("Kind")
+PluginT = TypeVar("PluginT")
 
 
 def load_object(path: str) -> object:
@@ -63,9 +63,9 @@ def load_object(path: str) -> object:
     >>> load_object("fractions:Fraction")
     <class 'fractions.Fraction'>
     """
-    module, _, attribute = path.partition(":")
-    value: object = attrgetter(attribute)(importlib.import_module(module))
-    return value
+    module_name, _, attribute = path.partition(":")
+    loaded_object: object = attrgetter(attribute)(importlib.import_module(module_name))
+    return loaded_object
 
 
 def plugin_entry_points(group: str) -> dict[str, EntryPoint]:
@@ -91,25 +91,25 @@ def may_have_plugins(group: str) -> bool:
     for folder in map(Path, sys.path):
         if folder.is_file():
             return True
-        for entry in folder.glob("*.*"):
-            if entry.suffix == ".egg":
+        for path in folder.glob("*.*"):
+            if path.suffix == ".egg":
                 return True
-            if entry.suffix in {".dist-info", ".egg-info"}:
-                entry_file = entry / "entry_points.txt"
+            if path.suffix in {".dist-info", ".egg-info"}:
+                entry_file = path / "entry_points.txt"
                 if entry_file.is_file() and group.encode() in entry_file.read_bytes():
                     return True
     return False
 
 
-def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
+def load_plugin(point: EntryPoint, plugin_class: type[PluginT]) -> PluginT:
     """Load the object of an entry point and check its type (else IO003)."""
     try:
         plugin: object = point.load()
     except Exception as error:
-        raise _plugin_error(point, kind, str(error)) from error
-    if not isinstance(plugin, kind):
-        reason = f"a {type(plugin).__name__}, no {kind.__name__}"
-        raise _plugin_error(point, kind, reason)
+        raise _plugin_error(point, plugin_class, str(error)) from error
+    if not isinstance(plugin, plugin_class):
+        reason = f"a {type(plugin).__name__}, no {plugin_class.__name__}"
+        raise _plugin_error(point, plugin_class, reason)
     return plugin
 
 
@@ -119,7 +119,7 @@ def _plugin_error(point: EntryPoint, kind: type[object], reason: str) -> OptionE
     return OptionError(Fault("IO003", message, hint="repair or remove the plug-in"))
 
 
-Entry = TypeVar("Entry")
+EntryT = TypeVar("EntryT")
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +135,8 @@ class ListedEntry:
 def listed_entries(
     builtin: Iterable[str],
     points: Mapping[str, EntryPoint],
-    find: Callable[[str], Entry],
-    describe: Callable[[Entry], tuple[Any, str]],
+    find: Callable[[str], EntryT],
+    describe: Callable[[EntryT], tuple[Any, str]],
     unusable: Any,
 ) -> list[ListedEntry]:
     """Return all entries of a table, built-in ones first, with plug-ins loaded.
@@ -151,25 +151,25 @@ def listed_entries(
     sources = dict.fromkeys(builtin, "animtool")
     for name, point in sorted(points.items()):
         sources.setdefault(name, point.value)
-    rows = []
+    listed = []
     for name, source in sources.items():
         try:
             uses, about = describe(find(name))
         except OptionError as error:
             uses, about = unusable, error.faults[0].message
-        rows.append(ListedEntry(name, source, uses, about))
-    return rows
+        listed.append(ListedEntry(name, source, uses, about))
+    return listed
 
 
 @dataclass(frozen=True)
-class FormatTable(Generic[Entry]):
+class FormatTable(Generic[EntryT]):
     """A table of formats by suffix; built-in entries precede those of plug-ins."""
 
-    builtin: Mapping[str, Entry]  # by suffix, including the dot
+    builtin: Mapping[str, EntryT]  # by suffix, including the dot
     group: str  # group of the entry points
-    kind: type[Entry]
+    kind: type[EntryT]
 
-    def find(self, path: Path) -> Entry | None:
+    def find(self, path: Path) -> EntryT | None:
         """Return the entry for the suffix of a file; None if there is none."""
         suffix = path.suffix.lower()
         if suffix in self.builtin:
@@ -187,12 +187,12 @@ class FormatTable(Generic[Entry]):
         return [s for s in self._entry_points_by_suffix() if s not in self.builtin]
 
     def listed(
-        self, uses: Callable[[Entry], tuple[str, ...]], about: Callable[[Entry], str]
+        self, uses: Callable[[EntryT], tuple[str, ...]], about: Callable[[EntryT], str]
     ) -> list[ListedEntry]:
         """Return all entries, built-in ones first, with plug-ins loaded."""
         points = self._entry_points_by_suffix()
 
-        def find(suffix: str) -> Entry:
+        def find(suffix: str) -> EntryT:
             if suffix in self.builtin:
                 return self.builtin[suffix]
             return load_plugin(points[suffix], self.kind)

@@ -57,25 +57,25 @@ def escaped_lines(text: str) -> str:
 
 
 def printable_json(
-    value: object, *, indent: int | None = None, ascii_only: bool = False
+    value: object, *, indent: int | None = None, is_ascii_only: bool = False
 ) -> str:
     r"""Return a value as UTF-8 JSON with the escapes of `escaped`.
 
     >>> printable_json("\x9b\udcff##[error]")
     '"\\u009b\\udcff\\u0023#[error]"'
     """
-    text = json.dumps(value, indent=indent, ensure_ascii=ascii_only, allow_nan=False)
+    text = json.dumps(value, indent=indent, ensure_ascii=is_ascii_only, allow_nan=False)
     # Line ends are only between values; json escapes all others.
     return _CHARACTERS_TO_ESCAPE.sub(_escape_json, text)
 
 
 def _escape(match: re.Match[str]) -> str:
-    code = ord(match[0])
+    code_point = ord(match[0])
     if match[0] in _SHORT_ESCAPES:
         return _SHORT_ESCAPES[match[0]]
-    if code < 0x100:
-        return f"\\x{code:02x}"
-    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+    if code_point < 0x100:
+        return f"\\x{code_point:02x}"
+    return f"\\u{code_point:04x}" if code_point < 0x10000 else f"\\U{code_point:08x}"
 
 
 def _escape_json(match: re.Match[str]) -> str:
@@ -124,11 +124,11 @@ def plain_number(value: float, digits: int = 3) -> str:
     text = f"{value:.{digits}g}"
     if "e" not in text:
         return text
-    number_and_exponent, exponent = float(text), int(text.partition("e")[2])
+    rounded_number, exponent = float(text), int(text.partition("e")[2])
     if abs(exponent) > MAX_ZEROS:
         return text
     decimals = max(0, digits - 1 - exponent)
-    text = f"{number_and_exponent:.{decimals}f}"
+    text = f"{rounded_number:.{decimals}f}"
     return text.rstrip("0").rstrip(".") if decimals else text
 
 
@@ -207,5 +207,5 @@ def _unit_text(
 ) -> str:
     if not value:
         return f"0 {zero}"
-    _, unit, name = next(entry for entry in units if abs(value) >= entry[0])
+    _, unit, name = next(each for each in units if abs(value) >= each[0])
     return f"{plain_number(value / unit, digits)} {name}"

@@ -29,7 +29,7 @@ MAX_INTEGER_RATE = 1000
 # Captures and displays are slower; a larger number is probably no rate [frame/s].
 MAX_PLAUSIBLE_RATE = 2000
 # Maximum number of digits of a frame time.
-MAX_DIGITS = 100
+MAX_NUMBER_DIGITS = 100
 # Preferred if a time is printed so coarsely that several integers match.
 COMMON_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
 
@@ -114,8 +114,8 @@ def rate_from_frame_time(text: str) -> RateChoice:
         best_integer = min(
             common_rates or matching_rates, key=lambda n: abs(n - exact_rate)
         )
-        others = tuple(n for n in matching_rates if n != best_integer)
-        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, others)
+        other_rates = tuple(n for n in matching_rates if n != best_integer)
+        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, other_rates)
 
     broadcast_counts = _adjacent_integers(exact_rate * 1001 / 1000)
     candidates = [Fraction(n) for n in _adjacent_integers(exact_rate)]
@@ -162,12 +162,12 @@ def rate_from_float(fps: float) -> Fraction:
         return known_rate
     nearest_integer = round(exact_rate)
     broadcast_count = round(exact_rate * 1001 / 1000)
-    nearest = min(
+    nearest_rate = min(
         (Fraction(nearest_integer), Fraction(broadcast_count * 1000, 1001)),
         key=lambda rate: abs(rate - exact_rate),
     )
-    if abs(nearest - exact_rate) <= nearest * METADATA_TOLERANCE:
-        return nearest
+    if abs(nearest_rate - exact_rate) <= nearest_rate * METADATA_TOLERANCE:
+        return nearest_rate
     return exact_rate.limit_denominator(1_000_000)
 
 
@@ -192,7 +192,7 @@ def exact_number(text: FractionLike) -> Fraction:
     text = (text if isinstance(text, str) else _number_text(text)).strip()
     exponent = text.lower().partition("e")[2]
     # Numbers of millions of digits would take hours.
-    if len(text) > MAX_DIGITS or len(exponent) > len("-300"):
+    if len(text) > MAX_NUMBER_DIGITS or len(exponent) > len("-300"):
         raise ValueError(f"{excerpt(text)} has too many digits")
     return Fraction(text)
 
@@ -217,9 +217,9 @@ def parse_rate(text: FractionLike) -> Fraction:
             f"{excerpt(text)} is not a frame rate such as 24, 23.976 or 24000/1001"
         ) from error
     if not MIN_STATED_RATE <= rate <= MAX_STATED_RATE:
-        quoted = excerpt(text).strip("'")
+        rate_text = excerpt(text).strip("'")
         raise RateError(
-            f"a frame rate is between 0.001 and 100000, such as 24, not {quoted}"
+            f"a frame rate is between 0.001 and 100000, such as 24, not {rate_text}"
         )
     return rate
 
@@ -245,7 +245,7 @@ def rate_option(fps: FractionLike) -> Fraction:
 
 
 def rate_label(fps: Fraction) -> str:
-    """Return a rate as text.
+    """Return a rate as text, with a decimal next to a fraction.
 
     >>> rate_label(Fraction(24000, 1001)), rate_label(Fraction(30))
     ('24000/1001 (23.976) fps', '30 fps')

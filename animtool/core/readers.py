@@ -26,7 +26,7 @@ PLUGIN_GROUP = "animtool.readers"
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """An entry of the table of readers.
+    """How files of a format are read: by which functions, with which options.
 
     Attributes:
         about: One-line description of such files.
@@ -259,7 +259,7 @@ _TIMELINE_ROOTS = frozenset({"xmeml", "fcpxml"})
 def xml_root(path: Path) -> str:
     """Return the name of the root element of an XML file; "" if there is none."""
     try:
-        with open_input(path, None, recorded=False) as file:
+        with open_input(path, None, is_recorded=False) as file:
             head = file.read(HEAD_BYTES)
     except FormatError:
         return ""
@@ -306,7 +306,7 @@ def readable_suffixes() -> list[str]:
 
 
 def find_reader(path: Path) -> Reader:
-    """Return the reader of a file by its suffix, including readers of plug-ins.
+    """Return the reader of a file by its suffix, or of a plug-in (unknown: IO002).
 
     >>> find_reader(Path("walk.BVH")).about
     'Biovision Hierarchy'
@@ -316,8 +316,8 @@ def find_reader(path: Path) -> Reader:
         return reader
     reason = not_a_file_reason(path)
     if reason is not None:
-        missing = FileNotFoundError() if not exists(path) else reason
-        raise unreadable_error(path, missing)
+        missing_reason = FileNotFoundError() if not exists(path) else reason
+        raise unreadable_error(path, missing_reason)
     if path.suffix.lower() in EXPORT_HINTS:
         raise OptionError(export_fault(path))
     message = f"{suffix_text(path)} is not a format that animtool reads"

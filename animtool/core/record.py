@@ -47,12 +47,12 @@ else:
             weakref_slot=False,
         )  # fmt: skip
         if cls is None:
-            return lambda decorated: _record(decorated, params)
+            return lambda decorated_class: _record(decorated_class, params)
         return _record(cls, params)
 
 
 def _record(cls: type[Any], params: Any) -> type[Any]:
-    """Return a class with the methods of a record added."""
+    """Add the methods of a record to a class; with slots, to a copy of it."""
     declared_fields: dict[str, Field[Any]] = {}
     for base in cls.__mro__[-1:0:-1]:
         declared_fields.update(getattr(base, "__dataclass_fields__", {}))
@@ -137,26 +137,32 @@ def _methods(
     has_post_init: bool,
     stores_in_dict: bool,
 ) -> dict[str, Any]:
-    """Return the methods of a record by name.
+    """Return the methods for the fields and parameters of a record, by name.
 
     has_post_init: Whether it has a ``__post_init__``.
     stores_in_dict: Whether all fields are in the ``__dict__``.
     """
-    entries = declared_fields.values()
-    positional_names = tuple(e.name for e in entries if e.init and not e.kw_only)
+    record_fields = declared_fields.values()
+    positional_names = tuple(e.name for e in record_fields if e.init and not e.kw_only)
     methods: dict[str, Any] = {
         "__init__": _initializer(
-            entries, positional_names, params.frozen, has_post_init, stores_in_dict
+            record_fields,
+            positional_names,
+            params.frozen,
+            has_post_init,
+            stores_in_dict,
         ),
         "__signature__": _Signature(),
         "__match_args__": positional_names,
     }
     if params.repr:
-        methods["__repr__"] = _repr_method([e.name for e in entries if e.repr])
+        methods["__repr__"] = _repr_method([e.name for e in record_fields if e.repr])
     if params.eq:
-        hashed = [e for e in entries if (e.compare if e.hash is None else e.hash)]
-        methods["__eq__"] = _eq_method([e.name for e in entries if e.compare])
-        methods["__hash__"] = _hash_method([e.name for e in hashed])
+        hash_fields = [
+            e for e in record_fields if (e.compare if e.hash is None else e.hash)
+        ]
+        methods["__eq__"] = _eq_method([e.name for e in record_fields if e.compare])
+        methods["__hash__"] = _hash_method([e.name for e in hash_fields])
     if params.frozen:
         methods["__setattr__"], methods["__delattr__"] = _frozen_methods(
             frozenset(declared_fields)
@@ -169,20 +175,22 @@ def _methods(
 
 
 def _initializer(
-    entries: Collection[Field[Any]],
+    record_fields: Collection[Field[Any]],
     positional_names: tuple[str, ...],
     frozen: bool,
     has_post_init: bool,
     stores_in_dict: bool,
 ) -> Callable[..., None]:
     """Return the ``__init__`` method of a record's fields."""
-    defaults = {e.name: e.default for e in entries if e.default is not MISSING}
+    defaults = {e.name: e.default for e in record_fields if e.default is not MISSING}
     factories = [
-        (e.name, e.default_factory) for e in entries if e.default_factory is not MISSING
+        (e.name, e.default_factory)
+        for e in record_fields
+        if e.default_factory is not MISSING
     ]
-    settable_names = {e.name for e in entries if e.init or e.name in defaults}
+    settable_names = {e.name for e in record_fields if e.init or e.name in defaults}
     settable_names.update(name for name, _ in factories)
-    unset_names = [e.name for e in entries if not e.init]
+    unset_names = [e.name for e in record_fields if not e.init]
     # If all fields may be positional: the minimum number, and defaults of the others.
     trailing_defaults = tuple(defaults[n] for n in positional_names if n in defaults)
     all_positional = settable_names == set(positional_names)
@@ -193,10 +201,10 @@ def _initializer(
     )
 
     def __init__(self: Any, /, *positional: Any, **keywords: Any) -> None:  # noqa: N807
-        count = len(positional)
-        if min_positional <= count <= max_positional and not keywords:
-            if count < max_positional:
-                positional += trailing_defaults[count - min_positional :]
+        positional_count = len(positional)
+        if min_positional <= positional_count <= max_positional and not keywords:
+            if positional_count < max_positional:
+                positional += trailing_defaults[positional_count - min_positional :]
             if stores_in_dict:
                 self.__dict__.update(zip(positional_names, positional))  # noqa: B905
             else:
@@ -241,16 +249,16 @@ def _raise_argument_error(
     record: Any, positional: tuple[Any, ...], keyword_arguments: Mapping[str, Any]
 ) -> None:
     """Raise the error that Python raises for arguments that do not fit."""
-    kind = type(record)
+    record_type = type(record)
     try:
-        _signature(kind).bind(*positional, **keyword_arguments)
+        _signature(record_type).bind(*positional, **keyword_arguments)
     except TypeError as error:
-        raise TypeError(f"{kind.__qualname__}.__init__(): {error}") from None
+        raise TypeError(f"{record_type.__qualname__}.__init__(): {error}") from None
 
 
-def _signature(kind: type[Any]) -> inspect.Signature:
+def _signature(record_type: type[Any]) -> inspect.Signature:
     parameters = []
-    for entry in kind.__dataclass_fields__.values():
+    for entry in record_type.__dataclass_fields__.values():
         if entry.init:
             default: Any = inspect.Parameter.empty
             if entry.default is not MISSING:
@@ -314,7 +322,7 @@ def _hash_method(names: list[str]) -> Callable[[Any], int]:
 
 def _repr_method(names: list[str]) -> Callable[[Any], str]:
     def __repr__(self: Any) -> str:  # noqa: N807
-        kind = type(self)
+        record_type = type(self)
         # A record that contains itself through a list would recurse forever.
         if id(self) in _REPR_ACTIVE:
             return "..."
@@ -323,7 +331,7 @@ def _repr_method(names: list[str]) -> Callable[[Any], str]:
             fields_text = ", ".join(f"{name}={getattr(self, name)!r}" for name in names)
         finally:
             _REPR_ACTIVE.discard(id(self))
-        return f"{kind.__qualname__}({fields_text})"
+        return f"{record_type.__qualname__}({fields_text})"
 
     return __repr__
 

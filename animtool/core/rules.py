@@ -98,7 +98,7 @@ class Rule:
 
 
 def read_page(code: str) -> tuple[Rule, str] | None:
-    """Return a code and the Markdown of its page; None if there is none."""
+    """Return the rule of a code, and the Markdown of its page; None if unknown."""
     file = _PAGES / f"{code}.md"
     return _parse_page(file.read_text("utf-8")) if file.is_file() else None
 
@@ -113,9 +113,9 @@ def page_text(code: str) -> str | None:
 def builtin_rules() -> Mapping[str, Rule]:
     """Return animtool's own rules in order, by code."""
     rules = []
-    for file in _PAGES.iterdir():
+    for page_file in _PAGES.iterdir():
         # For 800 files, text buffers and decoders would take half of the time.
-        with cast(Path, file).open("rb", buffering=0) as page:
+        with cast(Path, page_file).open("rb", buffering=0) as page:
             rules.append(_parse_page(page.read().decode())[0])
     return {rule.code: rule for rule in sorted(rules, key=lambda rule: rule.code)}
 
@@ -224,9 +224,10 @@ def corrected_code(code: str, codes: Iterable[str]) -> str | None:
     >>> corrected_code("MOT2O8", ["MOT208"])
     'MOT208'
     """
-    digits = re.sub(r"\d.*", lambda tail: tail[0].translate(_DIGITS), code.upper())
-    is_known = any(known_code.startswith(digits) for known_code in codes)
-    return digits if digits != code.upper() and is_known else None
+    upper_code = code.upper()
+    correction = re.sub(r"\d.*", lambda tail: tail[0].translate(_DIGITS), upper_code)
+    is_known = any(known_code.startswith(correction) for known_code in codes)
+    return correction if correction != upper_code and is_known else None
 
 
 def find_rule(code: str) -> Rule:
@@ -235,20 +236,21 @@ def find_rule(code: str) -> Rule:
     >>> find_rule("rig001").title
     'duplicate joint'
     """
-    name = code.upper()
-    page = read_page(name) if _CODE.fullmatch(name) else None
+    upper_code = code.upper()
+    page = read_page(upper_code) if _CODE.fullmatch(upper_code) else None
     if page is not None:
         return page[0]
-    name = current_codes(name)[0]
+    upper_code = current_codes(upper_code)[0]
     rules, _ = all_rules()
-    if name not in rules:
+    if upper_code not in rules:
         message = f"unknown code {code!r}"
-        padded_code = re.sub(r"\d+$", lambda number: f"{int(number[0]):03d}", name[:20])
+        short_code = upper_code[:20]
+        padded_code = re.sub(r"\d+$", lambda tail: f"{int(tail[0]):03d}", short_code)
         known_codes = [padded_code] if padded_code in rules else sorted(rules)
         hint = nearest(padded_code, known_codes)
-        family_prefix = re.match("[A-Z]*", name)[0]  # type: ignore[index]
+        family_prefix = re.match("[A-Z]*", upper_code)[0]  # type: ignore[index]
         family_codes = sorted(c for c in rules if c.startswith(family_prefix))
-        suggested_code = corrected_code(name, rules)
+        suggested_code = corrected_code(upper_code, rules)
         if suggested_code is not None:
             hint = f"did you mean {suggested_code!r}, with digits?"
         elif padded_code not in rules and family_prefix and family_codes:
@@ -258,7 +260,7 @@ def find_rule(code: str) -> Rule:
         elif hint.startswith("allowed"):
             hint = "animtool explain lists them"
         raise OptionError(Fault("VAL005", message, hint=hint))
-    return rules[name]
+    return rules[upper_code]
 
 
 def _rule_entry_points() -> list[EntryPoint]:

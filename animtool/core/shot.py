@@ -46,7 +46,7 @@ class MediaTimecode:
         time = self.first + seconds
         try:
             frame = math.floor(time * self.rate + FRAME_TOLERANCE)
-            return timecode_label(frame, self.rate, drop=self.drop_frame)
+            return timecode_label(frame, self.rate, is_drop_frame=self.drop_frame)
         except ValueError:
             return f"{float(time):.7g} s"
 

@@ -14,10 +14,10 @@ from animtool.core.record import dataclass
 # Line ends according to YAML.
 _LINE_ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 # Longer files are arrays; their lines are not shown.
-MAX_BYTES = 4_000_000
-MAX_WIDTH = 96
+MAX_FILE_BYTES = 4_000_000
+MAX_LINE_WIDTH = 96
 # Number of characters shown before the fault's column in a shortened line.
-CONTEXT_BEFORE = 32
+CONTEXT_CHARACTERS = 32
 
 
 @dataclass(slots=True)
@@ -36,7 +36,7 @@ class SourceLineCache:
 
 def _lines(path: Path) -> list[str]:
     try:
-        data = read_input(path, MAX_BYTES, recorded=False)
+        data = read_input(path, MAX_FILE_BYTES, is_recorded=False)
         return _LINE_ENDS.split(data.decode("utf-8-sig"))
     except (FormatError, UnicodeDecodeError):
         return []
@@ -50,14 +50,14 @@ def crop_line(line: str, column: int) -> Iterator[str]:
     """
     stripped_line = line.rstrip()
     offset = 0
-    if len(stripped_line) > MAX_WIDTH:
-        last_offset = len(stripped_line) - MAX_WIDTH
-        offset = max(0, min(column - 1 - CONTEXT_BEFORE, last_offset))
-    excerpt = stripped_line[offset : offset + MAX_WIDTH]
-    excerpt = "".join(letter if letter.isprintable() else " " for letter in excerpt)
+    if len(stripped_line) > MAX_LINE_WIDTH:
+        last_offset = len(stripped_line) - MAX_LINE_WIDTH
+        offset = max(0, min(column - 1 - CONTEXT_CHARACTERS, last_offset))
+    excerpt = stripped_line[offset : offset + MAX_LINE_WIDTH]
+    excerpt = "".join(c if c.isprintable() else " " for c in excerpt)
     if offset:
         excerpt = "\N{HORIZONTAL ELLIPSIS}" + excerpt[1:]
-    if offset + MAX_WIDTH < len(stripped_line):
+    if offset + MAX_LINE_WIDTH < len(stripped_line):
         excerpt = excerpt[:-1] + "\N{HORIZONTAL ELLIPSIS}"
     yield excerpt
     yield " " * (column - 1 - offset) + "^"

@@ -33,13 +33,13 @@ def nominal_rate(rate: Fraction) -> int:
     raise ValueError(f"{message}: use a whole number, or 1000/1001 of one")
 
 
-def frames_per_day(rate: Fraction, *, drop: bool = False) -> int:
+def frames_per_day(rate: Fraction, *, is_drop_frame: bool = False) -> int:
     """Return the number of time code labels in a day.
 
-    >>> frames_per_day(Fraction(30000, 1001), drop=True)
+    >>> frames_per_day(Fraction(30000, 1001), is_drop_frame=True)
     2589408
     """
-    dropped_labels = 24 * 54 * _labels_dropped_per_minute(rate) if drop else 0
+    dropped_labels = 24 * 54 * _labels_dropped_per_minute(rate) if is_drop_frame else 0
     return 24 * 3600 * nominal_rate(rate) - dropped_labels
 
 
@@ -57,14 +57,14 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     if match is None:
         message = f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
         raise ValueError(message)
-    labels_per_second, is_drop = nominal_rate(rate), match[4] == ";"
+    labels_per_second, is_drop_frame = nominal_rate(rate), match[4] == ";"
     hours, minutes, seconds, frames = (int(match[i]) for i in (1, 2, 3, 5))
     limits = (("hour", hours, 24), ("minute", minutes, 60), ("second", seconds, 60))
     for component, value, limit in (*limits, ("frame", frames, labels_per_second)):
         if value >= limit:
             message = f"{text!r} has {component} {value:02d}; the largest is "
             raise ValueError(f"{message}{limit - 1:02d}")
-    dropped_labels = _labels_dropped_per_minute(rate) if is_drop else 0
+    dropped_labels = _labels_dropped_per_minute(rate) if is_drop_frame else 0
     if minutes % 10 and not seconds and frames < dropped_labels:
         first_label = f"{hours:02d}:{minutes:02d}:00;{dropped_labels:02d}"
         message = f"drop-frame has no {text!r}: this minute starts at {first_label}"
@@ -78,19 +78,19 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     )
 
 
-def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
+def timecode_label(frame: int, rate: Fraction, *, is_drop_frame: bool = False) -> str:
     """Return the time code label of a frame counted from midnight.
 
     Frames of other days have the same label as on this day.
 
-    >>> timecode_label(107892, Fraction(30000, 1001), drop=True)
+    >>> timecode_label(107892, Fraction(30000, 1001), is_drop_frame=True)
     '01:00:00;00'
     >>> timecode_label(61, Fraction(24)), timecode_label(-1, Fraction(24))
     ('00:00:02:13', '23:59:59:23')
     """
     labels_per_second = nominal_rate(rate)
-    dropped_labels = _labels_dropped_per_minute(rate) if drop else 0
-    frame %= frames_per_day(rate, drop=drop)
+    dropped_labels = _labels_dropped_per_minute(rate) if is_drop_frame else 0
+    frame %= frames_per_day(rate, is_drop_frame=is_drop_frame)
     if dropped_labels:
         ten_minutes, frame_in_ten_minutes = divmod(
             frame, 600 * labels_per_second - 9 * dropped_labels
@@ -103,7 +103,8 @@ def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
     minutes, seconds = divmod(seconds, 60)
     hours, minutes = divmod(minutes, 60)
     digits = max(2, len(str(labels_per_second - 1)))
-    return f"{hours:02d}:{minutes:02d}:{seconds:02d}{':;'[drop]}{frames:0{digits}d}"
+    time, separator = f"{hours:02d}:{minutes:02d}:{seconds:02d}", ":;"[is_drop_frame]
+    return f"{time}{separator}{frames:0{digits}d}"
 
 
 def seconds_between(
@@ -119,7 +120,7 @@ def seconds_between(
     """
     difference = parse_timecode(second, second_rate) / second_rate
     difference -= parse_timecode(first, first_rate) / first_rate
-    day = frames_per_day(first_rate, drop=";" in first) / first_rate
+    day = frames_per_day(first_rate, is_drop_frame=";" in first) / first_rate
     return (difference + day / 2) % day - day / 2
 
 

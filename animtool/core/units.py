@@ -49,7 +49,7 @@ def likely_unit(
 
 
 def unit_name(meters: float) -> str:
-    """Return the name of a length unit.
+    """Return the name of the unit that has a length [m], or the length itself.
 
     >>> unit_name(0.01), unit_name(0.3048)
     ('cm', '0.3048 m')
@@ -61,7 +61,7 @@ def unit_name(meters: float) -> str:
     return f"{meters:g} m"
 
 
-_LENGTH = re.compile(r"([0-9.eE+-]+)\s*(m|cm|mm|in)?")
+_LENGTH_PATTERN = re.compile(r"([0-9.eE+-]+)\s*(m|cm|mm|in)?")
 
 
 def parse_length(text: str) -> float:
@@ -70,7 +70,7 @@ def parse_length(text: str) -> float:
     >>> parse_length("0.5mm")
     0.0005
     """
-    match = _LENGTH.fullmatch(text.strip())
+    match = _LENGTH_PATTERN.fullmatch(text.strip())
     try:
         value = float(match[1]) if match else math.nan
     except ValueError:
@@ -96,5 +96,5 @@ def up_from_up(
     """
     if target is source:
         return None
-    half = math.sqrt(0.5)
-    return (half if target is UpAxis.Z else -half, 0.0, 0.0, half)
+    sine = math.sqrt(0.5)
+    return (sine if target is UpAxis.Z else -sine, 0.0, 0.0, sine)

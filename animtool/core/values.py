@@ -91,7 +91,7 @@ def value_at_path(value: Any, path: str) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class JsonKey:
-    """One key of a template."""
+    """A key of a report template: the field it reads, and how the value is shown."""
 
     key: str  # empty to insert the keys of a value
     path: str  # path of the field; empty for the record
@@ -104,7 +104,7 @@ _TOKEN = re.compile(r"\s*(?:(\})|'([^']+)'|(\*)?(?:(\w+)=)?([\w.]*)([?+#~]*)(\{)
 
 @cache
 def parse_template(template: str) -> tuple[JsonKey, ...]:
-    """Return the keys of a template."""
+    """Parse a template of report keys, such as ``fps=clock.fps# goals{name}``."""
     return tuple(_parse_keys(_tokens(template)))
 
 
@@ -120,7 +120,7 @@ def _tokens(template: str) -> Iterator[re.Match[str]]:
 
 def _parse_keys(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
     for token in tokens:
-        closing, report_name, asterisk, key, path, signs, opening = token.groups()
+        closing, report_name, asterisk, key, path, modifiers, opening = token.groups()
         if closing:
             return
         if report_name:
@@ -128,7 +128,7 @@ def _parse_keys(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
             continue
         inner_keys = tuple(_parse_keys(tokens)) if opening else None
         name = "" if asterisk else key or path
-        yield JsonKey(name, path.strip("."), signs, inner_keys)
+        yield JsonKey(name, path.strip("."), modifiers, inner_keys)
 
 
 def _values_of(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
@@ -152,18 +152,18 @@ def _inserted_values(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
         return _values_of(value, key.keys)
     if value is record:
         return _fields_of(record)
-    inserted: dict[str, Any] = plain_value(value)
-    return inserted
+    inserted_values: dict[str, Any] = plain_value(value)
+    return inserted_values
 
 
 def _is_omitted(value: Any, modifiers: str) -> bool:
-    """Return whether a sign of a template omits a value that is None or empty."""
+    """Return whether the modifier ``?`` or ``+`` omits a None or empty value."""
     is_empty = value is None or (hasattr(value, "__len__") and not len(value))
     return ("?" in modifiers and value is None) or ("+" in modifiers and is_empty)
 
 
 def _value_of_key(value: Any, key: JsonKey) -> Any:
-    """Return a value converted as the signs of its template key say."""
+    """Return a value as text, rounded or with nested keys, as its key says."""
     if value is None:
         return None
     if "#" in key.modifiers:

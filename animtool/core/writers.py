@@ -21,7 +21,7 @@ PLUGIN_GROUP = "animtool.writers"
 
 @dataclass(frozen=True, slots=True)
 class Writer:
-    """An entry of the table of writers.
+    """How files of a format are written: by which functions, with which options.
 
     Attributes:
         name: Name of the format in reports, such as ``bvh``.
@@ -75,7 +75,7 @@ class Writer:
         ['walk.rig.yaml', 'walk.clip.yaml']
         """
         stem = output_stem(path)
-        return [*(path.with_name(f"{stem}{end}") for end in self.sidecars), path]
+        return [*(path.with_name(f"{stem}{suffix}") for suffix in self.sidecars), path]
 
 
 def output_stem(path: Path) -> str:
@@ -172,10 +172,10 @@ def writer_of(path: Path) -> Writer | None:
     return _TABLE.find(path)
 
 
-def take_writer(path: Path, *, folders: bool = False) -> Writer:
-    """Return the writer of a take for an output path.
+def take_writer(path: Path, *, allows_folders: bool = False) -> Writer:
+    """Return the writer of a take for an output path (none: OUT004).
 
-    folders: whether an output may be a folder, which the hint then mentions.
+    allows_folders: whether an output may be a folder, which the hint then mentions.
     """
     writer = writer_of(path)
     if writer is not None and writer.holds_motion:
@@ -198,7 +198,7 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
         message = "is a folder, not a file"
         hint = f"name a file in it, such as {path / 'shot.usdc'}"
     elif not path.suffix:
-        hint += f"; {path}/ is a folder" if folders else ""
+        hint += f"; {path}/ is a folder" if allows_folders else ""
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
@@ -244,7 +244,7 @@ def marker_writer(path: Path) -> Callable[..., list[Fault]]:
     writer = writer_of(path)
     if writer is None or not writer.markers:
         message = f"{suffix_text(path)} is not a format for markers"
-        suffixes = [suffix for suffix, entry in WRITERS.items() if entry.markers]
+        suffixes = [suffix for suffix, other in WRITERS.items() if other.markers]
         hint = f"allowed: {', '.join(suffixes)}"
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
     return cast(Callable[..., list[Fault]], load_object(writer.markers))
@@ -255,7 +255,7 @@ def rig_writer(path: Path) -> Callable[..., Any]:
     function = _rig_function(path)
     if not function:
         message = f"suffix {path.suffix!r} cannot hold a rig"
-        suffixes = [suffix for suffix, entry in WRITERS.items() if entry.rig]
+        suffixes = [suffix for suffix, other in WRITERS.items() if other.rig]
         hint = f"allowed: {', '.join(sorted(suffixes))}"
         if path.suffix.lower() in _READ_ONLY_FORMATS:
             message, hint = _read_only_error_parts(path)

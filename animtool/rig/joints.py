@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
-from animtool.core.names import MAX_LENGTH, most_similar
+from animtool.core.names import MAX_NAME_LENGTH, most_similar
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.skeleton import COORDINATE_WIDTHS, JointType, Rig
@@ -179,7 +179,7 @@ def part_hint(
     allowed_parts = [
         part for part, kinds in parts.items() if kind is None or kind in kinds
     ]
-    text_parts = text[-MAX_LENGTH:].split(".")
+    text_parts = text[-MAX_NAME_LENGTH:].split(".")
     suffixes = [".".join(text_parts[i:]) for i in range(1, len(text_parts))]
     for suffix in suffixes:
         normalized_name = re.sub("[._]", "", suffix.lower())

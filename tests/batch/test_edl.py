@@ -73,7 +73,9 @@ def test_labels_count_frames_of_the_rate(
     folder: Path, rate: Fraction, drop: bool
 ) -> None:
     frames = (17, 1950)
-    labels = " ".join(timecode_label(frame, rate, drop=drop) for frame in frames)
+    labels = " ".join(
+        timecode_label(frame, rate, is_drop_frame=drop) for frame in frames
+    )
     cuts = read(folder, HEAD + event(1, labels) + NAME, rate)
     assert shown(cuts) == [("walk", 17, 1933, 1)]
     assert [cut.shot.fps for cut in cuts.shots if cut.shot] == [rate]

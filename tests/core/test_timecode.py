@@ -31,8 +31,8 @@ PARTS = st.integers(0, 999_999).map(lambda n: Fraction(n, 1_000_000))
 def test_labels_are_those_of_another_count(frame: int, rate: Fraction) -> None:
     assert written(frame, rate) == timecode_label(Fraction(frame), rate)
     if rate in {NTSC, FAST}:
-        label = written(frame, rate, drop=True)
-        assert label == timecode_label(Fraction(frame), rate, drop=True)
+        label = written(frame, rate, is_drop_frame=True)
+        assert label == timecode_label(Fraction(frame), rate, is_drop_frame=True)
 
 
 @given(RATES, st.integers(0, 10**9), PARTS)
@@ -43,8 +43,8 @@ def test_labels_come_back_as_frames(rate: Fraction, frame: int, part: Fraction) 
 
 @given(DROPS, st.integers(0, 10**9), PARTS)
 def test_dropped_labels_come_back(rate: Fraction, frame: int, part: Fraction) -> None:
-    frames = frame % frames_per_day(rate, drop=True) + part
-    label = timecode_label(frames, rate, drop=True)
+    frames = frame % frames_per_day(rate, is_drop_frame=True) + part
+    label = timecode_label(frames, rate, is_drop_frame=True)
     assert parse_timecode(label, rate) == frames
 
 
@@ -72,7 +72,9 @@ def test_drop_frame_counts_every_label_that_is(rate: Fraction, left_out: int) ->
                     number += 1
     for label in labels:
         assert parse_timecode(label, rate) == counted[label]
-        assert timecode_label(Fraction(counted[label]), rate, drop=True) == label
+        assert (
+            timecode_label(Fraction(counted[label]), rate, is_drop_frame=True) == label
+        )
 
 
 @pytest.mark.parametrize(
@@ -147,9 +149,9 @@ def test_drop_frame_counts_on_over_midnight(
 def test_what_is_counted_over_midnight_is_counted_back(
     rate: Fraction, frame: int, apart: int
 ) -> None:
-    day = frames_per_day(rate, drop=True)
+    day = frames_per_day(rate, is_drop_frame=True)
     first, other = (
-        timecode_label(Fraction(n % day), rate, drop=True)
+        timecode_label(Fraction(n % day), rate, is_drop_frame=True)
         for n in (frame, frame + apart)
     )
     assert seconds_between(first, rate, other, rate) * rate == apart

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from animtool.core.config import MAX_DEPTH, parse_toml
+from animtool.core.config import MAX_TOML_DEPTH, parse_toml
 
 
 def test_it_is_read() -> None:
@@ -13,9 +13,9 @@ def test_it_is_read() -> None:
 
 
 def test_as_deep_as_is_allowed() -> None:
-    assert parse_toml(f"{'.'.join('a' * (MAX_DEPTH - 1))} = 1")
+    assert parse_toml(f"{'.'.join('a' * (MAX_TOML_DEPTH - 1))} = 1")
     with pytest.raises(ValueError, match="nested deeper"):
-        parse_toml(f"{'.'.join('a' * MAX_DEPTH)} = 1")
+        parse_toml(f"{'.'.join('a' * MAX_TOML_DEPTH)} = 1")
 
 
 @pytest.mark.parametrize(

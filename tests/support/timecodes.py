@@ -14,13 +14,17 @@ DROPPED = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
 SHOWN = 6
 
 
-def timecode_label(frames: Fraction, rate: Fraction, *, drop: bool = False) -> str:
+def timecode_label(
+    frames: Fraction, rate: Fraction, *, is_drop_frame: bool = False
+) -> str:
     """Return the label of frames from midnight, which come back at midnight.
 
     Parts of a frame are rounded to a millionth; all else is exact.
     """
-    count, left_out = nominal_rate(rate), DROPPED[rate] if drop else 0
-    parts = round(frames * 10**SHOWN) % (frames_per_day(rate, drop=drop) * 10**SHOWN)
+    count, left_out = nominal_rate(rate), DROPPED[rate] if is_drop_frame else 0
+    parts = round(frames * 10**SHOWN) % (
+        frames_per_day(rate, is_drop_frame=is_drop_frame) * 10**SHOWN
+    )
     whole, part = divmod(parts, 10**SHOWN)
     if left_out:
         # A minute that leaves labels out is shorter by these, ten minutes by nine such.
@@ -32,4 +36,4 @@ def timecode_label(frames: Fraction, rate: Fraction, *, drop: bool = False) -> s
     digits = len(str(count - 1))
     shown = f"{frame:0{max(2, digits)}d}" + f".{part:0{SHOWN}d}".rstrip("0").rstrip(".")
     hours, minutes = seconds // 3600, seconds // 60 % 60
-    return f"{hours:02d}:{minutes:02d}:{seconds % 60:02d}{':;'[drop]}{shown}"
+    return f"{hours:02d}:{minutes:02d}:{seconds % 60:02d}{':;'[is_drop_frame]}{shown}"

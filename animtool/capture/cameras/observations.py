@@ -143,7 +143,7 @@ def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
         return message, None if is_damaged else hint
     signature = signature_of(first_bytes)
     if signature is not None and signature.suffixes[:1] in {(".c3d",), (".trc",)}:
-        return f"is {signature.about}, not pixels of cameras", _solve_hint(path)
+        return f"is {signature.format_name}, not pixels of cameras", _solve_hint(path)
     text = first_bytes.lstrip(b"\xef\xbb\xbf \r\n\t")
     if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
         return "is not an npz file of pixels", LAYOUT_HINT

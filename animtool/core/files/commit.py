@@ -21,7 +21,7 @@ from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
 
 # Error codes of disks without hard links.
-_NO_LINKS = frozenset(
+_NO_LINK_ERRORS = frozenset(
     {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL}
     | {errno.EMLINK}
 )
@@ -41,14 +41,14 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
 
 @dataclass(frozen=True, slots=True)
 class OutputTarget:
-    """An output path with links resolved."""
+    """An output path as the user spells it, and the file it leads to."""
 
     path: Path  # the path as spelled by the user
-    final: Path  # the file, with links followed
+    final_path: Path  # the file, with links followed
 
 
 def output_target(path: Path) -> OutputTarget:
-    """Return an output path with links resolved."""
+    """Return the file that an output path leads to (not a file: OUT002, OUT005)."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -65,7 +65,7 @@ def output_target(path: Path) -> OutputTarget:
         raise output_error(path, error) from error
     except ValueError as error:
         raise output_error(path, "its name contains a NUL byte") from error
-    _check_kind(path, status)
+    _refuse_special_file(path, status)
     return OutputTarget(path, path.resolve())
 
 
@@ -78,7 +78,7 @@ _SPECIAL_FILES = {
 }
 
 
-def _check_kind(path: Path, status: os.stat_result) -> None:
+def _refuse_special_file(path: Path, status: os.stat_result) -> None:
     """Raise an error if the path to overwrite is not a regular file."""
     hint = "write the name of a file"
     if stat.S_ISDIR(status.st_mode):
@@ -91,28 +91,28 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
 
 @dataclass(slots=True)
 class WrittenFile:
-    """A temporary file that is written completely."""
+    """A complete temporary file that will replace an output."""
 
     path: Path  # the path as spelled by the user
-    final: Path  # its final path
-    temporary: Path  # its temporary path
+    final_path: Path  # its final path
+    temporary_path: Path  # its temporary path
     state: FileState = FileState(0, 0, 0)  # after sealing
 
     def seal(self) -> None:
         """Flush the file to disk, with the mode and owner of the replaced file."""
         status = None
         with contextlib.suppress(FileNotFoundError):
-            status = self.final.lstat()
-            _check_kind(self.path, status)
+            status = self.final_path.lstat()
+            _refuse_special_file(self.path, status)
         try:
-            handle = os.open(self.temporary, os.O_RDWR)
+            descriptor = os.open(self.temporary_path, os.O_RDWR)
             try:
                 if status is not None and os.name != "nt":
-                    _inherit_mode(handle, status)
-                os.fsync(handle)
-                self.state = FileState.of_stat(os.fstat(handle))
+                    _inherit_mode(descriptor, status)
+                os.fsync(descriptor)
+                self.state = FileState.of_stat(os.fstat(descriptor))
             finally:
-                os.close(handle)
+                os.close(descriptor)
         except OSError as error:
             raise output_error(self.path, error) from error
 
@@ -124,9 +124,9 @@ class WrittenFile:
         """
         try:
             if must_be_new:
-                _rename_new(self.temporary, self.final)
+                _rename_new(self.temporary_path, self.final_path)
             else:
-                self.temporary.replace(self.final)
+                self.temporary_path.replace(self.final_path)
         except FileExistsError as error:
             message = "already exists: another process wrote it in the meantime"
             hint = f"{argument('overwrite', True)} replaces it"
@@ -138,43 +138,43 @@ class WrittenFile:
     def remove(self) -> None:
         """Remove the file if it is not committed."""
         with contextlib.suppress(OSError):
-            self.temporary.unlink(missing_ok=True)
+            self.temporary_path.unlink(missing_ok=True)
 
 
-def _inherit_mode(handle: int, status: os.stat_result) -> None:
+def _inherit_mode(descriptor: int, status: os.stat_result) -> None:
     """Give an open file the mode of another file and, if permitted, its owner."""
-    current_status = os.fstat(handle)
+    current_status = os.fstat(descriptor)
     if (current_status.st_uid, current_status.st_gid) != (status.st_uid, status.st_gid):
         with contextlib.suppress(OSError):
-            os.fchown(handle, status.st_uid, status.st_gid)
+            os.fchown(descriptor, status.st_uid, status.st_gid)
     # A setuid file runs with its owner's rights; never inherit that bit.
     mode = stat.S_IMODE(status.st_mode) & 0o777
     if stat.S_IMODE(current_status.st_mode) != mode:
-        os.fchmod(handle, mode)
+        os.fchmod(descriptor, mode)
 
 
-def _rename_new(temporary: Path, final: Path) -> None:
+def _rename_new(temporary_path: Path, final_path: Path) -> None:
     """Rename a file to an unused name; if several processes do so, one succeeds."""
     if os.name == "nt":
-        temporary.rename(final)
+        temporary_path.rename(final_path)
         return
     try:
-        os.link(temporary, final)
+        os.link(temporary_path, final_path)
     except OSError as error:
-        if isinstance(error, FileExistsError) or error.errno not in _NO_LINKS:
+        if isinstance(error, FileExistsError) or error.errno not in _NO_LINK_ERRORS:
             raise
         # Without hard links, the name is reserved first. A kill at this moment leaves
         # it empty.
-        handle = os.open(final, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        descriptor = os.open(final_path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
         try:
-            os.close(handle)
-            temporary.replace(final)
+            os.close(descriptor)
+            temporary_path.replace(final_path)
         except BaseException:
-            final.unlink()
+            final_path.unlink()
             raise
     else:
         with contextlib.suppress(OSError):
-            temporary.unlink()
+            temporary_path.unlink()
 
 
 def commit_files(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> None:
@@ -187,14 +187,14 @@ def commit_files(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> No
         _commit_set(files, new_paths)
     else:
         for file in files:
-            file.commit(must_be_new=file.final in new_paths)
-            _flush_folder(file.final.parent)
+            file.commit(must_be_new=file.final_path in new_paths)
+            _flush_folder(file.final_path.parent)
 
 
 def _commit_set(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> None:
     staged_files = [
-        StagedFile(file.final, file.temporary, file.state, new_temporary(file.final))
-        for file in files
+        StagedFile(f.final_path, f.temporary_path, f.state, new_temporary(f.final_path))
+        for f in files
     ]
     try:
         journal = Journal.begin(staged_files)
@@ -202,9 +202,9 @@ def _commit_set(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> Non
         raise output_error(files[0].path, error) from error
     try:
         for file, staged_file in zip(files, staged_files, strict=True):
-            if file.final not in new_paths:
+            if file.final_path not in new_paths:
                 _back_up(file, staged_file)
-            file.commit(must_be_new=file.final in new_paths)
+            file.commit(must_be_new=file.final_path in new_paths)
     except BaseException:
         if all([_try_roll_back(staged_file) for staged_file in reversed(staged_files)]):
             journal.end()
@@ -229,14 +229,14 @@ def _try_roll_back(staged_file: StagedFile) -> bool:
 def _back_up(file: WrittenFile, staged_file: StagedFile) -> None:
     """Rename a file that will be replaced to its backup name."""
     try:
-        os.link(staged_file.final, staged_file.backup)
+        os.link(staged_file.final_path, staged_file.backup)
     except FileNotFoundError:
         return
     except OSError as error:
-        if error.errno not in _NO_LINKS:
+        if error.errno not in _NO_LINK_ERRORS:
             raise output_error(file.path, error) from error
         try:
-            staged_file.final.replace(staged_file.backup)
+            staged_file.final_path.replace(staged_file.backup)
         except OSError as link_error:
             raise output_error(file.path, link_error) from link_error
 
@@ -246,8 +246,8 @@ def _flush_folder(folder: Path) -> None:
     if os.name == "nt":
         return  # Windows cannot flush a folder.
     with contextlib.suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(folder, os.O_RDONLY)
         try:
-            os.fsync(handle)
+            os.fsync(descriptor)
         finally:
-            os.close(handle)
+            os.close(descriptor)

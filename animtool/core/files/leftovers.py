@@ -30,29 +30,31 @@ _OWNER_PATTERN = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]
 TEMPORARY_NAME = re.compile(rf"{_OWNER_PATTERN.pattern}[0-9a-f]{{12}}(\.\w+)?")
 _JOURNAL_SUFFIX = ".set"
 # Longer suffixes are no file type, and would make the temporary name too long.
-_MAX_SUFFIX = 16
+_MAX_SUFFIX_BYTES = 16
 # A journal has a few hundred bytes per file.
-_MAX_BYTES = 100_000_000
+_MAX_JOURNAL_BYTES = 100_000_000
 
 
-def temporary_prefix(process: int | None = None) -> str:
+def temporary_prefix(process_id: int | None = None) -> str:
     """Return the prefix of a process's temporary files; by default this process's."""
-    return f".animtool-{_host_digest()}-{process or os.getpid()}-"
+    return f".animtool-{_host_digest()}-{process_id or os.getpid()}-"
 
 
-def new_temporary(final: Path) -> Path:
+def new_temporary(final_path: Path) -> Path:
     """Return an unused temporary name next to a file."""
-    suffix = final.suffix if len(os.fsencode(final.suffix)) <= _MAX_SUFFIX else ""
+    suffix = final_path.suffix
+    if len(os.fsencode(suffix)) > _MAX_SUFFIX_BYTES:
+        suffix = ""
     # Unique over threads, processes and hosts that share a folder.
-    return final.with_name(f"{temporary_prefix()}{uuid4().hex[:12]}{suffix}")
+    return final_path.with_name(f"{temporary_prefix()}{uuid4().hex[:12]}{suffix}")
 
 
 @dataclass(frozen=True, slots=True)
 class StagedFile:
     """One file of a set that is being committed."""
 
-    final: Path  # its final path
-    temporary: Path  # its temporary path
+    final_path: Path  # its final path
+    temporary_path: Path  # its temporary path
     state: FileState  # of the written file
     backup: Path  # backup of the replaced file; unused if there was none
 
@@ -62,16 +64,16 @@ class StagedFile:
         Does nothing if another process has replaced the file since. May be called
         again.
         """
-        final_state = _state_of(self.final)
+        final_state = _state_of(self.final_path)
         if _state_of(self.backup) is None:
             if final_state == self.state:
-                self.final.unlink()
+                self.final_path.unlink()
         elif final_state is None or final_state == self.state:
-            self.backup.replace(self.final)
+            self.backup.replace(self.final_path)
         else:
             # The final path still has the old file, or a later one.
             self.backup.unlink()
-        self.temporary.unlink(missing_ok=True)
+        self.temporary_path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,44 +86,44 @@ class Journal:
 
     name: str  # of the journal file in each folder
     folders: tuple[Path, ...]  # folders of the set
-    _handles: list[int] = field(default_factory=list, compare=False, repr=False)
+    _descriptors: list[int] = field(default_factory=list, compare=False, repr=False)
 
     @classmethod
     def begin(cls, files: Sequence[StagedFile]) -> Journal:
         """Write the journal of a file set before any of its files is renamed."""
-        folders = tuple(dict.fromkeys(file.final.parent for file in files))
+        folders = tuple(dict.fromkeys(file.final_path.parent for file in files))
         journal = cls(
             f"{temporary_prefix()}{uuid4().hex[:12]}{_JOURNAL_SUFFIX}", folders
         )
         try:
             for folder in folders:
-                in_folder = [file for file in files if file.final.parent == folder]
-                record = {
+                folder_files = [f for f in files if f.final_path.parent == folder]
+                content = {
                     "folders": [os.fspath(path) for path in folders],
-                    "files": [_journal_entry(file) for file in in_folder],
+                    "files": [_journal_entry(file) for file in folder_files],
                 }
-                journal._write(folder, json.dumps(record).encode())
+                journal._write_file(folder, json.dumps(content).encode())
         except BaseException:
             journal.end()
             raise
         return journal
 
-    def _write(self, folder: Path, content: bytes) -> None:
+    def _write_file(self, folder: Path, content: bytes) -> None:
         flags = os.O_CREAT | os.O_EXCL | os.O_RDWR
-        handle = os.open(folder / self.name, flags, 0o666)
+        descriptor = os.open(folder / self.name, flags, 0o666)
         # Its lock shows that the process is alive, to other containers too.
-        self._handles.append(handle)
-        _try_lock(handle)
-        with os.fdopen(os.dup(handle), "wb") as file:
+        self._descriptors.append(descriptor)
+        _try_lock(descriptor)
+        with os.fdopen(os.dup(descriptor), "wb") as file:
             file.write(content)
             file.flush()
-            os.fsync(handle)
+            os.fsync(descriptor)
 
     def end(self) -> None:
         """Remove the journal of a set that is complete or rolled back."""
-        while self._handles:
+        while self._descriptors:
             with contextlib.suppress(OSError):
-                os.close(self._handles.pop())
+                os.close(self._descriptors.pop())
         for folder in self.folders:
             with contextlib.suppress(OSError):
                 (folder / self.name).unlink()
@@ -130,12 +132,12 @@ class Journal:
         """Roll back the file set of a process that died before completing it."""
         if all((folder / self.name).is_file() for folder in self.folders):
             for folder in dict.fromkeys(self.folders):
-                for file in reversed(self._files(folder)):
+                for file in reversed(self._staged_files(folder)):
                     file.roll_back()
         self.end()
 
-    def _files(self, folder: Path) -> list[StagedFile]:
-        content = read_input(folder / self.name, _MAX_BYTES, recorded=False)
+    def _staged_files(self, folder: Path) -> list[StagedFile]:
+        content = read_input(folder / self.name, _MAX_JOURNAL_BYTES, is_recorded=False)
         try:
             entries = json.loads(content)["files"]
             return [_staged_file(folder, entry) for entry in entries]
@@ -147,17 +149,20 @@ class Journal:
 def _staged_file(folder: Path, entry: Mapping[str, Any]) -> StagedFile:
     names = [entry[key] for key in ("final", "temporary", "old")]
     # Names in a journal must not lead out of its folder.
-    final, temporary, backup = (folder / Path(name).name for name in names)
-    if not (_OWNER_PATTERN.match(temporary.name) and _OWNER_PATTERN.match(backup.name)):
-        raise ValueError(f"{temporary.name!r} is not a temporary name")
+    final_path, *temporary_paths = (folder / Path(name).name for name in names)
+    for path in temporary_paths:
+        if not _OWNER_PATTERN.match(path.name):
+            raise ValueError(f"{path.name!r} is not a temporary name")
     inode, size, changed_at = map(int, entry["state"])
-    return StagedFile(final, temporary, FileState(size, changed_at, inode), backup)
+    temporary_path, backup = temporary_paths
+    state = FileState(size, changed_at, inode)
+    return StagedFile(final_path, temporary_path, state, backup)
 
 
 def _journal_entry(file: StagedFile) -> Mapping[str, Any]:
     return {
-        "final": file.final.name,
-        "temporary": file.temporary.name,
+        "final": file.final_path.name,
+        "temporary": file.temporary_path.name,
         "state": [file.state.inode, file.state.size, file.state.changed_at],
         "old": file.backup.name,
     }
@@ -177,8 +182,8 @@ def roll_back_folder(folder: Path) -> None:
 
 
 @cache
-def _roll_back_once(folder: str, process: int) -> None:
-    del process
+def _roll_back_once(folder: str, process_id: int) -> None:
+    del process_id
     for path in _temporary_files(Path(folder)):
         if path.name.endswith(_JOURNAL_SUFFIX) and _is_orphan(path, None):
             _roll_back_journal(path)
@@ -189,11 +194,11 @@ def _roll_back_journal(path: Path) -> bool:
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
-        with open_input(path, _MAX_BYTES, recorded=False) as file:
+        with open_input(path, _MAX_JOURNAL_BYTES, is_recorded=False) as file:
             if not _try_lock(file.fileno()):
                 return False
             # Complete now: its writer is dead.
-            content = read_input(path, _MAX_BYTES, recorded=False)
+            content = read_input(path, _MAX_JOURNAL_BYTES, is_recorded=False)
             folders = _journal_folders(content)
             Journal(path.name, (*folders, path.parent)).roll_back()
     except (OSError, FormatError):
@@ -211,28 +216,30 @@ def _journal_folders(content: bytes) -> list[Path]:
         return []
 
 
-def _try_lock(handle: int) -> bool:
+def _try_lock(descriptor: int) -> bool:
     """Try to lock a journal, so that only one process rolls it back."""
     if sys.platform == "win32":
         return False
     import fcntl
 
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
     return True
 
 
-def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> list[Path]:
+def remove_leftovers(
+    folders: Iterable[Path], process_id: int | None = None
+) -> list[Path]:
     """Remove and return the temporary files of dead processes of this host.
 
-    Incomplete sets are rolled back first. Missing folders are skipped; ``process`` is a
-    dead process, None for all dead ones.
+    Incomplete sets are rolled back first. Missing folders are skipped. ``process_id``
+    is that of a dead process; None for all dead ones.
     """
-    removed_files = []
+    removed_paths = []
     for folder in dict.fromkeys(folders):
-        orphans = [p for p in _temporary_files(folder) if _is_orphan(p, process)]
+        orphans = [p for p in _temporary_files(folder) if _is_orphan(p, process_id)]
         journals = [path for path in orphans if path.name.endswith(_JOURNAL_SUFFIX)]
         # If it cannot be rolled back now, it can be later, as long as its files are
         # kept.
@@ -241,17 +248,17 @@ def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> lis
         for path in orphans:
             with contextlib.suppress(OSError):
                 path.unlink()
-                removed_files.append(path)
-    return removed_files
+                removed_paths.append(path)
+    return removed_paths
 
 
-def _is_orphan(path: Path, process: int | None) -> bool:
+def _is_orphan(path: Path, process_id: int | None) -> bool:
     """Return whether a file belongs to a dead process of this host."""
     match = _OWNER_PATTERN.match(path.name)
     if match is None or match["host"] != _host_digest():
         return False
-    number = int(match["process"])
-    return number == process or (process is None and not is_running(number))
+    owner_id = int(match["process"])
+    return owner_id == process_id or (process_id is None and not is_running(owner_id))
 
 
 def _temporary_files(folder: Path) -> list[Path]:
@@ -262,26 +269,26 @@ def _temporary_files(folder: Path) -> list[Path]:
     return []
 
 
-def is_running(process: int) -> bool:
+def is_running(process_id: int) -> bool:
     """Return whether a process of this host is running; True if unknown."""
     if os.name == "nt":
         # On Windows, signal 0 would end the process.
         return True
     try:
-        os.kill(process, 0)
+        os.kill(process_id, 0)
     except (ProcessLookupError, OverflowError):
         return False
     except OSError:
         return True
     # An ended process stays in the table until its parent waits for it; in some
     # containers it never does.
-    return _process_state(process) != "Z"
+    return _process_state(process_id) != "Z"
 
 
-def _process_state(process: int) -> str:
+def _process_state(process_id: int) -> str:
     """Return the state letter of a process on Linux; "" if unknown."""
     try:
-        status = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
+        status = Path(f"/proc/{process_id}/stat").read_text("utf-8", "replace")
     except OSError:
         return ""
     return status.rpartition(")")[2].split()[0]

@@ -39,12 +39,12 @@ MAX_NAME_BYTES = 255
 # The output that is no file, as commands name it.
 STDOUT = Path("-")
 # Windows reserves these names for devices, whatever the suffix.
-_DEVICES = frozenset(
+_DEVICE_NAMES = frozenset(
     {"con", "prn", "aux", "nul", "conin$", "conout$"}
     | {f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³"}
 )
 # Prefix of records and of files that are being written.
-_RECORDS_FOLDER = ".animtool"
+_RECORD_PREFIX = ".animtool"
 
 
 def name_problem(name: str) -> str | None:
@@ -57,12 +57,12 @@ def name_problem(name: str) -> str | None:
     >>> name_problem("aux.usdc"), name_problem("walk.")
     ('is the name of a device on Windows', 'ends with a dot or a space')
     """
-    return next((text for applies, text in _name_problems(name) if applies), None)
+    return next((text for is_problem, text in _name_problems(name) if is_problem), None)
 
 
 def _name_problems(name: str) -> Iterator[tuple[bool, str]]:
     separators = sorted(set("/\\").intersection(name))
-    controls = [letter for letter in name if unicodedata.category(letter) == "Cc"]
+    controls = [c for c in name if unicodedata.category(c) == "Cc"]
     size = len(name.encode("utf-8", "surrogatepass"))
     yield not name, "is empty"
     yield name in {".", ".."}, "means a folder"
@@ -71,11 +71,11 @@ def _name_problems(name: str) -> Iterator[tuple[bool, str]]:
     yield name[-1:] in {".", " "}, "ends with a dot or a space"
     yield size > MAX_NAME_BYTES, f"has more than {MAX_NAME_BYTES} bytes"
     yield not is_text(name), "contains bytes that are not UTF-8"
-    device = name.partition(".")[0].rstrip().casefold() in _DEVICES
-    yield device, "is the name of a device on Windows"
+    is_device_name = name.partition(".")[0].rstrip().casefold() in _DEVICE_NAMES
+    yield is_device_name, "is the name of a device on Windows"
     yield (
-        name.casefold().startswith(_RECORDS_FOLDER),
-        f"starts with {_RECORDS_FOLDER!r}, which records use",
+        name.casefold().startswith(_RECORD_PREFIX),
+        f"starts with {_RECORD_PREFIX!r}, which records use",
     )
 
 
@@ -99,8 +99,8 @@ def name_key(path: PurePath | str) -> str:
     text = os.fspath(path)
     if text.isascii():
         return text.lower()
-    normalised = unicodedata.normalize("NFD", text).casefold()
-    return unicodedata.normalize("NFC", normalised)
+    normalised_text = unicodedata.normalize("NFD", text).casefold()
+    return unicodedata.normalize("NFC", normalised_text)
 
 
 def is_inside(path: Path, folder: Path) -> bool:
@@ -136,29 +136,29 @@ def check_outputs(
         targets.append(output_target(path))
     _refuse_inputs(targets, inputs)
     _refuse_duplicates(targets)
-    existing: list[Path] = []
+    existing_outputs: list[Path] = []
     for output in targets:
-        roll_back_folder(output.final.parent)
+        roll_back_folder(output.final_path.parent)
         if output.path.exists():
             if not overwrite:
-                existing.append(output.path)
+                existing_outputs.append(output.path)
             elif not os.access(output.path, os.W_OK):
                 message = "cannot be written: it is read-only"
                 raise OutputError(Fault("OUT002", message, str(output.path)))
-    if existing:
+    if existing_outputs:
         hint = f"{argument('overwrite', True)} replaces it"
-        if len(existing) == len(outputs):
+        if len(existing_outputs) == len(outputs):
             hint += clause(f", {argument('command.skip_existing', True)} leaves it")
-        message, reported_paths = "already exists", existing
-        if len(existing) > MAX_LISTED_OUTPUTS:
-            other_text = counted(len(existing) - 1, "other output")
+        message, reported_paths = "already exists", existing_outputs
+        if len(existing_outputs) > MAX_LISTED_OUTPUTS:
+            other_text = counted(len(existing_outputs) - 1, "other output")
             message = f"already exists, and so do {other_text}"
-            reported_paths = existing[:1]
+            reported_paths = existing_outputs[:1]
             hint = hint.replace("s it", "s them")
         raise OptionError(
             [Fault("OUT001", message, str(path), (), hint) for path in reported_paths]
         )
-    final_paths = {output.final for output in targets}
+    final_paths = {output.final_path for output in targets}
     _new_paths.set(
         _new_paths.get() - final_paths if overwrite else _new_paths.get() | final_paths
     )
@@ -202,10 +202,10 @@ def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> N
         with contextlib.suppress(OSError, RuntimeError, ValueError):
             input_by_key[name_key(path.resolve())] = path
     for output in targets:
-        input_path = input_by_key.get(name_key(output.final))
+        input_path = input_by_key.get(name_key(output.final_path))
         if input_path is None or not input_path.exists():
             continue  # reading says that it does not exist
-        if same_file(output.final, input_path):
+        if same_file(output.final_path, input_path):
             message = "is an input of this command"
             hint = f"choose another {argument('output')}"
             raise OptionError(Fault("OUT003", message, str(output.path), (), hint))
@@ -213,9 +213,9 @@ def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> N
 
 def _refuse_duplicates(targets: Iterable[OutputTarget | WrittenFile]) -> None:
     """Raise an error for two outputs that are the same file on any kind of disk."""
-    names: dict[str, Path] = {}
+    path_by_key: dict[str, Path] = {}
     for output in targets:
-        first_path = names.setdefault(name_key(output.final), output.path)
+        first_path = path_by_key.setdefault(name_key(output.final_path), output.path)
         if first_path is not output.path:
             message, hint = "is the output of two writers", "name another file for one"
             if str(first_path) != str(output.path):
@@ -267,9 +267,9 @@ def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 @contextlib.contextmanager
 def _open_replacement(output: Path) -> Iterator[BinaryIO]:
     """Yield an open file that replaces an output at the end of the block."""
-    with replacement_path(output) as temporary:
+    with replacement_path(output) as temporary_path:
         try:
-            with temporary.open("wb") as file:
+            with temporary_path.open("wb") as file:
                 yield file
         except OSError as error:
             raise output_error(output, error) from error
@@ -285,13 +285,13 @@ def replacement_path(path: Path) -> Iterator[Path]:
     they were read (IO004).
     """
     # Links stay: their target is replaced.
-    final = output_target(path).final
-    written_file = WrittenFile(path, final, new_temporary(final))
+    final_path = output_target(path).final_path
+    written_file = WrittenFile(path, final_path, new_temporary(final_path))
     pending_set = _pending_outputs.get()
-    note_folder(final.parent)
+    note_folder(final_path.parent)
     has_succeeded, initial_signal = False, ending_signal()
     try:
-        yield written_file.temporary
+        yield written_file.temporary_path
         if ending_signal() and not initial_signal:
             # A library swallowed the signal's exception.
             reraise_signal()
@@ -308,13 +308,13 @@ def replacement_path(path: Path) -> Iterator[Path]:
 
 
 def _commit(files: Sequence[WrittenFile]) -> None:
-    finals = {file.final for file in files}
+    final_paths = {file.final_path for file in files}
     _refuse_duplicates(files)
     note_output()
     try:
-        commit_files(files, _new_paths.get() & finals)
+        commit_files(files, _new_paths.get() & final_paths)
     finally:
-        _new_paths.set(_new_paths.get() - finals)
+        _new_paths.set(_new_paths.get() - final_paths)
 
 
 def written_size(path: Path) -> int:
@@ -322,7 +322,7 @@ def written_size(path: Path) -> int:
     pending_set = _pending_outputs.get()
     for written_file in [] if pending_set is None else reversed(pending_set.files):
         if written_file.path == path:
-            return written_file.temporary.stat().st_size
+            return written_file.temporary_path.stat().st_size
     return path.stat().st_size
 
 

@@ -58,11 +58,11 @@ class Inputs:
     replaced_paths: set[Path] = field(default_factory=set)
 
     def record(
-        self, path: Path, state: FileState | None = None, *, composed: bool = False
+        self, path: Path, state: FileState | None = None, *, is_composed: bool = False
     ) -> None:
         """Record a file before it is read; see `note_input`."""
         absolute_path = path.absolute()
-        if not composed:
+        if not is_composed:
             self.opened_paths.add(absolute_path)
         if absolute_path not in self.states:
             self.states[absolute_path] = (
@@ -118,7 +118,7 @@ def recorded_inputs() -> Iterator[Inputs]:
 
 
 def note_input(
-    path: Path, state: FileState | None = None, *, composed: bool = False
+    path: Path, state: FileState | None = None, *, is_composed: bool = False
 ) -> None:
     """Record a file before it is read or searched for.
 
@@ -126,7 +126,7 @@ def note_input(
     composed file is one that a USD layer includes; the user did not name it.
     """
     for inputs in _ACTIVE_RECORDS.get():
-        inputs.record(path, state, composed=composed)
+        inputs.record(path, state, is_composed=is_composed)
 
 
 def check_inputs() -> None:
@@ -136,7 +136,7 @@ def check_inputs() -> None:
 
 
 # Largest number of names in a folder that are searched for a hint.
-MAX_NAMES = 10_000
+MAX_SEARCHED_NAMES = 10_000
 
 _WILDCARDS = frozenset("*?[")
 
@@ -222,7 +222,7 @@ _UNLIKELY_SUFFIXES = {"", ".md", ".npz", ".png", ".py", ".txt"}
 def _folder_hint(path: Path) -> str | None:
     """Return a hint to name a file in a folder; None if the path is not a folder."""
     try:
-        entries = islice(path.iterdir(), MAX_NAMES)
+        entries = islice(path.iterdir(), MAX_SEARCHED_NAMES)
         files = sorted(entry for entry in entries if entry.is_file())
     except (OSError, ValueError):
         return None
@@ -247,9 +247,10 @@ class InputFile(io.FileIO):
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Return at most ``size`` bytes; empty at the end of the file."""
-        remaining = max(0, self.state.size - self.tell())
-        size = remaining if size is None or size < 0 else min(size, remaining)
-        return super().read(size) or b""
+        remaining_size = max(0, self.state.size - self.tell())
+        if size is None or size < 0:
+            size = remaining_size
+        return super().read(min(size, remaining_size)) or b""
 
     def readall(self) -> bytes:
         """Return all remaining bytes."""
@@ -266,7 +267,7 @@ class InputFile(io.FileIO):
         return len(data)
 
     def read_all(self) -> bytes:
-        """Return all remaining bytes of a file that must not change."""
+        """Return all remaining bytes; raise if the file changed meanwhile (IO004)."""
         try:
             data = self.readall()
         except OSError as error:
@@ -281,13 +282,13 @@ class InputFile(io.FileIO):
 
 
 def open_input(
-    path: Path, max_bytes: int | None = MAX_INPUT_BYTES, *, recorded: bool = True
+    path: Path, max_bytes: int | None = MAX_INPUT_BYTES, *, is_recorded: bool = True
 ) -> InputFile:
     """Open a file that a user or another file names, after checking it.
 
     The checked file is the one that is read: the open descriptor. A missing,
     inaccessible or irregular file is IO001, a too large one IO010; without
-    ``max_bytes`` any size is read, chunk by chunk. With ``recorded`` it becomes an
+    ``max_bytes`` any size is read, chunk by chunk. With ``is_recorded`` it becomes an
     input of the task (`note_input`).
     """
     try:
@@ -295,7 +296,7 @@ def open_input(
         _check_regular(path, path.stat())
         handle = os.open(path, _OPEN_FLAGS)
     except (OSError, ValueError) as error:
-        if recorded:
+        if is_recorded:
             note_input(path)
         reason = error if isinstance(error, OSError) else str(error)
         raise unreadable_error(path, reason) from error
@@ -307,16 +308,16 @@ def open_input(
     except BaseException:
         os.close(handle)
         raise
-    if recorded:
+    if is_recorded:
         note_input(path, file.state)
     return file
 
 
 def read_input(
-    path: Path, max_bytes: int = MAX_INPUT_BYTES, *, recorded: bool = True
+    path: Path, max_bytes: int = MAX_INPUT_BYTES, *, is_recorded: bool = True
 ) -> bytes:
     """Return the content of a file; raise IO004 if it changes. See `open_input`."""
-    with open_input(path, max_bytes, recorded=recorded) as file:
+    with open_input(path, max_bytes, is_recorded=is_recorded) as file:
         return file.read_all()
 
 
@@ -370,18 +371,18 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
         return None
     try:
         with os.scandir(folder / missing_path.parent) as entries:
-            entry_names = sorted(entry.name for entry in islice(entries, MAX_NAMES))
+            names = [entry.name for entry in islice(entries, MAX_SEARCHED_NAMES)]
     except OSError:
         return None
-    name_by_folded = {name.casefold(): name for name in reversed(entry_names)}
+    name_by_casefold = {name.casefold(): name for name in sorted(names, reverse=True)}
     similar_name = most_similar(
-        missing_path.name.casefold(), sorted(name_by_folded), 0.7
+        missing_path.name.casefold(), sorted(name_by_casefold), 0.7
     )
     if not similar_name or not _equal_stems(missing_path.name, similar_name):
         if missing_path is path or is_pattern(missing_path.name):
             return None
         return f"there is no folder {missing_path.as_posix()!r}"
-    suggested_path = missing_path.with_name(name_by_folded[similar_name]).as_posix()
+    suggested_path = missing_path.with_name(name_by_casefold[similar_name]).as_posix()
     noun = "" if missing_path is path else "the folder "
     return f"did you mean {noun}{suggested_path!r}?"
 
@@ -419,13 +420,13 @@ def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
     elif is_pattern(text) and not path.exists():
         # Folders without a wildcard stay as the user spells them.
         parts = path.parts
-        first = next(i for i, part in enumerate(parts) if is_pattern(part))
-        base = Path(*parts[:first])
+        base_length = next(i for i, part in enumerate(parts) if is_pattern(part))
+        base_folder, pattern_parts = Path(*parts[:base_length]), parts[base_length:]
         _check_folder_wildcards(text, parts)
-        shows_hidden = any(part.startswith(".") for part in parts[first:])
-        for file in sorted(base.glob("/".join(parts[first:]))):
-            if file.is_file() if shows_hidden else _is_shown(file, base):
-                yield MatchedFile(file, base)
+        shows_hidden = any(part.startswith(".") for part in pattern_parts)
+        for file in sorted(base_folder.glob("/".join(pattern_parts))):
+            if file.is_file() if shows_hidden else _is_shown(file, base_folder):
+                yield MatchedFile(file, base_folder)
     else:
         yield MatchedFile(path, path.parent)
 

@@ -26,22 +26,22 @@ class Signature:
     """A file format and the first bytes of its files.
 
     Attributes:
-        about: The format, with an article.
+        format_name: The format, with an article.
         pattern: Matches the first bytes, after a byte order mark and blanks.
         suffixes: Suffixes of such files, the most common first; empty if not readable.
         hint: Alternative, if the format is not readable.
     """
 
-    about: str
+    format_name: str
     pattern: bytes
     suffixes: tuple[str, ...]
     hint: str = ""
 
 
 def _signature(
-    about: str, pattern: bytes, suffixes: str = "", hint: str = ""
+    format_name: str, pattern: bytes, suffixes: str = "", hint: str = ""
 ) -> Signature:
-    return Signature(about, pattern, tuple(suffixes.split()), hint)
+    return Signature(format_name, pattern, tuple(suffixes.split()), hint)
 
 
 _XML_START = rb"(?>(?:<\?.*?\?>|<!--.*?-->|<!doctype[^>]*>|\s)*)<"
@@ -105,33 +105,33 @@ def signature_of(head: bytes) -> Signature | None:
 
 
 def format_mismatch(
-    code: str, path: Path | str, expected: str, hint: str = ""
+    code: str, path: Path | str, expected_format: str, hint: str = ""
 ) -> Fault | None:
     """Return a fault if the first bytes of a file show a format other than expected.
 
     Args:
         code: Code of the fault.
         path: The file.
-        expected: The expected format, with an article: ``a GLB file``.
+        expected_format: The expected format, with an article: ``a GLB file``.
         hint: Hint if the file's name is right, so that another file is meant; empty if
             such files are read.
     """
     path = Path(path)
     try:
-        with open_input(path, None, recorded=False) as file:
+        with open_input(path, None, is_recorded=False) as file:
             signature = signature_of(file.read(HEAD_BYTES))
     except FormatError:
         return None
-    if signature is None or signature.about == expected:
+    if signature is None or signature.format_name == expected_format:
         return None
     if path.suffix.lower() not in signature.suffixes:
         new_name = f"{path.stem}{signature.suffixes[0]}" if signature.suffixes else ""
         hint = signature.hint or f"rename it to {new_name}"
-    elif "USD" in signature.about and "USD" in expected:
+    elif "USD" in signature.format_name and "USD" in expected_format:
         return None
-    message = f"is {signature.about}, not {expected}"
-    if "USD" in signature.about and "USD" in expected:
-        message = f"is {signature.about}, but is named {path.suffix}"
+    message = f"is {signature.format_name}, not {expected_format}"
+    if "USD" in signature.format_name and "USD" in expected_format:
+        message = f"is {signature.format_name}, but is named {path.suffix}"
     return Fault(code, message, str(path), (), hint) if hint else None
 
 
@@ -147,7 +147,7 @@ def _is_empty(path: Path | str) -> bool:
 
 
 def expects_format(
-    code: str, expected: str, hint: str = ""
+    code: str, expected_format: str, hint: str = ""
 ) -> Callable[[_ReaderT], _ReaderT]:
     """Return a decorator for a reader that adds the detected format to its errors.
 
@@ -162,11 +162,11 @@ def expects_format(
             except FormatError as error:
                 if (
                     error.code != "IO001"
-                    and expected != DOCUMENT_DESCRIPTION
+                    and expected_format != DOCUMENT_DESCRIPTION
                     and _is_empty(path)
                 ):
                     raise empty_error(error.code, path) from None
-                fault = format_mismatch(code, path, expected, hint)
+                fault = format_mismatch(code, path, expected_format, hint)
                 if fault is None:
                     raise
                 raise FormatError(fault) from None

@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OutputError
 
 # Maximum kept in memory; the rest goes to a temporary file [bytes].
-MAX_MEMORY = 1 << 28
+MAX_MEMORY_BYTES = 1 << 28
 
 
 class Spool:
@@ -23,18 +23,18 @@ class Spool:
         max_bytes: Maximum size of the arrays kept in memory [bytes].
     """
 
-    def __init__(self, max_bytes: int = MAX_MEMORY) -> None:
-        self._free_bytes = max_bytes
-        self._buffered: deque[Sequence[FloatArray]] = deque()
-        self._lengths: deque[int] = deque()  # lengths of the lists in the file
+    def __init__(self, max_bytes: int = MAX_MEMORY_BYTES) -> None:
+        self._free_memory = max_bytes
+        self._buffered_lists: deque[Sequence[FloatArray]] = deque()
+        self._list_lengths: deque[int] = deque()  # lengths of the lists in the file
         self._file: IO[bytes] | None = None
 
     def append(self, arrays: Sequence[FloatArray]) -> None:
-        """Append a list of arrays."""
+        """Append a list of arrays: in memory up to the limit, then on disk."""
         size = sum(array.nbytes for array in arrays)
-        if self._file is None and size <= self._free_bytes:
-            self._free_bytes -= size
-            self._buffered.append(arrays)
+        if self._file is None and size <= self._free_memory:
+            self._free_memory -= size
+            self._buffered_lists.append(arrays)
             return
         try:
             if self._file is None:
@@ -47,15 +47,15 @@ class Spool:
             message = f"temporary data of a long take does not fit there: {reason}"
             hint = "free some space, or set TMPDIR to another folder"
             raise OutputError(Fault("OUT002", message, folder, (), hint)) from error
-        self._lengths.append(len(arrays))
+        self._list_lengths.append(len(arrays))
 
     def drain(self) -> Iterator[list[FloatArray]]:
         """Yield each list and then release it; may be called once."""
-        while self._buffered:
-            yield list(self._buffered.popleft())
+        while self._buffered_lists:
+            yield list(self._buffered_lists.popleft())
         if self._file is None:
             return
         with self._file as file:
             file.seek(0)
-            for length in self._lengths:
+            for length in self._list_lengths:
                 yield [np.load(file, allow_pickle=False) for _ in range(length)]

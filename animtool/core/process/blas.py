@@ -35,8 +35,8 @@ def one_thread() -> Iterator[None]:
             set_count(1)
         yield
     finally:
-        for (_, set_count), threads in zip(libraries, previous_counts, strict=True):
-            set_count(threads)
+        for (_, set_count), count in zip(libraries, previous_counts, strict=True):
+            set_count(count)
 
 
 @lru_cache(maxsize=1)

@@ -27,9 +27,9 @@ class TerminatedError(BaseException):
 
 @dataclass(slots=True)
 class _SignalState:
-    """State of the termination of this process by signals."""
+    """The signal that is ending this process, and whether handlers are installed."""
 
-    number: int = 0  # the signal that is obeyed; 0 for none so far
+    signal_number: int = 0  # the signal that is obeyed; 0 for none so far
     # Whether all output is written, so that signals have no effect.
     has_written_all: bool = False
     is_installed: bool = False  # whether this module's handler is installed
@@ -40,12 +40,12 @@ _signal_state = _SignalState()
 
 def ending_signal() -> int:
     """Return the signal that is ending the process; 0 if there is none."""
-    return _signal_state.number
+    return _signal_state.signal_number
 
 
 def reraise_signal() -> NoReturn:
     """Raise the exception of the received signal again after it was swallowed."""
-    if _signal_state.number == signal.SIGINT:
+    if _signal_state.signal_number == signal.SIGINT:
         raise KeyboardInterrupt
     raise TerminatedError
 
@@ -53,22 +53,22 @@ def reraise_signal() -> NoReturn:
 def _raise_first_signal(signum: int, frame: FrameType | None) -> None:
     """Raise an exception at the first signal only, so as not to interrupt clean-up."""
     del frame
-    if _signal_state.has_written_all or _signal_state.number:
+    if _signal_state.has_written_all or _signal_state.signal_number:
         return
-    _signal_state.number = signum
+    _signal_state.signal_number = signum
     reraise_signal()
 
 
 def _raise_for_swallowed_signal(signum: int, frame: FrameType | None) -> None:
     del signum, frame
-    if _signal_state.number and not _signal_state.has_written_all:
+    if _signal_state.signal_number and not _signal_state.has_written_all:
         reraise_signal()
 
 
 def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
     """Raise again an exception of a signal that Python ignored."""
     is_end = isinstance(unraisable.exc_value, KeyboardInterrupt | TerminatedError)
-    if not (is_end and _signal_state.number):
+    if not (is_end and _signal_state.signal_number):
         sys.__unraisablehook__(unraisable)
     elif hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, _raise_for_swallowed_signal)
@@ -81,11 +81,11 @@ def install_signal_handlers() -> None:
     The exception is `KeyboardInterrupt` or `TerminatedError`. Ignored signals stay
     ignored.
     """
-    for number in TERMINATION_SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _raise_first_signal)
+    for signal_number in TERMINATION_SIGNALS:
+        if signal.getsignal(signal_number) is not signal.SIG_IGN:
+            signal.signal(signal_number, _raise_first_signal)
     sys.unraisablehook = _reraise_ending
-    _signal_state.number = 0
+    _signal_state.signal_number = 0
     _signal_state.has_written_all = False
     _signal_state.is_installed = True
 
@@ -103,11 +103,11 @@ def signal_handlers() -> Iterator[None]:
     try:
         yield
     finally:
-        for number, handler in handlers.items():
+        for signal_number, handler in handlers.items():
             if handler is not None:
-                signal.signal(number, handler)
+                signal.signal(signal_number, handler)
         sys.unraisablehook = hook
-        _signal_state.number = 0
+        _signal_state.signal_number = 0
         _signal_state.has_written_all = False
         _signal_state.is_installed = False
 
@@ -156,23 +156,23 @@ def deferred_signals() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    pending: list[int] = []
+    pending_signals: list[int] = []
 
     def record_signal(signum: int, frame: FrameType | None) -> None:
         del frame
-        pending.append(signum)
+        pending_signals.append(signum)
 
     # None is a handler that was not set by Python and cannot be restored.
     handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
     deferred_handlers = {
         n: h for n, h in handlers.items() if h not in {None, signal.SIG_IGN}
     }
-    for number in deferred_handlers:
-        signal.signal(number, record_signal)
+    for signal_number in deferred_handlers:
+        signal.signal(signal_number, record_signal)
     try:
         yield
     finally:
-        for number, handler in deferred_handlers.items():
-            signal.signal(number, handler)
-        if pending:
-            signal.raise_signal(pending[0])
+        for signal_number, handler in deferred_handlers.items():
+            signal.signal(signal_number, handler)
+        if pending_signals:
+            signal.raise_signal(pending_signals[0])

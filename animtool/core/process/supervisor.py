@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 # Size of a child's notes, and of the recorded stdin [bytes]. Unwritten pages use no
 # memory.
-MAX_NOTES = 1 << 20
-MAX_STDIN = 1 << 26
+MAX_NOTES_BYTES = 1 << 20
+MAX_STDIN_BYTES = 1 << 26
 # Longest path on any system.
 MAX_PATH_BYTES = 1 << 15
 # Time for a child to end after a signal, before it is killed [s].
@@ -90,7 +90,7 @@ class _SharedNotes:
 
     def write(self) -> None:
         text = json.dumps([self.path, self.has_output, self.folders]).encode()
-        if len(text) < MAX_NOTES - _LENGTH_BYTES:
+        if len(text) < MAX_NOTES_BYTES - _LENGTH_BYTES:
             _store_data(self.memory, text)
 
     def write_path(self, path: str) -> None:
@@ -122,7 +122,7 @@ def _stored_data(memory: mmap.mmap) -> bytes | None:
 
 @dataclass(slots=True)
 class _SupervisionState:
-    """State of the supervision in this process."""
+    """Notes for the supervisor, and the files that this process is reading."""
 
     # Where notes are stored; None if the process is not supervised.
     notes: _SharedNotes | None = None
@@ -133,7 +133,7 @@ class _SupervisionState:
     # Called with the file that is being read; None for no listener.
     listener: Callable[[str], object] | None = None
     # Number of threads that are starting processes in `without_main`.
-    starting_threads: int = 0
+    starting_thread_count: int = 0
     script_module: ModuleType | None = None  # the script's module in the meantime
 
 
@@ -201,7 +201,7 @@ def stdin_lines() -> list[str]:
     if recorded_bytes is None:
         text = sys.stdin.read()
         recorded_bytes = text.encode("utf-8", "surrogateescape")
-        if notes is not None and len(recorded_bytes) < MAX_STDIN - _LENGTH_BYTES:
+        if notes is not None and len(recorded_bytes) < MAX_STDIN_BYTES - _LENGTH_BYTES:
             _store_data(notes.stdin_record, recorded_bytes)
         else:
             note_output()
@@ -247,21 +247,21 @@ def without_main() -> Iterator[None]:
     but without a file. Several threads may be in the block at the same time.
     """
     with _lock:
-        if not _state.starting_threads:
+        if not _state.starting_thread_count:
             _state.script_module = main = sys.modules["__main__"]
             replacement = ModuleType("__main__")
-            attributes, hidden = vars(main).items(), {"__spec__", "__file__"}
+            attributes, hidden_names = vars(main).items(), {"__spec__", "__file__"}
             vars(replacement).update(
-                (k, v) for k, v in attributes if k not in {*hidden, "__loader__"}
+                (k, v) for k, v in attributes if k not in {*hidden_names, "__loader__"}
             )
             sys.modules["__main__"] = replacement
-        _state.starting_threads += 1
+        _state.starting_thread_count += 1
     try:
         yield
     finally:
         with _lock:
-            _state.starting_threads -= 1
-            if not _state.starting_threads and _state.script_module is not None:
+            _state.starting_thread_count -= 1
+            if not _state.starting_thread_count and _state.script_module is not None:
                 sys.modules["__main__"] = _state.script_module
                 _state.script_module = None
 
@@ -282,23 +282,23 @@ def supervise(
     second run crashes too, ``refuse`` gets the crash and returns the exit code;
     ``remove_leftovers`` removes the unfinished files of a dead child from folders.
     """
-    notes = _SharedNotes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
+    notes = _SharedNotes(mmap.mmap(-1, MAX_NOTES_BYTES), mmap.mmap(-1, MAX_STDIN_BYTES))
     signals_to_wait = _signals_to_wait_for()
     signal.pthread_sigmask(signal.SIG_BLOCK, signals_to_wait)
     while True:
         child, alive_pipe = _fork(work, notes, signals_to_wait)
-        code, end_signal = _wait(child, signals_to_wait)
+        exit_code, end_signal = _wait_for_child(child, signals_to_wait)
         os.close(alive_pipe)
-        if code >= 0:
-            return code
+        if exit_code >= 0:
+            return exit_code
         notes.read()
         remove_leftovers(notes.folders, child)
         if end_signal:
             is_interrupt = end_signal == signal.SIGINT
             return int(ExitCode.INTERRUPTED if is_interrupt else ExitCode.TERMINATED)
-        if -code not in CRASH_SIGNALS:
-            return 128 - code
-        crash = Crash(-code, notes.path)
+        if -exit_code not in CRASH_SIGNALS:
+            return 128 - exit_code
+        crash = Crash(-exit_code, notes.path)
         if not crash.path or notes.has_output or crash.name == "SIGKILL":
             return refuse(crash)
         from pathlib import Path  # every command imports this module
@@ -349,18 +349,18 @@ def _run_child(
 
     # An expected crash leaves no core dump.
     with suppress(OSError, ValueError):
-        limit = resource.getrlimit(resource.RLIMIT_CORE)[1]
-        resource.setrlimit(resource.RLIMIT_CORE, (0, limit))
+        hard_limit = resource.getrlimit(resource.RLIMIT_CORE)[1]
+        resource.setrlimit(resource.RLIMIT_CORE, (0, hard_limit))
     threading.Thread(target=_end_with_parent, args=(alive_pipe,), daemon=True).start()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked_signals)
     install_signal_handlers()
-    code = 1
+    exit_code = 1
     try:
-        code = work()
+        exit_code = work()
     except BaseException:
         sys.excepthook(*sys.exc_info())
-    exit_now(code)
+    exit_now(exit_code)
 
 
 def exit_now(code: int) -> NoReturn:
@@ -386,7 +386,7 @@ def _end_with_parent(alive_pipe: int) -> None:
     os._exit(128 + signal.SIGTERM)
 
 
-def _wait(child: int, signals_to_wait: set[int]) -> tuple[int, int]:
+def _wait_for_child(child: int, signals_to_wait: set[int]) -> tuple[int, int]:
     """Wait for a child; return its exit code and the first signal that arrived.
 
     If the child does not end in time, it is killed: it may be deep inside a library.

@@ -85,7 +85,7 @@ def find_row_frames(
         _check_stated_rate(file, fields, line_numbers, label_rate, is_drop_frame)
     rate = label_rate or _fit_timecode_rate(file, fields, is_drop_frame)
     label_counts, fractions = _timecode_numbers(file, timecodes, rate, line_numbers)
-    labels_per_day = frames_per_day(rate, drop=is_drop_frame)
+    labels_per_day = frames_per_day(rate, is_drop_frame=is_drop_frame)
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
     half_day = labels_per_day // 2
     steps = (np.diff(label_counts) + half_day) % labels_per_day - half_day

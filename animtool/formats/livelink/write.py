@@ -107,4 +107,4 @@ def timecode(frame: int, rate: Fraction) -> str:
     ('00:01:00;02.000', '00:00:01:01.000')
     """
     drop = rate in {Fraction(30000, 1001), Fraction(60000, 1001)}
-    return f"{timecode_label(frame, rate, drop=drop)}.000"
+    return f"{timecode_label(frame, rate, is_drop_frame=drop)}.000"

@@ -214,7 +214,7 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
     for entry in outline.outputs:
         for path in entry.files if len(outline.outputs) > 1 else ():
             first_entry = entry_by_file.setdefault(
-                name_key(output_target(path).final), entry
+                name_key(output_target(path).final_path), entry
             )
             if first_entry is not entry and entry.location and first_entry.location:
                 message = f"{str(path)!r} is also written by "

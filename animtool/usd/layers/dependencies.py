@@ -125,10 +125,10 @@ def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
             continue
         if layer.realPath:
             path = Path(layer.realPath)
-            note_input(path, states.get(path), composed=True)
+            note_input(path, states.get(path), is_composed=True)
         # An empty name refers to the layer itself.
         for name in filter(None, layer.GetCompositionAssetDependencies()):
             asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
             if asset and "[" not in asset and "://" not in asset:
                 path = Path(asset)
-                note_input(path, states.get(path), composed=True)
+                note_input(path, states.get(path), is_composed=True)

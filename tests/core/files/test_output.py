@@ -245,7 +245,7 @@ def test_what_was_read_is_not_replaced(tmp_path: Path) -> None:
     def read(*outputs: Path) -> None:
         with protect_inputs(outputs):
             note_input(tmp_path / "shot.usda")
-            note_input(tmp_path / "layer.usda", composed=True)
+            note_input(tmp_path / "layer.usda", is_composed=True)
 
     (tmp_path / "shot.usda").touch()
     read(tmp_path / "other.usda", tmp_path / "layer.usda")

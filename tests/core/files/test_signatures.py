@@ -64,7 +64,7 @@ def test_a_file_with_the_name_of_another_format(
     path = tmp_path / f"walk{suffix}"
     path.write_bytes(HEADS[true])
     with pytest.raises(
-        FormatError, match=f"is {signature.about}, (not an?|but is named) "
+        FormatError, match=f"is {signature.format_name}, (not an?|but is named) "
     ) as error:
         animtool.describe(path)
     assert error.value.faults[0].hint == f"rename it to walk{true}"
