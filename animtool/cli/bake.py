@@ -1,4 +1,4 @@
-"""``animtool bake``."""
+"""``animtool bake``: scenes, takes and shots to USD and other formats."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 USD_SUFFIXES = {".usd", ".usda", ".usdc", ".usdz"}
 # Passes that simulate, which may take minutes.
-SIMULATING = {"simulate", "ragdoll"}
+SIMULATING_PASSES = {"simulate", "ragdoll"}
 
 
 def _refuse_patterns(sources: Sequence[Path]) -> None:
@@ -125,8 +125,8 @@ def bake(
     The summary reports what was written and the error: the largest distance between
     a joint's position in float64 and in the float32 values of the file.
     """
-    to_stdout = goes_to_stdout(output, params)
-    _check_usage(params)
+    is_stdout = goes_to_stdout(output, params)
+    _refuse_conflicting_options(params)
     _refuse_patterns(sources)
     if not params["overwrite"]:
         _refuse_swapped(sources, output)
@@ -138,7 +138,7 @@ def bake(
     loaded_sources = load_sources(sources, dict(params["variables"]))
     loaded_sources = stop_after_pass(loaded_sources, params["until"])
     if params["table"]:
-        _measure(console, loaded_sources, output, params)
+        _measure_tradeoffs(console, loaded_sources, output, params)
         return
     scene = single_scene(loaded_sources)
     if scene is not None and output is not None and len(scene.outputs) > 1:
@@ -152,10 +152,10 @@ def bake(
         _print_plan(console, outline, params)
         return
     if scene is not None:
-        _check_library(scene, params)
+        _refuse_skipped_library(scene, params)
         if params["stats"]:
             scene.meter.start()
-    _bake_outputs(console, outline, params, to_stdout=to_stdout)
+    _bake_outputs(console, outline, params, is_stdout=is_stdout)
 
 
 def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
@@ -188,7 +188,7 @@ def _refuse_capture(source: Path, output: Path) -> None:
         raise click.UsageError(text)
 
 
-def _check_usage(params: dict[str, Any]) -> None:
+def _refuse_conflicting_options(params: dict[str, Any]) -> None:
     """Refuse options that exclude each other."""
     if params["split"] and params["form"] == "layer":
         raise click.UsageError("--split writes a stage in three files, not --as layer.")
@@ -199,7 +199,7 @@ def _check_usage(params: dict[str, Any]) -> None:
         raise click.UsageError("--stats measures a bake: remove --plan or --table.")
 
 
-def _check_library(scene: Scene, params: dict[str, Any]) -> None:
+def _refuse_skipped_library(scene: Scene, params: dict[str, Any]) -> None:
     """Refuse `--skip-existing` if a take is added to a clip library."""
     has_library = any(output.bake.form == "library" for output in scene.outputs)
     if params["skip_existing"] and has_library:
@@ -208,7 +208,7 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
 
 
 def _print_plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
-    """Print the steps of a bake."""
+    """Print the steps that a bake would run (``--plan``)."""
     from animtool.cli.summary import PLAN
     from animtool.scene.bake.steps import PlanSteps, bake_steps
 
@@ -216,9 +216,9 @@ def _print_plan(console: Console, outline: Outline, params: dict[str, Any]) -> N
 
 
 def _bake_outputs(
-    console: Console, outline: Outline, params: dict[str, Any], *, to_stdout: bool
+    console: Console, outline: Outline, params: dict[str, Any], *, is_stdout: bool
 ) -> None:
-    """Bake to the requested outputs."""
+    """Bake all outputs of an outline, unless existing ones are skipped, and report."""
     from animtool.scene.bake.bake import bake_outline
 
     scene, files = outline.scene, outline.source_set.files
@@ -226,18 +226,18 @@ def _bake_outputs(
     has_several = any(entry.location is not None for entry in outline.outputs) and (
         len(outline.outputs) > 1 or not first_output.is_stage
     )
-    shown = files[0] if has_several else first_output.path
-    if skip_existing_outputs(console, "bake", params, shown, lambda: outline.files):
+    shown_path = files[0] if has_several else first_output.path
+    all_files = outline.files
+    if skip_existing_outputs(console, "bake", params, shown_path, lambda: all_files):
         return
-    if scene is not None and (
-        scene.systems or any(entry.pass_.name in SIMULATING for entry in scene.passes)
-    ):
+    pass_names = set() if scene is None else {use.pass_.name for use in scene.passes}
+    if scene is not None and (scene.systems or SIMULATING_PASSES & pass_names):
         console.warn_early(outline.notices)
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
-    progress_bar = console.progress(f"bake {label}", stdout=to_stdout)
+    progress_bar = console.progress(f"bake {label}", is_stdout=is_stdout)
     with atomic_command(), progress_bar as progress:
         reports = bake_outline(outline, progress=progress)
-    _print_reports(console, reports, scene, params, several=has_several)
+    _print_reports(console, reports, scene, params, has_several=has_several)
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,24 +245,24 @@ class BakeResult:
     """Reports of all outputs; a single output is reported without a list."""
 
     reports: Sequence[BakeReport | ConvertReport]
-    several: bool
+    has_several: bool
     costs: BakeStats | None  # where measured
-    json_keys: ClassVar[str] = "*head written+ *only *costs"
+    json_keys: ClassVar[str] = "*head written+ *single_report *costs"
 
     @property
     def head(self) -> dict[str, str]:
         """Command and version; empty for a single report, which states them itself."""
-        return {"bake": VERSION} if self.several else {}
+        return {"bake": VERSION} if self.has_several else {}
 
     @property
     def written(self) -> Sequence[BakeReport | ConvertReport]:
         """Reports of the outputs, if there are several."""
-        return self.reports if self.several else ()
+        return self.reports if self.has_several else ()
 
     @property
-    def only(self) -> BakeReport | ConvertReport | None:
+    def single_report(self) -> BakeReport | ConvertReport | None:
         """Report of the output, if there is exactly one."""
-        return None if self.several else self.reports[0]
+        return None if self.has_several else self.reports[0]
 
 
 def _print_reports(
@@ -271,7 +271,7 @@ def _print_reports(
     scene: Scene | None,
     params: Mapping[str, Any],
     *,
-    several: bool,
+    has_several: bool,
 ) -> None:
     """Print the reports of all outputs, as JSON or as text.
 
@@ -283,25 +283,25 @@ def _print_reports(
 
     notices = [notice for report in reports for notice in report.notices]
     # Notices of sources and passes are in every report.
-    console.faults(dict.fromkeys(notices) if several else notices)
+    console.faults(dict.fromkeys(notices) if has_several else notices)
     stages = [] if scene is None else scene.meter.stages
     costs = BakeStats([*stages, *(report.cost for report in reports)])
     if params["report_format"] == "json":
         stats = costs if params["stats"] else None
-        console.result_json(BakeResult(reports, several, stats))
+        console.result_json(BakeResult(reports, has_several, stats))
         raise_stopped(reports)
         return
     for report in reports:
         template = template_of(report)
         console.lines(template.text(report))
-        if not several and console.verbosity > 0:
+        if not has_several and console.verbosity > 0:
             console.details(template.detail_lines(report))
     if params["stats"]:
         console.lines(STATS.text(costs))
     raise_stopped(reports)
 
 
-def _measure(
+def _measure_tradeoffs(
     console: Console,
     sources: Sequence[Path | Scene],
     output: Path | None,

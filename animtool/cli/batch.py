@@ -1,4 +1,4 @@
-"""``animtool batch``."""
+"""``animtool batch``: bakes many files, and resumes where it was stopped."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ class _ItemRange:
     last: int
     is_open: bool = False
 
-    def clamp(self, count: int) -> tuple[int, int]:
+    def clamp(self, item_count: int) -> tuple[int, int]:
         """Return the first and last item number, clamped to the number of items."""
-        open_end = self.is_open and self.first <= count
-        return self.first, min(self.last, count) if open_end else self.last
+        open_end = self.is_open and self.first <= item_count
+        return self.first, min(self.last, item_count) if open_end else self.last
 
 
 def _parse_item_range(text: str) -> _ItemRange:
@@ -241,10 +241,10 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     has_variants = params["table"] is not None or params["columns"]
     if not inputs and params["cuts"] is None and not (has_variants and params["scene"]):
         raise click.UsageError("Pass a batch file, inputs, or --cut.")
-    openjd = params["lines"] == "openjd"
-    if openjd and params["report_format"] != "text":
+    prints_openjd = params["lines"] == "openjd"
+    if prints_openjd and params["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
-    with openjd_failure(console.namer, is_requested=openjd):
+    with openjd_failure(console.namer, is_requested=prints_openjd):
         resolved_batch = find_batch(_read_spec(inputs, params))
     console.faults(resolved_batch.notices)
     item_range = params["numbers"]
@@ -262,22 +262,24 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     is_jsonl = params["report_format"] == "jsonl"
     try:
         with (
-            openjd_failure(console.namer, is_requested=openjd),
-            show_progress(console, lines=is_jsonl) as listener,
+            openjd_failure(console.namer, is_requested=prints_openjd),
+            show_progress(console, prints_json=is_jsonl) as listener,
         ):
-            outer = openjd_lines(listener, console.namer) if openjd else listener
-            report = run_batch(resolved_batch, options, outer)
+            outer_listener = listener
+            if prints_openjd:
+                outer_listener = openjd_lines(listener, console.namer)
+            report = run_batch(resolved_batch, options, outer_listener)
     except (KeyboardInterrupt, TerminatedError):
         console.say("finished items are recorded; run the same command again to resume")
         raise
-    remaining = [n for n in report.notices if n not in listener.shown_warnings]
-    _print_results(console, report, params, _RepeatCommand(inputs, params), remaining)
+    notices = [n for n in report.notices if n not in listener.shown_warnings]
+    _print_results(console, report, params, _RepeatCommand(inputs, params), notices)
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
         from animtool.core.files.output import check_outputs, write_parts
 
         check_outputs([params["junit"]], [], overwrite=True)
-        reports = [entry.with_argument_names(console.namer) for entry in report.items]
+        reports = [r.with_argument_names(console.namer) for r in report.items]
         write_parts(params["junit"], [junit_report(reports).encode()])
     click.get_current_context().exit(int(report.exit_code))
 
@@ -293,33 +295,34 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
     readable_suffixes = (*INPUT_SUFFIXES, *SCENE_SUFFIXES)
     if path.is_dir():
         is_input = any(matching_files(last_input, readable_suffixes))
-        state = "has no file to bake"
+        problem = "has no file to bake"
     else:
         is_input = path.exists() or is_pattern(last_input)
         is_input = is_input or last_input.lower().endswith(readable_suffixes)
-        state = "does not exist"
+        problem = "does not exist"
     if not is_input or "{" in last_input:
         output_text = last_input if path.suffix else f"{last_input.rstrip('/')}/"
         hint = f"to write there, use -o {shlex.quote(output_text)}"
-        raise click.UsageError(f"{last_input} {state}; {hint}")
+        raise click.UsageError(f"{last_input} {problem}; {hint}")
 
 
 def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     """Return the spec of a batch file, with values overridden by options."""
     from animtool.batch.spec import BatchSpec
 
-    jobs = [text for text in inputs if has_kind_suffix(Path(text), "batch")]
-    if jobs and len(inputs) > 1:
-        raise click.UsageError(f"{jobs[0]} is a batch file: pass it alone.")
+    batch_files = [text for text in inputs if has_kind_suffix(Path(text), "batch")]
+    if batch_files and len(inputs) > 1:
+        raise click.UsageError(f"{batch_files[0]} is a batch file: pass it alone.")
     _refuse_output(inputs, params["output"])
     scene = params["scene"]
     if scene is not None and has_kind_suffix(scene, "batch"):
         text = f"{scene} is a batch file, not a scene; run it: animtool batch {scene}"
         raise click.UsageError(f"{text}.")
-    if jobs:
+    if batch_files:
         from animtool.batch.file import load_batch
 
-        spec = load_batch(Path(jobs[0]), uses_timeline=params["cuts"] is not None)
+        uses_timeline = params["cuts"] is not None
+        spec = load_batch(Path(batch_files[0]), uses_timeline=uses_timeline)
     else:
         spec = BatchSpec(tuple(listed_paths(inputs)))
     if params["path_mapping"] is not None:
@@ -329,7 +332,7 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     folder = Path.cwd()
     if params["output"] is not None:
         output = params["output"]
-        if jobs:
+        if batch_files:
             # Paths have lost the trailing slash that marks a folder.
             slash = "/" if output.endswith("/") else ""
             output = f"{folder / output}{slash}"
@@ -337,21 +340,23 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     if params["scene"] is not None:
         spec = replace(spec, scene=params["scene"])
     spec = with_variants(with_cuts(spec, params), params)
-    excluded = tuple(str(folder / text) if jobs else text for text in params["exclude"])
+    excluded_inputs = params["exclude"]
+    if batch_files:
+        excluded_inputs = tuple(str(folder / text) for text in excluded_inputs)
     limits = spec.limits
     if params["time_limit"] is not None:
         limits = replace(limits, seconds=params["time_limit"])
     if params["memory_limit"] is not None:
         limits = replace(limits, memory=params["memory_limit"])
-    names = dict(params["variables"])
-    overrides = tuple(override.without_names(names) for override in spec.overrides)
+    variables = dict(params["variables"])
+    overrides = tuple(override.without_names(variables) for override in spec.overrides)
     if params["strict"]:
         spec = replace(spec, options=replace(spec.options, strict=True))
     return replace(
         spec,
         name=params["name"] or spec.name,
-        exclude=(*spec.exclude, *excluded),
-        variables={**spec.variables, **names},
+        exclude=(*spec.exclude, *excluded_inputs),
+        variables={**spec.variables, **variables},
         overrides=overrides,
         limits=limits,
     )
@@ -412,28 +417,28 @@ def _print_results(
         console.result_json(replace(report, items=items))
     elif report_format == "jsonl":
         if params["dry_run"]:
-            for entry in report.items:
-                console.result_json(entry, line=True)
-        console.result_json(report.summary, line=True)
+            for item_report in report.items:
+                console.result_json(item_report, is_one_line=True)
+        console.result_json(report.summary, is_one_line=True)
     elif params["dry_run"]:
         console.result(*PLANNED.text(report))
     console.faults(notices)
     _print_notices(console, report)
     console.lines((DRY_RUN if params["dry_run"] else SUMMARY).text(report))
-    for entry in report.failed:
-        console.error(f"{entry.item.label} failed")
-        console.faults(entry.faults, fatal=True)
-        console.say(f"  again: {repeat.command(entry)}")
+    for item_report in report.failed:
+        console.error(f"{item_report.item.label} failed")
+        console.faults(item_report.faults, is_fatal=True)
+        console.say(f"  again: {repeat.command(item_report)}")
 
 
 def _print_notices(console: Console, report: BatchReport) -> None:
     """Print each distinct warning once, with the items that have it."""
-    for notice, entries in report.notices_of_items().items():
-        paths = {entry.item.file.path.absolute() for entry in entries}
+    for notice, item_reports in report.notices_of_items().items():
+        paths = {r.item.file.path.absolute() for r in item_reports}
         # A notice located in the only input needs no item line.
         is_located = notice.path is not None and paths == {Path(notice.path).absolute()}
-        items = f"  of {listed([entry.item.label for entry in entries])}"
-        item_lines = [] if is_located else [items]
+        labels = listed([r.item.label for r in item_reports])
+        item_lines = [] if is_located else [f"  of {labels}"]
         if notice.severity is Severity.NOTE:
             text = str(notice.with_argument_names(console.namer))
             console.details([text, *item_lines])

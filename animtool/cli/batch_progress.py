@@ -37,22 +37,22 @@ def _counts_text(
     )
 
 
-def _item_text(entry: ItemReport) -> str:
-    return f"{entry.item.output}{values_text(entry.item.values)}"
+def _item_text(item_report: ItemReport) -> str:
+    return f"{item_report.item.output}{values_text(item_report.item.values)}"
 
 
-def _error_text(entry: ItemReport) -> str:
-    assert entry.measured is not None
-    error = length_text(entry.measured.error, 2)
-    return f"{entry.item.output} {error} (joint {entry.measured.joint!r})"
+def _error_text(item_report: ItemReport) -> str:
+    assert item_report.measured is not None
+    error = length_text(item_report.measured.error, 2)
+    return f"{item_report.item.output} {error} (joint {item_report.measured.joint!r})"
 
 
-def finished_text(entry: ItemReport, number: int, total: int) -> str:
-    """Return the line of a finished item."""
-    prefix = f"[{number}/{total}] {entry.status} {_item_text(entry)}"
-    if entry.failed:
-        return f"{prefix}: {entry.failure_text}"
-    return f"{prefix} ({entry.reason}) {entry.seconds:.2f} s"
+def finished_text(item_report: ItemReport, number: int, total: int) -> str:
+    """Return the line for an item that ended: status, reason and seconds, or fault."""
+    prefix = f"[{number}/{total}] {item_report.status} {_item_text(item_report)}"
+    if item_report.failed:
+        return f"{prefix}: {item_report.failure_text}"
+    return f"{prefix} ({item_report.reason}) {item_report.seconds:.2f} s"
 
 
 def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
@@ -62,11 +62,11 @@ def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
         """Prints the progress, status and failures of a batch for OpenJD."""
 
         def __init__(self) -> None:
-            self.total = self.ended_count = self.failed = 0
+            self.due_count = self.ended_count = self.failed_count = 0
 
         def on_plan(self, due_count: int, total_count: int) -> None:
             """Print the start of the progress, and forward the event."""
-            self.total = due_count
+            self.due_count = due_count
             _write_openjd_line("progress", f"{0 if due_count else 100:.1f}")
             _write_openjd_line("status", f"{due_count} of {total_count} to build")
             inner_listener.on_plan(due_count, total_count)
@@ -76,21 +76,21 @@ def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
             inner_listener.on_start(item)
 
         def on_end(self, report: ItemReport) -> None:
-            """Print the progress and failures."""
+            """Print the progress and a failure, and forward the event."""
             self.ended_count += 1
-            output, count = report.item.output, f"{self.ended_count} of {self.total}"
+            output, counts = report.item.output, (self.ended_count, self.due_count)
             if report.failed:
-                self.failed += 1
+                self.failed_count += 1
                 reason = report.with_argument_names(namer).failure_text
-                _write_openjd_line(
-                    "fail", f"{self.failed} failed, the last is {output}: {reason}"
-                )
-            _write_openjd_line("progress", f"{100 * self.ended_count / self.total:.1f}")
-            _write_openjd_line("status", f"{count}: {report.status} {output}")
+                text = f"{self.failed_count} failed, the last is {output}: {reason}"
+                _write_openjd_line("fail", text)
+            _write_openjd_line("progress", f"{100 * counts[0] / counts[1]:.1f}")
+            status = f"{counts[0]} of {counts[1]}: {report.status} {output}"
+            _write_openjd_line("status", status)
             inner_listener.on_end(report)
 
         def on_warning(self, notice: Fault) -> None:
-            """Forward to the other listener."""
+            """Forward the event to the other listener."""
             inner_listener.on_warning(notice)
 
     return OpenJdLines()
@@ -107,8 +107,8 @@ def openjd_failure(namer: ArgumentNamer, *, is_requested: bool) -> Iterator[None
         raise
 
 
-def _write_openjd_line(kind: str, text: str) -> None:
-    sys.stdout.write(f"openjd_{kind}: {escaped(' '.join(text.split()))}\n")
+def _write_openjd_line(message_type: str, text: str) -> None:
+    sys.stdout.write(f"openjd_{message_type}: {escaped(' '.join(text.split()))}\n")
     sys.stdout.flush()
 
 
@@ -116,15 +116,15 @@ BAR_WIDTH = 40
 
 
 @contextmanager
-def show_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
+def show_progress(console: Console, *, prints_json: bool) -> Iterator[Listener]:
     """Yield a listener that shows the progress of a run."""
     if not console.is_live():
-        yield _line_listener(console, lines=lines)
+        yield _line_listener(console, prints_json=prints_json)
         return
     from rich.console import Console as RichConsole
     from rich.live import Live
 
-    live_table, renderable = _table_listener(console, lines=lines)
+    live_table, renderable = _table_listener(console, prints_json=prints_json)
     # Redrawn a few times per second at most.
     with Live(
         get_renderable=renderable, console=RichConsole(stderr=True), transient=True
@@ -132,15 +132,15 @@ def show_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
         yield live_table
 
 
-def _line_listener(console: Console, *, lines: bool) -> Listener:
+def _line_listener(console: Console, *, prints_json: bool) -> Listener:
     class TextLines(Listener):
         """Prints one line for each finished item."""
 
-        due = ended_count = 0
+        due_count = ended_count = 0
 
         def on_plan(self, due_count: int, total_count: int) -> None:
             """Store the number of items to build."""
-            self.due = due_count
+            self.due_count = due_count
             skipped_count = total_count - due_count
             if skipped_count > 0:
                 console.say(f"{skipped_count} of {total_count} are up to date")
@@ -148,11 +148,12 @@ def _line_listener(console: Console, *, lines: bool) -> Listener:
         def on_end(self, report: ItemReport) -> None:
             """Print the result of one item."""
             self.ended_count += 1
-            if lines:
-                console.result_json(report, line=True)
+            if prints_json:
+                console.result_json(report, is_one_line=True)
             else:
                 named_report = report.with_argument_names(console.namer)
-                console.say(finished_text(named_report, self.ended_count, self.due))
+                counts = self.ended_count, self.due_count
+                console.say(finished_text(named_report, *counts))
 
         def on_warning(self, notice: Fault) -> None:
             """Print a warning."""
@@ -163,7 +164,7 @@ def _line_listener(console: Console, *, lines: bool) -> Listener:
 
 
 def _table_listener(
-    console: Console, *, lines: bool
+    console: Console, *, prints_json: bool
 ) -> tuple[Listener, Callable[[], RenderableType]]:
     from rich.console import Group
     from rich.progress_bar import ProgressBar
@@ -173,29 +174,29 @@ def _table_listener(
     class ProgressListener(Listener):
         """Tracks finished, failed and running items with their start times."""
 
-        due = ended_count = failed = 0
+        due_count = ended_count = failed_count = 0
 
         def __init__(self) -> None:
-            self.running: dict[int, tuple[str, float]] = {}
+            self.running_items: dict[int, tuple[str, float]] = {}
             self.warning = ""
 
         def on_plan(self, due_count: int, total_count: int) -> None:
             """Record the number of items to build."""
             del total_count
-            self.due = due_count
+            self.due_count = due_count
 
         def on_start(self, item: Item) -> None:
             """Record a started item."""
-            self.running[item.number] = str(item.output), time.perf_counter()
+            self.running_items[item.number] = str(item.output), time.perf_counter()
 
         def on_end(self, report: ItemReport) -> None:
             """Record a finished item."""
-            self.running.pop(report.item.number, None)
+            self.running_items.pop(report.item.number, None)
             self.ended_count += 1
-            self.failed += bool(report.faults)
+            self.failed_count += bool(report.faults)
             self.warning = ""
-            if lines:
-                console.result_json(report, line=True)
+            if prints_json:
+                console.result_json(report, is_one_line=True)
 
         def on_warning(self, notice: Fault) -> None:
             """Record a warning, shown until an item ends and again at the end."""
@@ -204,15 +205,15 @@ def _table_listener(
     tracker = ProgressListener()
 
     def draw() -> RenderableType:
-        if not tracker.due:
+        if not tracker.due_count:
             return Text()
-        caption = f"{tracker.ended_count} of {tracker.due}"
-        caption += f", {tracker.failed} failed" if tracker.failed else ""
+        caption = f"{tracker.ended_count} of {tracker.due_count}"
+        caption += f", {tracker.failed_count} failed" if tracker.failed_count else ""
         header = Table.grid(padding=(0, 1))
-        bar = ProgressBar(tracker.due, tracker.ended_count, width=BAR_WIDTH)
+        bar = ProgressBar(tracker.due_count, tracker.ended_count, width=BAR_WIDTH)
         header.add_row(bar, Text(caption))
         running_rows = Table.grid(padding=(0, 1))
-        for name, start_time in list(tracker.running.values()):
+        for name, start_time in list(tracker.running_items.values()):
             seconds = Text(f"{time.perf_counter() - start_time:6.1f} s")
             running_rows.add_row(seconds, Text(escaped(name)))
         return Group(header, running_rows, Text(tracker.warning))
@@ -221,13 +222,13 @@ def _table_listener(
 
 
 def scores_table(items: Sequence[ItemReport]) -> list[str]:
-    """Return one score table per pass.
+    """Return the lines of one score table for each pass.
 
     Args:
         items: Items in the order of the rows, worst first.
     """
     passes = dict.fromkeys(
-        (score.pass_name, score.where) for entry in items for score in entry.scores
+        (score.pass_name, score.where) for each in items for score in each.scores
     )
     return [line for pass_key in passes for line in _pass_table(items, pass_key)]
 
@@ -237,23 +238,23 @@ def _pass_table(
 ) -> Iterator[str]:
     """Yield the lines of the score table of one pass."""
     table_rows = [
-        (entry, pass_score)
-        for entry in items
-        for pass_score in entry.scores
+        (item_report, pass_score)
+        for item_report in items
+        for pass_score in item_report.scores
         if (pass_score.pass_name, pass_score.where) == pass_key
     ]
     names = [score.name for score in table_rows[0][1].scores]
     score_rows = [("  item", *names, "above usual")]
-    for entry, pass_score in table_rows[:MAX_TABLE_ROWS]:
+    for item_report, pass_score in table_rows[:MAX_TABLE_ROWS]:
         texts = {score.name: score.text for score in pass_score.scores}
         worse_names = ", ".join(score.name for score in pass_score.exceeded_scores)
         values = (texts.get(name, "") for name in names)
-        score_rows.append((f"  {_item_text(entry)}", *values, worse_names))
+        score_rows.append((f"  {_item_text(item_report)}", *values, worse_names))
     yield f"{pass_key[0]} ({pass_key[1]}), worst first:"
     yield from aligned_lines(score_rows, {0, len(names) + 1})
     if len(table_rows) > MAX_TABLE_ROWS:
-        omitted = counted(len(table_rows) - MAX_TABLE_ROWS, "item")
-        yield f"  {omitted} more, which are better; --format json lists all"
+        omitted_text = counted(len(table_rows) - MAX_TABLE_ROWS, "item")
+        yield f"  {omitted_text} more, which are better; --format json lists all"
 
 
 SUMMARY = Template(

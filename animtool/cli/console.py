@@ -63,8 +63,8 @@ class FlagNamer:
         if argument.boolean_value is False and option.secondary_opts:
             return option.secondary_opts[0]
         if argument.boolean_value is not None:
-            kind = option.type
-            value = str(kind.choices[-1]) if isinstance(kind, click.Choice) else ""
+            choice = option.type
+            value = str(choice.choices[-1]) if isinstance(choice, click.Choice) else ""
         return f"{option.opts[0]} {value}".rstrip()
 
     def name_elsewhere(self, argument: Argument) -> str:
@@ -106,7 +106,7 @@ class Console:
     """Output of a command to stdout and stderr."""
 
     verbosity: int = 0  # -1 for errors only, 0 by default, 1 with notes and timings
-    json_log: bool = False  # write each line on stderr as a JSON object
+    logs_json: bool = False  # write each line on stderr as a JSON object
     debug: bool = False  # whether Python tracebacks are shown
     namer: ArgumentNamer = flag_of  # names arguments by flags of the command
     context: click.Context | None = None  # of the command
@@ -119,11 +119,11 @@ class Console:
         sys.stdout.write("".join(f"{line}\n" for line in escaped_lines))
         note_output()
 
-    def result_json(self, value: object, *, line: bool = False) -> None:
+    def result_json(self, value: object, *, is_one_line: bool = False) -> None:
         """Write a record or plain values to stdout as JSON, or as one line of ASCII."""
-        indent = None if line else 2
+        indent = None if is_one_line else 2
         value = self._with_flags(plain_value(value))
-        self.document(printable_json(value, indent=indent, is_ascii_only=line))
+        self.document(printable_json(value, indent=indent, is_ascii_only=is_one_line))
         sys.stdout.flush()
 
     def document(self, text: str) -> None:
@@ -148,7 +148,7 @@ class Console:
             self.faults(warnings)
             self.early_faults.update(warnings)
 
-    def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
+    def faults(self, faults: Iterable[Fault], *, is_fatal: bool = False) -> None:
         """Write faults to stderr; when quiet, only errors.
 
         An error or warning at a column is followed by its source line and a caret.
@@ -158,15 +158,16 @@ class Console:
             if raw_fault in self.early_faults:
                 continue
             fault = raw_fault.with_argument_names(self.namer)
-            if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
-                code = self._colored(escaped(fault.code), _COLORS[fault.severity])
+            if is_fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
+                code = escaped(fault.code)
+                colored_code = self._colored(code, _COLORS[fault.severity])
                 log_entry = {"level": str(fault.severity), **plain_value(fault)}
                 shown_fault = fault
                 if fault.brief and self.verbosity <= 0:
                     shown_fault = replace(fault, message=fault.brief)
-                text = str(shown_fault).replace(escaped(fault.code), code, 1)
+                text = str(shown_fault).replace(code, colored_code, 1)
                 has_line = fault.column and fault.severity is not Severity.NOTE
-                if has_line and not self.json_log:
+                if has_line and not self.logs_json:
                     from animtool.core import source_lines
 
                     sources = sources or source_lines.SourceLineCache()
@@ -208,19 +209,19 @@ class Console:
         label = self._colored("error", _COLORS[Severity.ERROR])
         texts = [name_arguments(text, self.namer) for text in (message, *details)]
         lines = "\n".join(map(escaped, texts))
-        entry: dict[str, object] = {"level": "error", "message": "\n".join(texts)}
-        self._write(entry, f"{label}: {lines}")
+        log_entry: dict[str, object] = {"level": "error", "message": "\n".join(texts)}
+        self._write(log_entry, f"{label}: {lines}")
 
     def is_live(self) -> bool:
         """Return whether stderr is a terminal that can show live updates."""
-        return self.verbosity >= 0 and not self.json_log and sys.stderr.isatty()
+        return self.verbosity >= 0 and not self.logs_json and sys.stderr.isatty()
 
     @contextmanager
     def progress(
-        self, label: str, *, stdout: bool = False
+        self, label: str, *, is_stdout: bool = False
     ) -> Iterator[Callable[[float], None] | None]:
         """Yield a progress callback, or None without a terminal."""
-        if not self.is_live() or (stdout and sys.stdout.isatty()):
+        if not self.is_live() or (is_stdout and sys.stdout.isatty()):
             yield None
             return
         from rich.console import Console as RichConsole
@@ -252,22 +253,22 @@ class Console:
         if isinstance(value, str):
             return name_arguments(value, self.namer)
         if isinstance(value, Mapping):
-            return {key: self._with_flags(item) for key, item in value.items()}
+            return {key: self._with_flags(element) for key, element in value.items()}
         if isinstance(value, list | tuple):
-            return [self._with_flags(item) for item in value]
+            return [self._with_flags(element) for element in value]
         return value
 
     def _write_line(self, level: str, text: str) -> None:
         text = name_arguments(text, self.namer)
         self._write({"level": level, "message": text}, escaped(text))
 
-    def _write(self, entry: dict[str, object], text: str) -> None:
+    def _write(self, log_entry: dict[str, object], text: str) -> None:
         """Write text to stderr, or an entry as JSON if the log is JSON."""
-        sys.stderr.write((printable_json(entry) if self.json_log else text) + "\n")
+        sys.stderr.write((printable_json(log_entry) if self.logs_json else text) + "\n")
         note_output()
 
-    def _colored(self, text: str, code: str) -> str:
-        return f"\x1b[{code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text
+    def _colored(self, text: str, color_code: str) -> str:
+        return f"\x1b[{color_code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text
 
 
 def _wants_color(stream: TextIO) -> bool:

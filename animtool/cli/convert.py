@@ -1,4 +1,4 @@
-"""``animtool convert``."""
+"""``animtool convert``: takes, rigs and markers to other formats."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def convert(
 
     Markers are converted between C3D, TRC and npz.
     """
-    output = _resolve_output(source, output, params.pop("named_output"))
+    output = _output_path(source, output, params.pop("named_output"))
     from animtool.formats.marker_files import is_marker_file
 
     if is_marker_file(source) and is_marker_file(output):
@@ -145,9 +145,7 @@ def convert(
     console.report(params["report_format"], report, CONVERT_TEMPLATE)
 
 
-def _resolve_output(
-    source: Path, output: Path | None, output_option: Path | None
-) -> Path:
+def _output_path(source: Path, output: Path | None, output_option: Path | None) -> Path:
     """Return OUTPUT from the argument or from -o; refuse swapped arguments."""
     if output is not None and output_option is not None:
         raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
@@ -228,10 +226,10 @@ def _convert_rig(
             strict=params["strict"],
         )
     console.faults(report.notices)
-    console.report(params["report_format"], report, _RIG_REPORT)
+    console.report(params["report_format"], report, _RIG_TEMPLATE)
 
 
-_RIG_REPORT = Template(
+_RIG_TEMPLATE = Template(
     "animtool.scene.convert.rigs:RigReport",
     (
         "{outputs:join}: [{counts:several}]",

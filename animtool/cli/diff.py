@@ -1,4 +1,4 @@
-"""``animtool diff``."""
+"""``animtool diff``: the largest differences of two takes or layers."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from animtool.report.compare_points import PointsDifference
 
 
-def _difference_template(kind: str, size: str, where: str) -> str:
+def _difference_template(kind: str, value_format: str, location_format: str) -> str:
     """Return the text template of the largest difference of one quantity."""
-    label_width = 14 if "prim" in where else 12
-    location = where.replace("@", kind)
+    label_width = 14 if "prim" in location_format else 12
+    location = location_format.replace("@", kind)
     return (
-        f"  {kind:<{label_width}}{{{kind}.value:{size}}}"
+        f"  {kind:<{label_width}}{{{kind}.value:{value_format}}}"
         f"[{{?{kind}.value}}  {location}, time code {{{kind}.code:frame}}"
         + (f"[, {{{kind}.skeleton}}]]" if label_width == 12 else "]")
     )
@@ -87,7 +87,7 @@ class Comparison:
     json_keys: ClassVar[str] = "'diff' same *difference"
 
 
-def _source_choices(command: Command) -> Command:
+def _add_source_options(command: Command) -> Command:
     """Add the source options that apply to both files or to one of them."""
     for name, field, metavar, description in (
         ("take", "take", "NAME", "The take to read from clip libraries in USD"),
@@ -141,7 +141,7 @@ Examples:
 @_tolerance_option(
     "--weight-tolerance", "tol_weight", 1e-5, "WEIGHT", "Shape weight to ignore."
 )
-@_source_choices
+@_add_source_options
 @source_options
 @source_option("positions")
 @format_option
@@ -178,8 +178,8 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     else:
         console.result(*template.text(difference), "same" if is_within else "different")
     console.faults(notices)
-    code = ExitCode.OK if is_within else ExitCode.FINDINGS
-    click.get_current_context().exit(int(code))
+    exit_code = ExitCode.OK if is_within else ExitCode.FINDINGS
+    click.get_current_context().exit(int(exit_code))
 
 
 def _source_options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
@@ -192,7 +192,7 @@ def _source_options(first: Path, second: Path, params: dict[str, Any]) -> list[A
     options = []
     for path, letter in ((first, "a"), (second, "b")):
         values = {name: params[f"{name}_{letter}"] for name in ("take", "prim_path")}
-        specific = {name: value for name, value in values.items() if value is not None}
-        shared = fitting_options(shared_options, path, [first, second])
-        options.append(replace(shared, **specific))
+        specific_values = {k: value for k, value in values.items() if value is not None}
+        fitted_options = fitting_options(shared_options, path, [first, second])
+        options.append(replace(fitted_options, **specific_values))
     return options

@@ -1,4 +1,4 @@
-"""``animtool docs``."""
+"""``animtool docs``: opens, prints or lists pages of the documentation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class DocsReport:
     json_keys: ClassVar[str] = "'docs' pages"
 
 
-def _report(topic: str | None) -> DocsReport:
+def _docs_report(topic: str | None) -> DocsReport:
     if topic is None:
         return DocsReport([DocsPage(page) for page in _sorted_pages()])
     page = _page_of(topic)
@@ -81,7 +81,7 @@ def docs(
     import sys
 
     if report_format == "json":
-        console.result_json(_report(None if list_pages or not topic else topic))
+        console.result_json(_docs_report(None if list_pages or not topic else topic))
         return
     if list_pages:
         _print_page_list(console)

@@ -1,4 +1,4 @@
-"""``animtool explain``."""
+"""``animtool explain``: the pages of codes."""
 
 from __future__ import annotations
 
@@ -57,20 +57,20 @@ class CodesReport:
 
 
 # Families of warnings about files with a key `ignore`, and about other files.
-_NOTICE_FAMILIES = "BAT|CAM|CLIP|DOC|FAC|IK|MAP|MKT|RIG|SCN|SIM|SKIN|TGT"
-_CHECK_FAMILIES = "BVH|C3D|FBX|GLT|LLF|MKR|MOF|MOT|TAKE|TRC|URD|USD"
+_IGNORABLE_CODES_PATTERN = "BAT|CAM|CLIP|DOC|FAC|IK|MAP|MKT|RIG|SCN|SIM|SKIN|TGT"
+_OTHER_FILE_CODES_PATTERN = "BVH|C3D|FBX|GLT|LLF|MKR|MOF|MOT|TAKE|TRC|URD|USD"
 
 
 def ignore_section(rule: Rule) -> str:
     """Return the page section on how to ignore a warning; "" for other codes."""
     family, heading = rule.code.rstrip("0123456789"), "\n## How to ignore it\n\n"
-    is_check = re.fullmatch(_CHECK_FAMILIES, family) is not None
+    is_of_other_file = re.fullmatch(_OTHER_FILE_CODES_PATTERN, family) is not None
     if rule.severity != "warning" or not (
-        is_check or re.fullmatch(_NOTICE_FAMILIES, family)
+        is_of_other_file or re.fullmatch(_IGNORABLE_CODES_PATTERN, family)
     ):
         return ""
     option = f"`animtool validate --ignore {rule.code}` leaves it out of one run."
-    if is_check:
+    if is_of_other_file:
         return f"{heading}{option}\n"
     entry = f"ignore: [{{code: {rule.code}, why: it is meant}}]"
     text = f"{heading}If it is meant, say so in the file. {option}"
@@ -107,7 +107,7 @@ CODES_TEMPLATE = Template(
 )
 
 
-def _check_not_command(code: str) -> None:
+def _refuse_command_name(code: str) -> None:
     """Refuse the name of a command where a code is expected (VAL005)."""
     from animtool.cli.main import COMMANDS
     from animtool.core.errors import Fault, OptionError
@@ -143,10 +143,10 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
         # RIG2 means all codes with that prefix.
         prefix = code.upper()
         rules_by_code = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}
-        names = sorted(name for name in rules_by_code if name.startswith(prefix))
-        matching_rules = [rules_by_code[name] for name in names]
+        matching_codes = sorted(c for c in rules_by_code if c.startswith(prefix))
+        matching_rules = [rules_by_code[c] for c in matching_codes]
         if not matching_rules:
-            _check_not_command(code)
+            _refuse_command_name(code)
         is_listing = is_listing or len(matching_rules) > 1
         rules += matching_rules or [find_rule(code)]
     if not codes:

@@ -114,7 +114,7 @@ class Command(click.Command):
         """Parse arguments; warn about options of the previous version (CLI106)."""
         args, old_options = _with_new_names(args, OLD_OPTIONS.get(self.name or "", {}))
         ctx.meta[ARGUMENTS_KEY] = tuple(args)
-        remaining = super().parse_args(ctx, args)
+        remaining_args = super().parse_args(ctx, args)
         if old_options and ctx.obj is not None:
             from animtool.core.errors import Fault, Severity
 
@@ -122,7 +122,7 @@ class Command(click.Command):
                 Fault("CLI106", f"{old} is now {new}", severity=Severity.NOTE)
                 for old, new in old_options.items()
             )
-        return remaining
+        return remaining_args
 
     def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
         """Return the parts of the usage line, with arguments before options."""
@@ -135,7 +135,7 @@ class Command(click.Command):
         """Write the help of all options in groups."""
         groups: dict[str, list[tuple[str, str]]] = {name: [] for name in _GROUPS}
         for option, record in self._help_records(ctx):
-            groups[group_of(self.name or "", option)].append(record)
+            groups[heading_of(self.name or "", option)].append(record)
         for name, records in groups.items():
             if records:
                 _write_section(formatter, name, records)
@@ -181,7 +181,7 @@ class Command(click.Command):
 
 
 def _with_new_names(
-    args: list[str], names: dict[str, str]
+    args: list[str], new_names: dict[str, str]
 ) -> tuple[list[str], dict[str, str]]:
     """Return arguments with old option names replaced, and the replaced names.
 
@@ -189,13 +189,13 @@ def _with_new_names(
     (['--missed=1', '--', '--tol'], {'--tol': '--missed'})
     """
     end_of_options = args.index("--") if "--" in args else len(args)
-    replaced_options, new_words = {}, []
-    for word in args[:end_of_options]:
-        option, equals, value = word.partition("=")
-        if option in names:
-            replaced_options[option] = names[option]
-        new_words.append(f"{names.get(option, option)}{equals}{value}")
-    return [*new_words, *args[end_of_options:]], replaced_options
+    replaced_options, new_args = {}, []
+    for argument in args[:end_of_options]:
+        option, equals, value = argument.partition("=")
+        if option in new_names:
+            replaced_options[option] = new_names[option]
+        new_args.append(f"{new_names.get(option, option)}{equals}{value}")
+    return [*new_args, *args[end_of_options:]], replaced_options
 
 
 def command(*args: Any, **options: Any) -> Callable[[Callable[..., Any]], Command]:
@@ -213,7 +213,7 @@ def write_sections(
         _write_section(formatter, title, aligned_records)
 
 
-def group_of(command: str, option: click.Option) -> str:
+def heading_of(command: str, option: click.Option) -> str:
     """Return the heading of the group that an option belongs to."""
     word = _option_word(option)
     group = _GROUPS_BY_COMMAND.get(command, {}).get(word)
@@ -221,7 +221,7 @@ def group_of(command: str, option: click.Option) -> str:
 
 
 def common_options(command: str) -> list[str]:
-    """Return the options of a command's short help; empty for all but `Report`."""
+    """Return the options that ``-h`` lists; empty for all but those of ``Report``."""
     return _COMMON_OPTIONS.get(command, "").split()
 
 
@@ -245,7 +245,7 @@ def _write_section(
 
 
 def _help_options() -> list[click.Parameter]:
-    """Return ``-h`` and ``--help``."""
+    """Return the hidden option ``-h`` and the option ``--help``."""
 
     def short_help(ctx: click.Context) -> str:
         command = ctx.command

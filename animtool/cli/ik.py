@@ -1,4 +1,4 @@
-"""``animtool ik``."""
+"""``animtool ik``: solves a rig for targets, or writes targets of a take."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from animtool.cli.options import (
     parse_names,
     read_source_options,
     read_values,
-    record_option,
+    record_options,
     rig_layer_options,
     source_option,
     source_options,
@@ -124,7 +124,7 @@ Examples:
     "or with --rig-layer an animation layer over that.  [default: nothing]",
     kind=OUTPUT,
 )
-@record_option(TakeOptions)
+@record_options(TakeOptions)
 @click.option(
     "--table",
     is_flag=True,
@@ -189,14 +189,14 @@ def ik(console: Console, /, **params: Any) -> None:
             raise click.UsageError("--match measures nothing: remove --plot.")
         _run_match_command(console, params, _start_options(params))
         return
-    _check(params)
+    _check_solve_options(params)
     cut = timeline_shot(
         console, params["start"], params, params["first_code"], params["fps"]
     )
     if cut is not None:
         params |= {"start": cut.media.path, "shot": cut.shot, "first_code": None}
     output = params["output"]
-    to_stdout = goes_to_stdout(output, params)
+    is_stdout = goes_to_stdout(output, params)
     if params["table"]:
         if output is not None:
             raise click.UsageError("--table writes no file: remove -o.")
@@ -206,16 +206,16 @@ def ik(console: Console, /, **params: Any) -> None:
         _print_table(console, params)
         return
     if skip_existing_outputs(
-        console, "ik", params, output, lambda: _job(params).target.files
+        console, "ik", params, output, lambda: _ik_job(params).target.files
     ):
         return
     from animtool.cli.ik_summary import SOLVE_TEMPLATE
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
-    with atomic_command(), console.progress(label, stdout=to_stdout) as progress:
+    with atomic_command(), console.progress(label, is_stdout=is_stdout) as progress:
         try:
-            report = run_ik(_job(params), progress=progress)
+            report = run_ik(_ik_job(params), progress=progress)
         except MissedGoalsError as error:
             console.report(params["report_format"], error.report, SOLVE_TEMPLATE)
             raise
@@ -268,7 +268,7 @@ def _check_match(params: dict[str, Any]) -> None:
             raise click.UsageError(f"{option.opts[-1]} has no effect with --match.")
 
 
-def _check(params: dict[str, Any]) -> None:
+def _check_solve_options(params: dict[str, Any]) -> None:
     if params["targets"] is None:
         raise click.UsageError("Pass --targets, or --match to write some.")
     refuse_plot_without_table(params)
@@ -279,8 +279,8 @@ def _check(params: dict[str, Any]) -> None:
 def _start_options(params: dict[str, Any]) -> Any:
     """Return the options for reading the start take."""
     source_keys = ("prim_path", "take", "positions")
-    extra = {"shot": params["shot"], "placement": params["placement"]}
-    return read_source_options(params, *source_keys, **extra)
+    other_values = {"shot": params["shot"], "placement": params["placement"]}
+    return read_source_options(params, *source_keys, **other_values)
 
 
 def _print_table(console: Console, params: dict[str, Any]) -> None:
@@ -290,11 +290,11 @@ def _print_table(console: Console, params: dict[str, Any]) -> None:
     inputs = [path for path in table_inputs if path is not None]
     check_plot(params["plot"], inputs, overwrite=params["overwrite"])
     with console.progress(f"measure {params['targets'].name}") as progress:
-        report = ik_tradeoffs(_job(params), progress=progress)
+        report = ik_tradeoffs(_ik_job(params), progress=progress)
     print_tradeoffs(console, report, params["report_format"], params["plot"])
 
 
-def _job(params: dict[str, Any]) -> Any:
+def _ik_job(params: dict[str, Any]) -> Any:
     from animtool.scene.solves.ik import IkJob
 
     pose, degrees = params["pose"], params["tol_degrees"]
@@ -314,9 +314,9 @@ def _job(params: dict[str, Any]) -> Any:
 
 
 def _bake_options(params: dict[str, Any]) -> Any:
-    """Return the options for writing the output."""
+    """Return the options for writing the output; refuse those without effect on it."""
     output = params["output"]
-    flags = {
+    value_by_flag = {
         "--split": params["split"],
         "--rig-layer": params["rig_layer"],
         "--force-fit": params["force_fit"],
@@ -326,7 +326,7 @@ def _bake_options(params: dict[str, Any]) -> Any:
     }
     if params["reduce"] is not None and output is None:
         raise click.UsageError("--reduce needs an output: pass -o.")
-    set_flags = [flag for flag, value in flags.items() if value]
+    set_flags = [flag for flag, value in value_by_flag.items() if value]
     from animtool.scene.sources.open import is_usd
 
     if set_flags and output is None:

@@ -1,4 +1,4 @@
-"""``animtool info``."""
+"""``animtool info``: the content of files of any kind, as text or JSON."""
 
 from __future__ import annotations
 
@@ -296,14 +296,14 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
             console.faults(description.notices)
     for failure in errors:
         console.faults(failure.faults)
-    code = max((int(failure.exit_code) for failure in errors), default=0)
-    if params["variables"] and not code:
+    exit_code = max((int(failure.exit_code) for failure in errors), default=0)
+    if params["variables"] and not exit_code:
         check_unused(dict(params["variables"]), used_variables)
-    click.get_current_context().exit(code)
+    click.get_current_context().exit(exit_code)
 
 
 def _describe(path: Path, params: dict[str, Any], used_variables: set[str]) -> Any:
-    """Return the description of a file of any kind."""
+    """Return the report on a file, which depends on its kind."""
     from animtool.core.readers import is_rig_only
     from animtool.formats.marker_files import is_marker_file
     from animtool.scene.sources.open import is_usd
@@ -344,7 +344,7 @@ def _describe_take(path: Path, params: dict[str, Any]) -> Any:
 
 
 def _describe_stage(path: Path, params: dict[str, Any]) -> Any:
-    """Return the description of a USD file."""
+    """Return the report on a USD file: on its points, or on the take of a character."""
     from animtool.report.describe import describe
     from animtool.scene.sources.open import SourceOptions
 

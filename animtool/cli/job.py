@@ -1,4 +1,4 @@
-"""``animtool job``."""
+"""``animtool job``: a batch as a bundle for a render farm."""
 
 from __future__ import annotations
 

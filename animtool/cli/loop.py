@@ -1,4 +1,4 @@
-"""``animtool loop``."""
+"""``animtool loop``: finds the cycle of a take and repeats it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.cli.options import (
     output_option,
     read_source_options,
     read_values,
-    record_option,
+    record_options,
     source_option,
     source_options,
     strict_option,
@@ -36,7 +36,7 @@ Examples:
 @output_option(
     "File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh.  [default: nothing]"
 )
-@record_option(LoopOptions)
+@record_options(LoopOptions)
 @source_options
 @source_option("prim_path", "take", "positions")
 @bake_option("placement")
@@ -58,12 +58,12 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
     values = read_values(LoopOptions, params)
     for name in ("first", "last"):
         values[name] = None if values[name] is None else float(values[name])
-    searches = values["first"] is None or values["last"] is None
+    finds_cycle = values["first"] is None or values["last"] is None
     with atomic_command(), console.progress(f"loop {source.name}") as progress:
         result = loop_source(
             source,
             output,
-            LoopOptions(find=searches, **values),
+            LoopOptions(find=finds_cycle, **values),
             read_source_options(
                 params,
                 *("prim_path", "take", "positions"),

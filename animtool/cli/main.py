@@ -58,9 +58,9 @@ KILLED_HINT = (
 
 def is_out_of_memory(error: BaseException | None) -> bool:
     """Return whether an error, or its cause, reports that memory ran out."""
-    visited: set[int] = set()
-    while error is not None and id(error) not in visited:
-        visited.add(id(error))
+    visited_ids: set[int] = set()
+    while error is not None and id(error) not in visited_ids:
+        visited_ids.add(id(error))
         if isinstance(error, MemoryError):
             return True
         if isinstance(error, OSError) and error.errno == errno.ENOMEM:
@@ -85,17 +85,17 @@ def memory_fault(error: BaseException) -> Fault:
 
 def _innermost_function(error: BaseException) -> str:
     """Return the module and name of the innermost function of animtool on the stack."""
-    innermost, trace = "", error.__traceback__
+    innermost_name, trace = "", error.__traceback__
     while trace is not None:
-        code = trace.tb_frame.f_code
+        code_object = trace.tb_frame.f_code
         # Paths of a checkout and of an installation have the same ending.
-        path = code.co_filename.replace("\\", "/")
+        path = code_object.co_filename.replace("\\", "/")
         prefix, _, module_path = path.rpartition("/animtool/")
         if prefix and module_path.endswith(".py"):
             module = module_path.removesuffix(".py").replace("/", ".")
-            innermost = f"{module} ({code.co_name})"
+            innermost_name = f"{module} ({code_object.co_name})"
         trace = trace.tb_next
-    return innermost
+    return innermost_name
 
 
 def memory_limit_bytes() -> int | None:
@@ -104,8 +104,8 @@ def memory_limit_bytes() -> int | None:
         import resource
     except ImportError:  # not on Windows
         return None
-    kinds = resource.RLIMIT_AS, resource.RLIMIT_DATA
-    limits = {resource.getrlimit(kind)[0] for kind in kinds}
+    limit_kinds = resource.RLIMIT_AS, resource.RLIMIT_DATA
+    limits = {resource.getrlimit(kind)[0] for kind in limit_kinds}
     return min(limits - {resource.RLIM_INFINITY}, default=None)
 
 
@@ -212,8 +212,8 @@ OTHER_NAMES = {
 }
 
 
-def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-    if not value or ctx.resilient_parsing:
+def _show_version(ctx: click.Context, _: click.Parameter, is_requested: bool) -> None:
+    if not is_requested or ctx.resilient_parsing:
         return
     from importlib.metadata import version
     from platform import python_version
@@ -274,7 +274,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             error = OutputError(fault)
         elif crash.path:
             error = FormatError(crash_fault(crash.path, crash.number))
-        return _report_error(Console(json_log=_logs_json(argv)), error)
+        return _report_error(Console(logs_json=_logs_json(argv)), error)
 
     os._exit(supervise(lambda: run(argv), report_crash, _remove_leftovers))
 
@@ -293,7 +293,7 @@ def _remove_leftovers(folders: Sequence[str], process: int) -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code."""
-    console = Console(json_log=_logs_json(arguments))
+    console = Console(logs_json=_logs_json(arguments))
     if hasattr(sys.stdout, "reconfigure") and not sys.stdout.isatty():
         # usda and JSON are UTF-8, whatever the locale.
         sys.stdout.reconfigure(encoding="utf-8", errors="backslashreplace")
@@ -311,7 +311,8 @@ def _run(arguments: Sequence[str], console: Console) -> int:
     streams = sys.stdout, sys.stderr
     try:
         unblock_signals()
-        code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
+        words = list(arguments)
+        exit_code = cli.main(words, "animtool", standalone_mode=False, obj=console)
         sys.stdout.flush()
         if ending_signal():
             reraise_signal()
@@ -321,62 +322,62 @@ def _run(arguments: Sequence[str], console: Console) -> int:
             raise
         # Click converts both, and exits with 1 if stdout is closed.
         sys.stdout, sys.stderr = streams
-        code = _report_error(console, BrokenPipeError())
+        exit_code = _report_error(console, BrokenPipeError())
     except (Exception, click.Abort) as error:
         if ending_signal():
             # The exception of the signal was swallowed, or replaced by another error.
             reraise_signal()
         if console.debug:
             raise
-        code = _report_error(console, error)
+        exit_code = _report_error(console, error)
         ignore_signals()
-    return int(code or 0)
+    return int(exit_code or 0)
 
 
 def _report_error(console: Console, error: BaseException) -> int:
     """Report the error that ended the command and return its exit code."""
     match error:
         case AnimtoolError():
-            console.faults(_with_options(console, error.faults), fatal=True)
+            console.faults(_with_options(console, error.faults), is_fatal=True)
             if isinstance(error, StrictError):
                 console.say("--strict treats warnings as errors: nothing was written")
-            code = int(error.exit_code)
-        case click.exceptions.NoArgsIsHelpError() if not console.json_log:
+            exit_code = int(error.exit_code)
+        case click.exceptions.NoArgsIsHelpError() if not console.logs_json:
             error.show(sys.stderr)
-            code = int(ExitCode.USAGE)
+            exit_code = int(ExitCode.USAGE)
         case click.ClickException():
             _report_usage_error(console, error)
-            code = int(ExitCode.USAGE)
+            exit_code = int(ExitCode.USAGE)
         case KeyboardInterrupt() | click.Abort():
             console.error("interrupted")
-            code = int(ExitCode.INTERRUPTED)
+            exit_code = int(ExitCode.INTERRUPTED)
         case TerminatedError():
             console.error("terminated")
-            code = int(ExitCode.TERMINATED)
+            exit_code = int(ExitCode.TERMINATED)
         case _CrashError():
             console.error(
                 f"internal error: the process crashed ({error})",
                 "This is a bug in animtool or in a library. Please report it.",
             )
-            code = int(ExitCode.INTERNAL)
+            exit_code = int(ExitCode.INTERNAL)
         case BrokenPipeError():
             # The reader of stdout is gone, which is no error; Python's flush at exit
             # must not report it either.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            code = int(ExitCode.OK)
+            exit_code = int(ExitCode.OK)
         case _ if is_out_of_memory(error):
-            console.faults([memory_fault(error)], fatal=True)
-            code = int(ExitCode.MALFORMED)
+            console.faults([memory_fault(error)], is_fatal=True)
+            exit_code = int(ExitCode.MALFORMED)
         case OSError():
             console.error(f"cannot be read or written: {error.strerror or error}")
-            code = int(ExitCode.MALFORMED)
+            exit_code = int(ExitCode.MALFORMED)
         case _:
             console.error(
                 f"internal error: {type(error).__name__}: {error}",
                 "This is a bug in animtool. --debug shows where; please report it.",
             )
-            code = int(ExitCode.INTERNAL)
-    return code
+            exit_code = int(ExitCode.INTERNAL)
+    return exit_code
 
 
 def _with_options(console: Console, faults: Sequence[Fault]) -> Sequence[Fault]:
@@ -406,7 +407,7 @@ def _report_usage_error(console: Console, error: click.ClickException) -> None:
 
     error = with_suggestion(error)
     text = name_arguments(error.format_message(), console.namer)
-    if console.json_log:
+    if console.logs_json:
         console.error(text)
         return
     # All other errors repeat the command line.

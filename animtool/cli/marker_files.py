@@ -85,12 +85,13 @@ def run_on_markers(
     sources: tuple[Path, ...],
     output: Path,
     params: Mapping[str, Any],
-    process: Callable[..., tuple[Any, Any]],
+    process_markers: Callable[..., tuple[Any, Any]],
     template: Template | None = None,
 ) -> None:
     """Read marker files, process them, write the result and print a report.
 
-    process: Maps the markers of the sources to markers and a report with notices.
+    process_markers: Maps the markers of the sources to markers and a report with
+        notices.
     """
     from animtool.cli.outputs import skip_existing_outputs
     from animtool.core.errors import refuse_warnings
@@ -105,7 +106,7 @@ def run_on_markers(
     check_outputs([output], files, overwrite=params["overwrite"])
     with atomic_command(), console.progress(f"{command} {sources[0].name}"):
         marker_sets = [read_marker_file(path, params) for path in sources]
-        markers, report = process(*marker_sets)
+        markers, report = process_markers(*marker_sets)
         results = [*marker_sets, report]
         result_files = [*sources, sources[0]]
         notices = [

@@ -1,4 +1,4 @@
-"""``animtool migrate``."""
+"""``animtool migrate``: files of older versions to the newest."""
 
 from __future__ import annotations
 

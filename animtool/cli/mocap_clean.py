@@ -1,4 +1,4 @@
-"""``animtool mocap clean``."""
+"""``animtool mocap clean``: removes spikes and noise from a take."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.cli.options import (
     output_option,
     read_source_options,
     read_values,
-    record_option,
+    record_options,
     source_option,
     source_options,
     strict_option,
@@ -36,7 +36,7 @@ Examples:
 @output_option(
     "File to write: USD (.usda, .usdc, .usd), .clip.yaml or .bvh.", required=True
 )
-@record_option(CleanOptions)
+@record_options(CleanOptions)
 @click.option(
     "--feet",
     type=click.Choice(["free", "hold"]),

@@ -1,4 +1,4 @@
-"""``animtool mocap face``."""
+"""``animtool mocap face``: shape weights from landmarks of a face."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.cli.options import (
     output_option,
     read_source_options,
     read_values,
-    record_option,
+    record_options,
     source_option,
     source_options,
     strict_option,
@@ -69,7 +69,7 @@ Examples:
 @click.option(
     "--camera-name", metavar="NAME", help="The camera, if its file has several."
 )
-@record_option(FaceOptions)
+@record_options(FaceOptions)
 @source_options
 @strict_option
 @writing_options

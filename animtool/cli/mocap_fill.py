@@ -1,4 +1,4 @@
-"""``animtool mocap fill``."""
+"""``animtool mocap fill``: repairs markers and fills their gaps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.cli.marker_files import (
     marker_output_option,
     run_on_markers,
 )
-from animtool.cli.options import INPUT, read_values, record_option
+from animtool.cli.options import INPUT, read_values, record_options
 from animtool.core.errors import faults_in
 from animtool.report.text import Each, Template
 
@@ -52,7 +52,7 @@ Examples:
     metavar="FILE",
     help="With a skeleton: markers of the subject standing roughly in the rest pose.",
 )
-@record_option(FillOptions)
+@record_options(FillOptions)
 @marker_options
 def fill(
     console: Console,

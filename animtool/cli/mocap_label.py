@@ -1,4 +1,4 @@
-"""``animtool mocap label``."""
+"""``animtool mocap label``: names unlabelled marker points."""
 
 from __future__ import annotations
 
@@ -56,11 +56,10 @@ def label(
 
 def _rarely_visible_markers(coverage: dict[str, float]) -> list[str]:
     """Return the markers that are visible in less than half of the frames."""
-    rarest_first = sorted(coverage.items(), key=lambda entry: entry[1])
     return [
-        f"{name}: seen in {100 * fraction:.0f}% of the frames"
-        for name, fraction in rarest_first
-        if fraction < 0.5
+        f"{name}: seen in {100 * coverage[name]:.0f}% of the frames"
+        for name in sorted(coverage, key=coverage.__getitem__)
+        if coverage[name] < 0.5
     ]
 
 

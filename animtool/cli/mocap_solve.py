@@ -1,4 +1,4 @@
-"""``animtool mocap solve``."""
+"""``animtool mocap solve``: the motion of a rig from markers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.cli.options import (
     OUTPUT,
     read_source_options,
     read_values,
-    record_option,
+    record_options,
     source_options,
 )
 from animtool.cli.outputs import (
@@ -84,7 +84,7 @@ Examples:
     metavar="FILE",
     help="After calibration: write the subject's template (.markers.yaml).",
 )
-@record_option(SolveOptions)
+@record_options(SolveOptions)
 @take_output_options
 @source_options
 @writing_options
@@ -96,7 +96,7 @@ def solve(
     Missing, misplaced and swapped markers are detected; joint limits are respected.
     Without -o, only the report is made.
     """
-    to_stdout = goes_to_stdout(output, params)
+    is_stdout = goes_to_stdout(output, params)
     if params["static"] is not None and not params["calibrate"]:
         raise click.UsageError("--static needs a calibration: pass --calibrate too.")
     from animtool.scene.solves.mocap_solve import MocapSolveJob, run_solve
@@ -118,7 +118,7 @@ def solve(
         console, "mocap solve", params, output, lambda: job.target.files
     ):
         return
-    with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:
+    with console.progress(f"solve {source.name}", is_stdout=is_stdout) as progress:
         report = run_solve(job, progress=progress)
     console.faults(report.notices)
     console.report(params["report_format"], report, _TEMPLATE)

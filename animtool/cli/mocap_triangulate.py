@@ -1,4 +1,4 @@
-"""``animtool mocap triangulate``."""
+"""``animtool mocap triangulate``: markers from images of several cameras."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.cli.options import (
     Count,
     output_option,
     read_values,
-    record_option,
+    record_options,
     source_options,
     strict_option,
 )
@@ -52,7 +52,7 @@ Examples:
     metavar="N",
     help="For OpenPose keypoints, keep the N people seen most.  [default: all]",
 )
-@record_option(TriangulateOptions)
+@record_options(TriangulateOptions)
 @source_options
 @strict_option
 @writing_options
@@ -93,10 +93,10 @@ def triangulate(
     with atomic_command(), console.progress(f"triangulate {name}") as progress:
         fps, people = params["source_fps"], params["people"]
         if observations.is_dir():
-            loaded = read_keypoints(observations, cameras, fps=fps, people=people)
+            image_points = read_keypoints(observations, cameras, fps=fps, people=people)
         else:
-            loaded = read_observations(observations, fps=fps)
-        result = solve(loaded, cameras, options, progress=progress)
+            image_points = read_observations(observations, fps=fps)
+        result = solve(image_points, cameras, options, progress=progress)
         refuse_warnings(result.notices, strict=params["strict"])
         losses = write_markers(result.markers, output, overwrite=params["overwrite"])
     notices = (*result.notices, *losses)

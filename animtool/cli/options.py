@@ -199,7 +199,7 @@ def output_option(
 
 
 def _console_callback(name: str, value: Any) -> Callable[..., None]:
-    def apply(ctx: click.Context, _: click.Parameter, option_value: Any) -> None:
+    def set_value(ctx: click.Context, _: click.Parameter, option_value: Any) -> None:
         console = ctx.find_object(Console)
         if console is not None:
             console.namer = FlagNamer(ctx.command)
@@ -207,7 +207,7 @@ def _console_callback(name: str, value: Any) -> Callable[..., None]:
         if console is not None and option_value:
             setattr(console, name, value)
 
-    return apply
+    return set_value
 
 
 def stack_options(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
@@ -262,7 +262,7 @@ common_options = stack_options(
 
 
 # Click type and help metavar of each kind of option.
-_TYPES: dict[str, tuple[Any, str | None]] = {
+_CLICK_TYPES: dict[str, tuple[Any, str | None]] = {
     "text": (str, None),
     "file": (INPUT, "FILE"),
     "output": (FILE, None),
@@ -287,11 +287,11 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "processes": (ParsedType("processes", _parse_processes), "N"),
 }
 # Kinds whose options can be repeated.
-_REPEATABLE_TYPES = {"lengths", "codes", "severities", "texts"}
+_REPEATABLE_KINDS = {"lengths", "codes", "severities", "texts"}
 
 
 class _ChoiceType(click.ParamType[Any]):
-    """Click type of one of several names."""
+    """Click type of a name from a list, which the help shows in full."""
 
     name = "name"
 
@@ -328,11 +328,12 @@ def declare_option(
         param_name: Name in the command, if it differs from the field's.
         help_text: Help text, if it differs from the record's.
     """
-    word, metavar = option.flag or name.replace("_", "-"), option.metavar
-    flag, text = f"--{word}", name_arguments(help_text or option.help, flag_of)
+    flag_name, metavar = option.flag or name.replace("_", "-"), option.metavar
+    flag, text = f"--{flag_name}", name_arguments(help_text or option.help, flag_of)
     param, is_switch = param_name or name, option.kind == "switch"
     if option.kind == "answer":
-        return click.option(f"{flag}/--no-{word}", param, default=None, help=text)
+        both_flags = f"{flag}/--no-{flag_name}"
+        return click.option(both_flags, param, default=None, help=text)
     if option.choices and option.kind != "name":
         return click.option(
             flag,
@@ -345,11 +346,11 @@ def declare_option(
     if is_switch:
         return click.option(flag, param, is_flag=True, help=text)
     if option.kind == "count":
-        kind: Any = Count(option.min_count)
+        click_type: Any = Count(option.min_count)
     elif option.kind == "name":
-        kind = _ChoiceType(option.choices)
+        click_type = _ChoiceType(option.choices)
     else:
-        kind, default_metavar = _TYPES[option.kind]
+        click_type, default_metavar = _CLICK_TYPES[option.kind]
         metavar = metavar or default_metavar
     default = default if option.text_default is None else option.text_default
     if option.kind == "processes":
@@ -357,16 +358,16 @@ def declare_option(
     return click.option(
         *filter(None, (option.short_flag, flag)),
         param,
-        type=kind,
+        type=click_type,
         metavar=metavar,
         default=default,
         show_default=default not in {None, ()} and "[default: " not in text,
-        multiple=option.kind in _REPEATABLE_TYPES,
+        multiple=option.kind in _REPEATABLE_KINDS,
         help=text,
     )
 
 
-def record_option(
+def record_options(
     record: type,
     *names: str,
     param_names: Mapping[str, str] | None = None,
@@ -387,7 +388,7 @@ def record_option(
 
 
 def read_values(record: type, params: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a record from the parameters of a command."""
+    """Return the values of a record's fields from the parameters of a command."""
     return {
         name: read_value(option, params[name])
         for name, option in options_of(record).items()
@@ -416,7 +417,7 @@ _CONVERTERS: dict[str, Callable[[Any], Any]] = {
 
 def source_option(*names: str) -> Callable[[Command], Command]:
     """Return a decorator that adds the named options of `SourceOptions` in order."""
-    return record_option(SourceOptions, *names, param_names=SOURCE_NAMES)
+    return record_options(SourceOptions, *names, param_names=SOURCE_NAMES)
 
 
 def bake_option(
@@ -426,7 +427,7 @@ def bake_option(
 
     help_text: Help text of a single option, if it differs from the record's.
     """
-    return record_option(BakeOptions, *names, help_text=help_text)
+    return record_options(BakeOptions, *names, help_text=help_text)
 
 
 rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")

@@ -1,4 +1,4 @@
-"""``animtool plugins``."""
+"""``animtool plugins``: the tables that plug-ins extend."""
 
 from __future__ import annotations
 

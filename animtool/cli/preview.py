@@ -1,4 +1,4 @@
-"""``animtool preview``."""
+"""``animtool preview``: shows files on a page, in a picture or a film."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.cli.options import (
     output_option,
     read_source_options,
     read_values,
-    record_option,
+    record_options,
     source_option,
     source_options,
     variables_option,
@@ -48,11 +48,11 @@ Examples:
     ".mp4, .webm).  [default: a temporary page, which is opened]",
     metavar="FILE",
 )
-@record_option(ShowOptions)
-@record_option(PreviewOptions, "frame_range", "findings")
+@record_options(ShowOptions)
+@record_options(PreviewOptions, "frame_range", "findings")
 @source_options
-@record_option(PreviewOptions, "prim_path", "over")
-@record_option(PictureOptions)
+@record_options(PreviewOptions, "prim_path", "over")
+@record_options(PictureOptions)
 @source_option(*_SOURCE_OPTIONS)
 @variables_option
 @bake_option("overwrite", help_text="Replace a page or picture that exists.")

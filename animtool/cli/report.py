@@ -1,4 +1,4 @@
-"""``animtool report``."""
+"""``animtool report``: time against error for the settings of a file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.cli.options import (
     output_option,
     read_source_options,
     read_values,
-    record_option,
+    record_options,
     source_option,
     source_options,
     variables_option,
@@ -65,7 +65,7 @@ Examples:
     kind=OUTPUT,
     metavar="FILE",
 )
-@record_option(BakeOptions, *_OUTPUT_OPTIONS)
+@record_options(BakeOptions, *_OUTPUT_OPTIONS)
 @variables_option
 @source_options
 @source_option(*_SOURCE_OPTIONS)

@@ -1,4 +1,4 @@
-"""``animtool retarget``."""
+"""``animtool retarget``: transfers a take to another rig."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.cli.options import (
     bake_option,
     read_source_options,
     read_values,
-    record_option,
+    record_options,
     source_option,
     source_options,
 )
@@ -67,12 +67,12 @@ def _angle_text(radians: float) -> str:
 
 
 def _clamped_joints_text(clamped_joints: Mapping[str, float]) -> list[str]:
-    most_clamped = sorted(clamped_joints.items(), key=lambda item: -item[1])
-    return [f"{name} ({percent_text(part)} of frames)" for name, part in most_clamped]
+    most_clamped = sorted(clamped_joints, key=lambda name: -clamped_joints[name])
+    return [f"{n} ({percent_text(clamped_joints[n])} of frames)" for n in most_clamped]
 
 
 def _score_text(value: float, printer: str) -> str:
-    """Format a score; return "" for a missing one."""
+    """Format a score as an angle, percentage or factor; "" for NaN."""
     if math.isnan(value):
         return ""
     printers = {"angle": _angle_text, "percent": percent_text, "times": "{:.3g}".format}
@@ -141,7 +141,7 @@ Examples:
     help="The target rig: a rig file, USD, BVH, glTF, FBX, URDF or MJCF.",
 )
 @take_output_option
-@record_option(RetargetOptions, *RETARGET_OPTIONS)
+@record_options(RetargetOptions, *RETARGET_OPTIONS)
 @click.option(
     "--write-map",
     type=OUTPUT,
@@ -165,7 +165,7 @@ def retarget(
     if source.name.endswith((".rig.yaml", ".rig.yml", ".rig.json")):
         text = f"SOURCE is the rig file {source.name}: did you swap SOURCE and --to?"
         raise click.UsageError(text)
-    to_stdout = goes_to_stdout(output, params)
+    is_stdout = goes_to_stdout(output, params)
     from animtool.scene.solves.retarget import RetargetJob, run_retarget
 
     job = RetargetJob(
@@ -185,7 +185,7 @@ def retarget(
         console, "retarget", params, output, lambda: job.target.files
     ):
         return
-    with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:
+    with console.progress(f"retarget {source.name}", is_stdout=is_stdout) as progress:
         report = run_retarget(job, progress=progress)
     console.faults(report.notices)
     console.report(params["report_format"], report, _TEMPLATE)

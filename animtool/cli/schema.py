@@ -1,4 +1,4 @@
-"""``animtool schema`` and ``completion``."""
+"""``animtool schema`` and ``completion``: text for editors and shells."""
 
 from __future__ import annotations
 

@@ -45,9 +45,10 @@ def channel_lines(errors: Sequence[ChannelDeviation]) -> list[str]:
     ]
     largest_by_unit: dict[tuple[str | None, bool], ChannelDeviation] = {}
     for error in errors:
-        key = error.unit, error.target.startswith("control/")
-        if key not in largest_by_unit or error.error > largest_by_unit[key].error:
-            largest_by_unit[key] = error
+        unit_key = error.unit, error.target.startswith("control/")
+        largest = largest_by_unit.setdefault(unit_key, error)
+        if error.error > largest.error:
+            largest_by_unit[unit_key] = error
     errors_text = ", ".join(
         f"{plain_number(error.error)} {error.unit or ''}".rstrip()
         + f" ({error.target})"
@@ -292,8 +293,8 @@ def template_of(report: BakeReport | ConvertReport) -> Template:
 
 def _other_prims_text(step: PlanStep, name: str) -> str:
     """Return the prims that a step reads or writes, unless only its own, as text."""
-    entries = getattr(step, name)
-    return "" if entries == (step.name,) else ", ".join(entries)
+    prim_names = getattr(step, name)
+    return "" if prim_names == (step.name,) else ", ".join(prim_names)
 
 
 PLAN = Template(

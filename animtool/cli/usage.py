@@ -47,7 +47,7 @@ OTHER_OPTIONS = {
     "--code": ("--select",),
 }
 # Similarity from which an option is suggested, or if another command has the name.
-CUTOFF, HIGH_CUTOFF = 0.75, 0.9
+MIN_SIMILARITY, HIGH_SIMILARITY = 0.75, 0.9
 # Names of a command's first argument in other tools.
 _FIRST_ARGUMENT_NAMES = {"input", "in", "source", "src", "file", "i", "path"}
 # Kinds of files by their names, and the option that takes one.
@@ -65,7 +65,7 @@ _SUGGESTED_COMMANDS = ("bake", "retarget", "ik", "batch", "validate", "preview",
 _UNITS = {"mm", "cm", "m", "in", "deg", "rad", "s", "ms"}
 _NUMBER = re.compile(r"-?[\d.]+")
 # Values of several numbers by their placeholder in help.
-_SEVERAL_NUMBERS = {
+_EXAMPLE_BY_METAVAR = {
     "A-B[xN]": "1-24",
     "A-B[xN]|A,B,...": "1-24",
     "OFFSETS": "-.25,0,.25",
@@ -76,7 +76,7 @@ _EXTRA_ARGUMENTS = re.compile(r"unexpected extra arguments? \((.*)\)")
 
 
 def with_suggestion(error: click.ClickException) -> click.ClickException:
-    """Return a usage error with a suggestion added."""
+    """Return a usage error that suggests the option, argument or value likely meant."""
     context = getattr(error, "ctx", None)
     if context is None:
         return error
@@ -85,31 +85,31 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
         hint = hint or f"{context.command_path} -h lists the options"
         text = f"No such option {error.option_name!r}; {hint}"
     elif extra_match := _EXTRA_ARGUMENTS.search(error.message):
-        first = extra_match[1].split()[0]
-        hint = _argument_hint(first, context)
+        extra_argument = extra_match[1].split()[0]
+        hint = _argument_hint(extra_argument, context)
         hint = hint or f"{context.command_path} -h shows what it takes"
         if len(_options(context.command)) == len(context.command.params):
             hint = f"{context.command_path} takes options only"
-        text = f"Unexpected argument {first!r}; {hint}"
+        text = f"Unexpected argument {extra_argument!r}; {hint}"
     elif isinstance(error, click.MissingParameter) and (
-        misplaced := _misplaced_argument(error, context)
+        misplaced_text := _misplaced_argument(error, context)
     ):
-        text = misplaced
+        text = misplaced_text
     elif isinstance(error, click.MissingParameter):
         text = _missing_text(error, context)
-    elif choice := _CHOICE_MESSAGE.search(error.format_message()):
-        names = re.findall(r"'([^']*)'", choice[2])
+    elif choice_match := _CHOICE_MESSAGE.search(error.format_message()):
+        names = re.findall(r"'([^']*)'", choice_match[2])
         param = getattr(error, "param", None)
-        if choice[1].startswith("-") and param is not None:
+        if choice_match[1].startswith("-") and param is not None:
             flag = param.opts[-1]
             text = f"Option {flag!r} needs a value: {' or '.join(names)}."
             return click.UsageError(text, context)
-        meant = OTHER_VALUES.get(choice[1].lower())
-        if meant not in names:
-            meant = next(iter(get_close_matches(choice[1], names, 1)), None)
-        if meant is None:
+        meant_value = OTHER_VALUES.get(choice_match[1].lower())
+        if meant_value not in names:
+            meant_value = next(iter(get_close_matches(choice_match[1], names, 1)), None)
+        if meant_value is None:
             return error
-        text = f"{error.format_message().rstrip('.')}; did you mean {meant!r}?"
+        text = f"{error.format_message().rstrip('.')}; did you mean {meant_value!r}?"
     else:
         return error
     ends_sentence = text.endswith("?") or isinstance(error, click.MissingParameter)
@@ -136,11 +136,12 @@ def _misplaced_argument(
     if not isinstance(param, click.Option) or not arguments:
         return None
     # What the command has no argument for.
-    _, extra, _ = context.command.make_parser(context).parse_args([*arguments])
-    if not extra:
+    parser = context.command.make_parser(context)
+    _, extra_arguments, _ = parser.parse_args([*arguments])
+    if not extra_arguments:
         return None
-    flag = param.opts[-1]
-    return f"Unexpected argument {extra[0]!r}; write {flag} {extra[0]}"
+    flag, argument = param.opts[-1], extra_arguments[0]
+    return f"Unexpected argument {argument!r}; write {flag} {argument}"
 
 
 def with_option(fault: Fault, context: click.Context) -> Fault:
@@ -165,7 +166,7 @@ def _number_hint(context: click.Context) -> str | None:
     """Return a hint if numbers after an option were split at a space, else None."""
     for option in _options(context.command):
         name = str(option.name)
-        example = _SEVERAL_NUMBERS.get(str(option.metavar))
+        example = _EXAMPLE_BY_METAVAR.get(str(option.metavar))
         if example and context.get_parameter_source(name) in _EXPLICIT_SOURCES:
             flag = option.opts[-1]
             return f"a value of {flag} has no spaces: {flag} {example}"
@@ -174,29 +175,29 @@ def _number_hint(context: click.Context) -> str | None:
 
 def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     """Yield hints for an unknown option, the best hint first."""
-    command, path = context.command, context.command_path
+    command, command_path = context.command, context.command_path
     bare_name = name.lstrip("-")
     if isinstance(command, LazyGroup) and bare_name in command.entries:
-        yield f"write {path} {bare_name}"
+        yield f"write {command_path} {bare_name}"
     output = _argument_named("output", command) if bare_name == "to" else None
     if output is not None:
-        yield f"{output} is an argument: {path} SOURCE {output}"
+        yield f"{output} is an argument: {command_path} SOURCE {output}"
     flags = [flag for param in _options(command) for flag in param.opts]
     equivalent_flags = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
     if equivalent_flags:
         yield f"did you mean {equivalent_flags[0]!r}?"
     argument = _argument_named(bare_name, command)
     if argument is not None:
-        yield f"{argument} is an argument: {path} {argument}"
+        yield f"{argument} is an argument: {command_path} {argument}"
     owning_command = next(_commands_with_option(name, context), None)
-    cutoff = HIGH_CUTOFF if owning_command else CUTOFF
+    cutoff = HIGH_SIMILARITY if owning_command else MIN_SIMILARITY
     close_matches = get_close_matches(name, flags, 1, cutoff)
     if close_matches:
         yield f"did you mean {close_matches[0]!r}?"
     if bare_name in {"o", "output"}:
         yield "the result goes to stdout; add > FILE"
     if owning_command is not None:
-        yield f"{owning_command} has it, {path} does not"
+        yield f"{owning_command} has it, {command_path} does not"
     if "--set" in flags and name.startswith("--"):
         yield f"to set a variable of a scene, write --set {bare_name}=VALUE"
 

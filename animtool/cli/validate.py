@@ -1,4 +1,4 @@
-"""``animtool validate``."""
+"""``animtool validate``: checks files, and fixes what is safe to fix."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.cli.options import (
     common_options,
     listed_paths,
     read_values,
-    record_option,
+    record_options,
 )
 from animtool.core.options import clash_messages
 from animtool.validation.options import ReportOptions, ValidateOptions
@@ -37,12 +37,12 @@ Examples:
   git diff --name-only main -- "*.rig.yaml" | animtool validate -"""
 )
 @click.argument("paths", nargs=-1, required=True)
-@record_option(ValidateOptions, "select", "ignore", "severity", "profile")
-@record_option(
+@record_options(ValidateOptions, "select", "ignore", "severity", "profile")
+@record_options(
     ReportOptions, "strict", "exit_zero", "fix", "output", "overwrite", "diff"
 )
-@record_option(ValidateOptions, "jobs")
-@record_option(ReportOptions, "report_format", "output_file")
+@record_options(ValidateOptions, "jobs")
+@record_options(ReportOptions, "report_format", "output_file")
 @common_options
 @click.pass_obj
 def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None:
@@ -137,29 +137,29 @@ def _show_difference(
 
     report = validate_files(files, options)
     console.faults(report.broken_rules)
-    code = _exit_code(report, report_options, path_warnings)
-    fixed_identities: set[tuple[str | None, str, str | None]] = set()
+    exit_code = _exit_code(report, report_options, path_warnings)
+    fixed_keys: set[tuple[str | None, str, str | None]] = set()
     has_changes = False
     for plan in plan_files(report, options):
         for fault, reason in plan.unfixed_findings:
             console.say(f"{fault.path}: {fault.code} not fixed: {reason}")
         if not plan.fixed_findings:
             continue
-        fixed_identities |= {_identity(fault) for fault, _ in plan.fixed_findings}
+        fixed_keys |= {_finding_key(fault) for fault, _ in plan.fixed_findings}
         has_changes = True
         console.result(*plan.draft.diff_text().removesuffix("\n").split("\n"))
         for path in plan.draft.outputs():
             console.say(f"{path} would be written")
-        if code is ExitCode.OK and not report_options.exit_zero:
-            code = ExitCode.FINDINGS
-    console.faults(f for f in report.findings if _identity(f) not in fixed_identities)
+        if exit_code is ExitCode.OK and not report_options.exit_zero:
+            exit_code = ExitCode.FINDINGS
+    console.faults(f for f in report.findings if _finding_key(f) not in fixed_keys)
     if report.findings and not has_changes:
         console.say("nothing to change: no finding has a safe fix")
     console.say(summary(report))
-    click.get_current_context().exit(int(code))
+    click.get_current_context().exit(int(exit_code))
 
 
-def _identity(fault: Fault) -> tuple[str | None, str, str | None]:
+def _finding_key(fault: Fault) -> tuple[str | None, str, str | None]:
     """Return a key of a finding that fixes of other findings do not change."""
     return fault.path, fault.code, fault.where
 
@@ -175,9 +175,9 @@ def _print_report(
     from animtool.validation.formats.plain import summary
 
     console.faults(report.broken_rules)
-    verbose, namer = console.verbosity > 0, console.namer
+    is_verbose, namer = console.verbosity > 0, console.namer
     report_format = report_options.report_format
-    text = format_report(report, report_format, repeats=verbose, namer=namer)
+    text = format_report(report, report_format, repeats=is_verbose, namer=namer)
     if report_options.output_file is None:
         console.document(text)
     else:
@@ -187,15 +187,15 @@ def _print_report(
         write_parts(report_options.output_file, [text.encode("utf-8", "replace")])
     if report_options.output_file is not None or report_options.report_format != "text":
         console.say(summary(report))
-    code = _exit_code(report, report_options, path_warnings)
-    click.get_current_context().exit(int(code))
+    exit_code = _exit_code(report, report_options, path_warnings)
+    click.get_current_context().exit(int(exit_code))
 
 
 def _exit_code(
     report: Report, report_options: ReportOptions, path_warnings: Sequence[Fault]
 ) -> ExitCode:
     """Return the exit code of a report and of the warnings about paths."""
-    complete = replace(report, findings=(*report.findings, *path_warnings))
-    return complete.exit_code(
+    complete_report = replace(report, findings=(*report.findings, *path_warnings))
+    return complete_report.exit_code(
         strict=report_options.strict, exit_zero=report_options.exit_zero
     )

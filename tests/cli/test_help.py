@@ -8,7 +8,7 @@ import click
 import pytest
 from support.cli import animtool
 
-from animtool.cli.help import Command, LazyGroup, common_options, group_of
+from animtool.cli.help import Command, LazyGroup, common_options, heading_of
 from animtool.cli.main import COMMANDS, SECTIONS, cli
 
 
@@ -31,7 +31,7 @@ ALL = list(_commands())
 def test_every_option_has_a_heading(command: Command) -> None:
     name = command.name or ""
     options = [each for each in command.params if isinstance(each, click.Option)]
-    assert all(group_of(name, option) for option in options)
+    assert all(heading_of(name, option) for option in options)
     words = {max(option.opts, key=len).removeprefix("--") for option in options}
     assert words >= set(common_options(name))
 

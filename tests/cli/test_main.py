@@ -216,9 +216,9 @@ def test_progress_shows_unless_a_result_goes_to_the_same_terminal(
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
-    assert (shown(), shown(stdout=True)) == (True, False)
+    assert (shown(), shown(is_stdout=True)) == (True, False)
     monkeypatch.setattr(sys.stdout, "isatty", lambda: False, raising=False)
-    assert shown(stdout=True)
+    assert shown(is_stdout=True)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
     assert not shown()
 

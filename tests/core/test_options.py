@@ -17,7 +17,7 @@ from support.faults import raises
 
 import animtool
 from animtool.cli.bake import bake
-from animtool.cli.options import declare_option, read_values, record_option
+from animtool.cli.options import declare_option, read_values, record_options
 from animtool.core.arguments import as_text
 from animtool.core.errors import OptionError, Severity
 from animtool.core.options import (
@@ -170,7 +170,7 @@ def test_codes_and_severities_of_a_command_are_those_of_its_record(
 ) -> None:
     taken: list[ValidateOptions] = []
 
-    @record_option(ValidateOptions)
+    @record_options(ValidateOptions)
     def run(**given: object) -> None:
         taken.append(ValidateOptions(**read_values(ValidateOptions, given)))
 
