@@ -64,7 +64,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
 
     Shows BVH, USD, clips, rigs, scenes, targets, markers and motion files; several
     takes are compared. The page is one file that needs no network. A scene is baked
-    first. Pictures need the extra `picture_options`, but no graphics card.
+    first. Pictures need the extra `pictures`, but no graphics card.
     """
     from animtool.cli import preview_page
     from animtool.preview.pictures.kinds import picture_kind

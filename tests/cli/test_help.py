@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from importlib.metadata import metadata
 
 import click
 import pytest
@@ -48,6 +50,13 @@ def test_short_help_fits_on_a_screen(command: Command) -> None:
         max(p.opts, key=len) for p in command.params if isinstance(p, click.Option)
     ]
     assert all(flag in whole for flag in flags)
+
+
+@pytest.mark.parametrize("command", ALL, ids=lambda command: str(command.name))
+def test_extras_in_the_help_can_be_installed(command: Command) -> None:
+    help_text = command.get_help(click.Context(command, info_name=str(command.name)))
+    extras = re.findall(r"\bthe\s+extra\s+`?(\w+)", help_text)
+    assert {*extras} <= {*(metadata("animtool").get_all("Provides-Extra") or ())}
 
 
 def test_every_command_is_in_one_section() -> None:
