@@ -214,8 +214,8 @@ def _find_named_tip(search: _RoleSearch, limb_roles: set[str]) -> int:
         named_roles_above = [
             limb_roles & body.votes[k].keys() for k in body.rig.upwards(j)
         ]
-        named_count = sum(map(bool, named_roles_above))
-        score = len(set().union(*named_roles_above)) + 0.01 * named_count
+        named_joint_count = sum(map(bool, named_roles_above))
+        score = len(set().union(*named_roles_above)) + 0.01 * named_joint_count
         if score > best_score:
             best_joint, best_score = j, score
     return best_joint
@@ -233,9 +233,9 @@ def _assign_sides_by_position(search: _RoleSearch, left_direction: FloatArray) -
         common_joint = body.lowest_common_ancestor(tips)
         chains = [body.path(common_joint, tip)[1:] for tip in tips]
         # Hands and feet may cross; where limbs begin they do not.
-        for end_index in (2, None):
+        for slice_end in (2, None):
             left_middle, right_middle = (
-                body.positions[chain[:end_index]].mean(axis=0) for chain in chains
+                body.positions[chain[:slice_end]].mean(axis=0) for chain in chains
             )
             signed_distance = float((left_middle - right_middle) @ left_direction)
             if abs(signed_distance) > 0.01 * body.size:

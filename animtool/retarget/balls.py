@@ -73,9 +73,9 @@ def _ankle_to_ball(
     facing_axes = skeleton.facing_axes
     if len(offsets) == 1 or facing_axes is None:
         return np.asarray(offsets.mean(axis=0))
-    foremost = offsets[int(np.argmax(offsets @ facing_axes[2]))]
-    sideways_offset = float((offsets.mean(axis=0) - foremost) @ facing_axes[0])
-    return np.asarray(foremost + sideways_offset * facing_axes[0])
+    foremost_offset = offsets[int(np.argmax(offsets @ facing_axes[2]))]
+    sideways_offset = float((offsets.mean(axis=0) - foremost_offset) @ facing_axes[0])
+    return np.asarray(foremost_offset + sideways_offset * facing_axes[0])
 
 
 @dataclass(frozen=True, slots=True)

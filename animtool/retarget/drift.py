@@ -30,7 +30,7 @@ from animtool.retarget.pairing import map_joints
 from animtool.retarget.roled_skeleton import RoledSkeleton
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
-Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
+RealOrComplexArray = TypeVar("RealOrComplexArray", FloatArray, ComplexArray)
 # Upper frequency limit of drift, and lower frequency limit of steps [Hz].
 DRIFT_FREQUENCY, STEP_FREQUENCY = 0.1, 0.4
 # Half width of the window in which drift is the median of contacts [s].
@@ -70,7 +70,7 @@ class _StanceTracks:
     """
 
     position: ComplexArray  # ground position of planted feet (F,) [m]
-    speed: ComplexArray  # velocity minus that of spin about the origin (F,) [m/s]
+    velocity: ComplexArray  # velocity minus that of spin about the origin (F,) [m/s]
     spin: FloatArray  # angular velocity about the vertical (F,) [rad/s]
     height: FloatArray  # height of the feet above its median (F,) [m]
 
@@ -84,7 +84,7 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
         context.notices.append(no_body_warning(error))
         return take
     skeleton = RoledSkeleton.of(take.rig, joint_map.source.roles)
-    stance = _stance_tracks(take, skeleton, heading=options.heading)
+    stance = _stance_tracks(take, skeleton, measures_spin=options.heading)
     if stance is None:
         message = "no foot is planted long enough to measure drift: nothing is changed"
         context.notices.append(Fault("CAP103", message, severity=Severity.WARNING))
@@ -135,7 +135,7 @@ def _root_correction(
     """
     rate, up = float(take.clock.rate), _ground_axes(take)[0]
     spin = -stance.spin
-    speed = stance.speed if options.place else np.zeros(len(root_on_ground))
+    velocity = stance.velocity if options.place else np.zeros(len(root_on_ground))
     angle = _integrate(spin, rate)
     if options.closed:
         first, last = root_rotations[0], root_rotations[-1]
@@ -144,7 +144,7 @@ def _root_correction(
         spin = spin - (heading_error / max(len(root_on_ground) - 1, 1)) * rate
         angle = _integrate(spin, rate)
     residual_spin_velocity = 1j * (stance.spin + spin) * stance.position
-    shift_rate = -np.exp(1j * angle) * (speed + residual_spin_velocity)
+    shift_rate = -np.exp(1j * angle) * (velocity + residual_spin_velocity)
     shift = _integrate(shift_rate, rate)
     if options.closed:
         ends = [0, -1]
@@ -153,7 +153,7 @@ def _root_correction(
     return angle, shift
 
 
-def _integrate(values: Numbers, rate: float) -> Numbers:
+def _integrate(values: RealOrComplexArray, rate: float) -> RealOrComplexArray:
     """Integrate values over time by the trapezoidal rule, starting from 0."""
     integral = np.zeros_like(values)
     integral[1:] = np.cumsum((values[1:] + values[:-1]) / 2) / rate
@@ -167,14 +167,14 @@ def _angle_about_up(rotations: FloatArray, up: int) -> FloatArray:
 
 
 def _stance_tracks(
-    take: Take, skeleton: RoledSkeleton, *, heading: bool
+    take: Take, skeleton: RoledSkeleton, *, measures_spin: bool
 ) -> _StanceTracks | None:
     """Return the motion of planted feet; None if none is planted for long."""
     up, (a, b) = _ground_axes(take)
     rate = float(take.clock.rate)
-    count = take.clock.count
+    frame_count = take.clock.count
     world = take.world()
-    position_sums, contact_counts = np.zeros((count, 3)), np.zeros(count)
+    position_sums, contact_counts = np.zeros((frame_count, 3)), np.zeros(frame_count)
     # Per contact: its middle, duration, spin, speed and position.
     contact_rows: list[list[float]] = []
     for side in "lr":
@@ -199,10 +199,10 @@ def _stance_tracks(
                 pivot, velocity = toe, velocities[1]
             ground_height = float(np.median(pivot[is_planted, up]))
             inverse_start = so3.conjugate(rotations[stance_frames.start])
-            relative = so3.multiply(rotations[stance_frames], inverse_start)
-            headings = np.unwrap(_angle_about_up(relative, up))
+            relative_rotations = so3.multiply(rotations[stance_frames], inverse_start)
+            headings = np.unwrap(_angle_about_up(relative_rotations, up))
             spin = 0.0
-            if heading:
+            if measures_spin:
                 spin = float(_least_squares_rate(headings[:, None], rate)[0])
             length = stance_frames.stop - stance_frames.start
             middle_frame = (stance_frames.start + stance_frames.stop - 1) / 2
@@ -215,7 +215,7 @@ def _stance_tracks(
     if (contact_counts > 0).sum() <= MIN_STANCE_FRAMES:
         return None
     contacts = np.array(sorted(contact_rows))
-    window, frames = WINDOW_SECONDS * rate, np.arange(count)
+    window, frames = WINDOW_SECONDS * rate, np.arange(frame_count)
     smooth_spin = _windowed_medians(contacts, 2, window)
     # Remove the motion caused by the spin about the origin.
     contacts[:, 3] += smooth_spin * contacts[:, 6]

@@ -33,7 +33,7 @@ BEND_FACTOR = 1.4
 BENT_FRACTION = 0.98
 # Maximum number of times that feet in the air are raised, and the tolerated depth below
 # the ground [m].
-MAX_ITERATIONS, MAX_PENETRATION = 3, 1e-4
+MAX_RAISE_ITERATIONS, MAX_PENETRATION = 3, 1e-4
 # Corrections of a foot in the air fade within this time [s].
 FADE_SECONDS = 0.06
 # A planted foot that leans more than this is not on level ground [rad].
@@ -41,7 +41,7 @@ MAX_LEAN = np.radians(20.0)
 # Window around each frame in which a leg is as straight as the source's leg, and the
 # width of its Gaussian smoothing [s]. Both fade within a second, so that block
 # boundaries leave no trace.
-STRAIGHT_WINDOW, STRAIGHT_SMOOTH = 0.75, 0.05
+STRAIGHTNESS_WINDOW, STRAIGHTNESS_SMOOTHING = 0.75, 0.05
 # Approximate time within which the hips sink for a leg that does not reach [s].
 LOWERING_SECONDS = 0.07
 # Maximum iterations for sinking, and the tolerated reach error [m].
@@ -123,8 +123,8 @@ def plant_feet(
     sole_heights = [foot.height + _toe_height(foot, up) for foot in feet]
     toe_rolls = [_toe_roll(foot.contacts.toe, fps) for foot in feet]
     max_lowering = max(float(hip_drop.max(initial=0.0)), 0.0)
-    states = is_planted, toe_rolls, sole_heights
-    return PlacedFeet(hips, ankles, rotations, *states, max_lowering)
+    foot_states = is_planted, toe_rolls, sole_heights
+    return PlacedFeet(hips, ankles, rotations, *foot_states, max_lowering)
 
 
 def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
@@ -134,24 +134,25 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
     for start, end in runs(is_flat):
         # The mean of rotations that are near each other.
         mean = so3.normalize(so3.align_signs(foot.rotation[start:end]).sum(axis=0))
-        target = mean
+        target_rotation = mean
         if foot.flat_rotation is not None:
             lean = so3.multiply(mean, so3.conjugate(foot.flat_rotation))
             heading = _heading_rotation(lean, up)
             level_rotation = so3.multiply(heading, foot.flat_rotation)
             if so3.angle_between(level_rotation, mean) <= MAX_LEAN:
-                target = level_rotation
+                target_rotation = level_rotation
         inverse_rotations = so3.conjugate(foot.rotation[start:end])
-        correction[start:end] = so3.log(so3.multiply(target, inverse_rotations))
+        to_target = so3.multiply(target_rotation, inverse_rotations)
+        correction[start:end] = so3.log(to_target)
     fill_between(correction, is_flat, fps)
     return so3.align_signs(so3.multiply(so3.exp(correction), foot.rotation))
 
 
 def _toe_roll(is_toe_planted: BoolArray, fps: float) -> FloatArray:
     """Return the weight of pinning the toe: 1 while planted, fading to 0 ``(F,)``."""
-    rolls = is_toe_planted[:, None].astype(np.float64)
-    fill_between(rolls, is_toe_planted, fps)
-    return np.asarray(np.clip(rolls[:, 0], 0.0, 1.0))
+    weights = is_toe_planted[:, None].astype(np.float64)
+    fill_between(weights, is_toe_planted, fps)
+    return np.asarray(np.clip(weights[:, 0], 0.0, 1.0))
 
 
 def _heading_rotation(rotation: FloatArray, up: int) -> FloatArray:
@@ -166,8 +167,8 @@ def _ankle_to_toe(foot: Foot, rotation: FloatArray) -> FloatArray:
     """Return the vector from ankle to toe for the foot's rotation ``(F, 3)``."""
     if foot.toe is None:
         return np.zeros_like(foot.ankle)
-    change = so3.multiply(rotation, so3.conjugate(foot.rotation))
-    return so3.rotate(change, foot.toe - foot.ankle)
+    rotation_change = so3.multiply(rotation, so3.conjugate(foot.rotation))
+    return so3.rotate(rotation_change, foot.toe - foot.ankle)
 
 
 def _ankle_rise(foot: Foot, toe_vector: FloatArray, up: int) -> FloatArray:
@@ -228,12 +229,12 @@ def _foot_weight(is_planted: BoolArray, fps: float) -> FloatArray:
     weight = np.zeros(len(is_planted))
     for start, end in runs(is_planted):
         frames = np.arange(start, end)
-        ramp = max(min(HANDOVER_SECONDS * fps, (end - start) / 2), 1.0)
+        ramp_frames = max(min(HANDOVER_SECONDS * fps, (end - start) / 2), 1.0)
         # Contacts cut off by the ends of the take continue.
         frames_since_start = np.inf if start == 0 else frames - start
         frames_until_end = np.inf if end == len(is_planted) else end - 1 - frames
         frames_to_edge = np.minimum(frames_since_start, frames_until_end)
-        weight[start:end] = _smooth_step(frames_to_edge / ramp)
+        weight[start:end] = _smooth_step(frames_to_edge / ramp_frames)
     return weight
 
 
@@ -315,7 +316,7 @@ def _raise_above_ground(
     if not is_planted.any():
         return  # the ground is unknown
     is_fixed = is_planted.copy()
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(MAX_RAISE_ITERATIONS):
         heights = toe_heights + correction
         is_below = ~is_planted & (heights < min_height - MAX_PENETRATION)
         if not is_below.any():
@@ -335,7 +336,8 @@ def fill_between(
         return
     weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
     weighted_values = values * np.where(is_fixed, FIXED_WEIGHT, 0.0)[:, None]
-    faded_values = smooth_path_to_targets(weights, weighted_values, (fade * fps) ** 4)
+    stiffness = (fade * fps) ** 4
+    faded_values = smooth_path_to_targets(weights, weighted_values, stiffness)
     values[~is_fixed] = faded_values[~is_fixed]
 
 
@@ -351,7 +353,7 @@ def _hip_shifts(
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle
         largest_reach = upper_envelope(
-            foot.straightness, STRAIGHT_WINDOW * fps, STRAIGHT_SMOOTH * fps
+            foot.straightness, STRAIGHTNESS_WINDOW * fps, STRAIGHTNESS_SMOOTHING * fps
         )
         # A similar leg may be as straight as the source's.
         bend_factor = BEND_FACTOR if foot.flat_rotation is not None else 1.0
@@ -405,6 +407,6 @@ def upper_envelope(
     """
     half_width = int(np.ceil(width))
     padded_values = np.pad(values, half_width, mode="edge")
-    view = np.lib.stride_tricks.sliding_window_view
-    windows = view(padded_values, 2 * half_width + 1)
+    sliding_windows = np.lib.stride_tricks.sliding_window_view
+    windows = sliding_windows(padded_values, 2 * half_width + 1)
     return gaussian_smooth(windows.max(axis=1), width / 4 if smooth is None else smooth)

@@ -34,8 +34,8 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
     for i in order:
         joints_of_digit[i] = [j for j in paths[i] if j not in assigned_joints]
         assigned_joints |= set(paths[i])
-    thumbs = (joints_of_digit[i] for i in order if digits[i] == "thumb")
-    thumb_length = next(map(len, thumbs), 3)
+    thumb_paths = (joints_of_digit[i] for i in order if digits[i] == "thumb")
+    thumb_length = next(map(len, thumb_paths), 3)
     roles: dict[int, str] = {}
     for i in order:
         if digits[i]:

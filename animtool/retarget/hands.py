@@ -93,12 +93,14 @@ class AnkleHeights:
     target: float
 
     @staticmethod
-    def lift(ankle_heights: AnkleHeights | None, scale: float, up: int) -> FloatArray:
+    def ground_offset(
+        ankle_heights: AnkleHeights | None, scale: float, up: int
+    ) -> FloatArray:
         """Return the offset that puts the scaled source on the ground ``(3,)`` [m]."""
-        lift = np.zeros(3)
+        offset = np.zeros(3)
         if ankle_heights is not None:
-            lift[up] = ankle_heights.target - scale * ankle_heights.source
-        return lift
+            offset[up] = ankle_heights.target - scale * ankle_heights.source
+        return offset
 
 
 def arm_joints(skeleton: RoledSkeleton, side: str) -> list[int] | None:
@@ -133,7 +135,7 @@ def hand_contacts(
         props: Props that the hands may grip.
     """
     up = up_index(transfer.target.rig)
-    ground_offset = AnkleHeights.lift(ankle_heights, transfer.scale, up)
+    ground_offset = AnkleHeights.ground_offset(ankle_heights, transfer.scale, up)
     wrists = [hips + arm.joints[:, 2] for arm in tracks]
     lengths = [_arm_length(transfer.source, side) for side in sides]
     scales = [
@@ -158,18 +160,18 @@ def hand_contacts(
     contacts = []
     for k, side in enumerate(sides):
         source_wrist, length, ground_level = tracks[k].source_wrist, lengths[k], None
-        is_gripping, gripped_props = np.zeros(frame_count, np.bool_), frozenset[int]()
+        is_gripping, prop_tracks = np.zeros(frame_count, np.bool_), frozenset[int]()
         for prop in props:
             is_gripped = prop.find_gripped_frames(source_wrist, length, fps)
             is_gripped &= ~is_gripping
             if not is_gripped.any():
                 continue
-            grip = so3.rotate(prop.rotations, prop.in_prop_frame(source_wrist))
-            origin = transfer.scale * prop.positions + ground_offset
-            goals[k][is_gripped] = (origin + grip)[is_gripped]
+            grip_offset = so3.rotate(prop.rotations, prop.in_prop_frame(source_wrist))
+            prop_origin = transfer.scale * prop.positions + ground_offset
+            goals[k][is_gripped] = (prop_origin + grip_offset)[is_gripped]
             is_active[k] |= is_gripped
             is_gripping |= is_gripped
-            gripped_props |= {prop.track}
+            prop_tracks |= {prop.track}
         if ankle_heights is not None:
             height = source_wrist[:, up] - ankle_heights.source
             kept_height = np.minimum(height, GROUND_HEIGHT / 2 * length)
@@ -188,10 +190,10 @@ def hand_contacts(
             soft_goal = ground_level + _soften_heights(height_above_ground, soft_height)
             goals[k][is_low, up] = soft_goal[is_low]
             is_contact |= is_low
-        bends = _arm_rotations(
+        vectors = _arm_rotations(
             transfer.target, side, tracks[k], shoulders[k], goals[k], is_contact, fps
         )
-        contacts.append(HandContact(side, goals[k], is_active[k], bends, gripped_props))
+        contacts.append(HandContact(side, goals[k], is_active[k], vectors, prop_tracks))
     return contacts
 
 
@@ -210,10 +212,10 @@ def _arm_rotations(
     Positions do not fade, because a nearly straight arm bends a lot for a small motion
     of its hand.
     """
-    bends = np.zeros((len(is_contact), 2, 3))
+    rotation_vectors = np.zeros((len(is_contact), 2, 3))
     arm, frames = arm_joints(target, side), np.flatnonzero(is_contact)
     if arm is None or not len(frames):
-        return bends
+        return rotation_vectors
     joints = shoulder[frames, None] + (tracks.joints - tracks.joints[:, :1])[frames]
     bone_rotations = tracks.rotations[frames, 0], tracks.rotations[frames, 1]
     hinge = elbow_hinge(target, arm)
@@ -222,10 +224,10 @@ def _arm_rotations(
     )
     for k in (0, 1):
         inverse = so3.conjugate(bone_rotations[k])
-        bends[frames, k] = so3.log(so3.multiply(bent_rotations[k], inverse))
-    flat_bends = bends.reshape(len(bends), 6)
-    fill_between(flat_bends, is_contact, fps, FADE_SECONDS)
-    return flat_bends.reshape(bends.shape)
+        rotation_vectors[frames, k] = so3.log(so3.multiply(bent_rotations[k], inverse))
+    flat_vectors = rotation_vectors.reshape(len(rotation_vectors), 6)
+    fill_between(flat_vectors, is_contact, fps, FADE_SECONDS)
+    return flat_vectors.reshape(rotation_vectors.shape)
 
 
 def _soften_heights(heights: FloatArray, depth: float) -> FloatArray:

@@ -152,9 +152,9 @@ def _leg_reach(
     bone = so3.rotate(so3.conjugate(rest_rotation), upper)
     cosine = bone @ lower - (bone @ pin_axis) * (lower @ pin_axis)
     straight_angle = np.arctan2(bone @ np.cross(pin_axis, lower), cosine)
-    free_angle = straight_angle + np.pi * np.arange(-4, 5)
+    extreme_angles = straight_angle + np.pi * np.arange(-4, 5)
     angles = np.append(
-        free_angle[(free_angle > lower_limit) & (free_angle < upper_limit)],
+        extreme_angles[(extreme_angles > lower_limit) & (extreme_angles < upper_limit)],
         [lower_limit, upper_limit],
     )
     rotations = so3.from_axis_angle(pin_axis, angles)
@@ -191,10 +191,11 @@ def _planted_ankle_height(
     balls = target.balls.get(side), source.balls.get(side)
     if balls[0] is None or balls[1] is None:
         return ground * transfer.scale
-    length, source_length = (
+    foot_length, source_foot_length = (
         float(np.linalg.norm(ball.offset)) for ball in balls if ball is not None
     )
-    return ground * (length / source_length if source_length > 0 else transfer.scale)
+    has_length = source_foot_length > 0
+    return ground * (foot_length / source_foot_length if has_length else transfer.scale)
 
 
 def ankle_rotations(
@@ -271,14 +272,14 @@ def _bend_pin_limb(
     joint, rest_rotation = rig.joints[middle], rig.rest_rotations[middle]
     local_rotation = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     pin_axis = np.array(joint.axis, np.float64)
-    from_rest = so3.multiply(so3.conjugate(rest_rotation), local_rotation)
-    angle = swing_twist(from_rest, joint.axis)[1]
+    rotation_from_rest = so3.multiply(so3.conjugate(rest_rotation), local_rotation)
+    angle = swing_twist(rotation_from_rest, joint.axis)[1]
     lower = so3.rotate(rest_rotation, target.offset(middle, end_joint))
     bones = rig.rest_translations[middle], lower
     limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
     axis = so3.rotate(rest_rotation, pin_axis)
-    pin = bones, axis, angle, limits
-    upper, pin_angle = bend_at_pin(start, goal, rotations[0], *pin)
+    pin_state = bones, axis, angle, limits
+    upper, pin_angle = bend_at_pin(start, goal, rotations[0], *pin_state)
     bend = so3.multiply(rest_rotation, so3.from_axis_angle(pin_axis, pin_angle))
     return upper, so3.multiply(upper, bend)
 

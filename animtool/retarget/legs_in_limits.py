@@ -30,7 +30,7 @@ FINE_SWIVEL_ANGLES = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
 # Cost of swivelling, relative to that of a limit violation.
 SWIVEL_COST = 0.05
 # Smoothing times of knee swivel and hip rise [s].
-SWIVEL_TIME, RISE_TIME = 0.1, 0.2
+SWIVEL_SECONDS, RISE_SECONDS = 0.1, 0.2
 # Maximum number of hip iterations, and the tolerated foot depth relative to the
 # skeleton's size.
 MAX_HIP_ITERATIONS, MAX_FOOT_DEPTH = 3, 5e-4
@@ -75,10 +75,10 @@ class _Leg:
                 + (SWIVEL_COST * angles) ** 2
                 for angles in candidates
             ]
-            columns = np.arange(len(violating_frames))
-            best_swivel = candidates[np.argmin(costs, axis=0), columns]
+            frame_columns = np.arange(len(violating_frames))
+            best_swivel = candidates[np.argmin(costs, axis=0), frame_columns]
         swivel[violating_frames] = best_swivel
-        return gaussian_smooth(swivel, SWIVEL_TIME * fps)
+        return gaussian_smooth(swivel, SWIVEL_SECONDS * fps)
 
     def _squared_excess(
         self,
@@ -92,7 +92,7 @@ class _Leg:
         bone_rotations = rotations[0][frames], rotations[1][frames]
         thigh_rotation, shin_rotation = swivel_leg(bone_rotations, axis[frames], angles)
         inverse_parent = so3.conjugate(self.tracks.rotations[frames, 0])
-        violation = np.zeros(len(frames))
+        squared_violation = np.zeros(len(frames))
         inverse_shin = so3.conjugate(shin_rotation)
         for joint, local in (
             (thigh, so3.multiply(inverse_parent, thigh_rotation)),
@@ -101,8 +101,9 @@ class _Leg:
             limit = rig.joints[joint].limits
             if isinstance(limit, BallLimit):
                 inverse_rest = so3.conjugate(rig.rest_rotations[joint])
-                violation += limit.excess(so3.multiply(inverse_rest, local)) ** 2
-        return violation
+                excess = limit.excess(so3.multiply(inverse_rest, local))
+                squared_violation += excess**2
+        return squared_violation
 
     def ankle_depth(self, hips: FloatArray, swivel: FloatArray) -> FloatArray:
         """Return the depth of a planted ankle below its goal ``(F,)`` [m].
@@ -160,7 +161,7 @@ def solve_within_limits(
         depth = np.max(depths, axis=0)
         if depth.max() < MAX_FOOT_DEPTH * target.size:
             break
-        hips[:, up_index(target.rig)] += upper_envelope(depth, RISE_TIME * fps)
+        hips[:, up_index(target.rig)] += upper_envelope(depth, RISE_SECONDS * fps)
         if attempt == MAX_HIP_ITERATIONS - 1:
             angles = [leg.solve_swivel(hips, fps) for leg in legs]
     return hips, angles

@@ -118,12 +118,12 @@ def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
     line = prefix
     for i, name in enumerate(names):
         is_last = i == len(names) - 1
-        item = f"{name}]" if is_last else f"{name},"
+        name_text = f"{name}]" if is_last else f"{name},"
         separator = "" if line == prefix or line.endswith(" ") else " "
-        if len(line) + len(separator) + len(item) > LINE_WIDTH and line != prefix:
+        if len(line) + len(separator) + len(name_text) > LINE_WIDTH and line != prefix:
             yield line
             line, separator = " " * len(prefix), ""
-        line += f"{separator}{item}"
+        line += f"{separator}{name_text}"
     yield line
 
 

@@ -152,8 +152,8 @@ class Retargeting:
             props.moving_props(transfer) if props is not None and arms else (),
         )
         # Offset of gripped props (3,) [m].
-        up = up_index(transfer.target.rig)
-        self.lift = AnkleHeights.lift(ankle_heights, transfer.scale, up)
+        ground = ankle_heights, transfer.scale, up_index(transfer.target.rig)
+        self.ground_offset = AnkleHeights.ground_offset(*ground)
         contacts = tuple(foot.contacts for foot in feet)
         self.contact_frames = ContactFrames(legs, contacts, placed_feet, hand_goals)
         self._meter = FitMeter(transfer, joint_map, self.contact_frames)
@@ -259,8 +259,8 @@ class Retargeting:
         """Return whether the frames so far are usable, and which ones to check."""
         verdict = self._meter.verdict(self.clamped_fractions, self.ignored_errors)
         reasons = []
-        if stopped := self.stopped_by_rest_frame:
-            reasons.append(VerdictReason("stopped by their limits", listed(stopped)))
+        if joints := self.stopped_by_rest_frame:
+            reasons.append(VerdictReason("stopped by their limits", listed(joints)))
         scale = self.transfer.scale
         if not is_likely_scale(scale):
             text = f"{plain_number(scale)} times that of the take"
@@ -273,8 +273,8 @@ class Retargeting:
         if self.rest_frame is None:
             return []
         names = self.transfer.target.rig.names
-        fractions = self.clamped_fractions.items()
-        return [names[j] for j, part in fractions if part >= MIN_STOPPED_FRACTION]
+        fractions = self.clamped_fractions
+        return [names[j] for j in fractions if fractions[j] >= MIN_STOPPED_FRACTION]
 
     def blocks(self) -> Iterator[Motion]:
         """Yield the target's motion block by block; it can be read once."""
@@ -369,9 +369,9 @@ class Retargeting:
             if not len(rows):
                 break
             frame_goals = [goal[rows] for goal in goals]
-            poses = rotations.select(rows), hips[rows], relative_positions[rows]
-            corrected_rotations = self._solve_ankles(*poses, frame_goals, rows + begin)
-            solution.replace_frames(rows, corrected_rotations)
+            frame_state = rotations.select(rows), hips[rows], relative_positions[rows]
+            correction = self._solve_ankles(*frame_state, frame_goals, rows + begin)
+            solution.replace_frames(rows, correction)
         return solution
 
     def _solve_ankles(

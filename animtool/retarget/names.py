@@ -56,7 +56,7 @@ _MIN_MATCHED_NAMES = 6
 # Entry of the presets with words that many conventions use.
 COMMON_WORDS = "words"
 # Votes of a word that many conventions use, and of a word of another convention.
-_WORD_WEIGHT, _OTHER_WEIGHT = 0.8, 0.6
+_WORD_WEIGHT, _OTHER_CONVENTION_WEIGHT = 0.8, 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,24 +135,24 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
     parsed_names = []
     for j, name in enumerate(names_without_prefix):
         side, words = _split_side(_split_words(name))
-        partner = names_without_prefix[int(sides.partners[j])]
-        without_side_letter = _strip_side_letter(name, partner)
+        partner_name = names_without_prefix[int(sides.partners[j])]
+        without_side_letter = _strip_side_letter(name, partner_name)
         if without_side_letter:
             side = "l" if j in left_joints else "r"
             words = _split_words(without_side_letter)
-        key = "".join(words).lower()
-        parsed_names.append(ParsedName(side, key, _name_kind(name, words)))
+        name_key = "".join(words).lower()
+        parsed_names.append(ParsedName(side, name_key, _name_kind(name, words)))
     return parsed_names
 
 
-def _strip_side_letter(name: str, other: str) -> str:
+def _strip_side_letter(name: str, partner_name: str) -> str:
     """Remove the only letter that differs from a partner's name; "" for no partner."""
-    letters = enumerate(zip(name, other, strict=False))
+    letters = enumerate(zip(name, partner_name, strict=False))
     differing_indices = [i for i, (a, b) in letters if a != b]
-    if len(name) != len(other) or len(differing_indices) != 1:
+    if len(name) != len(partner_name) or len(differing_indices) != 1:
         return ""
-    index = differing_indices[0]
-    return f"{name[:index]} {name[index + 1 :]}"
+    letter_index = differing_indices[0]
+    return f"{name[:letter_index]} {name[letter_index + 1 :]}"
 
 
 def _name_kind(name: str, words: Sequence[str]) -> str:
@@ -171,8 +171,9 @@ def _name_kind(name: str, words: Sequence[str]) -> str:
 @cache
 def _load_tables() -> Mapping[str, Preset]:
     """Load the shipped conventions and the common words (`COMMON_WORDS`), by name."""
-    raw: dict[str, Any] = yaml.load(_PRESETS_FILE.read_text("utf-8"), yaml.CSafeLoader)
-    return {name: _read_preset(name, entry) for name, entry in raw.items()}
+    text = _PRESETS_FILE.read_text("utf-8")
+    tables: dict[str, Any] = yaml.load(text, yaml.CSafeLoader)
+    return {name: _read_preset(name, table) for name, table in tables.items()}
 
 
 @cache
@@ -183,16 +184,16 @@ def presets() -> Mapping[str, Preset]:
     }
 
 
-def _read_preset(name: str, entry: dict[str, Any]) -> Preset:
+def _read_preset(name: str, convention: dict[str, Any]) -> Preset:
     """Return a convention from its entry in the presets file."""
     roles_by_key: dict[str, set[str]] = {}
     names_by_role: dict[str, list[str]] = {}
-    for role, template in _templates(_expand_digits(entry)):
+    for role, template in _templates(_expand_digits(convention)):
         name_without_side = _NAMESPACE.sub("", template.replace("{s}", " "))
         words = _split_words(_PREFIX.sub("", name_without_side))
         roles_by_key.setdefault("".join(words).lower(), set()).add(role)
         if "{s}" in template:
-            for word, side in zip(entry["sides"], SIDES, strict=True):
+            for word, side in zip(convention["sides"], SIDES, strict=True):
                 joint_name = template.replace("{s}", word)
                 names_by_role.setdefault(f"{role}_{side}", []).append(joint_name)
         else:
@@ -204,9 +205,9 @@ def _read_preset(name: str, entry: dict[str, Any]) -> Preset:
     )
 
 
-def _expand_digits(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _expand_digits(convention: Mapping[str, Any]) -> dict[str, Any]:
     """Return a convention's joints, with digit names expanded into finger joints."""
-    words, joints = entry.get("digits", ()), dict(entry["joints"])
+    words, joints = convention.get("digits", ()), dict(convention["joints"])
     digit, metacarpal = joints.pop("digit", ()), joints.pop("digit_0", None)
     for role, word in zip(DIGITS[len(DIGITS) - len(words) :], words, strict=True):
         joints[role] = [name.replace("{d}", word) for name in digit]
@@ -239,11 +240,11 @@ def best_preset(
     names: Sequence[str], parsed_names: Sequence[ParsedName]
 ) -> Preset | None:
     """Return the convention that matches most names; None if too few match any."""
-    keys = {name.name_key for name in parsed_names if name.kind != CONTROL}
+    name_keys = {name.name_key for name in parsed_names if name.kind != CONTROL}
     scores = {
         name: (
             # Full names, including prefixes, distinguish conventions that share words.
-            len(keys & preset.roles_by_key.keys())
+            len(name_keys & preset.roles_by_key.keys())
             + 0.1 * len(preset.full_names.intersection(names)),
             -len(preset.roles_by_key),
         )
@@ -270,8 +271,8 @@ def role_votes(
             table, weight = preset_roles, 1.0
         weights = dict.fromkeys(table.get(name.name_key, ()), weight)
         if weights:
-            other_roles = _limb_words().get(name.name_key, ())
-            weights = dict.fromkeys(other_roles, _OTHER_WEIGHT) | weights
+            other_roles = _limb_roles_by_key().get(name.name_key, ())
+            weights = dict.fromkeys(other_roles, _OTHER_CONVENTION_WEIGHT) | weights
         suffix = f"_{name.side}" if name.side else ""
         # Sorted, since the order of a set differs between processes.
         roles = [role for role in sorted(weights) if role + suffix in ROLES]
@@ -280,7 +281,7 @@ def role_votes(
 
 
 @cache
-def _limb_words() -> Mapping[str, frozenset[str]]:
+def _limb_roles_by_key() -> Mapping[str, frozenset[str]]:
     """Return the limb roles that any convention assigns to each name key."""
     roles: dict[str, set[str]] = {}
     for preset in presets().values():

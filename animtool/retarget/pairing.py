@@ -285,17 +285,17 @@ class _PairCollector:
             mittens = [
                 anatomy.chain(f"{MITTEN_ROLE}_{side}") for anatomy in self.anatomies
             ]
-            first_joints = [
+            finger_joints = [
                 [j for digit in DIGITS[1:] for j in anatomy.chain(f"{digit}_1_{side}")]
                 for anatomy in self.anatomies
             ]
             source_joints, target_joints = mittens
             if source_joints and not target_joints:
-                for j in first_joints[1]:
+                for j in finger_joints[1]:
                     if j not in self.pairs and j not in self.ignored_joints[1]:
                         self._add(self.anatomies[1].roles[j], source_joints[:1], [j])
-            elif target_joints and first_joints[0] and not source_joints:
-                middle_finger = first_joints[0][min(1, len(first_joints[0]) - 1)]
+            elif target_joints and finger_joints[0] and not source_joints:
+                middle_finger = finger_joints[0][min(1, len(finger_joints[0]) - 1)]
                 if target_joints[0] not in self.pairs:
                     role = f"{MITTEN_ROLE}_{side}"
                     self._add(role, [middle_finger], target_joints[:1])
@@ -327,10 +327,10 @@ class _PairCollector:
                 zip(self.anatomies, (source_joint, j), strict=True),
                 key=lambda anatomy_joint: anatomy_joint[0].confidence[anatomy_joint[1]],
             )
-            basis = anatomy.evidence[joint], anatomy.confidence[joint]
+            evidence_and_confidence = anatomy.evidence[joint], anatomy.confidence[joint]
             if evidence is not None:
-                basis = evidence, 1.0
-            self.pairs[j] = JointPair(source_joint, j, role, *basis)
+                evidence_and_confidence = evidence, 1.0
+            self.pairs[j] = JointPair(source_joint, j, role, *evidence_and_confidence)
 
 
 def _toes_inside_out(
@@ -353,9 +353,9 @@ def _toes_inside_out(
     return sorted(toes, key=lambda toe: -float(positions[toe[0]] @ inward_direction))
 
 
-def _nearest_index(starts: Sequence[float], position: float) -> int:
+def _nearest_index(start_fractions: Sequence[float], fraction: float) -> int:
     """Return the index of the joint that begins nearest to a position on its chain."""
-    return int(np.argmin(np.abs(np.asarray(starts) - position)))
+    return int(np.argmin(np.abs(np.asarray(start_fractions) - fraction)))
 
 
 def _chain_fractions(rig: Rig, anatomy: Anatomy, chain: Sequence[int]) -> list[float]:

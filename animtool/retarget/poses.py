@@ -115,8 +115,8 @@ class LocalRotations:
         """Replace the rotations of the selected frames."""
         self.local[frames], self.world[frames] = other.local, other.world
         for j in {*self.clamped_frames, *other.clamped_frames}:
-            unclamped = np.zeros(len(self.local), np.bool_)
-            mask = self.clamped_frames.setdefault(j, unclamped)
+            no_frames = np.zeros(len(self.local), np.bool_)
+            mask = self.clamped_frames.setdefault(j, no_frames)
             mask[frames] = other.clamped_frames.get(j, False)
 
 

@@ -83,39 +83,40 @@ class PropTracks:
         motions = []
         for i, track in enumerate(self.tracks):
             if track.has_transform and track.is_animated:
-                up_rotation = rotate_track(track, transfer.up_rotation).at(times[:, i])
-                motion = PropMotion(i, up_rotation.translations, up_rotation.rotations)
+                upright_track = rotate_track(track, transfer.up_rotation)
+                at_frames = upright_track.at(times[:, i])
+                motion = PropMotion(i, at_frames.translations, at_frames.rotations)
                 motions.append(motion)
         return motions
 
     def rescale_gripped(
-        self, gripped_tracks: set[int], transfer: Transfer, lift: FloatArray
+        self, gripped_tracks: set[int], transfer: Transfer, ground_offset: FloatArray
     ) -> tuple[Track, ...]:
         """Return the tracks, with gripped props scaled to follow the target.
 
         Args:
             gripped_tracks: Indices of the gripped tracks.
             transfer: The transfer between the skeletons.
-            lift: Offset of the target's ground ``(3,)`` [m].
+            ground_offset: Offset of the target's ground ``(3,)`` [m].
         """
         tracks = list(self.tracks)
         for i in gripped_tracks:
             upright_track = rotate_track(tracks[i], transfer.up_rotation)
-            tracks[i] = _scale_track(upright_track, transfer.scale, lift)
+            tracks[i] = _scale_track(upright_track, transfer.scale, ground_offset)
         return tuple(tracks)
 
 
-def _scale_track(track: Track, scale: float, lift: FloatArray) -> Track:
-    """Scale and lift the path of a track; the size of the prop stays unchanged."""
+def _scale_track(track: Track, scale: float, ground_offset: FloatArray) -> Track:
+    """Scale and shift the path of a track; the size of the prop stays unchanged."""
 
     def sample(times: FloatArray) -> Transforms:
-        """Return the transforms at the times, positions scaled and lifted."""
+        """Return the transforms at the times, positions scaled and shifted."""
         transforms = track.sample(times)
         matrices = transforms.matrices
         if matrices is not None:
             matrices = matrices.copy()
-            matrices[:, :3, 3] = scale * matrices[:, :3, 3] + lift
-        translations = scale * transforms.translations + lift
+            matrices[:, :3, 3] = scale * matrices[:, :3, 3] + ground_offset
+        translations = scale * transforms.translations + ground_offset
         return replace(transforms, translations=translations, matrices=matrices)
 
     return replace(track, sample=sample)

@@ -36,7 +36,7 @@ MAX_ACCELERATION = 1.25  # of the source's
 MAX_CLAMPED_FRACTION = 0.05  # of frames
 # A heel farther from its goal than this fraction of the size has yielded [1].
 MIN_HEEL_ERROR = 1e-4
-MAX_UNMAPPED = 0.2  # of the source's joints
+MAX_UNMAPPED_FRACTION = 0.2  # of the source's joints
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class FitMeter:
         # Ankle and ball of each foot, of the target and of the source, scaled; the ball
         # is the ankle if it is unknown (F, 2, 2, 3).
         self._foot_blocks: list[list[FloatArray]] = [[] for _ in contact_frames.sides]
-        self._angle_sums = 0.0, 0, 0.0  # sum, count and largest [rad]
+        self._angle_statistics = 0.0, 0, 0.0  # sum, count and largest [rad]
         self._reach_error, self._hand_error = math.nan, 0.0
         # Per-frame values by score.
         self._frame_values: dict[str, list[FloatArray]] = {}
@@ -133,23 +133,24 @@ class FitMeter:
         frames = slice(begin, begin + len(target))
         for k, side in enumerate(self._contact_frames.sides):
             ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
-            foot_rows = []
+            foot_points = []
             for (skeleton, points, scale_factor), tip_position in zip(
                 self._both_skeletons(target, source), (ball, balls[:, k]), strict=True
             ):
                 ankle = points[:, leg_joints(skeleton, side)[2]]
-                foot_rows.append(scale_factor * np.stack([ankle, tip_position], axis=1))
-            self._foot_blocks[k].append(np.stack(foot_rows, axis=1))
+                ankle_and_tip = np.stack([ankle, tip_position], axis=1)
+                foot_points.append(scale_factor * ankle_and_tip)
+            self._foot_blocks[k].append(np.stack(foot_points, axis=1))
         self._add_angles(frames, target, source)
         reach_errors = _reach_errors(self._both_skeletons(target, source))
-        largest = np.fmax.reduce(reach_errors)
-        self._reach_error = float(np.fmax(self._reach_error, largest))
+        largest_error = np.fmax.reduce(reach_errors)
+        self._reach_error = float(np.fmax(self._reach_error, largest_error))
         self._add_score("hands", reach_errors)
         for hand in self._contact_frames.hands:
             wrist = target[:, self._transfer.target.first_joint(f"hand_{hand.side}")]
             hand_errors = np.linalg.norm(wrist - hand.goal[frames], axis=1)
-            largest = hand_errors[hand.is_active[frames]].max(initial=0.0)
-            self._hand_error = max(self._hand_error, float(largest))
+            largest_error = hand_errors[hand.is_active[frames]].max(initial=0.0)
+            self._hand_error = max(self._hand_error, float(largest_error))
         pairs = self._joint_map.pairs
         joint_paths = [
             target[:, [pair.target for pair in pairs]],
@@ -157,8 +158,8 @@ class FitMeter:
         ]
         if self._last_frames:
             joint_paths = [
-                np.concatenate(parts)
-                for parts in zip(self._last_frames, joint_paths, strict=True)
+                np.concatenate(frame_blocks)
+                for frame_blocks in zip(self._last_frames, joint_paths, strict=True)
             ]
         self._last_frames = [points[-2:].copy() for points in joint_paths]
         if len(joint_paths[0]) > 2:
@@ -190,7 +191,7 @@ class FitMeter:
     ) -> None:
         """Add the angles between corresponding bones, except those of planted legs."""
         contact_frames = self._contact_frames
-        angle_sum, angle_count, largest_angle = self._angle_sums
+        angle_sum, angle_count, largest_angle = self._angle_statistics
         angle_sums, angle_counts = np.zeros((2, len(target)))
         for side in "lr":
             for role, end_role in BONE_ENDS.items():
@@ -218,7 +219,7 @@ class FitMeter:
                 angle_sum += float(angle.sum())
                 angle_count += len(angle)
                 largest_angle = max(largest_angle, float(angle.max(initial=0.0)))
-        self._angle_sums = angle_sum, angle_count, largest_angle
+        self._angle_statistics = angle_sum, angle_count, largest_angle
         self._add_score("limbs", angle_sums / np.maximum(angle_counts, 1))
 
     def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
@@ -251,8 +252,9 @@ class FitMeter:
         } | self._worst_by_frame
         if "acceleration" in values:
             # Second differences belong to their middle frame.
-            source_largest = max(float(self._max_accelerations[1]), 1e-300)
-            values["acceleration"] = np.pad(values["acceleration"] / source_largest, 1)
+            source_max_acceleration = max(float(self._max_accelerations[1]), 1e-300)
+            ratios = values["acceleration"] / source_max_acceleration
+            values["acceleration"] = np.pad(ratios, 1)
         source_values = {"drift": report.source_drift_max}
         return assess_take(fit_scores(report), values, source_values, ignored_errors)
 
@@ -266,13 +268,13 @@ class FitMeter:
         contact_frames = self._contact_frames
         self._worst_by_frame.clear()
         all_drifts, source_drifts = [np.zeros(0)], [np.zeros(0)]
-        max_errors: list[float] = []
+        max_sole_errors: list[float] = []
         depths: list[float] = []
-        planted_frames = 0.0
+        planted_fraction = 0.0
         for k, side in enumerate(contact_frames.sides):
             feet = np.concatenate(self._foot_blocks[k])
             contacts = contact_frames.contacts[k]
-            planted_frames += float(contacts.any.mean()) / len(contact_frames.sides)
+            planted_fraction += float(contacts.any.mean()) / len(contact_frames.sides)
             has_toe = side in transfer.target.balls
             has_both_balls = has_toe and side in transfer.source.balls
             is_heel_planted = contacts.ankle & ~self._is_heel_raised(k, feet[:, 0, 0])
@@ -292,15 +294,15 @@ class FitMeter:
                 if contact_frames.placed_feet is not None:
                     ground_level = contact_frames.placed_feet.sole_heights[k]
                 sole_errors = np.where(is_flat, np.abs(sole_height - ground_level), 0.0)
-                max_errors.append(float(sole_errors.max()))
+                max_sole_errors.append(float(sole_errors.max()))
                 self._keep_worst("soles", sole_errors)
                 depths.append(ground_level - float(sole_height.min()))
         drift, source_drift = (
             values[~np.isnan(values)]
             for values in map(np.concatenate, (all_drifts, source_drifts))
         )
-        angle_sum, angle_count, max_angle = self._angle_sums
-        fastest, source_fastest = self._max_accelerations.tolist()
+        angle_sum, angle_count, max_angle = self._angle_statistics
+        acceleration, source_acceleration = self._max_accelerations.tolist()
         names, source_names = transfer.target.rig.names, transfer.source.rig.names
         joints = transfer.target.rig.joints
         placed_feet = contact_frames.placed_feet
@@ -308,17 +310,17 @@ class FitMeter:
             self._frame_count,
             transfer.scale,
             len(joint_map.pairs),
-            planted_frames,
+            planted_fraction,
             float(drift.mean()) if len(drift) else math.nan,
             float(drift.max()) if len(drift) else math.nan,
             float(source_drift.max()) if len(source_drift) else math.nan,
-            max(max_errors, default=math.nan),
+            max(max_sole_errors, default=math.nan),
             max([0.0, *depths]) if depths else math.nan,
             self._reach_error,
             self._hand_error,
             angle_sum / angle_count if angle_count else math.nan,
             max_angle if angle_count else math.nan,
-            fastest / source_fastest if source_fastest > 0 else math.nan,
+            acceleration / source_acceleration if source_acceleration > 0 else math.nan,
             0.0 if placed_feet is None else placed_feet.max_lowering,
             {names[j]: fraction for j, fraction in clamped_fractions.items()},
             _mean_clamped(joint_map, clamped_fractions),
@@ -341,7 +343,7 @@ def fit_scores(report: RetargetReport) -> PassScores:
         ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, MAX_BONE_ANGLE, 0.0),
         ("acceleration", report.acceleration, ScoreUnit.RATIO, MAX_ACCELERATION, 1.0),
         ("limits", mean_clamped, fraction, MAX_CLAMPED_FRACTION, 0.0),
-        ("not mapped", unmapped_fraction, fraction, MAX_UNMAPPED, 0.0),
+        ("not mapped", unmapped_fraction, fraction, MAX_UNMAPPED_FRACTION, 0.0),
     )
     names = {
         "stopped by their limits": tuple(report.held),

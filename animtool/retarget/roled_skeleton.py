@@ -80,13 +80,13 @@ class RoledSkeleton:
         Return None for a joint without a bone.
         """
         end_joint, role = -1, self.roles[joint]
-        side_suffix, role_name = role[len(base_role(role)) :], base_role(role)
-        if role_name in _NEXT_ROLES:
-            end_joint = self.first_joint(_NEXT_ROLES[role_name] + side_suffix)
+        side_suffix, role_without_side = role[len(base_role(role)) :], base_role(role)
+        if role_without_side in _NEXT_ROLES:
+            end_joint = self.first_joint(_NEXT_ROLES[role_without_side] + side_suffix)
         if end_joint < 0:
             children = [k for k, p in enumerate(self.rig.parents) if p == joint]
             end_joint = children[0] if len(children) == 1 else -1
-        ball = self.balls.get(role[-1:]) if role_name == "foot" else None
+        ball = self.balls.get(role[-1:]) if role_without_side == "foot" else None
         if end_joint < 0 and ball is not None:
             bone = so3.rotate(self.rotations[joint], ball.offset)
             return np.asarray(bone / np.linalg.norm(bone))
@@ -115,11 +115,12 @@ class RoledSkeleton:
             return None
         heights = self.positions @ self.rig.up.vector
         hips, feet, hands = (heights[joints] for joints in limb_joints)
-        drop, lengths = float(hips.min() - feet.max()), self.path_lengths
+        hip_drop, lengths = float(hips.min() - feet.max()), self.path_lengths
         leg_lengths = lengths[limb_joints[1]] - lengths[limb_joints[0]]
-        if drop < MIN_LEG_DROP * float(leg_lengths.min()):
+        if hip_drop < MIN_LEG_DROP * float(leg_lengths.min()):
             return None
-        hand_height = float(hands.min() - feet.min()) / max(drop, np.finfo(float).tiny)
+        tiny = np.finfo(float).tiny
+        hand_height = float(hands.min() - feet.min()) / max(hip_drop, tiny)
         if LOW_HAND_HEIGHT < hand_height < HIGH_HAND_HEIGHT:
             return None
         return hand_height <= LOW_HAND_HEIGHT
@@ -153,13 +154,13 @@ class RoledSkeleton:
         head = head if head >= 0 else self.last_joint("spine")
         if not directions or hips < 0 or head < 0:
             return None
-        left_side = directions[0] / (np.linalg.norm(directions[0]) or 1.0)
+        left_axis = directions[0] / (np.linalg.norm(directions[0]) or 1.0)
         up = self.positions[head] - self.positions[hips]
-        up = up - (up @ left_side) * left_side
+        up = up - (up @ left_axis) * left_axis
         height = float(np.linalg.norm(up))
         if not np.linalg.norm(directions[0]) or height <= MIN_BONE_LENGTH * self.size:
             return None
-        return np.stack([left_side, up / height, np.cross(left_side, up / height)])
+        return np.stack([left_axis, up / height, np.cross(left_axis, up / height)])
 
     def leg(self, side: str) -> tuple[int, int, int, int] | None:
         """Return thigh, shin, foot and toe (-1 for none) of a side, if it has a leg."""

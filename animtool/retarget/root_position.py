@@ -31,7 +31,7 @@ MAX_LOW_FACTOR = 0.03
 # Maximum distance of a root from the hips at rest, in leg lengths [1].
 MAX_HIPS_DISTANCE = 0.3
 # Minimum height of legs that are upright at rest, over the length of their bones [1].
-MIN_UPRIGHT = 0.6
+MIN_UPRIGHT_RATIO = 0.6
 # Tolerance of a height that equals the leg length, and its maximum standard deviation,
 # in leg lengths [1].
 HEIGHT_TOLERANCE, HEIGHT_DEVIATION = 0.15, 0.08
@@ -147,7 +147,7 @@ def _leg_length(rig: Rig) -> float | None:
         bones_length += float(np.linalg.norm(positions[joint] - positions[parent]))
         joint = parent
     distance = float(np.linalg.norm(positions[int(rig.roots[0])] - positions[hips]))
-    is_upright = length > MIN_UPRIGHT * bones_length
+    is_upright = length > MIN_UPRIGHT_RATIO * bones_length
     return length if is_upright and distance <= MAX_HIPS_DISTANCE * length else None
 
 

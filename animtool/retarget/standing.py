@@ -96,13 +96,13 @@ def standing_directions(roles: Sequence[str], positions: FloatArray) -> FloatArr
         return trunk
     uprightness = (trunk * -legs).sum(axis=1)
     is_upright = uprightness[:, None] > MIN_UPRIGHT_COSINE
-    axes = np.where(is_upright, _unit_vectors(trunk - legs), no_direction)
+    directions = np.where(is_upright, _unit_vectors(trunk - legs), no_direction)
     if arms is None:
-        return axes
+        return directions
     down_directions = _unit_vectors(legs + arms)
     is_on_fours = (legs * arms).sum(axis=1) > MIN_FOURS_COSINE
     is_on_fours &= np.abs((trunk * down_directions).sum(axis=1)) < MIN_UPRIGHT_COSINE
-    return np.where(is_on_fours[:, None], -down_directions, axes)
+    return np.where(is_on_fours[:, None], -down_directions, directions)
 
 
 _LIMBS = (("thigh", "foot"), ("upper_arm", "hand"))
@@ -153,9 +153,9 @@ def measure_stance(
         up: The assumed up axis.
         rest: Joint positions at rest ``(J, 3)`` [m]; None if unknown.
     """
-    axes, other_axis = standing_directions(roles, positions), _other_axis(up)
-    is_along_other = axes @ np.array(other_axis.vector) > MIN_STANDING_COSINE
-    cosines = axes @ np.array(up.vector)
+    directions, other_axis = standing_directions(roles, positions), _other_axis(up)
+    is_along_other = directions @ np.array(other_axis.vector) > MIN_STANDING_COSINE
+    cosines = directions @ np.array(up.vector)
     fraction = float(is_along_other.mean())
     upright_fraction = float((cosines > MIN_STANDING_COSINE).mean())
     inverted_fraction = float((cosines < -MIN_STANDING_COSINE).mean())
@@ -167,19 +167,19 @@ def measure_stance(
     is_frequent = fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
     stands_throughout = fraction >= MIN_STANDING_FRACTION
     if rest_axis @ np.array(other_axis.vector) > MIN_STANDING_COSINE:
-        along_other = (
+        is_confirmed = (
             (is_frequent and (is_along_other[0] or is_along_other[-1]))
             or stands_throughout
             or _is_trunk_along(roles, positions, other_axis, up)
         )
-        return Stance(other_axis, fraction) if along_other else Stance()
+        return Stance(other_axis, fraction) if is_confirmed else Stance()
     if not (stands_throughout or (is_along_other[0] and is_frequent)):
         return Stance()
     standing_positions = positions[is_along_other]
     stands_along_other = (
         _travels_across(positions, other_axis, up)
-        or _feet_on_ground(standing_positions, other_axis, up)
-        or (stands_throughout and not _on_one_level(standing_positions, up))
+        or _has_feet_on_ground(standing_positions, other_axis, up)
+        or (stands_throughout and not _keeps_level(standing_positions, up))
     )
     return Stance(other_axis, fraction) if stands_along_other else Stance()
 
@@ -205,7 +205,7 @@ def _is_trunk_along(
     )
 
 
-def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
+def _keeps_level(positions: FloatArray, up: UpAxis) -> bool:
     """Return whether the lowest joint keeps its height, as for a lying body."""
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
     lowest = (positions @ np.array(up.vector)).min(axis=1)
@@ -215,7 +215,7 @@ def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
     return float(high - low) < LYING_VARIATION * body_size
 
 
-def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
+def _has_feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether feet are at 0 along an axis, but the body is not at 0 along up."""
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
     feet = (positions @ np.array(axis.vector)).min(axis=1) / body_size
@@ -285,8 +285,8 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
         pose = forward_kinematics(
             rig, single_frame.translations.dense(), single_frame.rotations.dense()
         )
-        spans = np.ptp(pose.positions[0], axis=0)
-        if spans @ other_vector > spans @ up_vector:
+        extents = np.ptp(pose.positions[0], axis=0)
+        if extents @ other_vector > extents @ up_vector:
             return True
     return False
 
@@ -399,8 +399,8 @@ def with_source_warnings(
 def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     """Return a warning if the chosen unit gives an implausible size (RIG217)."""
     size = rest_size(rig)
-    low = MIN_SIZES[len(rig.joints) >= MIN_CHARACTER_JOINTS]
-    if not size or low <= size <= MAX_RIG_SIZE:
+    min_size = MIN_SIZES[len(rig.joints) >= MIN_CHARACTER_JOINTS]
+    if not size or min_size <= size <= MAX_RIG_SIZE:
         return []
     message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
     shortest, tallest = PERSON_HEIGHTS

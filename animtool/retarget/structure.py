@@ -168,17 +168,17 @@ class SkeletonTree:
         forks = [i for i, j in enumerate(ancestors) if len(self.children[j]) > 1]
         return min(forks, default=len(ancestors))
 
-    def _lies_on_bone(self, leaf: int, other: int) -> bool:
+    def _lies_on_bone(self, leaf: int, sibling: int) -> bool:
         """Return whether a joint lies on its sibling's bone, or at the joint itself."""
         if self.votes[leaf] or self.joint_kinds[leaf] == TWIST:
             return not self.votes[leaf]
         if self.children[leaf] or self.rig.joints[leaf].tips:
             return False
-        length, bone = float(self.lengths[leaf]), float(self.lengths[other])
+        length, bone = float(self.lengths[leaf]), float(self.lengths[sibling])
         if length <= _MIN_BONE_LENGTH * self.size:
             return True
         offsets = self.rig.rest_translations
-        cosine = float(offsets[leaf] @ offsets[other]) / max(length * bone, 1e-30)
+        cosine = float(offsets[leaf] @ offsets[sibling]) / max(length * bone, 1e-30)
         return cosine > _MIN_TWIST_COSINE and length <= 1.05 * bone
 
     def length_through_joint(self, joint: int) -> float:
@@ -213,14 +213,15 @@ def find_limb_pairs(
     if len(outer_pairs) > 1:
         return max(
             permutations(outer_pairs[:4], 2),
-            key=lambda pair_of_joints: _leg_score(body, *pair_of_joints),
+            key=lambda legs_and_arms: _leg_score(body, *legs_and_arms),
         )
     if outer_pairs:
-        max_fingers = max(
+        max_branch_count = max(
             body.widest_branching(body.longest_path(joint))[1]
             for joint in outer_pairs[0]
         )
-        return (None, outer_pairs[0]) if max_fingers >= 4 else (outer_pairs[0], None)
+        has_fingers = max_branch_count >= 4
+        return (None, outer_pairs[0]) if has_fingers else (outer_pairs[0], None)
     return None, None
 
 
@@ -228,16 +229,16 @@ def _similar_subtrees(body: SkeletonTree) -> list[SubtreePair]:
     """Return pairs of sibling joints with subtrees of similar length and size."""
     pairs = []
     for children in body.children:
-        min_length, lengths = _MIN_LIMB_REACH * body.size, body.length_through_joint
+        min_length, length_of = _MIN_LIMB_REACH * body.size, body.length_through_joint
         limb_roots = [c for c in children if body.subtree_sizes[c] > 1]
-        limb_roots = [c for c in limb_roots if lengths(c) >= min_length]
-        longest = sorted(limb_roots, key=lengths)[-_MAX_LIMB_JOINTS:]
+        limb_roots = [c for c in limb_roots if length_of(c) >= min_length]
+        longest = sorted(limb_roots, key=length_of)[-_MAX_LIMB_JOINTS:]
         for a, b in combinations(longest, 2):
             shorter, longer = sorted(map(body.length_through_joint, (a, b)))
-            fewer_joints, more_joints = sorted(body.subtree_sizes[j] for j in (a, b))
+            smaller_size, larger_size = sorted(body.subtree_sizes[j] for j in (a, b))
             has_similar_length = longer - shorter <= _PAIR_TOLERANCE * longer
-            if has_similar_length and more_joints <= 1.2 * fewer_joints + 2:
-                pairs.append((more_joints - fewer_joints, longer - shorter, (a, b)))
+            if has_similar_length and larger_size <= 1.2 * smaller_size + 2:
+                pairs.append((larger_size - smaller_size, longer - shorter, (a, b)))
     best_pairs: list[SubtreePair] = []
     for _, _, pair in sorted(pairs):
         if not any(set(pair) & set(best_pair) for best_pair in best_pairs):

@@ -368,7 +368,7 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
         return retargeted_stream
     hands, transfer = retargeting.contact_frames.hands, retargeting.transfer
     gripped_tracks = {track for hand in hands for track in hand.props}
-    tracks = props.rescale_gripped(gripped_tracks, transfer, retargeting.lift)
+    tracks = props.rescale_gripped(gripped_tracks, transfer, retargeting.ground_offset)
     return replace(retargeted_stream, tracks=tracks)
 
 

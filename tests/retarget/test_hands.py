@@ -251,5 +251,5 @@ def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
 
 def test_what_is_scaled_is_lifted_to_the_ground_along_the_up_axis() -> None:
     floor = AnkleHeights(source=0.08, target=0.1)
-    assert_allclose(AnkleHeights.lift(floor, 0.5, 2), [0, 0, 0.06])
-    assert not AnkleHeights.lift(None, 0.5, 2).any()
+    assert_allclose(AnkleHeights.ground_offset(floor, 0.5, 2), [0, 0, 0.06])
+    assert not AnkleHeights.ground_offset(None, 0.5, 2).any()

@@ -423,8 +423,10 @@ def test_both_hands_come_nearer_as_one() -> None:
 def test_heights_are_softened_from_a_share_of_the_arm_on() -> None:
     found = _soften_heights(np.array([-0.3, -0.2, 0.0, 0.1, 0.2]), 0.2)
     assert_allclose(found, [0, 0, 0.05, 0.09 / 0.8, 0.2])
-    assert_array_equal(AnkleHeights.lift(None, 2.0, 1), [0, 0, 0])
-    assert_allclose(AnkleHeights.lift(AnkleHeights(0.1, 0.5), 2.0, 2), [0, 0, 0.3])
+    assert_array_equal(AnkleHeights.ground_offset(None, 2.0, 1), [0, 0, 0])
+    assert_allclose(
+        AnkleHeights.ground_offset(AnkleHeights(0.1, 0.5), 2.0, 2), [0, 0, 0.3]
+    )
 
 
 @pytest.mark.parametrize(

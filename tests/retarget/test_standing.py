@@ -15,8 +15,8 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.standing import (
-    _feet_on_ground,
-    _on_one_level,
+    _has_feet_on_ground,
+    _keeps_level,
     _travels_across,
     find_standing_axis,
     standing_directions,
@@ -222,7 +222,7 @@ def test_feet_are_on_the_ground_of_an_axis_and_nobody_lies_on_the_other(
     away = body_ + np.array([0.0, 5.0, 5.0])
     for frames, found in ((10, stands), (6, stands), (5, False)):
         rows = np.stack([body_] * frames + [away] * (10 - frames))
-        assert _feet_on_ground(rows, UpAxis.Z, UpAxis.Y) == found
+        assert _has_feet_on_ground(rows, UpAxis.Z, UpAxis.Y) == found
 
 
 @pytest.mark.parametrize(("span", "level"), [(0.059, True), (0.061, False)])
@@ -230,4 +230,4 @@ def test_who_lies_is_lowest_at_one_height(span: float, level: bool) -> None:
     rows = np.zeros((101, 2, 3))
     rows[:, 1, 0] = 1.0
     rows[:, :, 1] = np.linspace(0, span / 0.8, 101)[:, None]
-    assert _on_one_level(rows, UpAxis.Y) == level
+    assert _keeps_level(rows, UpAxis.Y) == level
