@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from animtool.batch.records import RecordError, json_of_file, text_in
 from animtool.core.errors import Fault, OutputError, excerpt
-from animtool.core.files.leftovers import new_temporary
+from animtool.core.files.leftovers import new_temporary_path
 
 # Time for a scheduler to answer [s]; with the start of a command, a missing one is
 # reported within 10 s.
@@ -109,7 +109,7 @@ def disk_tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
     token_texts: dict[str, str] = {}
     try:
         for folder in folders[:MAX_TOKENS]:
-            path = new_temporary(folder.absolute() / "token")
+            path = new_temporary_path(folder.absolute() / "token")
             with suppress(OSError):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 token_texts[str(path)] = token_text = uuid4().hex

@@ -37,7 +37,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import is_inside
 from animtool.core.files.reading import MatchedFile
-from animtool.core.names import check_unused, has_kind_suffix, most_similar
+from animtool.core.names import check_unused_variables, has_kind_suffix, most_similar
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer
 from animtool.scene.sources.open import source_stem
@@ -289,7 +289,7 @@ def _check_variables(
     elif any(has_kind_suffix(path, "scene") for path in item_task.kinds):
         # Each holds its faults until the items are built.
         used_names |= set(variables)
-    check_unused(
+    check_unused_variables(
         variables,
         used_names - _item_names(spec),
         spec.path,

@@ -209,10 +209,11 @@ def _refuse_skipped_library(scene: Scene, params: dict[str, Any]) -> None:
 
 def _print_plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
     """Print the steps that a bake would run (``--plan``)."""
-    from animtool.cli.summary import PLAN
+    from animtool.cli.summary import PLAN_TEMPLATE
     from animtool.scene.bake.steps import PlanSteps, bake_steps
 
-    console.report(params["report_format"], PlanSteps(bake_steps(outline)), PLAN)
+    steps = PlanSteps(bake_steps(outline))
+    console.report(params["report_format"], steps, PLAN_TEMPLATE)
 
 
 def _bake_outputs(
@@ -277,7 +278,7 @@ def _print_reports(
 
     Without a scene, the costs of stages are omitted.
     """
-    from animtool.cli.summary import STATS, template_of
+    from animtool.cli.summary import STATS_TEMPLATE, template_of
     from animtool.scene.bake.prims import raise_stopped
     from animtool.scene.bake.progress import BakeStats
 
@@ -297,7 +298,7 @@ def _print_reports(
         if not has_several and console.verbosity > 0:
             console.details(template.detail_lines(report))
     if params["stats"]:
-        console.lines(STATS.text(costs))
+        console.lines(STATS_TEMPLATE.text(costs))
     raise_stopped(reports)
 
 

@@ -24,7 +24,7 @@ from animtool.cli.options import (
 )
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import exists
-from animtool.core.names import check_unused, has_kind_suffix
+from animtool.core.names import check_unused_variables, has_kind_suffix
 from animtool.core.options import options_of
 from animtool.core.readers import is_timeline
 from animtool.scene.bake.options import BakeOptions
@@ -55,7 +55,7 @@ def load_sources(
         loaded_sources.append(scene)
     if variables:
         single_source = sources[0] if len(sources) == 1 else None
-        check_unused(variables, used_variables, single_source)
+        check_unused_variables(variables, used_variables, single_source)
     return loaded_sources
 
 

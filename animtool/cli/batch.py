@@ -406,14 +406,18 @@ def _print_results(
     console: Console,
     report: BatchReport,
     params: dict[str, Any],
-    repeat: _RepeatCommand,
+    repeat_command: _RepeatCommand,
     notices: Sequence[Fault],
 ) -> None:
-    from animtool.cli.batch_progress import DRY_RUN, PLANNED, SUMMARY
+    from animtool.cli.batch_progress import (
+        DRY_RUN_TEMPLATE,
+        PLANNED_TEMPLATE,
+        SUMMARY_TEMPLATE,
+    )
 
     report_format = params["report_format"]
     if report_format == "json":
-        items = tuple(map(repeat.with_command, report.items))
+        items = tuple(map(repeat_command.with_command, report.items))
         console.result_json(replace(report, items=items))
     elif report_format == "jsonl":
         if params["dry_run"]:
@@ -421,14 +425,15 @@ def _print_results(
                 console.result_json(item_report, is_one_line=True)
         console.result_json(report.summary, is_one_line=True)
     elif params["dry_run"]:
-        console.result(*PLANNED.text(report))
+        console.result(*PLANNED_TEMPLATE.text(report))
     console.faults(notices)
     _print_notices(console, report)
-    console.lines((DRY_RUN if params["dry_run"] else SUMMARY).text(report))
+    template = DRY_RUN_TEMPLATE if params["dry_run"] else SUMMARY_TEMPLATE
+    console.lines(template.text(report))
     for item_report in report.failed:
         console.error(f"{item_report.item.label} failed")
         console.faults(item_report.faults, is_fatal=True)
-        console.say(f"  again: {repeat.command(item_report)}")
+        console.say(f"  again: {repeat_command.command(item_report)}")
 
 
 def _print_notices(console: Console, report: BatchReport) -> None:

@@ -124,12 +124,12 @@ def show_progress(console: Console, *, prints_json: bool) -> Iterator[Listener]:
     from rich.console import Console as RichConsole
     from rich.live import Live
 
-    live_table, renderable = _table_listener(console, prints_json=prints_json)
+    listener, draw_table = _table_listener(console, prints_json=prints_json)
     # Redrawn a few times per second at most.
     with Live(
-        get_renderable=renderable, console=RichConsole(stderr=True), transient=True
+        get_renderable=draw_table, console=RichConsole(stderr=True), transient=True
     ):
-        yield live_table
+        yield listener
 
 
 def _line_listener(console: Console, *, prints_json: bool) -> Listener:
@@ -257,7 +257,7 @@ def _pass_table(
         yield f"  {omitted_text} more, which are better; --format json lists all"
 
 
-SUMMARY = Template(
+SUMMARY_TEMPLATE = Template(
     "animtool.batch.report:BatchReport",
     (
         "[{items:n item}|0 items]: [{self:counts}|nothing] in {seconds:.2f} s",
@@ -280,14 +280,14 @@ SUMMARY = Template(
     },
 )
 # Summary of a dry run: the number of items to build, and each with its reason.
-DRY_RUN = replace(
-    SUMMARY,
+DRY_RUN_TEMPLATE = replace(
+    SUMMARY_TEMPLATE,
     printers={
-        **SUMMARY.printers,
+        **SUMMARY_TEMPLATE.printers,
         "counts": lambda report: _counts_text(report, "to build"),
     },
 )
-PLANNED = Template(
+PLANNED_TEMPLATE = Template(
     "animtool.batch.report:BatchReport",
     (Each("items", ("[{?skipped}skip|make] {self:item} ({reason}[: {detail}])",)),),
     {"item": _item_text},

@@ -45,7 +45,7 @@ def _difference_template(kind: str, value_format: str, location_format: str) -> 
 _JOINT, _POINT = "joint {@.joint:repr}", "{@.prim:repr}, point {@.point}"
 _SHAPE = "shape {@.shape:repr}"
 _DIFFERENCES = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self}",)))
-_TAKES = Template(
+_TAKES_TEMPLATE = Template(
     "animtool.report.compare:TakeDifference",
     (
         "[{!joints}{!shapes}no joint is in both files|"
@@ -64,7 +64,7 @@ _TAKES = Template(
     ),
     {"several": lambda count: counted(count, "skeleton") if count > 1 else ""},
 )
-_POINTS = Template(
+_POINTS_TEMPLATE = Template(
     "animtool.report.compare_points:PointsDifference",
     (
         "{prims:n prim}, {samples:n sample} compared",
@@ -166,11 +166,11 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
         difference = compare_points(first, second)
     if difference is not None:
         tolerances = params["tol"], params["tol_degrees"]
-        template, notices = _POINTS, []
+        template, notices = _POINTS_TEMPLATE, []
     else:
         difference = compare(first, second, *_source_options(first, second, params))
         tolerances = params["tol"], params["tol_degrees"], params["tol_weight"]
-        template, notices = _TAKES, difference.notices
+        template, notices = _TAKES_TEMPLATE, difference.notices
     is_within = difference.within(*tolerances)
     notices = [*notices, *difference.tolerance_warnings(*tolerances)]
     if params["report_format"] == "json":

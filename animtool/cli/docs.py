@@ -59,8 +59,8 @@ Examples:
   animtool docs --list"""
 )
 @click.argument("topic", required=False)
-@click.option("--list", "list_pages", is_flag=True, help="List the pages.")
-@click.option("--print", "print_only", is_flag=True, help="Print, and open no browser.")
+@click.option("--list", "lists_pages", is_flag=True, help="List the pages.")
+@click.option("--print", "is_printed", is_flag=True, help="Print, and open no browser.")
 @format_option
 @common_options
 @click.pass_obj
@@ -68,8 +68,8 @@ def docs(
     console: Console,
     /,
     topic: str | None,
-    list_pages: bool,
-    print_only: bool,
+    lists_pages: bool,
+    is_printed: bool,
     report_format: str,
 ) -> None:
     """Open the page of a TOPIC in the browser, or print it.
@@ -81,14 +81,14 @@ def docs(
     import sys
 
     if report_format == "json":
-        console.result_json(_docs_report(None if list_pages or not topic else topic))
+        console.result_json(_docs_report(None if lists_pages or not topic else topic))
         return
-    if list_pages:
+    if lists_pages:
         _print_page_list(console)
         return
     page = COMMANDS_PAGE if topic is None else _page_of(topic)
     site_page = "index" if topic is None else page.name
-    opens_browser = not print_only and sys.stdout.isatty()
+    opens_browser = not is_printed and sys.stdout.isatty()
     if opens_browser and _open_in_browser(console, site_page):
         return
     if topic is None:

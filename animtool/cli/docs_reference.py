@@ -18,9 +18,7 @@ def commands_markdown(name: str | None = None) -> str:
     context = click.Context(cli, info_name="animtool")
     paragraphs: list[str] = []
     if name is None:
-        rows = [
-            (f"[`{n}`](#animtool-{n})", help_) for n, (_, help_) in COMMANDS.items()
-        ]
+        rows = [(f"[`{n}`](#animtool-{n})", text) for n, (_, text) in COMMANDS.items()]
         paragraphs += [
             "# Commands",
             "Every command with its arguments and options, as `--help` has them.",
@@ -40,8 +38,8 @@ def _command_paragraphs(
     """Yield the paragraphs of a command and its subcommands."""
     yield f"{'#' * level} {context.command_path}"
     yield _escape_prose(command.help or "")
-    pieces = command.collect_usage_pieces(context)
-    yield f"```text\n{' '.join([context.command_path, *pieces])}\n```"
+    usage_parts = command.collect_usage_pieces(context)
+    yield f"```text\n{' '.join([context.command_path, *usage_parts])}\n```"
     rows = [
         ("`{}`".format(record[0].replace("|", "\\|")), _escape_prose(record[1]))
         for parameter in command.get_params(context)

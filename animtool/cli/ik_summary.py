@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from animtool.ik.report import Misses
 
 
-def _miss_text(miss: Misses, figure: str) -> str:
+def _miss_text(miss: Misses, statistic: str) -> str:
     """Format a figure of missed goals as a length or an angle."""
-    value = getattr(miss, figure)
+    value = getattr(miss, statistic)
     if miss.is_length and not math.isfinite(value):
         return f"over {OVERFLOW_DISTANCE:g} m"
     return length_text(value) if miss.is_length else angle_text(math.degrees(value))

@@ -21,7 +21,7 @@ from animtool.cli.options import (
     variables_option,
 )
 from animtool.core.errors import counted, listed, percent_text
-from animtool.core.names import check_unused, has_kind_suffix
+from animtool.core.names import check_unused_variables, has_kind_suffix
 from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.report.text import Each, Line, Template
@@ -186,8 +186,8 @@ def _content_text(prim: PointPrimSummary) -> str:
 
 def _extreme_text(extreme: Extreme, unit: str) -> str:
     """Return an extreme value with its character and frame as text."""
-    parts = extreme.character.strip("/").split("/")
-    name = next((part for part in parts if part.startswith("agent")), parts[0])
+    path_names = extreme.character.strip("/").split("/")
+    name = next((n for n in path_names if n.startswith("agent")), path_names[0])
     return f"{plain_number(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
 
 
@@ -298,7 +298,7 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
         console.faults(failure.faults)
     exit_code = max((int(failure.exit_code) for failure in errors), default=0)
     if params["variables"] and not exit_code:
-        check_unused(dict(params["variables"]), used_variables)
+        check_unused_variables(dict(params["variables"]), used_variables)
     click.get_current_context().exit(exit_code)
 
 

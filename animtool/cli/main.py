@@ -85,16 +85,16 @@ def memory_fault(error: BaseException) -> Fault:
 
 def _innermost_function(error: BaseException) -> str:
     """Return the module and name of the innermost function of animtool on the stack."""
-    innermost_name, trace = "", error.__traceback__
-    while trace is not None:
-        code_object = trace.tb_frame.f_code
+    innermost_name, traceback = "", error.__traceback__
+    while traceback is not None:
+        code_object = traceback.tb_frame.f_code
         # Paths of a checkout and of an installation have the same ending.
         path = code_object.co_filename.replace("\\", "/")
         prefix, _, module_path = path.rpartition("/animtool/")
         if prefix and module_path.endswith(".py"):
             module = module_path.removesuffix(".py").replace("/", ".")
             innermost_name = f"{module} ({code_object.co_name})"
-        trace = trace.tb_next
+        traceback = traceback.tb_next
     return innermost_name
 
 
@@ -273,7 +273,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         if fault is not None:
             error = OutputError(fault)
         elif crash.path:
-            error = FormatError(crash_fault(crash.path, crash.number))
+            error = FormatError(crash_fault(crash.path, crash.signal_number))
         return _report_error(Console(logs_json=_logs_json(argv)), error)
 
     os._exit(supervise(lambda: run(argv), report_crash, _remove_leftovers))
@@ -283,12 +283,12 @@ class _CrashError(Exception):
     """The child process crashed while it read a file that is not known."""
 
 
-def _remove_leftovers(folders: Sequence[str], process: int) -> None:
+def _remove_leftovers(folders: Sequence[str], process_id: int) -> None:
     from pathlib import Path
 
     from animtool.core.files.leftovers import remove_leftovers
 
-    remove_leftovers(map(Path, folders), process)
+    remove_leftovers(map(Path, folders), process_id)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -107,11 +107,11 @@ def run_on_markers(
     with atomic_command(), console.progress(f"{command} {sources[0].name}"):
         marker_sets = [read_marker_file(path, params) for path in sources]
         markers, report = process_markers(*marker_sets)
-        results = [*marker_sets, report]
+        notice_sources = [*marker_sets, report]
         result_files = [*sources, sources[0]]
         notices = [
             notice.in_file(path)
-            for path, result in zip(result_files, results, strict=True)
+            for path, result in zip(result_files, notice_sources, strict=True)
             for notice in result.notices
         ]
         refuse_warnings(notices, strict=params["strict"])

@@ -213,12 +213,12 @@ def _console_callback(name: str, value: Any) -> Callable[..., None]:
 def stack_options(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
     """Return a decorator that applies several option decorators in order."""
 
-    def add(command: Command) -> Command:
+    def add_options(command: Command) -> Command:
         for option in reversed(decorators):
             command = option(command)
         return command
 
-    return add
+    return add_options
 
 
 # Options of every command: verbosity and format of messages.

@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 from animtool.cli.console import Console
-from animtool.cli.summary import PLAN
+from animtool.cli.summary import PLAN_TEMPLATE
 from animtool.core.files.output import check_outputs
 from animtool.preview.build import PreviewPage, check_page_output, make_page, write_page
 from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
@@ -32,11 +32,11 @@ def print_plan(
         picture_kind(output)
         check_outputs([output], files, overwrite=True)
     steps = page_steps(files, output, options)
-    console.report(report_format, PlanSteps(steps), PLAN)
+    console.report(report_format, PlanSteps(steps), PLAN_TEMPLATE)
 
 
 # Content, accuracy and omissions of a page.
-PAGE = Template(
+PAGE_TEMPLATE = Template(
     "animtool.preview.build:PageReport",
     (
         "{page.manifest.time.count:n frame}[, {page.manifest.takes:n take}]"
@@ -52,7 +52,7 @@ PAGE = Template(
         "{path}: {size:size}",
     ),
 )
-PICTURE = Template(
+PICTURE_TEMPLATE = Template(
     "animtool.preview.pictures.build:PictureReport",
     (
         Each("page.manifest.notices", ("  {self}",)),
@@ -83,7 +83,7 @@ def write_preview(
     with console.progress(f"preview {files[0].name}"):
         report = write_page(files, target, options, overwrite=overwrite)
     console.faults(report.page.notices)
-    console.report(report_format, report, PAGE)
+    console.report(report_format, report, PAGE_TEMPLATE)
     if opens_browser and not open_browser(target.resolve().as_uri()):
         console.say("no browser was found")
         opens_browser = False
@@ -112,7 +112,7 @@ def write_picture(
             progress=progress,
         )
     console.faults(report.page.notices)
-    console.report(report_format, report, PICTURE)
+    console.report(report_format, report, PICTURE_TEMPLATE)
 
 
 def serve_preview(

@@ -297,7 +297,7 @@ def _other_prims_text(step: PlanStep, name: str) -> str:
     return "" if prim_names == (step.name,) else ", ".join(prim_names)
 
 
-PLAN = Template(
+PLAN_TEMPLATE = Template(
     "animtool.scene.bake.steps:PlanSteps",
     (
         Each(
@@ -313,7 +313,7 @@ PLAN = Template(
     {"others": _other_prims_text},
     is_result=True,
 )
-STATS = Template(
+STATS_TEMPLATE = Template(
     "animtool.scene.bake.progress:BakeStats",
     (
         Table(

@@ -98,16 +98,16 @@ def find_config(path: Path) -> Config:
     ``animtool.toml`` is read in full, ``pyproject.toml`` at ``[tool.animtool]``.
     """
     for folder in path.resolve().parents:
-        config_file, project = folder / "animtool.toml", folder / "pyproject.toml"
+        config_file, pyproject = folder / "animtool.toml", folder / "pyproject.toml"
         note_input(config_file)
         if config_file.is_file():
             return _config_from_table(config_file, _read_toml(config_file))
-        note_input(project)
-        if project.is_file():
-            tools = _read_toml(project).get("tool", {})
+        note_input(pyproject)
+        if pyproject.is_file():
+            tools = _read_toml(pyproject).get("tool", {})
             table = tools.get("animtool") if isinstance(tools, dict) else None
             if table is not None:
-                return _config_from_table(project, table)
+                return _config_from_table(pyproject, table)
     return Config()
 
 
@@ -164,13 +164,13 @@ def _config_from_table(path: Path, table: Any) -> Config:
     validate = table.get("validate", {})
     if not isinstance(validate, dict):
         raise _value_error(path, f"validate is {validate!r}, not a table of settings")
-    limit = table.get("max_array_mb")
-    if limit is not None and not (_is_integer(limit) and 0 < limit <= MAX_ARRAY_MB):
-        message = f"max_array_mb is {limit!r}, not a whole number from 1 to "
+    max_mb = table.get("max_array_mb")
+    if max_mb is not None and not (_is_integer(max_mb) and 0 < max_mb <= MAX_ARRAY_MB):
+        message = f"max_array_mb is {max_mb!r}, not a whole number from 1 to "
         raise _value_error(path, f"{message}{MAX_ARRAY_MB}")
     start_frame = None if start is None else Fraction(start)
     timeline = _timeline_from_table(path, table.get("timeline", {}))
-    return Config(start_frame, folders, validate, limit, path, timeline)
+    return Config(start_frame, folders, validate, max_mb, path, timeline)
 
 
 def _is_integer(value: Any) -> bool:

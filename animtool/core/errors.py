@@ -103,8 +103,9 @@ class Fault:
             prefix = ":".join(map(str, [self.path, *self.lines[:1], *column])) + ": "
         location = f"{self.where}: " if self.where else ""
         hint_text = f"; {self.hint}" if self.hint else ""
-        kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
-        return escaped(f"{prefix}{kind}{self.code} {location}{self.message}{hint_text}")
+        if self.severity is not Severity.ERROR:
+            prefix += f"{self.severity}: "
+        return escaped(f"{prefix}{self.code} {location}{self.message}{hint_text}")
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""

@@ -100,7 +100,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"allowed: {', '.join(sorted_names[:MAX_LISTED_NAMES])}{omitted_text}"
 
 
-def check_unused(
+def check_unused_variables(
     defined_names: Iterable[str],
     used_names: Iterable[str],
     path: Path | None = None,
@@ -117,7 +117,7 @@ def check_unused(
         in_batch: Whether a batch defines them, and not the command line.
         has_scene: Whether there is a scene that could use them.
 
-    >>> check_unused(["shot"], ["shot", "rate"])
+    >>> check_unused_variables(["shot"], ["shot", "rate"])
     """
     sorted_names, path_text = sorted(used_names), None if path is None else str(path)
     setter = "variables" if in_batch else argument("variables")
@@ -138,7 +138,7 @@ def check_unused(
 
 
 # Maximum number of digits of a float64, and the number that is usually enough.
-MAX_DIGITS, DEFAULT_DIGITS = 17, 15
+MAX_FLOAT_DIGITS, DEFAULT_FLOAT_DIGITS = 17, 15
 # Control characters except line ends and tabs.
 _UNREADABLE_CHARACTERS = re.compile(f"(?![\n\t])[{CONTROL_CHARACTERS}]")
 
@@ -165,7 +165,7 @@ def scaled_decimal(value: float, unit: float) -> str:
     if unit == 1.0:
         return decimal_text(value)
     quotient = value / unit
-    for digits in range(DEFAULT_DIGITS, MAX_DIGITS + 1):
+    for digits in range(DEFAULT_FLOAT_DIGITS, MAX_FLOAT_DIGITS + 1):
         rounded_quotient = float(f"{quotient:.{digits}g}")
         for candidate in (
             rounded_quotient,

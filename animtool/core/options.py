@@ -206,13 +206,13 @@ def with_text_values(
     """
 
     def add_options(record_type: type[Record]) -> type[Record]:
-        hints, options = get_type_hints(record), options_of(record)
+        type_hints, options = get_type_hints(record), options_of(record)
         new_fields = []
         for name in dict.fromkeys((*first_names, *options)):
             text_type = _TEXT_VALUE_TYPES.get(options[name].kind)
             default_value = record.__dataclass_fields__[name].default
             default = default_value if text_type is None else options[name].text_default
-            new_fields.append((name, text_type or hints[name], default))
+            new_fields.append((name, text_type or type_hints[name], default))
         namespace = {name: getattr(record_type, name) for name in _INHERITED_ATTRIBUTES}
         name, bases = record_type.__name__, (record_type,)
         text_record: type[Record] = make_dataclass(
@@ -356,8 +356,8 @@ def ranges_of(record: type[Any]) -> Mapping[str, Range]:
     if hasattr(record, "model_fields"):
         constraints = {name: e.metadata for name, e in record.model_fields.items()}
     else:
-        hints = get_type_hints(record, include_extras=True).items()
-        constraints = {name: getattr(h, "__metadata__", ()) for name, h in hints}
+        type_hints = get_type_hints(record, include_extras=True).items()
+        constraints = {name: getattr(h, "__metadata__", ()) for name, h in type_hints}
     return {
         name: constraint
         for name, field_constraints in constraints.items()
@@ -379,13 +379,13 @@ must be above 1, not 1']
     for name, valid_range in ranges_of(kind).items():
         value = getattr(record, name)
         if not valid_range.holds(value):
-            words = message.partition(", not ")[0] if valid_range.count else message
-            text = words.format(name=name, bound=valid_range.bound, value=value)
+            template = message.partition(", not ")[0] if valid_range.count else message
+            text = template.format(name=name, bound=valid_range.bound, value=value)
             faults.append(Fault(valid_range.code, text, where=name))
     return faults
 
 
-class Checked:
+class CheckedRecord:
     """Base of records that report their own invalid values."""
 
     __slots__ = ()

@@ -67,13 +67,14 @@ class PageEntry:
 def all_pages() -> tuple[PageEntry, ...]:
     """Return all pages except those of rules, sorted by kind and name."""
     docs = cast(Path, _DOCS)
-    order = list(PAGE_KINDS.values())
+    kind_order = list(PAGE_KINDS.values())
     entries = [
         PageEntry(path.relative_to(docs).with_suffix("").as_posix(), _page_title(path))
         for path in docs.rglob("*.md")
         if path.relative_to(docs).parts[0] != "rules"
     ]
-    return tuple(sorted(entries, key=lambda page: (order.index(page.kind), page.name)))
+    entries.sort(key=lambda page: (kind_order.index(page.kind), page.name))
+    return tuple(entries)
 
 
 def page_markdown(page: PageEntry) -> str:

@@ -133,30 +133,30 @@ class ListedEntry:
 
 
 def listed_entries(
-    builtin: Iterable[str],
-    points: Mapping[str, EntryPoint],
+    builtin_names: Iterable[str],
+    entry_points: Mapping[str, EntryPoint],
     find: Callable[[str], EntryT],
     describe: Callable[[EntryT], tuple[Any, str]],
-    unusable: Any,
+    uses_if_broken: Any,
 ) -> list[ListedEntry]:
     """Return all entries of a table, built-in ones first, with plug-ins loaded.
 
     Args:
-        builtin: Names of the built-in entries.
-        points: Entry points of the table, by name.
+        builtin_names: Names of the built-in entries.
+        entry_points: Entry points of the table, by name.
         find: Returns an entry by its name.
         describe: Returns the uses and the description of an entry.
-        unusable: Uses of an entry that cannot be loaded.
+        uses_if_broken: Uses of an entry that cannot be loaded.
     """
-    sources = dict.fromkeys(builtin, "animtool")
-    for name, point in sorted(points.items()):
+    sources = dict.fromkeys(builtin_names, "animtool")
+    for name, point in sorted(entry_points.items()):
         sources.setdefault(name, point.value)
     listed = []
     for name, source in sources.items():
         try:
             uses, about = describe(find(name))
         except OptionError as error:
-            uses, about = unusable, error.faults[0].message
+            uses, about = uses_if_broken, error.faults[0].message
         listed.append(ListedEntry(name, source, uses, about))
     return listed
 

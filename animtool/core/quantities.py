@@ -18,7 +18,7 @@ import re
 from collections.abc import Iterable
 
 # An integer of at least this many seconds may be meant in frames.
-MIN_FRAMES = 5
+MIN_SUSPECT_SECONDS = 5
 # Character class of a regular expression: characters that names never need.
 CONTROL_CHARACTERS = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
 # Control characters, line ends, zero-width characters, changes of text direction, and
@@ -27,9 +27,11 @@ _INVISIBLE = (
     f"{CONTROL_CHARACTERS}\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f"
     "\ufeff\ufff9-\ufffb\ufffe\uffff\U000e0000-\U000e007f"
 )
-_JOINER = "(?<![^\x00-\x7f])[\u200c\u200d]|[\u200c\u200d](?![^\x00-\x7f])"
+_STRAY_JOINER = "(?<![^\x00-\x7f])[\u200c\u200d]|[\u200c\u200d](?![^\x00-\x7f])"
 _PIPELINE_COMMAND = r"#(?=#\w{0,9}\[)"
-_CHARACTERS_TO_ESCAPE = re.compile(f"[{_INVISIBLE}]|{_JOINER}|{_PIPELINE_COMMAND}")
+_CHARACTERS_TO_ESCAPE = re.compile(
+    f"[{_INVISIBLE}]|{_STRAY_JOINER}|{_PIPELINE_COMMAND}"
+)
 _LEADING_COLON = re.compile(r"\A(\s*):(?=:)")
 _SHORT_ESCAPES = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
@@ -178,7 +180,7 @@ def frames_hint(seconds: float, rate: float) -> str | None:
     >>> frames_hint(30, 120), frames_hint(0.5, 120)
     ('30 frames at 120 frames per second are 0.25 s', None)
     """
-    if seconds < MIN_FRAMES or seconds != round(seconds):
+    if seconds < MIN_SUSPECT_SECONDS or seconds != round(seconds):
         return None
     duration = f"{seconds / rate:.3g} s"
     return f"{seconds:g} frames at {rate:.6g} frames per second are {duration}"
@@ -203,9 +205,12 @@ def size_text(size: float, digits: int = 3) -> str:
 
 
 def _unit_text(
-    value: float, units: tuple[tuple[float, float, str], ...], zero: str, digits: int
+    value: float,
+    units: tuple[tuple[float, float, str], ...],
+    zero_unit: str,
+    digits: int,
 ) -> str:
     if not value:
-        return f"0 {zero}"
+        return f"0 {zero_unit}"
     _, unit, name = next(each for each in units if abs(value) >= each[0])
     return f"{plain_number(value / unit, digits)} {name}"

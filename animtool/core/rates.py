@@ -135,13 +135,13 @@ def _adjacent_integers(rate: Fraction) -> list[int]:
 def _integers_that_print(printed_time: Fraction, digits: int) -> list[int]:
     """Return the integers from 1 to 1000 whose reciprocals round to a printed time."""
     half_digit = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
-    lower, upper = printed_time - half_digit, printed_time + half_digit
-    smallest = int(1 / upper)
-    largest = int(1 / lower) + 1 if lower > 0 else MAX_INTEGER_RATE
+    min_time, max_time = printed_time - half_digit, printed_time + half_digit
+    smallest_rate = int(1 / max_time)
+    largest_rate = int(1 / min_time) + 1 if min_time > 0 else MAX_INTEGER_RATE
     return [
         n
-        for n in range(max(1, smallest), min(MAX_INTEGER_RATE, largest) + 1)
-        if lower <= Fraction(1, n) < upper
+        for n in range(max(1, smallest_rate), min(MAX_INTEGER_RATE, largest_rate) + 1)
+        if min_time <= Fraction(1, n) < max_time
     ]
 
 
@@ -297,8 +297,8 @@ def rate_warning(fps: Fraction, name: str | None = "fps") -> list[Fault]:
     )
     hint = "use the number of frames in one second, not their total or a frame time"
     if MIN_STATED_RATE <= fps < 1:
-        inverse = rate_from_frame_time(f"{float(fps):.12g}").fps
-        if is_common_rate(inverse):
-            hint = f"it looks like the frame time of {rate_label(inverse)}; "
-            hint += f"write {inverse}"
+        inverse_rate = rate_from_frame_time(f"{float(fps):.12g}").fps
+        if is_common_rate(inverse_rate):
+            hint = f"it looks like the frame time of {rate_label(inverse_rate)}; "
+            hint += f"write {inverse_rate}"
     return [Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)]

@@ -367,9 +367,9 @@ def listed_readers() -> list[ListedEntry]:
     >>> listed_readers()[0].name
     '.bvh'
     """
-    return _TABLE.listed(_contents, lambda reader: reader.about)
+    return _TABLE.listed(_content_names, lambda reader: reader.about)
 
 
-def _contents(reader: Reader) -> tuple[str, ...]:
+def _content_names(reader: Reader) -> tuple[str, ...]:
     objects = {"rig": reader.rig, "source": reader.source, "markers": reader.markers}
     return tuple(name for name, target in objects.items() if target)

@@ -61,7 +61,7 @@ def _record(cls: type[Any], params: Any) -> type[Any]:
             declared_fields[name] = _declared_field(cls, name, type_, params.kw_only)
     # Fields of a frozen record without slots are filled in at once.
     stores_in_dict = params.frozen and not params.slots and not _inherited_slots(cls)
-    methods = _methods(
+    methods = _record_methods(
         declared_fields, params, hasattr(cls, "__post_init__"), stores_in_dict
     )
     attributes = vars(cls)
@@ -131,7 +131,7 @@ def _field_marker() -> Any:
 _FIELD = _field_marker()
 
 
-def _methods(
+def _record_methods(
     declared_fields: Mapping[str, Field[Any]],
     params: Any,
     has_post_init: bool,
@@ -324,19 +324,19 @@ def _repr_method(names: list[str]) -> Callable[[Any], str]:
     def __repr__(self: Any) -> str:  # noqa: N807
         record_type = type(self)
         # A record that contains itself through a list would recurse forever.
-        if id(self) in _REPR_ACTIVE:
+        if id(self) in _RECORDS_IN_REPR:
             return "..."
-        _REPR_ACTIVE.add(id(self))
+        _RECORDS_IN_REPR.add(id(self))
         try:
             fields_text = ", ".join(f"{name}={getattr(self, name)!r}" for name in names)
         finally:
-            _REPR_ACTIVE.discard(id(self))
+            _RECORDS_IN_REPR.discard(id(self))
         return f"{record_type.__qualname__}({fields_text})"
 
     return __repr__
 
 
-_REPR_ACTIVE: set[int] = set()
+_RECORDS_IN_REPR: set[int] = set()
 
 
 def _frozen_methods(

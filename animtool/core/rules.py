@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 Check = Callable[[Any], Iterable[Fault]]
 PLUGIN_GROUP = "animtool.rules"
-_PAGES = resources.files("animtool") / "docs" / "rules"
-_CODE = re.compile(r"[A-Z][A-Z0-9]{1,7}[0-9]{3}")
+_PAGES_FOLDER = resources.files("animtool") / "docs" / "rules"
+_CODE_PATTERN = re.compile(r"[A-Z][A-Z0-9]{1,7}[0-9]{3}")
 
 
 class Kind(StrEnum):
@@ -99,7 +99,7 @@ class Rule:
 
 def read_page(code: str) -> tuple[Rule, str] | None:
     """Return the rule of a code, and the Markdown of its page; None if unknown."""
-    file = _PAGES / f"{code}.md"
+    file = _PAGES_FOLDER / f"{code}.md"
     return _parse_page(file.read_text("utf-8")) if file.is_file() else None
 
 
@@ -113,7 +113,7 @@ def page_text(code: str) -> str | None:
 def builtin_rules() -> Mapping[str, Rule]:
     """Return animtool's own rules in order, by code."""
     rules = []
-    for page_file in _PAGES.iterdir():
+    for page_file in _PAGES_FOLDER.iterdir():
         # For 800 files, text buffers and decoders would take half of the time.
         with cast(Path, page_file).open("rb", buffering=0) as page:
             rules.append(_parse_page(page.read().decode())[0])
@@ -237,7 +237,7 @@ def find_rule(code: str) -> Rule:
     'duplicate joint'
     """
     upper_code = code.upper()
-    page = read_page(upper_code) if _CODE.fullmatch(upper_code) else None
+    page = read_page(upper_code) if _CODE_PATTERN.fullmatch(upper_code) else None
     if page is not None:
         return page[0]
     upper_code = current_codes(upper_code)[0]
@@ -286,7 +286,7 @@ def _load_rule(point: EntryPoint) -> Rule | Fault:
 
 def _rule_fault(name: str, rule: Rule) -> str:
     """Return what is wrong with a plug-in's rule; "" if it is valid."""
-    if not _CODE.fullmatch(name) or rule.code != name:
+    if not _CODE_PATTERN.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, but its name must be of the form ABC123"
     if name in builtin_rules() or name in replaced_codes():
         return "uses a code of animtool's"

@@ -8,7 +8,7 @@ from fractions import Fraction
 # Labelled frame rates with drop-frame, and the labels skipped per minute except every
 # tenth.
 _DROPPED_LABELS = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
-_LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
+_LABEL_PATTERN = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
 
 def is_timecode(text: object) -> bool:
@@ -17,7 +17,7 @@ def is_timecode(text: object) -> bool:
     >>> is_timecode("01:00:00;02"), is_timecode("1 h")
     (True, False)
     """
-    return isinstance(text, str) and _LABEL.fullmatch(text.strip()) is not None
+    return isinstance(text, str) and _LABEL_PATTERN.fullmatch(text.strip()) is not None
 
 
 def nominal_rate(rate: Fraction) -> int:
@@ -53,7 +53,7 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     >>> parse_timecode("01:00:00;00", Fraction(30000, 1001))
     Fraction(107892, 1)
     """
-    match = _LABEL.fullmatch(text.strip())
+    match = _LABEL_PATTERN.fullmatch(text.strip())
     if match is None:
         message = f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
         raise ValueError(message)
@@ -120,8 +120,8 @@ def seconds_between(
     """
     difference = parse_timecode(second, second_rate) / second_rate
     difference -= parse_timecode(first, first_rate) / first_rate
-    day = frames_per_day(first_rate, is_drop_frame=";" in first) / first_rate
-    return (difference + day / 2) % day - day / 2
+    day_seconds = frames_per_day(first_rate, is_drop_frame=";" in first) / first_rate
+    return (difference + day_seconds / 2) % day_seconds - day_seconds / 2
 
 
 def _labels_dropped_per_minute(rate: Fraction) -> int:

@@ -294,10 +294,10 @@ def listed_writers() -> list[ListedEntry]:
     >>> listed_writers()[0].name
     '.bvh'
     """
-    return _TABLE.listed(_contents, lambda writer: writer.about)
+    return _TABLE.listed(_content_names, lambda writer: writer.about)
 
 
-def _contents(writer: Writer) -> tuple[str, ...]:
+def _content_names(writer: Writer) -> tuple[str, ...]:
     contents: dict[str, Any] = {
         "motion": writer.holds_motion,
         "markers": writer.markers,

@@ -18,7 +18,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError
 from animtool.core.loaded import check_loaded
-from animtool.core.quantities import MIN_FRAMES
+from animtool.core.quantities import MIN_SUSPECT_SECONDS
 from animtool.core.record import dataclass
 from animtool.edit.frames import frame_index
 from animtool.edit.loop_options import LoopOptions
@@ -137,7 +137,7 @@ def _frames_hint(
     seconds: Length of the take [s].
     """
     are_frame_counts = [
-        length >= MIN_FRAMES and length == round(length)
+        length >= MIN_SUSPECT_SECONDS and length == round(length)
         for length in (shortest, longest)
     ]
     if not are_frame_counts[0] or shortest / rate > seconds:

@@ -8,7 +8,12 @@ from typing import Any
 
 import pytest
 
-from animtool.cli.summary import BAKE_TEMPLATE, STATS, channel_lines, mesh_groups
+from animtool.cli.summary import (
+    BAKE_TEMPLATE,
+    STATS_TEMPLATE,
+    channel_lines,
+    mesh_groups,
+)
 from animtool.clip.key_report import ChannelDeviation
 from animtool.core.values import plain_value
 from animtool.report.text import render
@@ -51,7 +56,7 @@ def test_the_largest_error_of_each_unit_names_its_channel_once() -> None:
 def test_stages_and_outputs_are_rows_of_one_table() -> None:
     bake_stats = BakeStats([StageCost("a.bvh", "source", 0.25, 2_000_000)])
     bake_stats.costs.append(OutputCost("a.usdc", None, 0.001))
-    assert STATS.text(bake_stats) == [
+    assert STATS_TEMPLATE.text(bake_stats) == [
         "stage           seconds  peak MB  error mm",
         "a.bvh (source)    0.250      2.0",
         "a.usdc                                   1",

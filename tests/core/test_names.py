@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from animtool.core.errors import OptionError
-from animtool.core.names import check_unused, nearest
+from animtool.core.names import check_unused_variables, nearest
 
 
 def test_nearest() -> None:
@@ -18,8 +18,8 @@ def test_nearest() -> None:
 
 
 def test_what_is_given_must_be_used() -> None:
-    check_unused([], [])
+    check_unused_variables([], [])
     with pytest.raises(OptionError) as caught:
-        check_unused(["shto", "shot", "x"], {"shot"})
+        check_unused_variables(["shto", "shot", "x"], {"shot"})
     assert [f.code for f in caught.value.faults] == ["SCN031", "SCN031"]
     assert "'shot'" in (caught.value.faults[0].hint or "")

@@ -15,7 +15,7 @@ from animtool.core.files.leftovers import (
     TEMPORARY_NAME,
     Journal,
     StagedFile,
-    new_temporary,
+    new_temporary_path,
 )
 from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
@@ -96,9 +96,9 @@ class WrittenFile:
     path: Path  # the path as spelled by the user
     final_path: Path  # its final path
     temporary_path: Path  # its temporary path
-    state: FileState = FileState(0, 0, 0)  # after sealing
+    state: FileState = FileState(0, 0, 0)  # after flushing
 
-    def seal(self) -> None:
+    def flush_to_disk(self) -> None:
         """Flush the file to disk, with the mode and owner of the replaced file."""
         status = None
         with contextlib.suppress(FileNotFoundError):
@@ -108,7 +108,7 @@ class WrittenFile:
             descriptor = os.open(self.temporary_path, os.O_RDWR)
             try:
                 if status is not None and os.name != "nt":
-                    _inherit_mode(descriptor, status)
+                    _copy_mode_and_owner(descriptor, status)
                 os.fsync(descriptor)
                 self.state = FileState.of_stat(os.fstat(descriptor))
             finally:
@@ -141,7 +141,7 @@ class WrittenFile:
             self.temporary_path.unlink(missing_ok=True)
 
 
-def _inherit_mode(descriptor: int, status: os.stat_result) -> None:
+def _copy_mode_and_owner(descriptor: int, status: os.stat_result) -> None:
     """Give an open file the mode of another file and, if permitted, its owner."""
     current_status = os.fstat(descriptor)
     if (current_status.st_uid, current_status.st_gid) != (status.st_uid, status.st_gid):
@@ -178,7 +178,7 @@ def _rename_new(temporary_path: Path, final_path: Path) -> None:
 
 
 def commit_files(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> None:
-    """Commit sealed files in any number of folders: all of them or none.
+    """Commit flushed files in any number of folders: all of them or none.
 
     If one of the ``new_paths`` exists (OUT001), or a file cannot be renamed, the
     previous state is restored.
@@ -193,7 +193,9 @@ def commit_files(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> No
 
 def _commit_set(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> None:
     staged_files = [
-        StagedFile(f.final_path, f.temporary_path, f.state, new_temporary(f.final_path))
+        StagedFile(
+            f.final_path, f.temporary_path, f.state, new_temporary_path(f.final_path)
+        )
         for f in files
     ]
     try:
@@ -207,14 +209,14 @@ def _commit_set(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> Non
             file.commit(must_be_new=file.final_path in new_paths)
     except BaseException:
         if all([_try_roll_back(staged_file) for staged_file in reversed(staged_files)]):
-            journal.end()
+            journal.remove()
         raise
     for folder in journal.folders:
         _flush_folder(folder)
-    journal.end()
+    journal.remove()
     for staged_file in staged_files:
         with contextlib.suppress(OSError):
-            staged_file.backup.unlink(missing_ok=True)
+            staged_file.backup_path.unlink(missing_ok=True)
 
 
 def _try_roll_back(staged_file: StagedFile) -> bool:
@@ -229,14 +231,14 @@ def _try_roll_back(staged_file: StagedFile) -> bool:
 def _back_up(file: WrittenFile, staged_file: StagedFile) -> None:
     """Rename a file that will be replaced to its backup name."""
     try:
-        os.link(staged_file.final_path, staged_file.backup)
+        os.link(staged_file.final_path, staged_file.backup_path)
     except FileNotFoundError:
         return
     except OSError as error:
         if error.errno not in _NO_LINK_ERRORS:
             raise output_error(file.path, error) from error
         try:
-            staged_file.final_path.replace(staged_file.backup)
+            staged_file.final_path.replace(staged_file.backup_path)
         except OSError as link_error:
             raise output_error(file.path, link_error) from link_error
 

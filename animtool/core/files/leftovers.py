@@ -26,7 +26,7 @@ from animtool.core.files.reading import FileState, open_input, read_input
 from animtool.core.record import dataclass
 
 _OWNER_PATTERN = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
-# Names created by `new_temporary`.
+# Names created by `new_temporary_path`.
 TEMPORARY_NAME = re.compile(rf"{_OWNER_PATTERN.pattern}[0-9a-f]{{12}}(\.\w+)?")
 _JOURNAL_SUFFIX = ".set"
 # Longer suffixes are no file type, and would make the temporary name too long.
@@ -40,7 +40,7 @@ def temporary_prefix(process_id: int | None = None) -> str:
     return f".animtool-{_host_digest()}-{process_id or os.getpid()}-"
 
 
-def new_temporary(final_path: Path) -> Path:
+def new_temporary_path(final_path: Path) -> Path:
     """Return an unused temporary name next to a file."""
     suffix = final_path.suffix
     if len(os.fsencode(suffix)) > _MAX_SUFFIX_BYTES:
@@ -56,7 +56,7 @@ class StagedFile:
     final_path: Path  # its final path
     temporary_path: Path  # its temporary path
     state: FileState  # of the written file
-    backup: Path  # backup of the replaced file; unused if there was none
+    backup_path: Path  # backup of the replaced file; unused if there was none
 
     def roll_back(self) -> None:
         """Restore the replaced file, or remove the file if it is new.
@@ -65,14 +65,14 @@ class StagedFile:
         again.
         """
         final_state = _state_of(self.final_path)
-        if _state_of(self.backup) is None:
+        if _state_of(self.backup_path) is None:
             if final_state == self.state:
                 self.final_path.unlink()
         elif final_state is None or final_state == self.state:
-            self.backup.replace(self.final_path)
+            self.backup_path.replace(self.final_path)
         else:
             # The final path still has the old file, or a later one.
-            self.backup.unlink()
+            self.backup_path.unlink()
         self.temporary_path.unlink(missing_ok=True)
 
 
@@ -104,7 +104,7 @@ class Journal:
                 }
                 journal._write_file(folder, json.dumps(content).encode())
         except BaseException:
-            journal.end()
+            journal.remove()
             raise
         return journal
 
@@ -119,7 +119,7 @@ class Journal:
             file.flush()
             os.fsync(descriptor)
 
-    def end(self) -> None:
+    def remove(self) -> None:
         """Remove the journal of a set that is complete or rolled back."""
         while self._descriptors:
             with contextlib.suppress(OSError):
@@ -134,7 +134,7 @@ class Journal:
             for folder in dict.fromkeys(self.folders):
                 for file in reversed(self._staged_files(folder)):
                     file.roll_back()
-        self.end()
+        self.remove()
 
     def _staged_files(self, folder: Path) -> list[StagedFile]:
         content = read_input(folder / self.name, _MAX_JOURNAL_BYTES, is_recorded=False)
@@ -154,9 +154,9 @@ def _staged_file(folder: Path, entry: Mapping[str, Any]) -> StagedFile:
         if not _OWNER_PATTERN.match(path.name):
             raise ValueError(f"{path.name!r} is not a temporary name")
     inode, size, changed_at = map(int, entry["state"])
-    temporary_path, backup = temporary_paths
+    temporary_path, backup_path = temporary_paths
     state = FileState(size, changed_at, inode)
-    return StagedFile(final_path, temporary_path, state, backup)
+    return StagedFile(final_path, temporary_path, state, backup_path)
 
 
 def _journal_entry(file: StagedFile) -> Mapping[str, Any]:
@@ -164,7 +164,7 @@ def _journal_entry(file: StagedFile) -> Mapping[str, Any]:
         "final": file.final_path.name,
         "temporary": file.temporary_path.name,
         "state": [file.state.inode, file.state.size, file.state.changed_at],
-        "old": file.backup.name,
+        "old": file.backup_path.name,
     }
 
 

@@ -21,7 +21,7 @@ from animtool.core.files.commit import (
     output_error,
     output_target,
 )
-from animtool.core.files.leftovers import new_temporary, roll_back_folder
+from animtool.core.files.leftovers import new_temporary_path, roll_back_folder
 from animtool.core.files.reading import check_inputs, recorded_inputs
 from animtool.core.process.signals import (
     deferred_signals,
@@ -132,7 +132,7 @@ def check_outputs(
     """
     targets: list[OutputTarget] = []
     for path in outputs:
-        _check_folder(path.parent, path)
+        _require_writable_folder(path.parent, path)
         targets.append(output_target(path))
     _refuse_inputs(targets, inputs)
     _refuse_duplicates(targets)
@@ -164,7 +164,7 @@ def check_outputs(
     )
 
 
-def _check_folder(folder: Path, path: Path) -> None:
+def _require_writable_folder(folder: Path, path: Path) -> None:
     """Raise an error if the folder of an output is missing or not writable."""
     try:
         problem = "" if folder.is_dir() else "does not exist"
@@ -286,7 +286,7 @@ def replacement_path(path: Path) -> Iterator[Path]:
     """
     # Links stay: their target is replaced.
     final_path = output_target(path).final_path
-    written_file = WrittenFile(path, final_path, new_temporary(final_path))
+    written_file = WrittenFile(path, final_path, new_temporary_path(final_path))
     pending_set = _pending_outputs.get()
     note_folder(final_path.parent)
     has_succeeded, initial_signal = False, ending_signal()
@@ -296,9 +296,9 @@ def replacement_path(path: Path) -> Iterator[Path]:
             # A library swallowed the signal's exception.
             reraise_signal()
         check_inputs()
-        written_file.seal()
+        written_file.flush_to_disk()
         if pending_set is None:
-            _commit([written_file])
+            _commit_outputs([written_file])
         else:
             pending_set.files.append(written_file)
         has_succeeded = True
@@ -307,7 +307,7 @@ def replacement_path(path: Path) -> Iterator[Path]:
             written_file.remove()
 
 
-def _commit(files: Sequence[WrittenFile]) -> None:
+def _commit_outputs(files: Sequence[WrittenFile]) -> None:
     final_paths = {file.final_path for file in files}
     _refuse_duplicates(files)
     note_output()
@@ -346,11 +346,11 @@ def atomic_outputs() -> Iterator[None]:
             check_inputs()
         # A signal between renames would leave an incomplete set.
         with deferred_signals():
-            _commit(pending_set.files)
+            _commit_outputs(pending_set.files)
             for action in pending_set.commit_actions:
                 action()
     except BaseException:
-        _remove(pending_set.early_paths)
+        _remove_files(pending_set.early_paths)
         raise
     finally:
         _pending_outputs.reset(token)
@@ -371,7 +371,7 @@ def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        _remove(paths)
+        _remove_files(paths)
         raise
     finally:
         _pending_outputs.reset(token)
@@ -379,7 +379,7 @@ def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
         pending_set.early_paths.extend(paths)
 
 
-def _remove(paths: Iterable[Path]) -> None:
+def _remove_files(paths: Iterable[Path]) -> None:
     for path in paths:
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)

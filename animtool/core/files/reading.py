@@ -240,9 +240,9 @@ class InputFile(io.FileIO):
         state: State of the file when it was opened.
     """
 
-    def __init__(self, path: Path, handle: int, state: FileState) -> None:
+    def __init__(self, path: Path, descriptor: int, state: FileState) -> None:
         """Take over an open descriptor, which is closed with this file."""
-        super().__init__(handle, "rb")
+        super().__init__(descriptor, "rb")
         self.path, self.state = path, state
 
     def read(self, size: int | None = -1, /) -> bytes:
@@ -293,20 +293,20 @@ def open_input(
     """
     try:
         # Opening a device may already have effects.
-        _check_regular(path, path.stat())
-        handle = os.open(path, _OPEN_FLAGS)
+        _require_regular_file(path, path.stat())
+        descriptor = os.open(path, _OPEN_FLAGS)
     except (OSError, ValueError) as error:
         if is_recorded:
             note_input(path)
         reason = error if isinstance(error, OSError) else str(error)
         raise unreadable_error(path, reason) from error
     try:
-        status = os.fstat(handle)
-        _check_regular(path, status)
+        status = os.fstat(descriptor)
+        _require_regular_file(path, status)
         _check_size(path, status, max_bytes)
-        file = InputFile(path, handle, FileState.of_stat(status))
+        file = InputFile(path, descriptor, FileState.of_stat(status))
     except BaseException:
-        os.close(handle)
+        os.close(descriptor)
         raise
     if is_recorded:
         note_input(path, file.state)
@@ -327,7 +327,7 @@ def size_error(path: Path, size: int, limit: int) -> FormatError:
     return FormatError(Fault("IO010", message, str(path)))
 
 
-def _check_regular(path: Path, status: os.stat_result) -> None:
+def _require_regular_file(path: Path, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
         raise unreadable_error(path, _non_file_kind(status))
 
@@ -460,6 +460,6 @@ def path_from_folder(path: Path, folder: Path) -> str:
     path, folder = path.resolve(), folder.resolve()
     for common_parent in (folder, *folder.parents):
         if path.is_relative_to(common_parent):
-            steps = [".."] * len(folder.relative_to(common_parent).parts)
-            return "/".join([*steps, *path.relative_to(common_parent).parts])
+            parent_steps = [".."] * len(folder.relative_to(common_parent).parts)
+            return "/".join([*parent_steps, *path.relative_to(common_parent).parts])
     return path.as_posix()  # on another drive

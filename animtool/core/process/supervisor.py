@@ -56,21 +56,21 @@ CRASH_SIGNALS = {
 class Crash:
     """The signal by which a child crashed, and the file it was reading."""
 
-    number: int  # signal that ended it
+    signal_number: int  # signal that ended it
     path: str = ""  # file that it was reading, as spelled by the user; empty for none
 
     @property
     def name(self) -> str:
         """Name of the signal that ended the child."""
         try:
-            return signal.Signals(self.number).name
+            return signal.Signals(self.signal_number).name
         except ValueError:
-            return f"signal {self.number}"
+            return f"signal {self.signal_number}"
 
 
-def crash_fault(path: str, number: int) -> Fault:
+def crash_fault(path: str, signal_number: int) -> Fault:
     """Return the fault of a file whose reader was killed by a signal."""
-    name = signal.Signals(number).name
+    name = signal.Signals(signal_number).name
     message = f"USD crashes while reading this file or one it refers to ({name})"
     hint = "export it again; do not open it in other programs"
     return Fault("USD160", message, path, (), hint)
@@ -303,7 +303,7 @@ def supervise(
             return refuse(crash)
         from pathlib import Path  # every command imports this module
 
-        _state.crash_signals[str(Path(crash.path).absolute())] = crash.number
+        _state.crash_signals[str(Path(crash.path).absolute())] = crash.signal_number
 
 
 def _signals_to_wait_for() -> set[int]:
@@ -363,7 +363,7 @@ def _run_child(
     exit_now(exit_code)
 
 
-def exit_now(code: int) -> NoReturn:
+def exit_now(exit_code: int) -> NoReturn:
     """Flush the output and exit immediately, regardless of signals.
 
     Skips garbage collection and the destructors of libraries.
@@ -375,7 +375,7 @@ def exit_now(code: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with suppress(Exception):
             stream.flush()
-    os._exit(code)
+    os._exit(exit_code)
 
 
 def _end_with_parent(alive_pipe: int) -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.names import nearest
-from animtool.core.options import ENTRY_RANGE_MESSAGE, Checked, range_faults
+from animtool.core.options import ENTRY_RANGE_MESSAGE, CheckedRecord, range_faults
 from animtool.documents.arrays import load_array
 from animtool.documents.check import FileModel, record_of_options, unknown_options
 from animtool.documents.document import Document, Location
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 # Keys of the poses of an entry.
 POSE_KEYS = {"at", "rotate", "moves", "turns", "prim"}
 Kind = TypeVar("Kind")
-RecordT = TypeVar("RecordT", bound=Checked)
+RecordT = TypeVar("RecordT", bound=CheckedRecord)
 # Shapes as other tools call them.
 _OTHER_SHAPES = {"ball": "sphere", "cube": "box", "cylinder": "capsule"}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from animtool.core.quantities import MIN_FRAMES, frames_hint, plain_number
+from animtool.core.quantities import MIN_SUSPECT_SECONDS, frames_hint, plain_number
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 
@@ -37,7 +37,7 @@ class SceneTimes:
 
     def is_late_frame(self, t: float) -> bool:
         """Return whether a time [s] is after the scene's end but is a frame number."""
-        if self.frames is None or t != round(t) or t < MIN_FRAMES:
+        if self.frames is None or t != round(t) or t < MIN_SUSPECT_SECONDS:
             return False
         first, last = self.frames
         return self.length < t <= max(last, last - first) + 1

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
-from animtool.core.options import Checked, inherits_docs
+from animtool.core.options import CheckedRecord, inherits_docs
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.shapes import Mesh, Shape
@@ -118,7 +118,7 @@ class Poses:
 
 @inherits_docs
 @dataclass(frozen=True)
-class Collider(Contact, Checked):
+class Collider(Contact, CheckedRecord):
     """A shape, its pose over time, and its contact material.
 
     Attributes:

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Protocol
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.options import Checked, above, inherits_docs
+from animtool.core.options import CheckedRecord, above, inherits_docs
 from animtool.core.record import dataclass
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh, Radius
@@ -32,7 +32,7 @@ class SheetMotion(Protocol):
 
 @inherits_docs
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet(Material, Checked):
+class Sheet(Material, CheckedRecord):
     """A deforming surface and its contact material.
 
     Unless closed, particles collide with both sides of it.
@@ -55,7 +55,7 @@ class Sheet(Material, Checked):
 
     def problems(self) -> list[tuple[str, str]]:
         """Return the names of invalid options, each with a message."""
-        faults = Checked.problems(self)
+        faults = CheckedRecord.problems(self)
         return [fault for fault in faults if fault[0] == "radius"] or faults
 
     def collider(self, points: FloatArray, triangles: IntArray) -> Collider:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
-from animtool.core.options import Checked, above, key
+from animtool.core.options import CheckedRecord, above, key
 from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -174,10 +174,10 @@ class RecordModel(FileModel):
 
     record_path: ClassVar[str]  # record class as ``module:class``; it checks its values
 
-    def record(self, parts: Mapping[str, Any]) -> Checked:
+    def record(self, parts: Mapping[str, Any]) -> CheckedRecord:
         """Return the record built from the values that were read for the keys."""
         record_class: Any = load_object(self.record_path)
-        record: Checked = record_of(record_class, self, **parts)
+        record: CheckedRecord = record_of(record_class, self, **parts)
         return record
 
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.options import Checked, inherits_docs
+from animtool.core.options import CheckedRecord, inherits_docs
 from animtool.core.quantities import angle_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -70,7 +70,7 @@ class Births:
 
 @inherits_docs
 @dataclass(frozen=True)
-class Emitter(Emission, Checked):
+class Emitter(Emission, CheckedRecord):
     """Emits particles; the number emitted depends on time alone.
 
     The position, direction, speed and lifetime of a particle are random functions of

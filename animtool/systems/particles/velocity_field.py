@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.options import Checked, inherits_docs
+from animtool.core.options import CheckedRecord, inherits_docs
 from animtool.core.record import dataclass
 from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.records import Velocity
@@ -35,7 +35,7 @@ class Expressions:
 
 @inherits_docs
 @dataclass(frozen=True)
-class VelocityField(Velocity, Expressions, Checked):
+class VelocityField(Velocity, Expressions, CheckedRecord):
     """A velocity field as expressions of x, y, z [m], t and age [s]."""
 
     code: ClassVar[str] = "SIM022"

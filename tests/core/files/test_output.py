@@ -11,7 +11,7 @@ from support.faults import raises
 from animtool.core.errors import AnimtoolError, OptionError, OutputError
 from animtool.core.files.commit import output_error
 from animtool.core.files.leftovers import (
-    new_temporary,
+    new_temporary_path,
     remove_leftovers,
     temporary_prefix,
 )
@@ -65,7 +65,9 @@ def test_many_outputs_that_exist_are_one_fault(tmp_path: Path) -> None:
 
 def test_a_temporary_file_is_not_named(tmp_path: Path) -> None:
     path = tmp_path / "a.usdc"
-    (fault,) = output_error(path, f"no room for '{new_temporary(path)}': full").faults
+    (fault,) = output_error(
+        path, f"no room for '{new_temporary_path(path)}': full"
+    ).faults
     assert fault.message == f"cannot be written: no room for '{path}': full"
 
 
