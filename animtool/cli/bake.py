@@ -128,9 +128,10 @@ def bake(
     is_stdout = goes_to_stdout(output, params)
     _refuse_conflicting_options(params)
     _refuse_patterns(sources)
-    if not params["overwrite"]:
-        _refuse_swapped(sources, output)
-        if not params["skip_existing"] and output is not None:
+    if not params["overwrite"] and output is not None:
+        if len(sources) == 1:
+            refuse_swapped(sources[0], output, "SOURCE and -o")
+        if not params["skip_existing"]:
             _refuse_capture(sources[0], output)
     sources, output = replace_timeline(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
@@ -156,12 +157,6 @@ def bake(
         if params["stats"]:
             scene.meter.start()
     _bake_outputs(console, outline, params, is_stdout=is_stdout)
-
-
-def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
-    """Refuse a missing source if the output exists: they were likely swapped."""
-    if len(sources) == 1 and output is not None:
-        refuse_swapped(sources[0], output, "SOURCE and -o")
 
 
 def _refuse_unnamed_library(sources: Sequence[Path]) -> NoReturn:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import field, replace
-from typing import TYPE_CHECKING, TextIO, cast
+from typing import TYPE_CHECKING, cast
 
 import click
 
@@ -268,11 +268,8 @@ class Console:
         note_output()
 
     def _colored(self, text: str, color_code: str) -> str:
-        return f"\x1b[{color_code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text
-
-
-def _wants_color(stream: TextIO) -> bool:
-    """Return whether to use colors, by NO_COLOR, FORCE_COLOR and the kind of stream."""
-    if os.environ.get("NO_COLOR"):
-        return False
-    return bool(os.environ.get("FORCE_COLOR")) or stream.isatty()
+        """Return text in a color, by NO_COLOR, FORCE_COLOR and the kind of stderr."""
+        is_colored = bool(os.environ.get("FORCE_COLOR")) or sys.stderr.isatty()
+        if os.environ.get("NO_COLOR") or not is_colored:
+            return text
+        return f"\x1b[{color_code}m{text}\x1b[0m"

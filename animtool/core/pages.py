@@ -119,6 +119,7 @@ def find_page(topic: str) -> PageEntry:
 
 def _defining_pages(topic: str) -> list[PageEntry]:
     """Return the pages with a topic in a heading, or at the start of a table's row."""
+    headings = re.compile(r"^#+ (.+)$", re.MULTILINE)
     row_pattern = re.compile(rf"^\| `{re.escape(topic)}`", re.MULTILINE | re.IGNORECASE)
     return [
         page
@@ -126,7 +127,7 @@ def _defining_pages(topic: str) -> list[PageEntry]:
         if page.name != "changelog"
         and _count_mentions(page, topic)
         and (
-            any(topic in heading.lower() for heading in _headings(page))
+            any(topic in h.lower() for h in headings.findall(page_markdown(page)))
             or row_pattern.search(page_markdown(page))
         )
     ]
@@ -144,10 +145,6 @@ def _count_mentions(page: PageEntry, word: str) -> int:
     if not word:
         return 0
     return len(re.findall(rf"\b{re.escape(word)}\b", page_markdown(page).lower()))
-
-
-def _headings(page: PageEntry) -> list[str]:
-    return re.findall(r"^#+ (.+)$", page_markdown(page), re.MULTILINE)
 
 
 def _page_title(path: Path) -> str:

@@ -8,6 +8,7 @@ closures over the field names. Everything else is the same: `fields`, `replace`,
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING, Field, FrozenInstanceError, field
@@ -121,14 +122,8 @@ def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any
     return entry
 
 
-def _field_marker() -> Any:
-    """Return the marker of `dataclasses` for instance fields."""
-    import dataclasses
-
-    return vars(dataclasses)["_FIELD"]
-
-
-_FIELD = _field_marker()
+# Marker of `dataclasses` for instance fields.
+_FIELD: Any = vars(dataclasses)["_FIELD"]
 
 
 def _record_methods(
@@ -222,12 +217,8 @@ def _initializer(
             if (
                 len(positional) > len(positional_names)
                 or values.keys() != settable_names
-                or (
-                    (positional or unset_names)
-                    and _is_repeated_or_unknown(
-                        keywords, positional_names[: len(positional)], unset_names
-                    )
-                )
+                or not keywords.keys().isdisjoint(unset_names)
+                or not keywords.keys().isdisjoint(positional_names[:positional_count])
             ):
                 _raise_argument_error(self, positional, keywords)
             for name, value in values.items():
@@ -236,13 +227,6 @@ def _initializer(
             self.__post_init__()
 
     return __init__
-
-
-def _is_repeated_or_unknown(
-    keyword_arguments: Mapping[str, Any], *known_names: Iterable[str]
-) -> bool:
-    """Return whether any of the given names is among the keyword arguments."""
-    return any(name in keyword_arguments for names in known_names for name in names)
 
 
 def _raise_argument_error(

@@ -26,13 +26,10 @@ def bend_limb(
     """Return thigh and shin rotations ``(F, 4)`` that bring the ankle to its goal.
 
     The knee bends in its own plane, then the leg rotates rigidly by the shortest arc.
-
-    Args:
-        hip: Start of the thigh ``(F, 3)`` [m].
-        joint_positions: Current positions of knee and ankle ``(F, 3)`` [m].
-        goal: Ankle goals ``(F, 3)`` [m].
-        rotations: World rotations of thigh and shin ``(F, 4)``.
-        straight_axis: Knee axis of a straight leg ``(F, 3)``.
+    ``hip`` is the start of the thigh, ``joint_positions`` are the current knee and
+    ankle, ``goal`` is that of the ankle, each ``(F, 3)`` [m]; ``rotations`` are the
+    world rotations of thigh and shin, and ``straight_axis`` ``(F, 3)`` is the knee axis
+    of a straight leg.
     """
     knee, ankle = joint_positions
     thigh, shin = knee - hip, ankle - knee
@@ -75,16 +72,12 @@ def bend_at_pin(
     The knee opens until the ankle is at its goal's distance, or as near as its limits
     allow. Then the thigh rotates the ankle to the goal along the shortest arc.
 
-    Args:
-        hip: Start of the thigh ``(F, 3)`` [m].
-        goal: Ankle goals ``(F, 3)`` [m].
-        thigh_rotations: Current world rotations of the thigh ``(F, 4)``.
-        bones: Vector of the thigh, and of the shin with the knee at rest, both in the
-            frame of the thigh ``(3,)`` [m].
-        pin_axis: Unit axis of the knee in that frame ``(3,)``.
-        current_angles: Current angle of the knee ``(F,)`` [rad].
-        limits: Limits of the knee; they determine its bending direction, else its
-            current bend does.
+    ``hip`` and ``goal`` are positions ``(F, 3)`` [m]. ``bones`` are the vectors of the
+    thigh, and of the shin with the knee at rest ``(3,)`` [m]; these and the unit
+    ``pin_axis`` ``(3,)`` are in the frame of the thigh. ``thigh_rotations`` ``(F, 4)``
+    in the world and ``current_angles`` ``(F,)`` [rad] of the knee are the current ones.
+    The limits determine the bending direction of the knee; without limits, its current
+    bend does.
     """
     upper, lower = bones
     axial_product = float((upper @ pin_axis) * (lower @ pin_axis))

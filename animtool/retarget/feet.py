@@ -203,13 +203,9 @@ def smooth_path_to_targets(
 ) -> FloatArray:
     """Return the path ``(F, K)`` that best balances position targets against curvature.
 
-    It minimises the weighted sum of squared distances to the targets and of squared
-    second differences.
-
-    Args:
-        weights: Weights of positions ``(F,)``.
-        weighted_targets: Target positions times their weights ``(F, K)``.
-        stiffness: Weight of second differences.
+    It minimises the sum of squared distances to the targets, times ``weights``
+    ``(F,)``, and of squared second differences, times ``stiffness``.
+    ``weighted_targets`` ``(F, K)`` are the targets times their weights.
     """
     from scipy.linalg import solveh_banded
 
@@ -306,12 +302,8 @@ def _raise_above_ground(
 ) -> None:
     """Raise a height correction ``(F,)`` [m] so that no toe in the air is below ground.
 
-    Args:
-        correction: Height correction of a foot.
-        toe_heights: Height of the toe without that correction ``(F,)`` [m].
-        min_height: Lowest allowed height [m].
-        is_planted: Whether the foot is planted ``(F,)``.
-        fps: Frames a second.
+    ``toe_heights`` ``(F,)`` are those without that correction, and ``min_height`` is
+    the lowest allowed one [m].
     """
     if not is_planted.any():
         return  # the ground is unknown

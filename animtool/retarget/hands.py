@@ -55,12 +55,9 @@ class ArmTracks(Rows):
     ) -> ArmTracks:
         """Return the arm tracks of a block of frames.
 
-        Args:
-            transfer: The transfer between the skeletons.
-            side: Side of the arm.
-            source_positions: Source joints in the target's axes ``(F, J, 3)`` [m].
-            rotations: World rotations of the target ``(F, K, 4)``.
-            offsets: Target joints relative to the middle of its hips ``(F, K, 3)`` [m].
+        ``source_positions`` ``(F, J, 3)`` are those of the source in the target's axes,
+        ``offsets`` ``(F, K, 3)`` those of the target from the middle of its hips, both
+        [m]; ``rotations`` ``(F, K, 4)`` are the target's in the world.
         """
         target_arm, source_arm = (
             arm_joints(skeleton, side)
@@ -242,10 +239,8 @@ def _shift_into_reach(
 ) -> list[FloatArray]:
     """Shift the goals of both hands by one offset until both arms reach.
 
-    Args:
-        goals: Goals of each wrist ``(F, 3)`` [m].
-        shoulders: Shoulder of each arm ``(F, 3)`` [m].
-        reaches: Reach of each arm [m].
+    ``goals`` are those of each wrist ``(F, 3)`` [m], from ``shoulders`` ``(F, 3)`` [m]
+    that are at most ``reaches`` [m] away.
     """
     goals_in_reach = list(goals)
     for _ in range(MAX_REACH_ITERATIONS):

@@ -48,14 +48,10 @@ class LegTracks(Rows):
     ) -> LegTracks:
         """Return the leg tracks of a block of frames.
 
-        Args:
-            transfer: The transfer between the skeletons.
-            side: Side of the leg.
-            source_positions: Source joints in the target's axes ``(F, J, 3)`` [m].
-            source_ball: Ball of the source's foot, or its ankle, in these axes ``(F,
-                3)`` [m].
-            rotations: World rotations of the target ``(F, K, 4)``.
-            offsets: Target joints relative to the middle of its hips ``(F, K, 3)`` [m].
+        ``source_positions`` ``(F, J, 3)`` are those of the source in the target's axes,
+        ``source_ball`` ``(F, 3)`` is its ball of the foot, or its ankle, in these axes,
+        and ``offsets`` ``(F, K, 3)`` are those of the target from the middle of its
+        hips, all [m]; ``rotations`` ``(F, K, 4)`` are the target's in the world.
         """
         target = transfer.target
         thigh, shin, foot, _ = leg_joints(target, side)
@@ -119,11 +115,8 @@ def ball_of_foot(
 ) -> FloatArray:
     """Return the positions of a foot's ball, else of its ankle ``(F, 3)`` [m].
 
-    Args:
-        skeleton: The skeleton.
-        side: Side of the foot.
-        positions: Positions of all joints ``(F, J, 3)`` [m].
-        rotations: Rotations of all joints in the world ``(F, J, 4)``.
+    ``positions`` ``(F, J, 3)`` [m] and ``rotations`` ``(F, J, 4)`` are those of all
+    joints in the world.
     """
     foot, ball = leg_joints(skeleton, side)[2], skeleton.balls.get(side)
     if ball is None:
@@ -208,13 +201,9 @@ def ankle_rotations(
 ) -> tuple[FloatArray, FloatArray]:
     """Return world rotations of thigh and shin that bring the ankle to its goal.
 
-    Args:
-        target: The skeleton.
-        side: Side of the leg.
-        joint_positions: Starts of thigh, shin and foot ``(F, 3, 3)`` [m].
-        goal: Goal of the ankle ``(F, 3)`` [m].
-        rotations: Current world rotations of thigh and shin ``(F, 4)``.
-        swivel: Rotation of the knee about the line from hip to ankle ``(F,)`` [rad].
+    ``joint_positions`` are the starts of thigh, shin and foot ``(F, 3, 3)`` [m], and
+    ``rotations`` the current ones of thigh and shin ``(F, 4)``. ``swivel`` rotates the
+    knee about the line from hip to ankle ``(F,)`` [rad].
     """
     leg = leg_joints(target, side)[:3]
     bone_rotations = limb_rotations(
@@ -235,14 +224,9 @@ def limb_rotations(
 ) -> tuple[FloatArray, FloatArray]:
     """Return world rotations of a limb's two bones that bring its end to a goal.
 
-    Args:
-        target: The skeleton.
-        limb: Joints of the limb: first, middle and end.
-        joint_positions: Positions of these joints ``(F, 3, 3)`` [m].
-        goal: Goal of the end ``(F, 3)`` [m].
-        rotations: Current world rotations of both bones ``(F, 4)``.
-        hinge_axis: Rotation axis of a straight limb's middle joint ``(3,)``, in that
-            joint's frame.
+    ``limb`` and ``joint_positions`` ``(F, 3, 3)`` [m] are its first joint, its middle
+    and its end, ``rotations`` the current ones of both bones ``(F, 4)``. ``hinge_axis``
+    is the axis of a straight limb's middle joint, in the frame of that joint ``(3,)``.
     """
     if target.rig.joints[limb[1]].type is JointType.PIN:
         return _bend_pin_limb(target, limb, joint_positions[:, 0], goal, rotations)

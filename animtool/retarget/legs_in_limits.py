@@ -145,12 +145,8 @@ def solve_within_limits(
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Return hip positions ``(F, 3)`` [m] and knee swivels [rad] within joint limits.
 
-    Args:
-        target: The skeleton.
-        sides: Sides of the legs.
-        tracks: Tracks of each leg.
-        feet_paths: Goals of hips and feet.
-        fps: Frames a second.
+    ``tracks`` are those of the legs at ``sides``, ``feet_paths`` the goals of hips and
+    feet.
     """
     foot_arrays = (feet_paths.ankles, feet_paths.rotations, feet_paths.is_planted)
     legs = [_Leg(target, *leg) for leg in zip(sides, tracks, *foot_arrays, strict=True)]

@@ -477,16 +477,11 @@ def build_transfer(
     *,
     has_same_rest: bool = False,
 ) -> Transfer:
-    """Return the transfer of poses from one rig to another.
+    """Return the transfer of poses from the rig of takes to a target rig.
 
-    Args:
-        source: The rig of the takes.
-        target: The target rig.
-        joint_map: Which joints follow which.
-        rest: Local rotations of the source's joints in its rest pose ``(J, 4)``; None
-            uses the rest pose of its rig.
-        has_same_rest: Whether source and target rest in the same pose, whatever the
-            bones look like.
+    ``rest`` ``(J, 4)`` are local rotations of the source in its rest pose; None uses
+    the rest pose of its rig. With ``has_same_rest``, both rigs rest in the same pose,
+    whatever the bones look like.
     """
     skeletons = (
         RoledSkeleton.of(source, joint_map.source.roles, rest),

@@ -128,14 +128,9 @@ def local_rotations(
 ) -> LocalRotations:
     """Return local rotations within limits, from world rotations ``(F, K, 4)``.
 
-    Child joints compensate for the rotation that a limit removes; joints that follow
-    no source joint stay at rest.
-
-    Args:
-        transfer: The transfer between the skeletons.
-        rotations: World rotations of the target's joints.
-        previous: Rotations of which only some joints are recomputed.
-        changed_joints: The recomputed joints; their descendants change as well.
+    Child joints compensate for the rotation that a limit removes; joints that follow no
+    source joint stay at rest. With ``previous`` rotations, only ``changed_joints`` and
+    their descendants are recomputed.
     """
     target = transfer.target
     rig = target.rig
@@ -232,14 +227,9 @@ def distribute_twist(
 ) -> FloatArray:
     """Distribute the twist at a bone's end among the twist joints along the bone.
 
-    Args:
-        transfer: The transfer between the skeletons.
-        local: Local rotations ``(F, K, 4)``, changed in place.
-        previous_angles: Angles of the previous frame ``(T,)`` [rad], for continuity;
-            None at the beginning of a take.
-
-    Returns:
-        The angles of the last frame ``(T,)`` [rad].
+    Local rotations ``(F, K, 4)`` are changed in place. Return the angles of the last
+    frame ``(T,)`` [rad], which are the ``previous_angles`` of the next block, for
+    continuity; at the beginning of a take, these are None.
     """
     rig = transfer.target.rig
     last_angles = np.zeros(len(transfer.twists))
@@ -268,12 +258,10 @@ def root_translations(
 ) -> tuple[int, FloatArray]:
     """Return the joint that moves the hips, and its local translations ``(F, 3)`` [m].
 
-    Args:
-        target: The skeleton.
-        hips: The middle between the thighs ``(F, 3)`` [m].
-        rotations: World rotations of all joints ``(F, K, 4)``.
-        bones: Local translations ``(F or 1, K, 3)`` [m].
-        relative: Joints relative to the middle of the hips ``(F, K, 3)`` [m].
+    ``hips`` is the middle between the thighs ``(F, 3)`` [m]. ``rotations``
+    ``(F, K, 4)`` are those of all joints in the world, ``bones`` ``(F or 1, K, 3)``
+    their local translations [m], and ``relative`` ``(F, K, 3)`` their positions from
+    the middle of the hips [m].
     """
     rig = target.rig
     root = max(target.first_joint("hips"), 0)

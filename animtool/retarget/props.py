@@ -40,10 +40,8 @@ class PropMotion:
     ) -> BoolArray:
         """Return a mask of the frames in which a hand grips the prop ``(F,)``.
 
-        Args:
-            wrist: Wrist of the source ``(F, 3)`` [m].
-            arm: Length of the source's arm [m].
-            fps: Frames a second.
+        ``wrist`` ``(F, 3)`` is that of the source, and ``arm`` the length of its arm,
+        both [m].
         """
         if len(wrist) < 3 or arm <= 0:
             return np.zeros(len(wrist), np.bool_)
@@ -94,10 +92,8 @@ class PropTracks:
     ) -> tuple[Track, ...]:
         """Return the tracks, with gripped props scaled to follow the target.
 
-        Args:
-            gripped_tracks: Indices of the gripped tracks.
-            transfer: The transfer between the skeletons.
-            ground_offset: Offset of the target's ground ``(3,)`` [m].
+        ``gripped_tracks`` are indices of tracks; ``ground_offset`` is that of the
+        target's ground ``(3,)`` [m].
         """
         tracks = list(self.tracks)
         for i in gripped_tracks:

@@ -83,10 +83,7 @@ class ContactFrames:
 class FitMeter:
     """Measures how well a take fits its rig, block by block.
 
-    Args:
-        transfer: The transfer between the skeletons.
-        joint_map: Which joints follow which.
-        contact_frames: Feet and hands in contact, in all frames.
+    ``contact_frames`` are the feet and hands in contact in all frames.
     """
 
     def __init__(
@@ -120,13 +117,11 @@ class FitMeter:
     def add(
         self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
     ) -> None:
-        """Measure the fit of the next block of frames.
+        """Measure the fit of the next block of frames, which starts at index ``begin``.
 
-        Args:
-            begin: Index of the first frame of the block.
-            world: World positions of the target's K joints in F frames [m].
-            source: Source joints in the target's axes ``(F, J, 3)`` [m].
-            balls: Balls of the source's feet in these axes ``(F, L, 3)`` [m].
+        ``world`` are the positions of the target's K joints in F frames, ``source``
+        ``(F, J, 3)`` those of the source in the target's axes, and ``balls``
+        ``(F, L, 3)`` those of the source's feet in these axes, all [m].
         """
         target = world.positions
         self._frame_count += len(target)
@@ -242,9 +237,8 @@ class FitMeter:
     ) -> Verdict:
         """Return whether the frames so far are usable, and which ones to check.
 
-        Args:
-            clamped_fractions: Fraction of frames in which limits clamp each joint.
-            ignored_errors: Errors ignored on request.
+        ``clamped_fractions``: in which fraction of frames limits clamp each joint.
+        Ignored errors were accepted on request.
         """
         report = self.report(clamped_fractions)
         values = {
@@ -261,8 +255,7 @@ class FitMeter:
     def report(self, clamped_fractions: Mapping[int, float]) -> RetargetReport:
         """Return the fit scores of the frames so far.
 
-        Args:
-            clamped_fractions: Fraction of frames in which limits clamp each joint.
+        ``clamped_fractions``: in which fraction of frames limits clamp each joint.
         """
         transfer, joint_map = self._transfer, self._joint_map
         contact_frames = self._contact_frames

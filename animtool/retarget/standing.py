@@ -79,13 +79,9 @@ class Stance:
 def standing_directions(roles: Sequence[str], positions: FloatArray) -> FloatArray:
     """Return the unit direction from feet to head in each frame ``(F, 3)``.
 
-    Unit vectors, or 0 where the body does not stand: crawling, sitting on its heels, or
-    no body. A four-legged body points away from its feet, whatever the direction of its
-    trunk.
-
-    Args:
-        roles: Joint roles ``(J,)``.
-        positions: Joint positions ``(F, J, 3)`` [m].
+    It is 0 where the body does not stand: crawling, sitting on its heels, or no body. A
+    four-legged body points away from its feet, whatever the direction of its trunk.
+    ``roles`` ``(J,)`` and ``positions`` ``(F, J, 3)`` [m] are those of the joints.
     """
     no_direction = np.zeros((len(positions), 3))
     trunk = _trunk_vectors(roles, positions)
@@ -243,12 +239,8 @@ def _travels_across(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
 def find_standing_axis(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
 
-    BVH files do not state the up axis.
-
-    Args:
-        rig: Rig of J joints.
-        motion: The take.
-        roles: Joint roles ``(J,)``.
+    BVH files do not state the up axis. ``roles`` ``(J,)`` are those of the rig's
+    joints.
     """
     return _standing_axis(rig, motion, roles) if _other_is_longer(rig, motion) else None
 

@@ -343,13 +343,9 @@ _RATIO_SPREAD, _BEFORE_SPREAD, _END_SPREAD = 0.2, 0.7, 0.5
 def split_limb(
     body: SkeletonTree, path: Sequence[int], shape: LimbShape, branch: int = -1
 ) -> list[str]:
-    """Return the most likely role of each joint along a limb.
+    """Return the most likely role of each joint along a limb, downwards.
 
-    Args:
-        body: The skeleton.
-        path: Joints of the limb, downwards.
-        shape: Shape of the limb.
-        branch: The joint where the end begins, if the tree shows it.
+    ``branch`` is the joint where the end of the limb begins, if the tree shows it.
     """
     remaining_joints, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
     n = len(path)

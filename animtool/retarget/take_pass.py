@@ -79,11 +79,8 @@ def insufficient_pairs_fault(
 ) -> Fault | None:
     """Return a fault if too few joints of a take are mapped (MAP010), else None.
 
-    Args:
-        source: The skeleton of the take, of J joints.
-        joint_map: Which joints follow which.
-        source_joints: Source joint of each target joint ``(K,)``.
-        moving_joints: Moving joints of the source; if none moves, all count.
+    ``source_joints`` ``(K,)`` are the source joints of the target joints. If none of
+    the source's joints is in ``moving_joints``, all count.
     """
     roles = joint_map.source.roles
     used_joints = {pair.source for pair in joint_map.pairs} | {*source_joints.tolist()}
@@ -114,11 +111,8 @@ def zero_length_fault(
 ) -> Fault | None:
     """Return a fault that lists the limbs with zero-length bones (MAP011), or None.
 
-    Args:
-        source: The skeleton of the take, of J joints.
-        joint_map: Which joints follow which.
-        max_bone_lengths: Largest distance of source joints from parents ``(J,)``
-            [m].
+    ``max_bone_lengths`` are the largest distances of source joints from their parents
+    in the take ``(J,)`` [m].
     """
     roles = joint_map.source.roles
     lengths = np.linalg.norm(source.rest_translations, axis=1)
@@ -185,13 +179,8 @@ def retarget_stream(
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
     """Return the retargeting of a take, the joint map, and its warnings.
 
-    Args:
-        stream: The take.
-        rig: The target rig.
-        options: Retargeting options.
-        plants_similar_legs: Whether feet are also planted on legs like those of the
-            source.
-        props: Tracks of the take that hands may grip.
+    With ``plants_similar_legs``, feet are also planted on legs like those of the
+    source. ``props`` are tracks of the take that hands may grip.
     """
     _check_warn_above(options)
     has_same_rest = options.rest == "rig"

@@ -125,10 +125,8 @@ class Transfer:
     def rotations(self, world: FloatArray) -> FloatArray:
         """Return world rotations of the target ``(F, K, 4)``.
 
-        Args:
-            world: World rotations of the source ``(F, J, 4)``.
-
-        Joints that follow no source joint move with their parents.
+        They follow world rotations of the source ``(F, J, 4)``. Joints that follow no
+        source joint move with their parents.
         """
         rig = self.target.rig
         rotations_from_rest = so3.multiply(world, so3.conjugate(self.source.rotations))
@@ -160,12 +158,9 @@ class Transfer:
         """Return local translations of the target ``(F, K, 3)`` [m].
 
         They are the rest translations plus the scaled deviations of the source from its
-        rest; ``(1, K, 3)`` without deviations.
-
-        Args:
-            world: World rotations of the source ``(F, J, 4)``.
-            translations: Local translations of the source ``(F, J, 3)`` [m].
-            rotations: World rotations of the target ``(F, K, 4)``.
+        rest; ``(1, K, 3)`` without deviations. ``world`` ``(F, J, 4)`` and
+        ``translations`` ``(F, J, 3)`` [m] are world rotations and local translations of
+        the source, ``rotations`` ``(F, K, 4)`` world rotations of the target.
         """
         source_rig, target_rig = self.source.rig, self.target.rig
         deviations = translations - source_rig.rest_translations
@@ -196,8 +191,7 @@ class Transfer:
     def hips(self, positions: FloatArray) -> FloatArray:
         """Return the middle between the thighs of the target ``(F, 3)`` [m].
 
-        Args:
-            positions: Positions of the source's joints ``(F, J, 3)`` [m].
+        It is scaled from the positions of the source's joints ``(F, J, 3)`` [m].
         """
         return self.scale * self.to_target_axes(middle_of_hips(self.source, positions))
 

@@ -124,11 +124,9 @@ def assess_take(
 ) -> Verdict:
     """Return whether a take is usable, and which scores and frames to check.
 
-    Args:
-        scores: Scores of the full take.
-        values: Per-frame values ``(F,)`` of scores that vary over the take.
-        source_values: Scores of the source take, where they can be measured.
-        ignored_errors: Errors ignored on request.
+    ``scores`` are those of the full take; ``values`` ``(F,)`` are per frame, of scores
+    that vary, and ``source_values`` those of the source, where they can be measured.
+    Ignored errors were accepted on request.
     """
     if ignored_errors:
         look_reasons = tuple(VerdictReason(fault.message) for fault in ignored_errors)

@@ -141,11 +141,6 @@ def empty_error(code: str, path: Path | str) -> FormatError:
     return FormatError(Fault(code, "the file is empty", str(path), hint=hint))
 
 
-def _is_empty(path: Path | str) -> bool:
-    state = FileState.of(Path(path))
-    return state is not None and state.size == 0
-
-
 def expects_format(
     code: str, expected_format: str, hint: str = ""
 ) -> Callable[[_ReaderT], _ReaderT]:
@@ -160,11 +155,10 @@ def expects_format(
             try:
                 return read(path, *args, **options)
             except FormatError as error:
-                if (
-                    error.code != "IO001"
-                    and expected_format != DOCUMENT_DESCRIPTION
-                    and _is_empty(path)
-                ):
+                state = FileState.of(Path(path))
+                is_empty = state is not None and state.size == 0
+                is_document = expected_format == DOCUMENT_DESCRIPTION
+                if is_empty and not is_document and error.code != "IO001":
                     raise empty_error(error.code, path) from None
                 fault = format_mismatch(code, path, expected_format, hint)
                 if fault is None:
