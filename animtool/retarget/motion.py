@@ -86,7 +86,6 @@ class Retargeting:
     Attributes:
         transfer: The transfer between the skeletons.
         contact_frames: Which feet are planted, and when.
-        clamped: Fraction of the frames so far in which limits clamp each joint.
         moving_joints: Moving joints of the source.
         max_bone_lengths: Largest distance of the source's joints from their parents
             ``(J,)`` [m].

@@ -215,15 +215,5 @@ def _is_leg_length(ratios: FloatArray) -> bool:
 
 def _find_hips(rig: Rig) -> int:
     """Return the lowest joint whose subtree contains all feet."""
-    paths: list[list[int]] = []
-    for joint in find_feet(rig.names).tolist():
-        path = [joint]
-        while rig.parents[path[-1]] >= 0:
-            path.append(int(rig.parents[path[-1]]))
-        paths.append(path[::-1])
-    hips = paths[0][0]
-    for ancestors in zip(*paths, strict=False):
-        if len(set(ancestors)) > 1:
-            break
-        hips = ancestors[0]
-    return hips
+    paths = [set(rig.upwards(foot)) for foot in find_feet(rig.names).tolist()]
+    return max(set.intersection(*paths))

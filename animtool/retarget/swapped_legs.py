@@ -144,14 +144,8 @@ def _hip_pair(
     rest_positions = rest_world(rig).positions[0]
     partners = {int(left): int(sides.partners[left]) for left in sides.left}
     for left in sorted(feet):
-        paired_joints = []
-        joint = left
-        while joint >= 0:
-            if joint in partners:
-                paired_joints.append(joint)
-            joint = rig.joints[joint].parent
         # Joints nearest to the root may be at its position.
-        for hip in reversed(paired_joints):
+        for hip in [j for j in reversed(rig.upwards(left)) if j in partners]:
             offset = rest_positions[hip] - rest_positions[partners[hip]]
             if np.linalg.norm(offset) > min_width:
                 return hip, partners[hip]
