@@ -202,7 +202,7 @@ def refuse(
 Problem: TypeAlias = tuple[str, str | None, str | None]
 
 
-class Refusals:
+class RefusalCollector:
     """Collects the refusals of independent checks to raise them together.
 
     Attributes:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Refusals, listed, refuse
+from animtool.core.errors import Fault, OptionError, RefusalCollector, listed, refuse
 from animtool.core.record import dataclass
 from animtool.maths.faces import edges, triangulate
 from animtool.rig.kinematics import bind_matrices, bind_world
@@ -96,7 +96,7 @@ def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
 def build_bodies(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
     """Return the named attachments of a rig as particles."""
     bodies: list[AttachedBody] = []
-    refusals = Refusals()
+    refusals = RefusalCollector()
     for entry in find_attachments(rig, names):
         with refusals.collect():
             bodies.append(_BUILDERS[AttachKind(entry.kind)](rig, entry))

@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.errors import (
     Fault,
     OptionError,
-    Refusals,
+    RefusalCollector,
     Severity,
     counted,
     listed,
@@ -241,7 +241,7 @@ def simulate(
         build_colliders: Builds the characters, systems and meshes named by options;
             None uses only ``colliders``.
     """
-    refusals = Refusals()
+    refusals = RefusalCollector()
     for name, check in option_checks(options).items():
         if name == "what" and not options.what:
             continue
@@ -297,7 +297,7 @@ def _load_states(
         return None
     path = folder / options.resume
     states: dict[str, AttachState] = {}
-    refusals = Refusals()
+    refusals = RefusalCollector()
     with open_states(path) as saved:
         # The single state of a system has no name.
         frames = [float(name.partition("/")[0]) for name in saved.names if name]

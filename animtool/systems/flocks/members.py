@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import (
     Fault,
     Problem,
-    Refusals,
+    RefusalCollector,
     counted,
     excerpt,
     refuse,
@@ -51,7 +51,7 @@ class Members(Groups):
         spec: FlocksModel, species_data: Sequence[Mapping[str, Any]], begin: float
     ) -> Members:
         """Return the members of a spec; raise SIM060 for coincident positions."""
-        motions, refusals = [], Refusals()
+        motions, refusals = [], RefusalCollector()
         for species, data in zip(spec.species, species_data, strict=True):
             with refusals.collect():
                 motions.append(_start_motion(species, data, begin))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Refusals, counted, refuse, warning
+from animtool.core.errors import Fault, RefusalCollector, counted, refuse, warning
 from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -40,7 +40,7 @@ def initial_fluid(
     t: float,
 ) -> FloatArray:
     """Return positions and velocities of the initial fluid ``(2, N, 3)``."""
-    fills, refusals = [np.zeros((2, 0, 3))], Refusals()
+    fills, refusals = [np.zeros((2, 0, 3))], RefusalCollector()
     for i, data in enumerate(fill_data):
         with refusals.collect():
             fills.append(_fill_motion(spec, i, data, colliders, t))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Refusals, refuse
+from animtool.core.errors import RefusalCollector, refuse
 from animtool.core.record import dataclass
 from animtool.systems.framework.matter import PointMasses, UnitFrame, normal_samples
 from animtool.systems.molecules.spec import MoleculesModel
@@ -60,7 +60,7 @@ class Atoms(PointMasses):
         spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: PeriodicBox
     ) -> Atoms:
         """Return the atoms of a spec; raise SIM071 if they are invalid."""
-        initial_motions, refusals = [], Refusals()
+        initial_motions, refusals = [], RefusalCollector()
         for model, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
                 initial_motions.append(_read_motion(model, part, box))

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Refusals, ToleranceError, refuse
+from animtool.core.errors import Fault, RefusalCollector, ToleranceError, refuse
 from animtool.core.record import dataclass
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
@@ -160,7 +160,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
     def begin(self) -> None:
         """Check the initial state, and set colour ranges from that state."""
-        start, refusals = self.initial(), Refusals()
+        start, refusals = self.initial(), RefusalCollector()
         with refusals.collect():
             self._check_numbers(start)
         with refusals.collect():

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Refusals, refuse
+from animtool.core.errors import Fault, RefusalCollector, refuse
 from animtool.core.record import dataclass
 from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.system import Energy
@@ -75,7 +75,7 @@ def build(spec: NbodyModel, context: SimContext) -> Nbody:
 
     Raises SIM001, SIM005, SIM006 or SIM070 if the spec is invalid.
     """
-    body_sets, refusals = [], Refusals()
+    body_sets, refusals = [], RefusalCollector()
     for body, data in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):
         with refusals.collect():
             body_sets.append(

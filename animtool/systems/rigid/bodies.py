@@ -12,7 +12,13 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Refusals, refuse, refuse_all
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    RefusalCollector,
+    refuse,
+    refuse_all,
+)
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -66,7 +72,7 @@ class RigidBodies:
         kinds: list[BodyKind] = []
         names, entry_indices, is_dynamic, poses = [], [], [], []
         used_names: set[str] = set()
-        refusals = Refusals()
+        refusals = RefusalCollector()
         for entry_index, (model, entry_data) in enumerate(
             zip(models, parts, strict=True)
         ):

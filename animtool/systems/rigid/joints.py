@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Refusals, refuse, warning
+from animtool.core.errors import Fault, RefusalCollector, refuse, warning
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
@@ -109,7 +109,7 @@ def check_joints(
 ) -> None:
     """Raise SIM061 for joints that are invalid regardless of the body poses."""
     models_by_name = {body.name: body for body in bodies}
-    refusals = Refusals()
+    refusals = RefusalCollector()
     for i, model in enumerate(models):
         where = f"joints[{i}]"
         name = model.name or where

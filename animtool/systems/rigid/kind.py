@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import (
     Fault,
     Problem,
-    Refusals,
+    RefusalCollector,
     Severity,
     counted,
     refuse,
@@ -88,7 +88,7 @@ class BodyKind:
 
 def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
     """Return the shared properties of a body model; raise SIM061 if it is invalid."""
-    refusals = Refusals()
+    refusals = RefusalCollector()
     with refusals.collect():
         refuse_all("SIM061", _mass_problems(model))
     with refusals.collect():

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, Refusals, ToleranceError
+from animtool.core.errors import Fault, RefusalCollector, ToleranceError
 from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
@@ -63,7 +63,7 @@ def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
         stage_models = body_entries(stage, f"stages[{k}].prim")
         models += stage_models[0]
         body_parts += stage_models[1]
-    refusals = Refusals()
+    refusals = RefusalCollector()
     with refusals.collect():
         bodies = RigidBodies.from_models(models, body_parts, context.begin)
     with refusals.collect():

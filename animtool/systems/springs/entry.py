@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, Refusals, counted
+from animtool.core.errors import Fault, RefusalCollector, counted
 from animtool.core.options import ENTRY_RANGE_MESSAGE, range_faults
 from animtool.core.record import dataclass
 from animtool.documents.fields import record_of
@@ -109,7 +109,7 @@ class SpringEntry:
             and self.spec.contact is None
             and "solver" in self.spec.shared()
         ):
-            refusals = Refusals()
+            refusals = RefusalCollector()
             with refusals.collect():
                 check_supports_self_contact(Solver(self.spec.options.solver))
             faults += refusals.faults
@@ -154,7 +154,7 @@ def read_entry(
     entry.mass = entry.checked_mass("mass", spec.mass)
     body = BODY_BUILDERS[type(spec)](entry, spec)
     _check_wind(entry)
-    refusals = Refusals()
+    refusals = RefusalCollector()
     with refusals.collect():
         solver = check_options(spec.options)
         if spec.contact is not None:
