@@ -12,7 +12,7 @@ from animtool.batch.spans import Span
 from animtool.batch.timeline import FRAME_TOLERANCE
 from animtool.core.config import Config
 from animtool.core.errors import Severity, excerpt
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.rates import MAX_FRAME, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.shot import SHOT_START, MediaTimecode, Shot, frames_within
@@ -69,7 +69,7 @@ def cut_metadata(
     for key, value in stated_values.items():
         if key not in names:
             message = f"{location} has no key {excerpt(key)}"
-            faults.append((message, nearest(key, names)))
+            faults.append((message, name_hint(key, names)))
             continue
         try:
             values[key] = _PARSERS.get(key, _parse_integer)(key, value)

@@ -50,7 +50,7 @@ from animtool.core.errors import (
     listed,
 )
 from animtool.core.files.reading import MatchedFile
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.scene.sources.open import source_stem
@@ -132,7 +132,7 @@ def _shot_clips(
         message = f"has {counted(len(names), 'shot')}: name one with {argument('shot')}"
         raise OptionError(Fault("BAT048", message, str(path), (), shots))
     if name not in names:
-        suggestion = nearest(name, names)
+        suggestion = name_hint(name, names)
         hint = f"{suggestion} {shots}" if suggestion.startswith("did") else shots
         message = f"has no shot {excerpt(name)}"
         raise OptionError(Fault("BAT048", message, str(path), (), hint))

@@ -29,7 +29,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.output import is_inside, name_problem
 from animtool.core.files.reading import MatchedFile
-from animtool.core.names import has_kind_suffix, nearest
+from animtool.core.names import has_kind_suffix, name_hint
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.values import plain_value
@@ -98,7 +98,7 @@ def pattern_problems(
     for name, format_spec, conversion in fields:
         if name is not None and (format_spec or conversion or name not in names):
             quoted_name = f"{{{name}}}" if name or not format_spec else "{}"
-            yield f"unknown name in {pattern!r}: {quoted_name}", nearest(name, names)
+            yield f"unknown name in {pattern!r}: {quoted_name}", name_hint(name, names)
 
 
 def output_root(pattern: str) -> PurePath:

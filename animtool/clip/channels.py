@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, unit_name
 from animtool.maths import euler
@@ -68,7 +68,7 @@ local_rotation, scale
         names = rig.control_names if group == "control" else rig.shape_names
         if name not in names:
             props = rig.controls if group == "control" else rig.shapes
-            hint = nearest(name, [prop.name for prop in props])
+            hint = name_hint(name, [prop.name for prop in props])
             return Fault("CLIP002", f"unknown {group} {name!r}", hint=hint)
         return group
     if group != "joint" or not name:
@@ -104,7 +104,7 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     if not part:
         return _part_fault(name, rig)
     if rig is not None and joint not in rig.names:
-        hint = nearest(joint, rig.names)
+        hint = name_hint(joint, rig.names)
         return Fault("CLIP002", f"unknown joint {joint!r}", hint=hint)
     if rig is not None:
         joint_type = rig.joints[rig.index(joint)].type

@@ -76,15 +76,15 @@ mean 'rk4'?
     names = list(names)
     if name not in names:
         message = f"unknown {noun} {excerpt(name)}"
-        raise OptionError(Fault(code, message, hint=nearest(name, names)))
+        raise OptionError(Fault(code, message, hint=name_hint(name, names)))
 
 
-def nearest(name: str, names: Iterable[str]) -> str:
+def name_hint(name: str, names: Iterable[str]) -> str:
     """Return a hint with the nearest valid name, or with all valid names.
 
-    >>> nearest("ebow", ["elbow", "hand"])
+    >>> name_hint("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
-    >>> nearest("arm", ["hip", "forearm"])
+    >>> name_hint("arm", ["hip", "forearm"])
     'allowed: forearm, hip'
     """
     unique_names = dict.fromkeys(islice(names, MAX_SEARCHED_NAMES))
@@ -126,7 +126,7 @@ def check_unused_variables(
         for name in defined_names
         if name not in sorted_names
         for hint in [
-            nearest(name, sorted_names)
+            name_hint(name, sorted_names)
             if sorted_names
             else f"write ${{{name}}} in the scene where its value belongs, or remove it"
             if has_scene

@@ -10,7 +10,7 @@ from typing import cast
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 
 _DOCS = resources.files("animtool") / "docs"
@@ -111,7 +111,7 @@ def find_page(topic: str) -> PageEntry:
     names = ", ".join(page.name for page in pages_about[:MAX_HINTED_PAGES])
     hint = f"it is a subject of {names}"
     if not names:
-        hint = nearest(name, [page.name.split("/")[-1] for page in pages])
+        hint = name_hint(name, [page.name.split("/")[-1] for page in pages])
         if hint.startswith("allowed"):
             hint = f"{argument('list')} lists the pages"
     raise OptionError(Fault("CLI009", f"unknown page {topic!r}", hint=hint))

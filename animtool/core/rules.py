@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from animtool.core.errors import Fault, OptionError, Severity
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.plugins import (
     ListedEntry,
     load_object,
@@ -247,7 +247,7 @@ def find_rule(code: str) -> Rule:
         short_code = upper_code[:20]
         padded_code = re.sub(r"\d+$", lambda tail: f"{int(tail[0]):03d}", short_code)
         known_codes = [padded_code] if padded_code in rules else sorted(rules)
-        hint = nearest(padded_code, known_codes)
+        hint = name_hint(padded_code, known_codes)
         family_prefix = re.match("[A-Z]*", upper_code)[0]  # type: ignore[index]
         family_codes = sorted(c for c in rules if c.startswith(family_prefix))
         suggested_code = corrected_code(upper_code, rules)

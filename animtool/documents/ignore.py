@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import AnimtoolError, Fault, Severity
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes
 
@@ -48,7 +48,7 @@ class IgnoreEntries:
             code = entry["code"]
             if current_codes(code)[0] not in rules:
                 message = f"unknown code {code!r}"
-                hint = nearest(code, sorted(rules))
+                hint = name_hint(code, sorted(rules))
                 location = ("ignore", i, "code")
                 yield self.document.fault("VAL002", location, message, hint)
             elif not self.match_counts[i]:

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, excerpt, listed
-from animtool.core.names import FILE_KINDS, most_similar, nearest, sort_by_similarity
+from animtool.core.names import FILE_KINDS, most_similar, name_hint, sort_by_similarity
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location, location_text
 from animtool.documents.forms import (
@@ -87,7 +87,7 @@ def intended_key_hint(key: str, names: Collection[str]) -> tuple[str, str | None
             return f"the key is {equivalent_key!r}", equivalent_key
     if normalized in OTHER_KEYS:  # a word of its own, not a misspelling
         return f"allowed: {', '.join(sort_by_similarity(key, names))}", None
-    return nearest(key, names), most_similar(key, names)
+    return name_hint(key, names), most_similar(key, names)
 
 
 def warn_renamed_key(document: Document, location: Location, name: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.loaded import check_loaded
-from animtool.core.names import most_similar, nearest
+from animtool.core.names import most_similar, name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -308,7 +308,7 @@ def hang(
     rig, motion = take.rig, take.motion
     _check_axis(axis)
     if joint not in rig.names:
-        hint = nearest(joint, rig.names)
+        hint = name_hint(joint, rig.names)
         raise _hang_error(f"unknown joint {joint!r}", "joint", hint)
     j = rig.index(joint)
     if rig.joints[j].type is not JointType.FREE:

@@ -16,7 +16,7 @@ from animtool.clip.file import read_range
 from animtool.clip.schema import CurveModel
 from animtool.core.config import project_roots
 from animtool.core.errors import listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.units import LengthUnit
 from animtool.documents.arrays import Archives
@@ -249,7 +249,7 @@ class _TargetsReader:
         if not self.document.is_placeholder(location):
             names = [*(chain.name for chain in self.rig.chains), *self.rig.names]
             message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
-            self.document.add("TGT001", location, message, nearest(name, names))
+            self.document.add("TGT001", location, message, name_hint(name, names))
         return None, None
 
     def _read_root(
@@ -264,7 +264,7 @@ class _TargetsReader:
         location = (*base, "root")
         if name not in self.rig.names:
             message = f"unknown joint {name!r} of {self.rig.name!r}"
-            hint = nearest(name, self.rig.names)
+            hint = name_hint(name, self.rig.names)
             self.document.add("TGT001", location, message, hint)
             return None
         if self.rig.index(name) not in self.rig.upwards(self.rig.index(joint)):

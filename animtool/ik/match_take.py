@@ -20,7 +20,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.ik.chain_frame import check_scales
 from animtool.ik.goals import PARTS, path_to_root
@@ -63,7 +63,7 @@ def match_chains(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
         Fault("TGT001", f"no chain of {rig.name!r} matches {pattern!r}", hint=hint)
         for pattern in patterns
         if not any(fnmatchcase(name, pattern) for name in names)
-        for hint in [nearest(pattern, names)]
+        for hint in [name_hint(pattern, names)]
     ]
     if faults:
         raise OptionError(faults)

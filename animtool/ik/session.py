@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed, refuse
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Goal, Targets, pack
 from animtool.ik.options import IkOptions
@@ -191,7 +191,7 @@ class Session:
         for name, value in values_by_goal.items():
             if name not in self._goals:
                 message = f"the session has no goal {excerpt(name)}"
-                refuse("TGT001", message, hint=nearest(name, self._goals))
+                refuse("TGT001", message, hint=name_hint(name, self._goals))
             goal_parts, kind_mask = _target_parts(name, self._goals[name], value)
             requested.append((name, kind_mask))
             values += goal_parts
@@ -265,7 +265,7 @@ def _unknown_joint_faults(rig: Rig, name: str, names: Sequence[str]) -> list[Fau
     if name in names:
         return []
     message = f"no joint of {rig.name!r} is {excerpt(name)}"
-    return [Fault("TGT001", message, hint=nearest(name, names))]
+    return [Fault("TGT001", message, hint=name_hint(name, names))]
 
 
 def _target_parts(

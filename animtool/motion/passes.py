@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, cast
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed, refuse
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.old_names import old_objects, rename_attributes, renamed_arguments
 from animtool.core.plugins import (
     ListedEntry,
@@ -308,7 +308,7 @@ def find_pass(name: str) -> Pass:
     if name in points:
         return load_plugin(points[name], Pass)
     message = f"unknown pass {excerpt(name)}"
-    raise OptionError(Fault("SCN010", message, hint=nearest(name, pass_names())))
+    raise OptionError(Fault("SCN010", message, hint=name_hint(name, pass_names())))
 
 
 def pass_names() -> list[str]:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, NamedTuple
 from annotated_types import Len
 from pydantic import Field
 
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validate_document
@@ -142,7 +142,7 @@ def parse_map_document(document: Document) -> MapFile:
             entry_of_joint.setdefault(name, i)
         if entry.role is not None and entry.role not in ROLES:
             message = f"unknown role {entry.role!r}"
-            hint = nearest(entry.role, ROLES)
+            hint = name_hint(entry.role, ROLES)
             document.add("MAP005", ("joints", i, "role"), message, hint)
     document.check()
     return MapFile(document, model)
@@ -167,7 +167,7 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
             if name not in joints_by_name[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
                 other = "target" if side == "source" else "source"
-                hint = nearest(name, joints_by_name[side])
+                hint = name_hint(name, joints_by_name[side])
                 if name in joints_by_name[other]:
                     hint = f"it is a joint of the {other} {rigs[other].name!r}"
                 document.add("MAP001", (*location, i), message, hint)

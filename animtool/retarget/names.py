@@ -14,7 +14,7 @@ import yaml
 
 from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.retarget.roles import (
     ARM_ROLES,
@@ -231,7 +231,7 @@ def find_preset(name: str) -> Preset:
     """Return a shipped naming convention; raise if its name is unknown (MAP003)."""
     table = presets()
     if name not in table:
-        hint = nearest(name, sorted(table))
+        hint = name_hint(name, sorted(table))
         raise OptionError(Fault("MAP003", f"unknown preset {excerpt(name)}", hint=hint))
     return table[name]
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.errors import counted
-from animtool.core.names import most_similar, nearest
+from animtool.core.names import most_similar, name_hint
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
@@ -256,7 +256,7 @@ class AttachmentReader:
         hint = f"its keys are {', '.join((*required, *optional))}"
         if entry.kind not in _ATTACH_KEYS:
             kinds = [str(kind) for kind in AttachKind]
-            hint = nearest(entry.kind, kinds)
+            hint = name_hint(entry.kind, kinds)
             if most_similar(entry.kind, kinds, MISSPELLING_SIMILARITY):
                 message = f"unknown kind of attachment {entry.kind!r}"
                 self.document.warn("RIG102", (*location, "kind"), message, hint)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.readers import DOCUMENT, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
@@ -56,7 +56,7 @@ def read_bind(
         if name not in joints:
             message = f"unknown joint {name!r}"
             if not file_joints.has_unnamed:
-                hint = nearest(name, list(joints))
+                hint = name_hint(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
         bind[name] = _read_pose(document, name, model, joints[name], units)
@@ -271,7 +271,7 @@ def _overlay_joints(
             name = getattr(entry, key)
             if name is not None and name not in names:
                 message = f"unknown joint {name!r} of {model.source}"
-                hint = nearest(name, list(names))
+                hint = name_hint(name, list(names))
                 document.add("RIG008", ("joints", i, key), message, hint)
         for key in ("parent", "translate", "rotate", "tips", "channels"):
             if key in entry.model_fields_set:

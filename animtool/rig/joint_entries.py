@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
 from animtool.core.errors import counted, cycle_text
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
@@ -168,7 +168,7 @@ def _joint_entries(
             message = f"unknown parent {entry.parent!r}"
             location = ("joints", entry.index, "parent")
             if not entry.is_mirrored and not has_unnamed:
-                hint = nearest(entry.parent, list(entries))
+                hint = name_hint(entry.parent, list(entries))
                 document.add("RIG002", location, message, hint)
             entry.parent, entry.is_orphaned = None, True
     return entries
@@ -380,7 +380,7 @@ def _with_mimics(
             message = f"unknown joint {mimic.joint!r}"
             if not file_joints.has_unnamed:
                 document.add(
-                    "RIG008", location, message, nearest(mimic.joint, list(by_name))
+                    "RIG008", location, message, name_hint(mimic.joint, list(by_name))
                 )
             continue
         if mimic.joint in file_joints.untyped_joints:

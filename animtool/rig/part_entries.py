@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import field
 
 from animtool.core.errors import cycle_text
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.rig.array_entries import ArrayReader, AttachmentReader
@@ -477,7 +477,7 @@ class PartReader:
         if not (self.file_joints.has_unnamed if kind == "joint" else has_unnamed):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(
-                code, location, f"unknown {kind} {name!r}", nearest(name, names)
+                code, location, f"unknown {kind} {name!r}", name_hint(name, names)
             )
         return False
 

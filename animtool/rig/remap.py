@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Len
 
 from animtool.core.array_types import FloatArray
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validate_document
@@ -138,7 +138,7 @@ def link_shapes(
                 if shape_index is None:
                     message = f"the {side} has no shape {name!r}"
                     names = source if side == "source" else target
-                    hint = nearest(name, names)
+                    hint = name_hint(name, names)
                     document.add("FAC001", ("shapes", i, side), message, hint)
                 else:
                     indices[side] = shape_index

@@ -11,7 +11,7 @@ from typing import Any
 from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.options import inherits_docs, option, options_of
 from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, builtin_rules, corrected_code, current_codes
@@ -203,7 +203,7 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
             continue
         message = f"no code matches {prefix!r}"
         corrected = corrected_code(prefix, rules)
-        hint = nearest(prefix, list(rules))
+        hint = name_hint(prefix, list(rules))
         if corrected is not None:
             hint = f"did you mean {corrected!r}, with digits?"
         elif family := re.match("[A-Z]+", prefix.upper()):

@@ -9,7 +9,7 @@ from typing import Any
 from animtool.core.config import parse_toml
 from animtool.core.errors import Fault, FormatError, OptionError, Severity
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes
 from animtool.documents.document import read_document
@@ -106,7 +106,7 @@ def load_profile(name: str, folder: Path | None = None) -> Levels:
     path = Path(name) if folder is None else folder / name
     if not path.is_file():
         message = f"unknown profile {name!r}, and there is no file with that name"
-        hint = nearest(name, list(PROFILES))
+        hint = name_hint(name, list(PROFILES))
         raise OptionError(Fault("VAL009", message, None, (), hint))
     is_toml = path.suffix.lower() == ".toml"
     table = _read_toml(path) if is_toml else _read_document(path)
@@ -179,7 +179,7 @@ def _check_codes(levels: Levels, path: str) -> None:
     for code in levels:
         is_known = code and any(rule.startswith(current_codes(code)) for rule in rules)
         if not is_known:
-            message, hint = f"no code matches {code!r}", nearest(code, [*rules])
+            message, hint = f"no code matches {code!r}", name_hint(code, [*rules])
             raise OptionError(Fault("VAL005", message, path, (), hint))
 
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import pytest
 
 from animtool.core.errors import OptionError
-from animtool.core.names import check_unused_variables, nearest
+from animtool.core.names import check_unused_variables, name_hint
 
 
 def test_nearest() -> None:
-    assert nearest("x", []) == "none are defined"
+    assert name_hint("x", []) == "none are defined"
     names = [f"n{i}" for i in range(20)]
-    assert nearest("zzz", names) == f"allowed: {', '.join(names)}"
-    many = nearest("zzz", [f"n{i}" for i in range(300)])
+    assert name_hint("zzz", names) == f"allowed: {', '.join(names)}"
+    many = name_hint("zzz", [f"n{i}" for i in range(300)])
     assert many.endswith("n23 and 276 more")
-    assert nearest("position", ["at", "restitution"]) == "allowed: restitution, at"
+    assert name_hint("position", ["at", "restitution"]) == "allowed: restitution, at"
 
 
 def test_what_is_given_must_be_used() -> None:

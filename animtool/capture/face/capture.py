@@ -23,7 +23,7 @@ from animtool.core.errors import (
     names_fault,
 )
 from animtool.core.files.reading import open_input
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.rates import (
     FractionLike,
     RateError,
@@ -236,7 +236,7 @@ def order_landmarks(
     landmark_columns = [columns.get(name, -1) for name in model.names]
     if max(landmark_columns) < 0:
         message = f"no landmark belongs to the face, such as {capture.names[0]!r}"
-        hint = f"{nearest(capture.names[0], model.names)}"
+        hint = f"{name_hint(capture.names[0], model.names)}"
         raise OptionError(Fault("FAC004", message, path, (), hint))
     ordered_points = np.take(capture.points, landmark_columns, axis=1)
     ordered_points[:, np.array(landmark_columns) < 0] = np.nan

@@ -11,7 +11,7 @@ from annotated_types import Ge, Len
 from animtool.capture.face.model import FaceModel, NonlinearShapes
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.config import project_roots
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validate_document
@@ -188,7 +188,7 @@ def _landmark_rows(
     rows: list[_LandmarkRow] = []
     if model.mesh and model.mesh not in surfaces:
         message = f"the rig has no mesh {model.mesh!r}"
-        document.add("FAC008", ("mesh",), message, nearest(model.mesh, surfaces))
+        document.add("FAC008", ("mesh",), message, name_hint(model.mesh, surfaces))
     for i, point in enumerate(model.points):
         location: Location = ("points", i)
         mesh = point.mesh or default_mesh
@@ -200,7 +200,7 @@ def _landmark_rows(
         if mesh not in surfaces:
             if point.mesh:
                 message = f"the rig has no mesh {mesh!r}"
-                hint = nearest(mesh, surfaces)
+                hint = name_hint(mesh, surfaces)
                 document.add("FAC008", (*location, "mesh"), message, hint)
             continue
         vertices = [point.vertex] if point.vertex is not None else point.vertices or []

@@ -12,7 +12,7 @@ from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
 from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault, OptionError, counted, listed
-from animtool.core.names import most_similar, nearest
+from animtool.core.names import most_similar, name_hint
 from animtool.core.record import dataclass
 
 # Largest number of names in a message.
@@ -72,7 +72,9 @@ def match_markers(
     if subject is not None:
         if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
-            raise OptionError(Fault("SOL001", message, hint=nearest(subject, matches)))
+            raise OptionError(
+                Fault("SOL001", message, hint=name_hint(subject, matches))
+            )
         matching_subjects = {subject: matches[subject]}
         labelled_names = [
             name for name in labelled_names if _split_prefix(name)[0] == subject

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError, listed
-from animtool.core.names import decimal_text, flow_list, nearest, yaml_scalar
+from animtool.core.names import decimal_text, flow_list, name_hint, yaml_scalar
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, location_text
 from animtool.rig.parts import Vector
@@ -90,7 +90,7 @@ class MarkerTemplate:
             message = f"{marker.name!r} is on {marker.joint!r}, which {rig.name!r} "
             message += "lacks"
             key_path = ("marker_set", i, "joint")
-            hint = nearest(marker.joint, index)
+            hint = name_hint(marker.joint, index)
             faults.append(
                 Fault("MKT001", message, hint=hint, where=location_text(key_path))
                 if self.document is None

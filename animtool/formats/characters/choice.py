@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
-from animtool.core.names import nearest, numbered_names
+from animtool.core.names import name_hint, numbered_names
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import (
     NodeTree,
@@ -119,5 +119,5 @@ def choose_character(
             return candidate, []
     paths = [candidate.path for candidate in candidates]
     message = f"unknown character or node {name!r}"
-    hint = nearest(prim_path, paths)
+    hint = name_hint(prim_path, paths)
     raise FormatError(Fault(unknown_code, message, where, (), hint))

@@ -14,7 +14,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.motion import Motion
@@ -57,7 +57,7 @@ def choose_take(
         if take in names:
             return names.index(take), []
         message = f"has no {messages.noun} {take!r}"
-        fault = Fault(messages.unknown_code, message, path, (), nearest(take, names))
+        fault = Fault(messages.unknown_code, message, path, (), name_hint(take, names))
         raise FormatError(fault)
     if not candidates:
         code, message = messages.no_take_code, messages.static_message

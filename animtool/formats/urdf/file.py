@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Severity, counted, excerpt
 from animtool.core.files.signatures import expects_format
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, element_label, to_number
 from animtool.formats.robots.parts import LinkMass, SimpleShape, float_vector
 from animtool.formats.robots.solids import find_mass_problem
@@ -181,7 +181,7 @@ def _read_joint(
     if type_name not in list(UrdfJointKind):
         if type_name:
             message = f"unknown joint type {excerpt(type_name)}"
-            hint = nearest(type_name, [kind.value for kind in UrdfJointKind])
+            hint = name_hint(type_name, [kind.value for kind in UrdfJointKind])
             notes.add("URD008", element, message, hint, where=where, joint=name)
         type_name = UrdfJointKind.FIXED
     link_names = []

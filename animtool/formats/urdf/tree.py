@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from animtool.core.errors import cycle_text, excerpt, listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.urdf.elements import (
     SCALAR_KINDS,
@@ -21,7 +21,7 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
         for tag, name in (("parent", joint.parent), ("child", joint.child)):
             if name and name not in file.links:
                 message = f"its {tag} link {excerpt(name)} does not exist"
-                hint = nearest(name, file.links)
+                hint = name_hint(name, file.links)
                 add_joint_fault(notes, "URD010", joint, message, hint)
         if joint.child in parents:
             first_joint = parents[joint.child]
@@ -105,7 +105,7 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         leader = file.joints.get(joint.mimic.joint)
         if leader is None:
             message = f"it mimics joint {excerpt(joint.mimic.joint)}, which does not "
-            hint = nearest(joint.mimic.joint, file.joints)
+            hint = name_hint(joint.mimic.joint, file.joints)
             add_joint_fault(notes, "URD015", joint, f"{message}exist", hint)
         elif leader.kind not in SCALAR_KINDS:
             message = f"it mimics {leader.where}, which is {leader.kind}"

@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import time_codes
 from animtool.core.errors import Fault, OptionError, Severity, excerpt, listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.quantities import plain_number
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
@@ -148,7 +148,9 @@ def _map_source(first: JoinedSource, source: JoinedSource) -> _Layer:
         for kind, pattern, valid_names in unmatched:
             message = f"tracks.{kind}: nothing in it and {rig.name!r} matches "
             message += excerpt(pattern)
-            faults.append(source.note("SCN037", message, nearest(pattern, valid_names)))
+            faults.append(
+                source.note("SCN037", message, name_hint(pattern, valid_names))
+            )
         if faults:
             raise OptionError(faults)
     if not tracks:

@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock, time_codes
 from animtool.core.errors import Fault, OptionError
-from animtool.core.names import has_kind_suffix, nearest
+from animtool.core.names import has_kind_suffix, name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.fields import record_of
@@ -90,7 +90,7 @@ def missing_mesh_fault(rig: Rig, name: str) -> Fault | None:
     if name in mesh_names:
         return None
     message = f"unknown mesh {name!r} of {rig.name!r}"
-    return Fault("SIM053", message, hint=nearest(name, mesh_names), where="mesh")
+    return Fault("SIM053", message, hint=name_hint(name, mesh_names), where="mesh")
 
 
 class CharacterSkin:

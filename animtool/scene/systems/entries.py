@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.errors import AnimtoolError, Fault, excerpt
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.options import ENTRY_RANGE_MESSAGE, CheckedRecord, range_faults
 from animtool.documents.arrays import load_array
 from animtool.documents.check import FileModel, record_of_options, unknown_options
@@ -298,7 +298,7 @@ class EntryReader:
         """Return the record of an entry that names a type of a table."""
         ((name, values),) = entry.items()
         if name not in table:
-            hint = nearest(_OTHER_SHAPES.get(name, name), list(table))
+            hint = name_hint(_OTHER_SHAPES.get(name, name), list(table))
             fault = Fault(code, f"unknown {noun} {name!r}", hint=hint)
             self.record_fault((*location, name), fault)
             return None

@@ -7,7 +7,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 from animtool.core.errors import listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.documents.document import Document, Location, parse_location
 from animtool.scene.file.entries import ScenePass, SceneSystem
 from animtool.systems.framework.fields import SystemSurfaceModel
@@ -169,7 +169,7 @@ def _check_body(
         return True
     location = (*system.setup.location, *parse_location(key_text))
     message = f"unknown body {body!r} of {name!r}"
-    hint = nearest(body, body_names) or f"it has {listed(body_names, 12)}"
+    hint = name_hint(body, body_names) or f"it has {listed(body_names, 12)}"
     document.add("SIM162", location, message, hint)
     return False
 
@@ -229,7 +229,7 @@ def check_names(
         if name not in names:
             hint = "the scene has no systems"
             if known_names:
-                hint = nearest(name, known_names)
+                hint = name_hint(name, known_names)
                 hint = hint or f"the scene has {listed(known_names)}"
             document.add("SCN063", (*location, i), f"unknown system {name!r}", hint)
 
@@ -255,7 +255,9 @@ def _check_name(
         message = f"unknown system {name!r}"
         hint = "there is no other" if system_name else "the scene has no systems"
         if other_names:
-            hint = nearest(name, other_names) or f"the scene has {listed(other_names)}"
+            hint = (
+                name_hint(name, other_names) or f"the scene has {listed(other_names)}"
+            )
     elif (count := list(names).count(name)) > 1:
         message = f"{count} systems are named {name!r}"
         hint = "give each a unique name"

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.take import Take
@@ -67,7 +67,7 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
     if names.count(name) == 1:
         return names.index(name)
     message = f"unknown system {name!r}"
-    hint = nearest(name, names) or f"the scene has {listed(names)}"
+    hint = name_hint(name, names) or f"the scene has {listed(names)}"
     if name in names:
         message, hint = f"several systems are named {name!r}", "rename one of them"
     if not names:

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders, Poses
@@ -52,7 +52,7 @@ class CarrierBodies(BodyColliders):
         if carrier.body in names:
             return names.index(carrier.body)
         message = f"unknown body {carrier.body!r} of {carrier.system!r}"
-        hint = nearest(carrier.body, names) or f"it has {listed(names, 12)}"
+        hint = name_hint(carrier.body, names) or f"it has {listed(names, 12)}"
         fault = Fault("SIM162", message, hint=hint, where=carrier.where)
         raise OptionError(fault)
 

@@ -70,7 +70,7 @@ def evaluate_expressions(
 
 def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
     """Return the invalid expressions of x, y and z by axis, each with a reason."""
-    from animtool.core.names import nearest
+    from animtool.core.names import name_hint
 
     faults = []
     for axis in "xyz":
@@ -80,7 +80,7 @@ def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str
             faults.append((axis, str(error)))
             continue
         faults += [
-            (axis, f"unknown variable {name!r}: {nearest(name, list(names))}")
+            (axis, f"unknown variable {name!r}: {name_hint(name, list(names))}")
             for name in expression.names
             if name not in names
         ]

@@ -19,7 +19,7 @@ from animtool.core.errors import (
     refuse,
     refuse_all,
 )
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import triangulate
@@ -325,7 +325,7 @@ class RigidBodies:
 
 def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
     """Raise SIM061 for an unknown body name."""
-    hint = nearest(name, names) or ""
+    hint = name_hint(name, names) or ""
     refuse("SIM061", f"unknown body {name!r}", key, hint)
 
 

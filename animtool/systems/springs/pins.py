@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, listed
-from animtool.core.names import nearest
+from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.documents.document import Location
 from animtool.documents.fields import record_of
@@ -189,7 +189,7 @@ def particle_indices(
         if isinstance(name, str) and name in body.regions:
             indices += [int(n) for n in body.regions[name]]
         elif isinstance(name, str):
-            hint = nearest(name, region_names)
+            hint = name_hint(name, region_names)
             hint = hint or f"use one of {listed(region_names)}, or numbers"
             message = f"unknown particles {name!r}"
             faults.append((i, Fault("SIM052", message, hint=hint)))
