@@ -17,7 +17,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from animtool.cli.docs_reference import codes_markdown, commands_markdown
+from animtool.cli.docs import codes_markdown, commands_markdown
 from animtool.cli.explain import ignore_section
 from animtool.core.rules import find_rule
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from support.cli import animtool
 
-from animtool.cli.docs import SITE_FOLDER
-from animtool.cli.docs_reference import codes_markdown, commands_markdown
+from animtool.cli.docs import SITE_FOLDER, codes_markdown, commands_markdown
 from animtool.cli.main import COMMANDS
 from animtool.core.errors import ExitCode
 from animtool.core.pages import (
