@@ -222,11 +222,7 @@ def _table_listener(
 
 
 def scores_table(items: Sequence[ItemReport]) -> list[str]:
-    """Return the lines of one score table for each pass.
-
-    Args:
-        items: Items in the order of the rows, worst first.
-    """
+    """Return the lines of a score table for each pass; items are sorted worst first."""
     passes = dict.fromkeys(
         (score.pass_name, score.where) for each in items for score in each.scores
     )

@@ -178,10 +178,8 @@ class Console:
     def report(self, report_format: str, record: object, template: Template) -> None:
         """Write a report, as JSON to stdout or as lines.
 
-        Args:
-            report_format: ``json`` or ``text``.
-            record: The report.
-            template: Its lines; result lines go to stdout, others to stderr.
+        The format is ``json`` or ``text``. Result lines of the template go to stdout,
+        other lines to stderr.
         """
         if report_format == "json":
             self.result_json(record)

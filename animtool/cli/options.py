@@ -321,12 +321,8 @@ def declare_option(
 ) -> Callable[[Command], Command]:
     """Return a decorator that adds the option declared on a field of a record.
 
-    Args:
-        option: The option.
-        name: Field name of the option.
-        default: Default of the field.
-        param_name: Name in the command, if it differs from the field's.
-        help_text: Help text, if it differs from the record's.
+    The parameter of the command is called ``param_name`` if that differs from the
+    field, and ``help_text`` replaces the help of the record.
     """
     flag_name, metavar = option.flag or name.replace("_", "-"), option.metavar
     flag, text = f"--{flag_name}", name_arguments(help_text or option.help, flag_of)

@@ -15,11 +15,6 @@ _LOADERS = {
 def check_loaded(value: object, expected_class: type, name: str) -> None:
     """Raise `TypeError` if an argument is not of a class; name what loads it.
 
-    Args:
-        value: The argument.
-        expected_class: Its class, such as ``Rig``.
-        name: Its name.
-
     >>> from animtool.rig.skeleton import Rig
     >>> check_loaded("biped.rig.yaml", Rig, "rig")
     Traceback (most recent call last):

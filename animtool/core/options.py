@@ -43,11 +43,7 @@ class Key:
 def key(text: str, example: Any, default: Any = MISSING, **settings: Any) -> Any:
     """Return a dataclass field that is documented as a key of a file.
 
-    Args:
-        text: Description.
-        example: Example value.
-        default: Default value; without one the key is required.
-        settings: Other arguments of `Key`.
+    Without a default the key is required; ``settings`` are other arguments of `Key`.
     """
     return field(default=default, metadata={"key": Key(text, example, **settings)})
 
@@ -150,12 +146,8 @@ def option(
 ) -> Any:
     """Return a dataclass field that is an option.
 
-    Args:
-        default: Default, as in `dataclasses.field`, or ``MISSING``.
-        kind: Kind of the value.
-        default_factory: As in `dataclasses.field`.
-        common_key: Key of both scenes and batches.
-        settings: Other arguments of `Option`.
+    The defaults are those of `dataclasses.field`. ``common_key`` is the key of both
+    scenes and batches, and ``settings`` are other arguments of `Option`.
     """
     declaration = Option(kind, **{"scene": common_key, "batch": common_key, **settings})
     return field(

@@ -85,8 +85,7 @@ def page_markdown(page: PageEntry) -> str:
 def find_page(topic: str) -> PageEntry:
     """Return the page that a topic names, or the only page about it (else CLI009).
 
-    Args:
-        topic: A topic such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
+    A topic is ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
 
     >>> find_page("Desk-Lamp").name
     'tutorials/desk-lamp'

@@ -141,12 +141,8 @@ def listed_entries(
 ) -> list[ListedEntry]:
     """Return all entries of a table, built-in ones first, with plug-ins loaded.
 
-    Args:
-        builtin_names: Names of the built-in entries.
-        entry_points: Entry points of the table, by name.
-        find: Returns an entry by its name.
-        describe: Returns the uses and the description of an entry.
-        uses_if_broken: Uses of an entry that cannot be loaded.
+    ``find`` returns an entry by its name, and ``describe`` its uses and description; an
+    entry that cannot be loaded has ``uses_if_broken``.
     """
     sources = dict.fromkeys(builtin_names, "animtool")
     for name, point in sorted(entry_points.items()):

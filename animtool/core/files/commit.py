@@ -119,8 +119,7 @@ class WrittenFile:
     def commit(self, *, must_be_new: bool) -> None:
         """Rename the temporary file to its final name.
 
-        Args:
-            must_be_new: Whether the final name must be unused.
+        With ``must_be_new``, that name must be unused (OUT001).
         """
         try:
             if must_be_new:

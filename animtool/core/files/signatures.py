@@ -109,12 +109,8 @@ def format_mismatch(
 ) -> Fault | None:
     """Return a fault if the first bytes of a file show a format other than expected.
 
-    Args:
-        code: Code of the fault.
-        path: The file.
-        expected_format: The expected format, with an article: ``a GLB file``.
-        hint: Hint if the file's name is right, so that another file is meant; empty if
-            such files are read.
+    The expected format has an article: ``a GLB file``. The hint is for files with the
+    right name, so that another file is meant; it is empty if such files are read.
     """
     path = Path(path)
     try:

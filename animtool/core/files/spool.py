@@ -17,11 +17,7 @@ MAX_MEMORY_BYTES = 1 << 28
 
 
 class Spool:
-    """A queue of lists of arrays, kept in memory or on disk.
-
-    Args:
-        max_bytes: Maximum size of the arrays kept in memory [bytes].
-    """
+    """A queue of lists of arrays: up to ``max_bytes`` in memory, the others on disk."""
 
     def __init__(self, max_bytes: int = MAX_MEMORY_BYTES) -> None:
         self._free_memory = max_bytes
