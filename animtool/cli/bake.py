@@ -184,7 +184,7 @@ def _refuse_capture(source: Path, output: Path) -> None:
 
 
 def _refuse_conflicting_options(params: dict[str, Any]) -> None:
-    """Refuse options that exclude each other."""
+    """Raise `UsageError` if `--split`, `--plan`, `--table` or `--stats` conflict."""
     if params["split"] and params["form"] == "layer":
         raise click.UsageError("--split writes a stage in three files, not --as layer.")
     if params["plan"] and params["table"]:

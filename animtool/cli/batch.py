@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _ItemRange:
-    """A range of item numbers on the command line."""
+    """Item numbers as on the command line, such as ``3``, ``3-7`` or ``3+5``."""
 
     first: int
     last: int

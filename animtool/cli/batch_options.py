@@ -68,7 +68,7 @@ def with_cuts(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
 
 
 def cut_arguments(params: Mapping[str, Any]) -> list[str]:
-    """Return the shot options as command-line words."""
+    """Return the words of a command line that repeat the given shot options."""
     words = []
     for name in CUT_OPTIONS:
         if params[name] is not None:
@@ -77,7 +77,7 @@ def cut_arguments(params: Mapping[str, Any]) -> list[str]:
 
 
 def variant_arguments(params: Mapping[str, Any]) -> list[str]:
-    """Return the variant options as command-line words."""
+    """Return the words ``--variants`` and ``--vary`` that repeat the given variants."""
     words = [] if params["table"] is None else ["--variants", str(params["table"])]
     for text in params["columns"]:
         words += ["--vary", text]

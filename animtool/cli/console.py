@@ -47,7 +47,7 @@ def flag_of(argument: Argument) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FlagNamer:
-    """Names arguments by the flags of a command."""
+    """Replaces names of Python arguments in messages by the flags of a command."""
 
     command: click.Command
 
@@ -103,7 +103,7 @@ _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 
 @dataclass(slots=True)
 class Console:
-    """Output of a command to stdout and stderr."""
+    """Writes results to stdout, and faults, notes and progress to stderr."""
 
     verbosity: int = 0  # -1 for errors only, 0 by default, 1 with notes and timings
     logs_json: bool = False  # write each line on stderr as a JSON object

@@ -117,7 +117,7 @@ def _page_of(topic: str) -> PageEntry:
 
 
 def _page_text(page: PageEntry) -> str:
-    """Return the Markdown of a page, generated or stored."""
+    """Return the Markdown of a page; those of commands and codes are generated."""
     from animtool.cli.explain import ignore_section
     from animtool.core.rules import find_rule, page_text
 
@@ -149,7 +149,7 @@ def _open_in_browser(console: Console, name: str) -> bool:
 
 
 def _sorted_pages() -> list[PageEntry]:
-    """Return all pages sorted by kind."""
+    """Return installed and generated pages, sorted by kind, then by name."""
     order = list(PAGE_KINDS.values())
     pages = [*all_pages(), COMMANDS_PAGE, CODES_PAGE]
     return sorted(pages, key=lambda page: (order.index(page.kind), page.name))

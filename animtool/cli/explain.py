@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RulePage:
-    """A code and the page that explains it."""
+    """A code, its page and the kinds of files that its rule checks."""
 
     rule: Rule
     json_keys: ClassVar[str] = (

@@ -192,7 +192,7 @@ def _extreme_text(extreme: Extreme, unit: str) -> str:
 
 
 def _system_counts(counts: dict[str, int]) -> str:
-    """Format the counts of a system's elements."""
+    """List the element counts of a system, such as ``3 bodies, at most 90 at once``."""
     return ", ".join(
         f"at most {count} at once"
         if name == "max_particles"

@@ -391,7 +391,7 @@ def _with_options(console: Console, faults: Sequence[Fault]) -> Sequence[Fault]:
 
 
 def _logs_json(arguments: Sequence[str]) -> bool:
-    """Return whether stderr is JSON.
+    """Return whether ``--log-format`` or ``ANIMTOOL_LOG_FORMAT`` selects JSON.
 
     This is determined before a command runs, so that usage errors are JSON too.
     """

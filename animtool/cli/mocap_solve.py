@@ -131,7 +131,7 @@ def _bone_scale_text(calibration: Calibration) -> str:
 
 
 def _worst_markers(markers: Sequence[MarkerScore]) -> list[str]:
-    """Return the markers with the largest residuals."""
+    """Return names and RMS residuals of the three worst markers, unseen ones last."""
     worst_first = sorted(markers, key=lambda m: -m.rms if m.seen else 1.0)
     return [f"{marker.name} {length_text(marker.rms)}" for marker in worst_first[:3]]
 

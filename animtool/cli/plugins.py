@@ -35,7 +35,7 @@ class Plugins:
 
 
 def _table_lines(table: str, kind: str) -> Each:
-    """Return the report lines of a plug-in table."""
+    """Return the template of a table's lines: name, use, description and source."""
     first_column = f"{{name:<14}} [{kind}|broken     ]"
     return Each(table, (first_column + " {about} ({source})",))
 

@@ -121,7 +121,7 @@ def serve_preview(
     options: PreviewOptions,
     show_options: ShowOptions,
 ) -> None:
-    """Serve a page until the command is interrupted."""
+    """Serve a page that reloads when its files change, until Ctrl-C."""
     opens_browser = (
         has_browser() if show_options.opened is None else show_options.opened
     )

@@ -183,7 +183,7 @@ def _deformed_text(meshes: list[MeshReport]) -> str:
 
 
 def _simulated_text(meshes: list[MeshReport]) -> str:
-    """Format the count of simulated systems, as a title."""
+    """Format a title such as ``2 systems of cloth, simulated``."""
     return f"{counted(len(meshes), 'system')} of {meshes[0].of}, simulated"
 
 
@@ -287,7 +287,7 @@ _TEMPLATE_BY_REPORT = {"BakeReport": BAKE_TEMPLATE, "ConvertReport": CONVERT_TEM
 
 
 def template_of(report: BakeReport | ConvertReport) -> Template:
-    """Return the text template of an output's report."""
+    """Return the text template for the class of an output's report."""
     return _TEMPLATE_BY_REPORT[type(report).__name__]
 
 

@@ -170,7 +170,7 @@ def _print_report(
     report_options: ReportOptions,
     path_warnings: Sequence[Fault],
 ) -> None:
-    """Print the report, and exit with its exit code."""
+    """Print the report in the chosen format, then exit with its exit code."""
     from animtool.validation.formats import format_report
     from animtool.validation.formats.plain import summary
 

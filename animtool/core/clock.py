@@ -118,7 +118,7 @@ class Clock:
 
     @property
     def span(self) -> FrameSpan:
-        """First frame, last frame and rate."""
+        """First and last time code, with the time codes per second."""
         last = self.start + self.step * max(0, self.count - 1)
         return FrameSpan(self.start, last, self.fps)
 
@@ -141,7 +141,7 @@ class FrameSpan:
 
     @property
     def frames_text(self) -> str:
-        """First and last frame as text."""
+        """Range of time codes as text: ``frames 1 to 10``, or ``frame 1`` for one."""
         labels = dict.fromkeys(map(frame_label, (self.first, self.last)))
         return f"{'frames' if len(labels) > 1 else 'frame'} {' to '.join(labels)}"
 

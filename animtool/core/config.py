@@ -183,7 +183,7 @@ def _value_error(path: Path, message: str, hint: str | None = None) -> OptionErr
 
 
 def _timeline_from_table(path: Path, table: Any) -> TimelineConfig:
-    """Return the settings of timelines."""
+    """Parse the table ``timeline`` of project settings (invalid: CFG002, CFG003)."""
     if not isinstance(table, dict):
         message = f"timeline is {excerpt(str(table))}, not a table of settings"
         raise _value_error(path, message)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class JunitCase:
-    """A test case, which stands for a file."""
+    """A JUnit test case: the result of one checked file."""
 
     name: str  # the file
     # Result of the test case.

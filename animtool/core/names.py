@@ -57,7 +57,7 @@ def has_kind_suffix(path: Path, kind: str) -> bool:
 
 
 def is_variable_name(text: str) -> bool:
-    """Return whether a name is valid for a variable.
+    """Return whether a text can name a variable: it fully matches `VARIABLE_NAME`.
 
     >>> is_variable_name("shot_2"), is_variable_name("2nd shot")
     (True, False)

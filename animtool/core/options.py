@@ -339,7 +339,7 @@ def _bound_text(text: str, *, finite: bool) -> str:
 
 @cache
 def ranges_of(record: type[Any]) -> Mapping[str, Range]:
-    """Return the declared ranges of a record, by field.
+    """Return the valid ranges that a record declares in its annotations, by field.
 
     >>> from animtool.systems.springs import SpringOptions
     >>> ranges_of(SpringOptions)["longest"].bound

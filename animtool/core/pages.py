@@ -46,7 +46,7 @@ MAX_HINTED_PAGES = 5
 
 @dataclass(frozen=True, slots=True)
 class PageEntry:
-    """A documentation page.
+    """Name and title of an installed documentation page.
 
     Attributes:
         name: Path below ``docs``, without suffix, such as ``howto/ci``.

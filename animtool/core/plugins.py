@@ -69,7 +69,7 @@ def load_object(path: str) -> object:
 
 
 def plugin_entry_points(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name.
+    """Return the installed plug-ins of an entry point group, by name.
 
     Reading them takes tens of milliseconds; it is therefore deferred until a table
     lacks an entry, or `may_have_plugins` reports some.
@@ -174,7 +174,7 @@ class FormatTable(Generic[EntryT]):
         return None if point is None else load_plugin(point, self.kind)
 
     def _entry_points_by_suffix(self) -> dict[str, EntryPoint]:
-        """Return the entry points by suffix, including its dot."""
+        """Return the plug-ins by the file suffix that each supports, with its dot."""
         points = sorted(plugin_entry_points(self.group).items())
         return {f".{name}": point for name, point in points}
 

@@ -155,7 +155,7 @@ def length_text(meters: float, digits: int = 3) -> str:
 
 
 def angle_text(degrees: float, digits: int = 3) -> str:
-    """Return an angle in degrees.
+    """Format an angle in degrees; tiny angles other than 0 are ``below 0.000001°``.
 
     >>> angle_text(26.25, 4), angle_text(0.000267), angle_text(8.8e-13), angle_text(0)
     ('26.25°', '0.000267°', 'below 0.000001°', '0°')
@@ -166,7 +166,7 @@ def angle_text(degrees: float, digits: int = 3) -> str:
 
 
 def duration_text(seconds: float, digits: int = 3) -> str:
-    """Return a duration in seconds, milliseconds or microseconds.
+    """Format a duration [s] in s, ms or µs, the largest that is not above it.
 
     >>> duration_text(1.61e-3), duration_text(72.4), duration_text(3e-5)
     ('1.61 ms', '72.4 s', '30 µs')
@@ -196,7 +196,7 @@ def percent_hint(value: float) -> str:
 
 
 def size_text(size: float, digits: int = 3) -> str:
-    """Return a size in bytes, kB, MB or GB.
+    """Format a size [B] in B, kB, MB or GB, the largest that is not above it.
 
     >>> size_text(5160), size_text(20)
     ('5.16 kB', '20 B')

@@ -72,7 +72,7 @@ class RateKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """The frame rate chosen for a printed frame time."""
+    """The rate inferred from a printed frame time, and which others print equally."""
 
     fps: Fraction  # exact frames per second
     # ``reprinted``: the reciprocal rounds to the printed time; ``nearest``: the closest

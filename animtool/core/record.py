@@ -176,7 +176,7 @@ def _initializer(
     has_post_init: bool,
     stores_in_dict: bool,
 ) -> Callable[..., None]:
-    """Return the ``__init__`` method of a record's fields."""
+    """Return the ``__init__`` that sets fields from arguments, else from defaults."""
     defaults = {e.name: e.default for e in record_fields if e.default is not MISSING}
     factories = [
         (e.name, e.default_factory)

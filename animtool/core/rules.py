@@ -111,7 +111,7 @@ def page_text(code: str) -> str | None:
 
 @cache
 def builtin_rules() -> Mapping[str, Rule]:
-    """Return animtool's own rules in order, by code."""
+    """Return the rules declared in the front matter of rule pages, by code, sorted."""
     rules = []
     for page_file in _PAGES_FOLDER.iterdir():
         # For 800 files, text buffers and decoders would take half of the time.

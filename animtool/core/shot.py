@@ -268,7 +268,7 @@ class FrameList(FrameRange):
 
     @staticmethod
     def of_frames(frames: Iterable[int]) -> FrameList:
-        """Return a list of frames.
+        """Return a list of single frames, in the given order.
 
         >>> FrameList.of_frames([40, 1, 20])
         FrameList(first=1, last=40, step=1, frames=(40, 1, 20))

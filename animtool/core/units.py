@@ -22,7 +22,7 @@ class LengthUnit(StrEnum):
 
 
 class UpAxis(StrEnum):
-    """Up axis of a file."""
+    """The axis that points up in a file: Y or Z."""
 
     Y = "Y"
     Z = "Z"

@@ -46,7 +46,7 @@ def plain_value(value: Any) -> Any:
 
 
 def _plain_container(value: Any) -> Any:
-    """Convert a container to JSON values."""
+    """Convert a record, mapping, array or sequence and its elements to JSON values."""
     keys = getattr(value, "json_keys", None)
     if isinstance(keys, str):
         return template_values(value, keys)

@@ -264,7 +264,7 @@ def rig_writer(path: Path) -> Callable[..., Any]:
 
 
 def writes_stage(path: Path) -> bool:
-    """Return whether an output path is a USD file."""
+    """Return whether the suffix of an output path is that of a USD stage."""
     writer = WRITERS.get(path.suffix.lower())
     return writer is not None and writer.stage
 

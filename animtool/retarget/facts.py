@@ -25,7 +25,7 @@ BLOCK_FRAMES = 1024
 
 @dataclass(frozen=True, slots=True)
 class FootFacts:
-    """How often and how long a foot is planted."""
+    """Contact statistics of a foot: how often and how long it is planted."""
 
     standing: float  # fraction of frames in which the foot is planted
     steps: int  # number of contacts

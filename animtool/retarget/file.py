@@ -94,7 +94,7 @@ class MapModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class MapFile:
-    """A parsed map file."""
+    """A map file with its document, which locates faults in the text."""
 
     document: Document
     model: MapModel
@@ -110,7 +110,7 @@ class ResolvedEntry(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ResolvedMap:
-    """A map file resolved for two skeletons."""
+    """A map file whose joint names are replaced by the joint indices of two rigs."""
 
     entries: tuple[ResolvedEntry, ...]
     twists: tuple[TwistFraction, ...] | None
@@ -120,7 +120,7 @@ class ResolvedMap:
 
 
 def load_map(path: Path | str) -> MapFile:
-    """Load a map file; `resolve_map` checks its joint names.
+    """Parse a map file; joint names are only checked by `resolve_map`.
 
     Raises:
         FormatError: The file cannot be read or is malformed; lists every fault.
@@ -149,7 +149,7 @@ def parse_map_document(document: Document) -> MapFile:
 
 
 def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
-    """Return a map file's joints as indices of two skeletons.
+    """Look up the joint names of a map file in two rigs (unknown: MAP001).
 
     A joint is matched by its name or by its name in the source file, with or without
     namespace and prefix.

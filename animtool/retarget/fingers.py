@@ -104,7 +104,10 @@ def _digits_by_position(
 def _phalanx_roles(
     body: SkeletonTree, path: Sequence[int], digit: str, side: str, thumb_length: int
 ) -> dict[int, str]:
-    """Return the role of each joint of a finger."""
+    """Return the role of each joint of a finger, such as ``index_1_l``.
+
+    Numbers in names determine the first phalanx; without any, the joint count does.
+    """
     if digit == MITTEN_ROLE:
         return {j: f"{MITTEN_ROLE}_{side}" for j in path}
     start_numbers = [

@@ -72,7 +72,7 @@ def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
 
 
 def _map_lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
-    """Yield the lines of a map file."""
+    """Yield the lines of a map file; joints mapped with doubt get a comment."""
     source_names, target_names = source.names, target.names
     yield f"# {yaml_scalar(source.name)} onto {yaml_scalar(target.name)}"
     yield "map: animtool/1"

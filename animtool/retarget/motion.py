@@ -68,7 +68,7 @@ ROUNDING_TOLERANCE = 1e-13
 
 @dataclass(frozen=True, slots=True)
 class _PosedFrames:
-    """Frames of the target before its feet are planted."""
+    """The target's pose in F frames as transferred, before its feet are planted."""
 
     source: FloatArray  # source joints in the target's axes (F, J, 3) [m]
     # Balls of the source's feet, or ankles, in these axes (F, L, 3) [m].
@@ -446,7 +446,7 @@ def split_blocks(motions: Iterable[Motion], block_size: int) -> Iterator[Motion]
 
 @dataclass(frozen=True, slots=True)
 class Retargeted:
-    """A retargeted take with its report."""
+    """A retargeted take, with its fit report and the transfer and contacts used."""
 
     take: Take
     transfer: Transfer

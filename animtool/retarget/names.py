@@ -122,7 +122,7 @@ def strip_common_prefix(names: Sequence[str]) -> list[str]:
 
 
 def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
-    """Return the parsed names of J joints.
+    """Split J joint names into side, key and kind, without their common prefix.
 
     >>> parse_names(["a:LeftUpLeg", "a:RightUpLeg"], [-1, -1])[0]
     ParsedName(side='l', name_key='upleg', kind='')
@@ -178,7 +178,7 @@ def _load_tables() -> Mapping[str, Preset]:
 
 @cache
 def presets() -> Mapping[str, Preset]:
-    """Return the shipped naming conventions, by name."""
+    """Return the naming conventions of ``presets.yaml``, by name."""
     return {
         name: preset for name, preset in _load_tables().items() if name != COMMON_WORDS
     }

@@ -241,7 +241,11 @@ class _PairCollector:
                 self.pairs[joint] = JointPair(other, joint, "", RoleSource.NAME, 1.0)
 
     def add_role(self, role: str, mode: MapMode) -> None:
-        """Pair the remaining joints of one role."""
+        """Pair the target joints of a role that are unpaired with its source joints.
+
+        The mode ``names`` only uses joints whose name tells the role; ``rename`` pairs
+        them one to one and uses no source joint twice.
+        """
         source_joints, target_joints = (
             [
                 j

@@ -107,12 +107,12 @@ class LocalRotations:
     clamped_frames: dict[int, BoolArray]
 
     def select(self, frames: IntArray) -> LocalRotations:
-        """Return the rotations of the selected frames."""
+        """Return a copy of the rotations in the frames of these indices."""
         clamped_frames = {j: mask[frames] for j, mask in self.clamped_frames.items()}
         return LocalRotations(self.local[frames], self.world[frames], clamped_frames)
 
     def replace_frames(self, frames: IntArray, other: LocalRotations) -> None:
-        """Replace the rotations of the selected frames."""
+        """Overwrite rotations and clamp masks in the frames of these indices."""
         self.local[frames], self.world[frames] = other.local, other.world
         for j in {*self.clamped_frames, *other.clamped_frames}:
             no_frames = np.zeros(len(self.local), np.bool_)

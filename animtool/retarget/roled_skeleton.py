@@ -127,7 +127,7 @@ class RoledSkeleton:
 
     @property
     def size(self) -> float:
-        """Largest extent of the rest positions [m]."""
+        """Longest edge of the bounding box of the joints at rest [m]."""
         return float(np.ptp(self.positions, axis=0).max())
 
     @property

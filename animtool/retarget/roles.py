@@ -50,7 +50,7 @@ class RoleSource(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Anatomy:
-    """The role of each joint of a skeleton."""
+    """The roles of a skeleton's J joints, each with its evidence and confidence."""
 
     # One of `ROLES`, or `TWIST`, `END`, `CONTROL` or empty, per joint ``(J,)``.
     roles: tuple[str, ...]

@@ -421,5 +421,5 @@ def unit_warnings(rig: Rig, file_format: object) -> list[Fault]:
 
 
 def _other_axis(up: UpAxis) -> UpAxis:
-    """Return the other of the two possible up axes."""
+    """Return Z for Y, and Y for Z."""
     return UpAxis.Z if up is UpAxis.Y else UpAxis.Y

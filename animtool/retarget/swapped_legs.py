@@ -41,7 +41,7 @@ class SwappedLegs:
 
     @property
     def message(self) -> str:
-        """Description of the sides of the two joints."""
+        """Text with the names of both joints and the count of swapped frames."""
         return (
             f"{self.left_name!r} is on the right of the body, and {self.right_name!r} "
             f"on the left, in {self.swapped_count} of "

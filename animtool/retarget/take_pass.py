@@ -331,7 +331,7 @@ def _rig_path(options: RetargetPassOptions) -> Path:
 
 
 def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
-    """Run the pass: retarget the take and report its fit."""
+    """Return the stream retargeted onto the rig; the fit is reported at its end."""
     # The take determines root motion, not the rig's stage.
     rig = at_origin(Rig.load(context.folder / _rig_path(options)))
     names = RetargetOptions.__dataclass_fields__
@@ -400,7 +400,7 @@ def checked_blocks(
 
 
 def _check_warn_above(options: Any) -> None:
-    """Refuse an invalid score bound (CAP001)."""
+    """Refuse a score bound that is negative or infinite (CAP001)."""
     bound = options.warn_above
     if bound is not None and not 0 <= bound < np.inf:
         refuse("CAP001", f"warn_above must be finite and 0 or more, not {bound:g}")

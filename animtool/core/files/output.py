@@ -234,7 +234,7 @@ def same_file(path: Path, other_path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _OutputSet:
-    """A set of files that is committed together."""
+    """Files of an open `atomic_outputs` block, which appear together at its end."""
 
     # Complete files that wait to be renamed.
     files: list[WrittenFile] = field(default_factory=list)

@@ -158,7 +158,7 @@ _NON_FILE_KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class MatchedFile:
-    """A file that a name or a pattern matches."""
+    """A file found by its name or by a glob, and the folder that was searched."""
 
     path: Path  # the file, spelled like its folder
     search_folder: Path  # the searched folder; for a named file, its folder

@@ -98,7 +98,7 @@ class _SharedNotes:
         self.write()
 
     def read(self) -> None:
-        """Read the notes that the child wrote."""
+        """Read and clear the child's notes on its input, output and folders."""
         self.path, self.has_output, self.folders = "", False, []
         text = _stored_data(self.memory)
         if text is not None:
