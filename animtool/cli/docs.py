@@ -242,5 +242,5 @@ def _escape_prose(text: str) -> str:
 
 def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     """Return a Markdown table as one paragraph."""
-    lines = [header, ("---",) * len(header), *rows]
-    return ["\n".join(f"| {' | '.join(cells)} |" for cells in lines)]
+    table_rows = [header, ("---",) * len(header), *rows]
+    return ["\n".join(f"| {' | '.join(row)} |" for row in table_rows)]

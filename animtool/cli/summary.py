@@ -175,10 +175,10 @@ def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
 
 def _deformed_text(meshes: list[MeshReport]) -> str:
     """Format the counts of deformed meshes and strands, as a title."""
-    strands = sum(mesh.kind == "strands" for mesh in meshes)
-    meshes_text = counted(len(meshes) - strands, "mesh", "meshes")
-    if strands:
-        meshes_text += f" and {counted(strands, 'set', 'sets')} of strands"
+    strand_set_count = sum(mesh.kind == "strands" for mesh in meshes)
+    meshes_text = counted(len(meshes) - strand_set_count, "mesh", "meshes")
+    if strand_set_count:
+        meshes_text += f" and {counted(strand_set_count, 'set', 'sets')} of strands"
     return f"{meshes_text} of {meshes[0].of}, deformed"
 
 

@@ -56,7 +56,7 @@ class _KeyDocstring:
 
     def __get__(self, instance: object, owner: type[Any]) -> str:
         head, _, attribute_lines = self.docstring.partition("    Attributes:\n")
-        _, blank, after_list = attribute_lines.partition("\n\n")
+        _, separator, after_list = attribute_lines.partition("\n\n")
         texts_by_name = {
             name: text
             for base in reversed(owner.__mro__)
@@ -71,7 +71,7 @@ class _KeyDocstring:
             return self.docstring
         names = [option.name for option in fields(owner)]
         texts = [texts_by_name[name] for name in names if name in texts_by_name]
-        attribute_lines = f"    Attributes:\n{''.join(texts)}{blank[1:]}"
+        attribute_lines = f"    Attributes:\n{''.join(texts)}{separator[1:]}"
         return f"{head.rstrip()}\n\n{attribute_lines}{after_list or '    '}"
 
 

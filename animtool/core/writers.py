@@ -284,8 +284,8 @@ def file_suffixes() -> list[str]:
 
 def _motion_suffixes() -> list[str]:
     """Return the suffixes of all take formats, including plug-ins."""
-    stages = [suffix for suffix, writer in WRITERS.items() if writer.stage]
-    return [*sorted([*stages, *file_suffixes()]), *_TABLE.plugin_suffixes()]
+    stage_suffixes = [suffix for suffix, writer in WRITERS.items() if writer.stage]
+    return [*sorted([*stage_suffixes, *file_suffixes()]), *_TABLE.plugin_suffixes()]
 
 
 def listed_writers() -> list[ListedEntry]:

@@ -126,8 +126,8 @@ def find_anatomy(
         up = find_up_direction(search.body, search.tip_joints)
     is_rest_pose = search.body is body
     tips = search.tip_joints
-    left = find_left_direction(search.body, tips, up, is_rest_pose=is_rest_pose)
-    _assign_sides_by_position(search, left)
+    left_axis = find_left_direction(search.body, tips, up, is_rest_pose=is_rest_pose)
+    _assign_sides_by_position(search, left_axis)
     _assign_trunk(search)
     for limb in tips:
         _assign_limb(search, limb)
@@ -283,8 +283,8 @@ def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> Non
         for j in body.path(start, chest):
             search.set_role(j, "spine")
     search.set_role(head, "head")
-    topmost = head if head >= 0 else chest
-    path = body.path(start, topmost)
+    last_joint = head if head >= 0 else chest
+    path = body.path(start, last_joint)
     neck_indices = [i for i, j in enumerate(path) if "neck" in body.votes[j]]
     after_chest = path.index(chest) + 1 if chest in path else len(path)
     after_chest = neck_indices[0] if neck_indices else after_chest

@@ -79,15 +79,15 @@ def bend_at_pin(
     The limits determine the bending direction of the knee; without limits, its current
     bend does.
     """
-    upper, lower = bones
-    axial_product = float((upper @ pin_axis) * (lower @ pin_axis))
-    cosine = float(upper @ lower) - axial_product
-    sine = float(upper @ np.cross(pin_axis, lower))
+    thigh, shin = bones
+    axial_product = float((thigh @ pin_axis) * (shin @ pin_axis))
+    cosine = float(thigh @ shin) - axial_product
+    sine = float(thigh @ np.cross(pin_axis, shin))
     amplitude = float(np.hypot(cosine, sine))
     if not amplitude:
         return thigh_rotations, current_angles
     goal_distance = np.linalg.norm(goal - hip, axis=1)
-    required_product = (goal_distance**2 - upper @ upper - lower @ lower) / 2
+    required_product = (goal_distance**2 - thigh @ thigh - shin @ shin) / 2
     required_cosine = required_product - axial_product
     opening_angles = np.arccos(np.clip(required_cosine / amplitude, -1.0, 1.0))
     straight_angle = float(np.arctan2(sine, cosine))
@@ -103,7 +103,7 @@ def bend_at_pin(
     chosen_angle = np.where(angle_changes[0] <= angle_changes[1], *candidates)
     if limits is not None:
         chosen_angle = limits.clamped(chosen_angle)
-    tip = upper + so3.rotate(so3.from_axis_angle(pin_axis, chosen_angle), lower)
+    tip = thigh + so3.rotate(so3.from_axis_angle(pin_axis, chosen_angle), shin)
     swing = shortest_rotations(so3.rotate(thigh_rotations, tip), goal - hip)
     return so3.multiply(swing, thigh_rotations), chosen_angle
 

@@ -242,11 +242,11 @@ def _windowed_medians(contacts: FloatArray, column: int, window: float) -> Float
     outvoted.
     """
     medians = np.zeros(len(contacts))
-    for i, middle in enumerate(contacts[:, 0].tolist()):
-        nearby_contacts = contacts[np.abs(contacts[:, 0] - middle) <= window]
+    for i, middle_frame in enumerate(contacts[:, 0].tolist()):
+        nearby_contacts = contacts[np.abs(contacts[:, 0] - middle_frame) <= window]
         order = np.argsort(nearby_contacts[:, column], kind="stable")
-        cumulative = np.cumsum(nearby_contacts[order, 1])
-        middle_index = int(np.searchsorted(cumulative, cumulative[-1] / 2))
+        weight_sums = np.cumsum(nearby_contacts[order, 1])
+        middle_index = int(np.searchsorted(weight_sums, weight_sums[-1] / 2))
         medians[i] = nearby_contacts[order[middle_index], column]
     return medians
 

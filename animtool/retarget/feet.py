@@ -371,16 +371,16 @@ def smooth_cover(values: FloatArray, width: float) -> FloatArray:
 
     It is 0 where no value is above 0, and returns to 0 within a width [frames].
     """
-    cover, is_fixed = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
+    curve, is_fixed = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
     for _ in range(MAX_LOWERING_ITERATIONS):
-        is_low = values > cover[:, 0] + REACH_TOLERANCE
+        is_low = values > curve[:, 0] + REACH_TOLERANCE
         if not is_low.any():
             break
-        is_fixed |= is_low & _local_maxima(values - cover[:, 0])
+        is_fixed |= is_low & _local_maxima(values - curve[:, 0])
         weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
         weighted_values = np.where(is_fixed, FIXED_WEIGHT * values, 0.0)[:, None]
-        cover = smooth_path_to_targets(weights, weighted_values, max(width, 1.0) ** 4)
-    return np.asarray(cover[:, 0])
+        curve = smooth_path_to_targets(weights, weighted_values, max(width, 1.0) ** 4)
+    return np.asarray(curve[:, 0])
 
 
 def _local_maxima(values: FloatArray) -> BoolArray:

@@ -132,9 +132,9 @@ def _leg_reach(
     """Return the smallest and largest hip-ankle distance within pin limits [m]."""
     rig, (_, shin, foot, _) = target.rig, leg
     joint, rest_rotation = rig.joints[shin], rig.rest_rotations[shin]
-    upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
+    thigh_bone, shin_bone = rig.rest_translations[shin], rig.rest_translations[foot]
     if joint.type is not JointType.PIN:
-        a, b = np.linalg.norm(upper), np.linalg.norm(lower)
+        a, b = np.linalg.norm(thigh_bone), np.linalg.norm(shin_bone)
         return float(abs(a - b)), float(a + b)
     lower_limit, upper_limit = -np.pi, np.pi
     if isinstance(joint.limits, RangeLimit):
@@ -142,16 +142,16 @@ def _leg_reach(
     # The squared distance varies with the cosine of the angle about that of its
     # maximum.
     pin_axis = np.array(joint.axis, np.float64)
-    bone = so3.rotate(so3.conjugate(rest_rotation), upper)
-    cosine = bone @ lower - (bone @ pin_axis) * (lower @ pin_axis)
-    straight_angle = np.arctan2(bone @ np.cross(pin_axis, lower), cosine)
+    bone = so3.rotate(so3.conjugate(rest_rotation), thigh_bone)
+    cosine = bone @ shin_bone - (bone @ pin_axis) * (shin_bone @ pin_axis)
+    straight_angle = np.arctan2(bone @ np.cross(pin_axis, shin_bone), cosine)
     extreme_angles = straight_angle + np.pi * np.arange(-4, 5)
     angles = np.append(
         extreme_angles[(extreme_angles > lower_limit) & (extreme_angles < upper_limit)],
         [lower_limit, upper_limit],
     )
     rotations = so3.from_axis_angle(pin_axis, angles)
-    tips = upper + so3.rotate(so3.multiply(rest_rotation, rotations), lower)
+    tips = thigh_bone + so3.rotate(so3.multiply(rest_rotation, rotations), shin_bone)
     distances = np.linalg.norm(tips, axis=1)
     return float(distances.min()), float(distances.max())
 
@@ -258,14 +258,14 @@ def _bend_pin_limb(
     pin_axis = np.array(joint.axis, np.float64)
     rotation_from_rest = so3.multiply(so3.conjugate(rest_rotation), local_rotation)
     angle = swing_twist(rotation_from_rest, joint.axis)[1]
-    lower = so3.rotate(rest_rotation, target.offset(middle, end_joint))
-    bones = rig.rest_translations[middle], lower
+    lower_bone = so3.rotate(rest_rotation, target.offset(middle, end_joint))
+    bones = rig.rest_translations[middle], lower_bone
     limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
     axis = so3.rotate(rest_rotation, pin_axis)
     pin_state = bones, axis, angle, limits
-    upper, pin_angle = bend_at_pin(start, goal, rotations[0], *pin_state)
-    bend = so3.multiply(rest_rotation, so3.from_axis_angle(pin_axis, pin_angle))
-    return upper, so3.multiply(upper, bend)
+    upper_rotation, pin_angle = bend_at_pin(start, goal, rotations[0], *pin_state)
+    local_bend = so3.multiply(rest_rotation, so3.from_axis_angle(pin_axis, pin_angle))
+    return upper_rotation, so3.multiply(upper_rotation, local_bend)
 
 
 def _knee_axis(target: RoledSkeleton, shin: int) -> FloatArray:

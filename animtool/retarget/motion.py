@@ -404,10 +404,10 @@ class Retargeting:
         frames = slice(begin, begin + len(world))
         for hand in self.contact_frames.hands:
             arm = arm_joints(self.transfer.target, hand.side)
-            bends = hand.bone_rotations[frames]
-            if arm is None or not bends.any():
+            vectors = hand.bone_rotations[frames]
+            if arm is None or not vectors.any():
                 continue
-            world[:, arm[:2]] = so3.multiply(so3.exp(bends), world[:, arm[:2]])
+            world[:, arm[:2]] = so3.multiply(so3.exp(vectors), world[:, arm[:2]])
             changed_joints.update(arm[:2])
         if not changed_joints:
             return rotations

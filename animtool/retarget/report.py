@@ -247,8 +247,8 @@ class FitMeter:
         if "acceleration" in values:
             # Second differences belong to their middle frame.
             source_max_acceleration = max(float(self._max_accelerations[1]), 1e-300)
-            ratios = values["acceleration"] / source_max_acceleration
-            values["acceleration"] = np.pad(ratios, 1)
+            acceleration_ratios = values["acceleration"] / source_max_acceleration
+            values["acceleration"] = np.pad(acceleration_ratios, 1)
         source_values = {"drift": report.source_drift_max}
         return assess_take(fit_scores(report), values, source_values, ignored_errors)
 

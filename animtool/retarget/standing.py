@@ -204,9 +204,9 @@ def _is_trunk_along(
 def _keeps_level(positions: FloatArray, up: UpAxis) -> bool:
     """Return whether the lowest joint keeps its height, as for a lying body."""
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
-    lowest = (positions @ np.array(up.vector)).min(axis=1)
+    heights = (positions @ np.array(up.vector)).min(axis=1)
     low, high = (
-        np.quantile(lowest, q) for q in (MAX_CHANCE_FRACTION, 1 - MAX_CHANCE_FRACTION)
+        np.quantile(heights, q) for q in (MAX_CHANCE_FRACTION, 1 - MAX_CHANCE_FRACTION)
     )
     return float(high - low) < LYING_VARIATION * body_size
 
@@ -214,21 +214,20 @@ def _keeps_level(positions: FloatArray, up: UpAxis) -> bool:
 def _has_feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether feet are at 0 along an axis, but the body is not at 0 along up."""
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
-    feet = (positions @ np.array(axis.vector)).min(axis=1) / body_size
-    lowest = (positions @ np.array(up.vector)).min(axis=1) / body_size
-    is_on_ground = (
-        float((np.abs(feet) < MAX_GROUND_DISTANCE).mean()) >= MIN_GROUND_FRACTION
-    )
+    axis_heights = (positions @ np.array(axis.vector)).min(axis=1) / body_size
+    heights = (positions @ np.array(up.vector)).min(axis=1) / body_size
+    ground_fraction = float((np.abs(axis_heights) < MAX_GROUND_DISTANCE).mean())
     # A lying body has nothing below the ground.
-    is_level = (lowest > -MAX_DEPTH_BELOW_GROUND) & (lowest < MAX_GROUND_DISTANCE)
+    is_level = (heights > -MAX_DEPTH_BELOW_GROUND) & (heights < MAX_GROUND_DISTANCE)
+    is_on_ground = ground_fraction >= MIN_GROUND_FRACTION
     return is_on_ground and float(is_level.mean()) < MIN_GROUND_FRACTION
 
 
 def _travels_across(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether a body travels across an axis as a walking one does."""
-    centre = positions.mean(axis=1)
+    mean_positions = positions.mean(axis=1)
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
-    extents = np.ptp(centre, axis=0)
+    extents = np.ptp(mean_positions, axis=0)
     travel_along_axis = float(extents @ np.array(axis.vector))
     # A lying body does not travel along the assumed up axis.
     travel_along_up = float(extents @ np.array(up.vector))
@@ -395,11 +394,11 @@ def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     if not size or min_size <= size <= MAX_RIG_SIZE:
         return []
     message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
-    shortest, tallest = PERSON_HEIGHTS
+    min_height, max_height = PERSON_HEIGHTS
     fitting_units = [
-        str(other)
-        for other in LengthUnit
-        if shortest <= size / unit.meters * other.meters <= tallest
+        str(fitting_unit)
+        for fitting_unit in LengthUnit
+        if min_height <= size / unit.meters * fitting_unit.meters <= max_height
     ]
     hint = f"remove {argument('source.unit')} if the file states its unit"
     if fitting_units:

@@ -314,11 +314,11 @@ def find_left_direction(
         foot_bone = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
         tip = body.last_bones[toe] if is_rest_pose else np.zeros(3)
         for bone in (foot_bone, tip):
-            horizontal = bone - up_axis * float(bone @ up_axis)
+            horizontal_bone = bone - up_axis * float(bone @ up_axis)
             # A leaning shin or ankle does not show where feet point.
             length = max(float(np.linalg.norm(bone)), 1e-30)
-            if np.linalg.norm(horizontal) > 0.6 * length:
-                feet += horizontal
+            if np.linalg.norm(horizontal_bone) > 0.6 * length:
+                feet += horizontal_bone
     if np.linalg.norm(feet) > 0.01 * body.size:
         forward = feet / np.linalg.norm(feet)
     return np.cross(up_axis, forward)

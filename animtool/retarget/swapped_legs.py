@@ -107,11 +107,11 @@ def swapped_legs_warning(rig: Rig, motion: Motion) -> Fault | None:
     count = min(motion.frames, MAX_FRAMES)
     frames = np.linspace(0, motion.frames - 1, count).astype(np.int64)
     positions = motion.select(frames).world(rig).positions
-    swap = find_swapped_legs(rig, positions, rest_size(rig))
-    if swap is None:
+    legs = find_swapped_legs(rig, positions, rest_size(rig))
+    if legs is None:
         return None
     message = (
-        f"{swap.left_name!r} is on the right of the body, and {swap.right_name!r} on "
+        f"{legs.left_name!r} is on the right of the body, and {legs.right_name!r} on "
         "the left, by the direction of the feet"
     )
     return warning("MOT210", message, SWAPPED_LEGS_HINT)

@@ -278,8 +278,8 @@ def _read_rest_frame(
     for motion in blocks:
         read_blocks.append(motion)
         if frame_count < frame <= frame_count + motion.frames:
-            row = frame - 1 - frame_count
-            rotations = motion.select(slice(row, row + 1)).rotations
+            frame_index = frame - 1 - frame_count
+            rotations = motion.select(slice(frame_index, frame_index + 1)).rotations
             return rotations.dense()[0], chain(read_blocks, blocks)
         frame_count += motion.frames
     message = f"frame {frame} is not in the take, which has frames 1-{frame_count}"
