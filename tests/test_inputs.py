@@ -10,13 +10,18 @@ import pytest
 from animtool import BakeOptions, bake
 from animtool.core.errors import FormatError
 from animtool.core.files.output import replacement_path
-from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
+from animtool.core.files.reading import (
+    FileState,
+    RecordedInputs,
+    record_input,
+    recorded_inputs,
+)
 from animtool.rig.file import load_rig
 from animtool.scene.bake.progress import prefetch
 from animtool.scene.file.read import load_scene
 
 
-def names(inputs: Inputs, folder: Path) -> set[str]:
+def names(inputs: RecordedInputs, folder: Path) -> set[str]:
     """Return the files below a folder that are there and were looked at."""
     return {
         path.relative_to(folder).as_posix()
@@ -26,17 +31,17 @@ def names(inputs: Inputs, folder: Path) -> set[str]:
 
 
 def test_nothing_is_noted_without_a_record(tmp_path: Path) -> None:
-    note_input(tmp_path / "a")
+    record_input(tmp_path / "a")
     with recorded_inputs() as inputs:
-        note_input(tmp_path / "b")
-    note_input(tmp_path / "c")
+        record_input(tmp_path / "b")
+    record_input(tmp_path / "c")
     assert list(inputs.states) == [tmp_path / "b"]
     assert inputs.states[tmp_path / "b"] is None
 
 
 def test_a_record_reaches_into_threads_that_read_ahead(tmp_path: Path) -> None:
     def items() -> object:
-        note_input(tmp_path / "ahead")
+        record_input(tmp_path / "ahead")
         yield 1
 
     with recorded_inputs() as inputs:
@@ -98,7 +103,7 @@ def test_what_changed_meanwhile_replaces_nothing(tmp_path: Path) -> None:
 
     def make() -> None:
         with recorded_inputs(), replacement_path(output) as temporary:
-            note_input(source)
+            record_input(source)
             temporary.write_text("after")
             os.utime(source, ns=(1, 1))
 
@@ -122,10 +127,10 @@ def test_states_tell_files_apart(tmp_path: Path) -> None:
 
 def test_records_inside_of_others_are_theirs_too(tmp_path: Path) -> None:
     with recorded_inputs() as outer:
-        note_input(tmp_path / "a")
+        record_input(tmp_path / "a")
         with recorded_inputs() as inner:
-            note_input(tmp_path / "b")
-        note_input(tmp_path / "c")
+            record_input(tmp_path / "b")
+        record_input(tmp_path / "c")
     assert list(inner.states) == [tmp_path / "b"]
     assert [path.name for path in outer.states] == ["a", "b", "c"]
 
@@ -133,8 +138,8 @@ def test_records_inside_of_others_are_theirs_too(tmp_path: Path) -> None:
 def test_a_layer_that_a_file_brings_in_is_not_opened_itself(tmp_path: Path) -> None:
     shot, layer = tmp_path / "shot", tmp_path / "layer"
     with recorded_inputs() as inputs:
-        note_input(layer, is_composed=True)
-        note_input(shot)
-        note_input(shot, is_composed=True)
+        record_input(layer, is_composed=True)
+        record_input(shot)
+        record_input(shot, is_composed=True)
     assert set(inputs.states) == {shot, layer}
     assert inputs.opened_paths == {shot}

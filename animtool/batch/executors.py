@@ -12,7 +12,7 @@ from animtool.batch.spec import Limits
 from animtool.batch.work import ItemBuilder, ItemOutcome
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
-from animtool.core.names import check_known
+from animtool.core.names import check_known_name
 from animtool.core.plugins import (
     ListedEntry,
     listed_entries,
@@ -134,7 +134,7 @@ def find_executor(name: str) -> Executor:
     if name in EXECUTORS:
         return EXECUTORS[name]
     points = plugin_entry_points(PLUGIN_GROUP)
-    check_known(name, sorted({*EXECUTORS, *points}), "executor", "BAT030")
+    check_known_name(name, sorted({*EXECUTORS, *points}), "executor", "BAT030")
     return load_plugin(points[name], Executor)
 
 

@@ -20,7 +20,12 @@ from animtool.batch.spec import relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.files.commit import output_error
-from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
+from animtool.core.files.reading import (
+    FileState,
+    RecordedInputs,
+    record_input,
+    recorded_inputs,
+)
 from animtool.core.names import has_kind_suffix
 from animtool.core.process.supervisor import follow_parent, report_reading
 from animtool.core.readers import BVH, DOCUMENT, READERS, USD
@@ -113,7 +118,7 @@ class ItemBuilder:
         from animtool.scene.bake.prims import raise_stopped
 
         with recorded_inputs() as inputs:
-            note_input(item.file.path)
+            record_input(item.file.path)
             for folder in item.folders:
                 try:
                     folder.mkdir(parents=True, exist_ok=True)
@@ -141,7 +146,9 @@ class ItemBuilder:
             written_at,
         )
 
-    def _input_records(self, inputs: Inputs, written_at: int) -> tuple[FileRecord, ...]:
+    def _input_records(
+        self, inputs: RecordedInputs, written_at: int
+    ) -> tuple[FileRecord, ...]:
         """Return records of the files that were read, sorted by name."""
         records = []
         for path, state in sorted(inputs.states.items()):

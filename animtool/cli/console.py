@@ -20,7 +20,7 @@ from animtool.core.arguments import (
 )
 from animtool.core.errors import Fault, Severity
 from animtool.core.plugins import load_object
-from animtool.core.process.supervisor import note_output
+from animtool.core.process.supervisor import record_output
 from animtool.core.quantities import escaped, printable_json
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
@@ -117,7 +117,7 @@ class Console:
         """Write result lines to stdout, control characters escaped."""
         escaped_lines = (escaped(name_arguments(line, self.namer)) for line in lines)
         sys.stdout.write("".join(f"{line}\n" for line in escaped_lines))
-        note_output()
+        record_output()
 
     def result_json(self, value: object, *, is_one_line: bool = False) -> None:
         """Write a record or plain values to stdout as JSON, or as one line of ASCII."""
@@ -129,7 +129,7 @@ class Console:
     def document(self, text: str) -> None:
         """Write a document to stdout without escapes."""
         sys.stdout.write(text if text.endswith("\n") else text + "\n")
-        note_output()
+        record_output()
 
     def say(self, text: str) -> None:
         """Write a line of the summary to stderr, unless quiet."""
@@ -263,7 +263,7 @@ class Console:
     def _write(self, log_entry: dict[str, object], text: str) -> None:
         """Write text to stderr, or an entry as JSON if the log is JSON."""
         sys.stderr.write((printable_json(log_entry) if self.logs_json else text) + "\n")
-        note_output()
+        record_output()
 
     def _colored(self, text: str, color_code: str) -> str:
         """Return text in a color, by NO_COLOR, FORCE_COLOR and the kind of stderr."""

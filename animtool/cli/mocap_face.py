@@ -102,7 +102,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     with atomic_command(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
     console.faults(result.notices)
-    console.report(params["report_format"], result, _template(result))
+    console.report(params["report_format"], result, _report_template(result))
 
 
 def _unsolved_counts(status: Sequence[object]) -> list[str]:
@@ -112,7 +112,7 @@ def _unsolved_counts(status: Sequence[object]) -> list[str]:
     return [] if set(counts) == {"solved"} else status_texts
 
 
-def _template(result: FaceResult) -> Template:
+def _report_template(result: FaceResult) -> Template:
     def residual_text(value: float) -> str:
         if result.pixels_per_meter is None:
             return length_text(value)

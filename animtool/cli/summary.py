@@ -28,7 +28,7 @@ MAX_FILES = 3
 SHOT_SUFFIX = "[  {shot.label}]"
 
 
-def _scores(indent: str) -> Each:
+def _score_lines(indent: str) -> Each:
     """Return the template of the score lines of a take's passes."""
     names = Each("names", (indent + "  {key}: [{value:list 8}]",))
     return Each("scores", (indent + "{pass_name}: [{scores:scores}]", names))
@@ -73,7 +73,7 @@ CONVERT_TEMPLATE = Template(
         "{output}: {frames:n frame}, {joints:n joint}",
         "  {span}",
         SHOT_SUFFIX,
-        _scores("  "),
+        _score_lines("  "),
         "[{?reduction.samples}  {reduction.samples:n sample} of animated channels "
         "became {reduction.keys:n key}: {reduction.samples_per_key:.3g} per "
         "key|{?reduction}  nothing moves: [{?reduction.keys}{reduction.keys:n key}, "
@@ -91,7 +91,7 @@ CONVERT_TEMPLATE = Template(
 def _reduction_lines(indent: str) -> tuple[Line, ...]:
     """Return the templates of the lines on scores, reduction and kept curves."""
     return (
-        _scores(indent),
+        _score_lines(indent),
         f"[{indent}{{thinned.samples:n sample}} reduced to {{thinned.count}}: "
         "largest error between them {thinned.error:length}"
         "[{?thinned.error} (joint {thinned_joint:repr}, frame {thinned.code:frame})]]",

@@ -88,7 +88,7 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
         extra_argument = extra_match[1].split()[0]
         hint = _argument_hint(extra_argument, context)
         hint = hint or f"{context.command_path} -h shows what it takes"
-        if len(_options(context.command)) == len(context.command.params):
+        if len(_command_options(context.command)) == len(context.command.params):
             hint = f"{context.command_path} takes options only"
         text = f"Unexpected argument {extra_argument!r}; {hint}"
     elif isinstance(error, click.MissingParameter) and (
@@ -147,14 +147,14 @@ def _misplaced_argument(
 def with_option(fault: Fault, context: click.Context) -> Fault:
     """Return a fault located at the option of its field or file."""
     if fault.where and not fault.lines:
-        for option in _options(context.command):
+        for option in _command_options(context.command):
             if option.name == fault.where or f"--{fault.where}" in option.opts:
                 return replace(fault, where=option.opts[-1])
     if not fault.code.startswith("IO") or fault.where or fault.path is None:
         return fault
     if _NUMBER.fullmatch(fault.path):
         return replace(fault, hint=_number_hint(context) or fault.hint)
-    for option in _options(context.command):
+    for option in _command_options(context.command):
         value = context.params.get(str(option.name))
         if isinstance(value, Path) and str(value) == fault.path:
             hint = fault.hint or (None if value.suffix else "it takes a file")
@@ -164,7 +164,7 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
 
 def _number_hint(context: click.Context) -> str | None:
     """Return a hint if numbers after an option were split at a space, else None."""
-    for option in _options(context.command):
+    for option in _command_options(context.command):
         name = str(option.name)
         example = _EXAMPLE_BY_METAVAR.get(str(option.metavar))
         if example and context.get_parameter_source(name) in _EXPLICIT_SOURCES:
@@ -182,7 +182,7 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     output = _argument_named("output", command) if bare_name == "to" else None
     if output is not None:
         yield f"{output} is an argument: {command_path} SOURCE {output}"
-    flags = [flag for param in _options(command) for flag in param.opts]
+    flags = [flag for param in _command_options(command) for flag in param.opts]
     equivalent_flags = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
     if equivalent_flags:
         yield f"did you mean {equivalent_flags[0]!r}?"
@@ -212,11 +212,11 @@ def _commands_with_option(name: str, context: click.Context) -> Iterator[str]:
         command = group.get_command(root, command_name)
         if command is None or isinstance(command, click.Group):
             continue
-        if any(name in param.opts for param in _options(command)):
+        if any(name in param.opts for param in _command_options(command)):
             yield f"{root.command_path} {command_name}"
 
 
-def _options(command: click.Command) -> list[click.Option]:
+def _command_options(command: click.Command) -> list[click.Option]:
     return [param for param in command.params if isinstance(param, click.Option)]
 
 
@@ -236,7 +236,7 @@ def _argument_hint(text: str, context: click.Context) -> str | None:
     """Return a hint for an unexpected argument of a command."""
     if text in _UNITS:
         return f"write number and unit in one word, such as 1{text}"
-    flags = {flag for param in _options(context.command) for flag in param.opts}
+    flags = {flag for param in _command_options(context.command) for flag in param.opts}
     path = Path(text)
     for kind, flag in _OPTION_BY_FILE_KIND.items():
         if f".{kind}" in path.suffixes and flag in flags:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
-from animtool.core.files.reading import MAX_TEXT_BYTES, note_input, read_input
+from animtool.core.files.reading import MAX_TEXT_BYTES, read_input, record_input
 from animtool.core.rates import MAX_FRAME, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.timecode import is_timecode
@@ -99,10 +99,10 @@ def find_config(path: Path) -> Config:
     """
     for folder in path.resolve().parents:
         config_file, pyproject = folder / "animtool.toml", folder / "pyproject.toml"
-        note_input(config_file)
+        record_input(config_file)
         if config_file.is_file():
             return _config_from_table(config_file, _read_toml(config_file))
-        note_input(pyproject)
+        record_input(pyproject)
         if pyproject.is_file():
             tools = _read_toml(pyproject).get("tool", {})
             table = tools.get("animtool") if isinstance(tools, dict) else None

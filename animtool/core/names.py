@@ -65,10 +65,10 @@ def is_variable_name(text: str) -> bool:
     return re.fullmatch(VARIABLE_NAME, text) is not None
 
 
-def check_known(name: str, names: Iterable[str], noun: str, code: str) -> None:
+def check_known_name(name: str, names: Iterable[str], noun: str, code: str) -> None:
     """Raise an error for an unknown name, with the nearest known name as a hint.
 
-    >>> check_known("rk5", ["rk4", "heun"], "integrator", "SIM001")
+    >>> check_known_name("rk5", ["rk4", "heun"], "integrator", "SIM001")
     Traceback (most recent call last):
     animtool.core.errors.OptionError: SIM001 unknown integrator 'rk5'; did you \
 mean 'rk4'?

@@ -106,7 +106,7 @@ def find_page(topic: str) -> PageEntry:
     if len(pages_about) == 1:
         return pages_about[0]
     if name.strip() and not pages_about:
-        pages_about = _most_mentioning(name)
+        pages_about = _page_with_most_mentions(name)
     names = ", ".join(page.name for page in pages_about[:MAX_HINTED_PAGES])
     hint = f"it is a subject of {names}"
     if not names:
@@ -132,7 +132,7 @@ def _defining_pages(topic: str) -> list[PageEntry]:
     ]
 
 
-def _most_mentioning(topic: str) -> list[PageEntry]:
+def _page_with_most_mentions(topic: str) -> list[PageEntry]:
     """Return the page that mentions a topic most often, in a list; empty for none."""
     pages = [page for page in all_pages() if page.name != "changelog"]
     best_page = max(pages, key=lambda page: _count_mentions(page, topic))

@@ -105,10 +105,10 @@ _TOKEN = re.compile(r"\s*(?:(\})|'([^']+)'|(\*)?(?:(\w+)=)?([\w.]*)([?+#~]*)(\{)
 @cache
 def parse_template(template: str) -> tuple[JsonKey, ...]:
     """Parse a template of report keys, such as ``fps=clock.fps# goals{name}``."""
-    return tuple(_parse_keys(_tokens(template)))
+    return tuple(_parse_keys(_template_tokens(template)))
 
 
-def _tokens(template: str) -> Iterator[re.Match[str]]:
+def _template_tokens(template: str) -> Iterator[re.Match[str]]:
     offset = 0
     while offset < len(template):
         token = _TOKEN.match(template, offset)

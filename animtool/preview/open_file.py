@@ -21,7 +21,7 @@ from animtool.core.errors import (
     counted,
     listed,
 )
-from animtool.core.files.reading import note_input
+from animtool.core.files.reading import record_input
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
@@ -201,7 +201,7 @@ def rest_take(rig: Rig) -> TakeStream:
 
 def _open_rig(path: Path) -> OpenFile:
     """Open a rig file as a take at rest."""
-    note_input(path)
+    record_input(path)
     rig = Rig.load(path)
     file = OpenFile(path, unit_name(rig.meters_per_unit), rig.up)
     file.notices += rig.notices
@@ -211,7 +211,7 @@ def _open_rig(path: Path) -> OpenFile:
 
 def _open_targets(path: Path, *, is_only_file: bool) -> OpenFile:
     """Open a targets file, with a notice if no rig is shown with it."""
-    note_input(path)
+    record_input(path)
     file = OpenFile(path, targets=load_targets(path))
     assert file.targets is not None
     file.notices += file.targets.notices

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import AnimtoolError
-from animtool.core.files.reading import FileState, Inputs, recorded_inputs
+from animtool.core.files.reading import FileState, RecordedInputs, recorded_inputs
 from animtool.core.record import dataclass
 from animtool.preview.build import PreviewPage
 
@@ -64,7 +64,7 @@ class WatchedPage:
             watch = {"url": f"/{self.secret}/state", "version": self.version}
             self._body = b"".join(page.chunks(watch))
 
-    def _record_states(self, inputs: Inputs, *, keep_previous: bool) -> None:
+    def _record_states(self, inputs: RecordedInputs, *, keep_previous: bool) -> None:
         """Record the state that each input file had when it was read."""
         if not keep_previous:
             self._input_states.clear()

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault
-from animtool.core.files.reading import note_input
+from animtool.core.files.reading import record_input
 from animtool.core.record import dataclass
 from animtool.formats.characters.choice import find_characters
 from animtool.formats.gltf.document import Gltf, humanoid_bones, open_gltf
@@ -55,7 +55,7 @@ def gltf_contents(path: Path | str) -> GltfContents:
 
 def describe_without_nodes(path: Path) -> GltfDescription | None:
     """Return the description of a glTF file without nodes; None if it has nodes."""
-    note_input(path)
+    record_input(path)
     gltf = open_gltf(path)
     if gltf.nodes:
         return None

@@ -311,7 +311,7 @@ class Retargeting:
                 is_static = np.abs(values - first_value) < ROUNDING_TOLERANCE
                 np.copyto(values, first_value, where=is_static)
             world_pose = forward_kinematics(rig, translations, local)
-            self._meter.add(begin, world_pose, source, balls)
+            self._meter.add_frames(begin, world_pose, source, balls)
             yield Motion(
                 self._animated_channel(translations, first_values[0]),
                 self._animated_channel(local, first_values[1]),

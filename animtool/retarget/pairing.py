@@ -215,7 +215,7 @@ class _PairCollector:
         for entry in file_map.entries:
             role = entry.role or self.anatomies[1].roles[entry.target[0]]
             role = role if role in ROLES else ""
-            self._add(role, entry.source, entry.target, RoleSource.FILE)
+            self._pair(role, entry.source, entry.target, RoleSource.FILE)
 
     def add_same_names(self) -> None:
         """Pair every target joint with the source joint of the same name."""
@@ -262,11 +262,11 @@ class _PairCollector:
             used_sources = {pair.source for pair in self.pairs.values()}
             source_joints = [j for j in source_joints if j not in used_sources]
             for k, j in zip(source_joints, target_joints, strict=False):
-                self._add(role, [k], [j])
+                self._pair(role, [k], [j])
         elif source_joints and target_joints and base_role(role) == "toe":
             self._add_toes(role, source_joints, target_joints)
         elif source_joints and target_joints:
-            self._add(role, source_joints, target_joints)
+            self._pair(role, source_joints, target_joints)
 
     def _add_toes(
         self, role: str, source_joints: list[int], target_joints: list[int]
@@ -281,7 +281,7 @@ class _PairCollector:
         last_source, last_target = len(source_toes) - 1, len(target_toes) - 1
         for i, toe in enumerate(target_toes):
             fraction = i / last_target if last_target else 0.5
-            self._add(role, source_toes[int(fraction * last_source + 0.5)], toe)
+            self._pair(role, source_toes[int(fraction * last_source + 0.5)], toe)
 
     def add_mittens(self) -> None:
         """Pair the fingers of one skeleton with the mitten chain of the other."""
@@ -297,14 +297,14 @@ class _PairCollector:
             if source_joints and not target_joints:
                 for j in finger_joints[1]:
                     if j not in self.pairs and j not in self.ignored_joints[1]:
-                        self._add(self.anatomies[1].roles[j], source_joints[:1], [j])
+                        self._pair(self.anatomies[1].roles[j], source_joints[:1], [j])
             elif target_joints and finger_joints[0] and not source_joints:
                 middle_finger = finger_joints[0][min(1, len(finger_joints[0]) - 1)]
                 if target_joints[0] not in self.pairs:
                     role = f"{MITTEN_ROLE}_{side}"
-                    self._add(role, [middle_finger], target_joints[:1])
+                    self._pair(role, [middle_finger], target_joints[:1])
 
-    def _add(
+    def _pair(
         self,
         role: str,
         source_joints: Sequence[int],

@@ -114,7 +114,7 @@ class FitMeter:
         # Hands of arms that are longer relative to the legs move faster by that ratio.
         self._path_ratios = np.maximum(path_ratios, transfer.scale)[:, None]
 
-    def add(
+    def add_frames(
         self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
     ) -> None:
         """Measure the fit of the next block of frames, which starts at index ``begin``.

@@ -330,7 +330,7 @@ def _rig_path(options: RetargetPassOptions) -> Path:
     return options.rig
 
 
-def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
+def _run_pass(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     """Return the stream retargeted onto the rig; the fit is reported at its end."""
     # The take determines root motion, not the rig's stage.
     rig = at_origin(Rig.load(context.folder / _rig_path(options)))
@@ -419,7 +419,7 @@ PASS = Pass(
     "Transfer the take to another rig, with planted feet held",
     RetargetPassOptions,
     FrameScope.WINDOW,
-    _run,
+    _run_pass,
     _option_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK, TakePart.TRACKS}),
     changes=MOTION_PARTS | {TakePart.RIG, TakePart.TRACKS},

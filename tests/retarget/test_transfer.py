@@ -428,7 +428,7 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
         for begin, end in pairwise(cuts):
             part = slice(begin, end)
             balls = np.zeros((end - begin, 0, 3))
-            made.add(begin, world_of(target[part]), source[part], balls)
+            made.add_frames(begin, world_of(target[part]), source[part], balls)
         reports.append(made.report({3: 0.6}))
     first, second = reports
     assert first.frames == second.frames == 7

@@ -28,7 +28,7 @@ from animtool.core.process.signals import (
     ending_signal,
     reraise_signal,
 )
-from animtool.core.process.supervisor import note_folder, note_output
+from animtool.core.process.supervisor import record_folder, record_output
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -288,7 +288,7 @@ def replacement_path(path: Path) -> Iterator[Path]:
     final_path = output_target(path).final_path
     written_file = WrittenFile(path, final_path, new_temporary_path(final_path))
     pending_set = _pending_outputs.get()
-    note_folder(final_path.parent)
+    record_folder(final_path.parent)
     has_succeeded, initial_signal = False, ending_signal()
     try:
         yield written_file.temporary_path
@@ -310,7 +310,7 @@ def replacement_path(path: Path) -> Iterator[Path]:
 def _commit_outputs(files: Sequence[WrittenFile]) -> None:
     final_paths = {file.final_path for file in files}
     _refuse_duplicates(files)
-    note_output()
+    record_output()
     try:
         commit_files(files, _new_paths.get() & final_paths)
     finally:

@@ -47,7 +47,7 @@ class FileState:
 
 
 @dataclass(slots=True)
-class Inputs:
+class RecordedInputs:
     """Files that a task accessed, with their states."""
 
     # State of each file at its first access, by absolute path.
@@ -60,7 +60,7 @@ class Inputs:
     def record(
         self, path: Path, state: FileState | None = None, *, is_composed: bool = False
     ) -> None:
-        """Record a file before it is read; see `note_input`."""
+        """Record a file before it is read; see `record_input`."""
         absolute_path = path.absolute()
         if not is_composed:
             self.opened_paths.add(absolute_path)
@@ -93,23 +93,23 @@ def changed_error(*paths: Path) -> FormatError:
     return FormatError([Fault("IO004", message, str(path), (), hint) for path in paths])
 
 
-_ACTIVE_RECORDS: ContextVar[tuple[Inputs, ...]] = ContextVar(
+_ACTIVE_RECORDS: ContextVar[tuple[RecordedInputs, ...]] = ContextVar(
     "recorded_inputs", default=()
 )
 
 
 @contextmanager
-def recorded_inputs() -> Iterator[Inputs]:
+def recorded_inputs() -> Iterator[RecordedInputs]:
     """Yield a record of the files that the block accesses.
 
     Records of enclosing blocks include them too.
 
     >>> with recorded_inputs() as inputs:
-    ...     note_input(Path("walk.bvh"))
+    ...     record_input(Path("walk.bvh"))
     >>> [path.name for path in inputs.states]
     ['walk.bvh']
     """
-    inputs = Inputs()
+    inputs = RecordedInputs()
     token = _ACTIVE_RECORDS.set((*_ACTIVE_RECORDS.get(), inputs))
     try:
         yield inputs
@@ -117,7 +117,7 @@ def recorded_inputs() -> Iterator[Inputs]:
         _ACTIVE_RECORDS.reset(token)
 
 
-def note_input(
+def record_input(
     path: Path, state: FileState | None = None, *, is_composed: bool = False
 ) -> None:
     """Record a file before it is read or searched for.
@@ -289,7 +289,7 @@ def open_input(
     The checked file is the one that is read: the open descriptor. A missing,
     inaccessible or irregular file is IO001, a too large one IO010; without
     ``max_bytes`` any size is read, chunk by chunk. With ``is_recorded`` it becomes an
-    input of the task (`note_input`).
+    input of the task (`record_input`).
     """
     try:
         # Opening a device may already have effects.
@@ -297,7 +297,7 @@ def open_input(
         descriptor = os.open(path, _OPEN_FLAGS)
     except (OSError, ValueError) as error:
         if is_recorded:
-            note_input(path)
+            record_input(path)
         reason = error if isinstance(error, OSError) else str(error)
         raise unreadable_error(path, reason) from error
     try:
@@ -309,7 +309,7 @@ def open_input(
         os.close(descriptor)
         raise
     if is_recorded:
-        note_input(path, file.state)
+        record_input(path, file.state)
     return file
 
 

@@ -173,7 +173,7 @@ def has_crashed() -> bool:
     return bool(_state.crash_signals)
 
 
-def note_output() -> None:
+def record_output() -> None:
     """Record that a rerun would repeat output that was already printed."""
     notes = _state.notes
     if notes is not None:
@@ -185,7 +185,7 @@ def note_output() -> None:
                 notes.write()
 
 
-def note_folder(folder: Path) -> None:
+def record_folder(folder: Path) -> None:
     """Record a folder in which this process has temporary files."""
     notes = _state.notes
     if notes is not None and str(folder) not in notes.folders:
@@ -204,7 +204,7 @@ def stdin_lines() -> list[str]:
         if notes is not None and len(recorded_bytes) < MAX_STDIN_BYTES - _LENGTH_BYTES:
             _store_data(notes.stdin_record, recorded_bytes)
         else:
-            note_output()
+            record_output()
     text = recorded_bytes.decode("utf-8", "surrogateescape")
     lines = [line.rstrip("\r") for line in text.split("\n")]
     for number, line in enumerate(lines, 1):

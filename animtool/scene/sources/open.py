@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from animtool.core.arguments import ArgumentNamer, argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
-from animtool.core.files.reading import FileState, note_input
+from animtool.core.files.reading import FileState, record_input
 from animtool.core.names import has_kind_suffix
 from animtool.core.options import Key, inherits_docs, option, option_marker, options_of
 from animtool.core.rates import OptionalFraction, rate_option
@@ -327,7 +327,7 @@ def open_source(
 
         stream = map_to_rig_file(path, stream, options.rig, force_fit=options.force_fit)
         return _drive_tracks(stream)
-    note_input(path)
+    record_input(path)
     defaults = SourceOptions()
     arguments = {
         field.name: value
@@ -384,7 +384,7 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
     """Return, by Skeleton path, a function that opens the take of that Skeleton."""
     from animtool.usd.takes.read import read_characters
 
-    note_input(path)
+    record_input(path)
 
     def opener(read: Callable[[], TakeStream]) -> Callable[[], TakeStream]:
         return lambda: _drive_tracks(read())

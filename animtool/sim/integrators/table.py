@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from animtool.core.names import check_known
+from animtool.core.names import check_known_name
 from animtool.core.plugins import load_object
 from animtool.sim.integrators.integrator import Integrator
 
@@ -44,5 +44,5 @@ def find_integrator(name: str) -> Integrator:
     >>> find_integrator("rk4").order
     4
     """
-    check_known(name, INTEGRATORS, "integrator", "SIM001")
+    check_known_name(name, INTEGRATORS, "integrator", "SIM001")
     return cast(Integrator, load_object(INTEGRATORS[name]))

@@ -13,7 +13,7 @@ from pxr import Sdf, Usd, UsdGeom
 
 from animtool.core.clock import time_fraction
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.files.reading import note_input
+from animtool.core.files.reading import record_input
 from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
@@ -107,7 +107,7 @@ def describe_points(path: Path) -> PointsDescription | None:
 
     Only array lengths and extents are read of each sample of a crate file.
     """
-    note_input(path)
+    record_input(path)
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         prims_with_points = () if has_character(stage) else point_prims(stage)

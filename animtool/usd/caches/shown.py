@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import time_fraction
-from animtool.core.files.reading import note_input
+from animtool.core.files.reading import record_input
 from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name, up_from_up
@@ -374,7 +374,7 @@ class StageContents:
 
 def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
     """Open the visible contents of a stage; ``prim_path`` limits them to a subtree."""
-    note_input(path)
+    record_input(path)
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         root_path = "/" if prim_path is None else search_root(stage, prim_path)

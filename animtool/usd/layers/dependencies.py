@@ -13,7 +13,7 @@ from typing import Any
 from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from animtool.core.errors import Fault, FormatError, excerpt
-from animtool.core.files.reading import FileState, note_input
+from animtool.core.files.reading import FileState, record_input
 from animtool.core.record import dataclass
 from animtool.usd.layers.sdf import layer_state, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -125,10 +125,10 @@ def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
             continue
         if layer.realPath:
             path = Path(layer.realPath)
-            note_input(path, states.get(path), is_composed=True)
+            record_input(path, states.get(path), is_composed=True)
         # An empty name refers to the layer itself.
         for name in filter(None, layer.GetCompositionAssetDependencies()):
             asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
             if asset and "[" not in asset and "://" not in asset:
                 path = Path(asset)
-                note_input(path, states.get(path), is_composed=True)
+                record_input(path, states.get(path), is_composed=True)

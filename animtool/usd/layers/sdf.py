@@ -30,7 +30,7 @@ from animtool.core.files.reading import (
     unreadable_error,
 )
 from animtool.core.files.signatures import expects_format
-from animtool.core.process.supervisor import note_output, reading_file
+from animtool.core.process.supervisor import reading_file, record_output
 from animtool.core.rates import rate_from_float
 from animtool.core.readers import USD_PACKAGE_SUFFIX
 from animtool.core.record import dataclass
@@ -303,7 +303,7 @@ def save_layer(layer: Any, path: Path) -> int:
     if path == STDOUT:
         text = layer.ExportToString()
         sys.stdout.write(text)
-        note_output()
+        record_output()
         sys.stdout.flush()
         return len(text.encode())
     with replacement_path(path) as temporary:

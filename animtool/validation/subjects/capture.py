@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import Fault
-from animtool.core.files.reading import note_input, open_input
+from animtool.core.files.reading import open_input, record_input
 from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.motion.take import Take, TakeStream
@@ -103,7 +103,7 @@ def open_mjcf(path: Path) -> CheckedFile:
 
 
 def _read_robot(kind: Kind, path: Path) -> CheckedFile:
-    note_input(path)
+    record_input(path)
     return CheckedFile(kind, list(Rig.load(path).notices))
 
 

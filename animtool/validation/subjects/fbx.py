@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from animtool.core.errors import AnimtoolError, Fault
-from animtool.core.files.reading import note_input
+from animtool.core.files.reading import record_input
 from animtool.core.rules import Kind
 from animtool.formats.characters.choice import find_characters
 from animtool.formats.fbx.rig import FbxRig, build_rig
@@ -24,7 +24,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 def open_fbx(path: Path) -> CheckedFile:
     """Return the faults of an FBX file, and the takes of its characters."""
-    note_input(path)
+    record_input(path)
     scene = open_scene(path)
     faults: list[Fault] = []
     take_subjects: list[MotionSubject] = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault
-from animtool.core.files.reading import note_input
+from animtool.core.files.reading import record_input
 from animtool.core.rules import Kind
 from animtool.formats.characters.choice import find_characters
 from animtool.formats.gltf.animations import Animation
@@ -44,7 +44,7 @@ MAX_SAMPLE_SPACING = 0.25
 
 def open_gltf(path: Path) -> CheckedFile:
     """Return the faults of a glTF file, and the clips of its characters."""
-    note_input(path)
+    record_input(path)
     gltf = open_document(path)
     faults: list[Fault] = []
     take_subjects: list[MotionSubject] = []

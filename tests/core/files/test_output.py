@@ -23,7 +23,7 @@ from animtool.core.files.output import (
     replacement_path,
     written_size,
 )
-from animtool.core.files.reading import note_input
+from animtool.core.files.reading import record_input
 
 
 def test_a_file_appears_whole(tmp_path: Path) -> None:
@@ -246,8 +246,8 @@ def test_none_gets_its_name_where_one_fails(tmp_path: Path, inside: bool) -> Non
 def test_what_was_read_is_not_replaced(tmp_path: Path) -> None:
     def read(*outputs: Path) -> None:
         with protect_inputs(outputs):
-            note_input(tmp_path / "shot.usda")
-            note_input(tmp_path / "layer.usda", is_composed=True)
+            record_input(tmp_path / "shot.usda")
+            record_input(tmp_path / "layer.usda", is_composed=True)
 
     (tmp_path / "shot.usda").touch()
     read(tmp_path / "other.usda", tmp_path / "layer.usda")

@@ -119,7 +119,7 @@ def test_what_was_said_is_not_said_twice() -> None:
     child = """
 def child():
     print("once")
-    supervisor.note_output()
+    supervisor.record_output()
     with supervisor.reading_file(Path("bad.usda")):
         crash()
 """

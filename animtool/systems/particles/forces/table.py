@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from animtool.core.names import check_known
+from animtool.core.names import check_known_name
 from animtool.core.plugins import load_object
 from animtool.systems.particles.forces.base import Force
 
@@ -37,5 +37,5 @@ def find_force(name: str) -> type[Force]:
     >>> find_force("gravity")().acceleration
     (0.0, -9.81, 0.0)
     """
-    check_known(name, FORCES, "force", "SIM023")
+    check_known_name(name, FORCES, "force", "SIM023")
     return cast("type[Force]", load_object(FORCES[name]))
