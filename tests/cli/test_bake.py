@@ -291,7 +291,7 @@ def test_a_stopped_simulation_keeps_its_frames_and_the_exit_code(
     assert f"before frame {found['end'] + 1:g}" in done.stderr
 
 
-@pytest.mark.parametrize("source", [".", "/", "", "takes"])
+@pytest.mark.parametrize("source", [".", "/", "takes"])
 def test_a_folder_is_for_batch(
     source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -300,6 +300,12 @@ def test_a_folder_is_for_batch(
     done = animtool("bake", source)
     assert done.code == ExitCode.MALFORMED
     assert "IO001 cannot be read: it is a folder; animtool batch" in done.stderr
+
+
+def test_an_empty_path_is_refused() -> None:
+    done = animtool("bake", "")
+    assert done.code == ExitCode.USAGE
+    assert "the path is empty; is a variable of the shell not set?" in done.stderr
 
 
 def test_a_folder_as_the_output_is_named(tmp_path: Path) -> None:
