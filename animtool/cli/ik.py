@@ -326,13 +326,13 @@ def _bake_options(params: dict[str, Any]) -> Any:
     }
     if params["reduce"] is not None and output is None:
         raise click.UsageError("--reduce needs an output: pass -o.")
-    set_flags = [flag for flag, value in value_by_flag.items() if value]
+    output_flags = [flag for flag, value in value_by_flag.items() if value]
     from animtool.scene.sources.open import is_usd
 
-    if set_flags and output is None:
-        raise click.UsageError(f"{set_flags[0]} needs an output: pass -o.")
-    if set_flags and str(output) != "-" and not is_usd(output):
-        raise click.UsageError(f"{set_flags[0]} applies to USD, not to {output}.")
+    if output_flags and output is None:
+        raise click.UsageError(f"{output_flags[0]} needs an output: pass -o.")
+    if output_flags and str(output) != "-" and not is_usd(output):
+        raise click.UsageError(f"{output_flags[0]} applies to USD, not to {output}.")
     return read_output_options(
         params,
         start=params["first_code"],

@@ -145,8 +145,8 @@ def _file_names_text(files: Sequence[Path]) -> str:
 
 def _beyond_limits_text(notices: Sequence[Fault]) -> str:
     """Format that values beyond float32 are not in the error, if there are any."""
-    has_beyond = any(notice.code == "BVH104" for notice in notices)
-    return " (without values beyond it)" if has_beyond else ""
+    has_values_beyond = any(notice.code == "BVH104" for notice in notices)
+    return " (without values beyond it)" if has_values_beyond else ""
 
 
 def _curve_error_text(curves: Sequence[CurveReport]) -> str:

@@ -34,12 +34,11 @@ def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
     suite = ElementTree.Element("testsuite", name=name)
     for case in cases:
         _add_case(suite, case)
-    find_all = suite.findall
     suite.attrib |= {
         "tests": str(len(suite)),
-        "failures": str(len(find_all("testcase/failure"))),
-        "errors": str(len(find_all("testcase/error"))),
-        "skipped": str(len(find_all("testcase/skipped"))),
+        "failures": str(len(suite.findall("testcase/failure"))),
+        "errors": str(len(suite.findall("testcase/error"))),
+        "skipped": str(len(suite.findall("testcase/skipped"))),
     }
     root = ElementTree.Element("testsuites", name=name)
     root.append(suite)

@@ -56,7 +56,7 @@ class _KeyDocstring:
 
     def __get__(self, instance: object, owner: type[Any]) -> str:
         head, _, attribute_lines = self.docstring.partition("    Attributes:\n")
-        _, separator, after_list = attribute_lines.partition("\n\n")
+        _, separator, text_after_list = attribute_lines.partition("\n\n")
         texts_by_name = {
             name: text
             for base in reversed(owner.__mro__)
@@ -72,7 +72,7 @@ class _KeyDocstring:
         names = [option.name for option in fields(owner)]
         texts = [texts_by_name[name] for name in names if name in texts_by_name]
         attribute_lines = f"    Attributes:\n{''.join(texts)}{separator[1:]}"
-        return f"{head.rstrip()}\n\n{attribute_lines}{after_list or '    '}"
+        return f"{head.rstrip()}\n\n{attribute_lines}{text_after_list or '    '}"
 
 
 # An attribute in a docstring, with its continuation lines.
@@ -101,10 +101,10 @@ class Option:
     flag: str = ""  # command-line name, if it differs from the field's
     label: str = ""  # name in refusals of a scene
     not_for: tuple[str, ...] = ()  # uses that refuse it
-    over_layer: str = ""  # why an animation layer refuses it; empty if it does not
+    layer_refusal: str = ""  # why an animation layer refuses it; empty if it does not
     # Options that it excludes, with the message if it is not the default.
     excludes: Mapping[str, str] = field(default_factory=dict)
-    goes_with: str = ""  # another option that it requires, if any
+    required_option: str = ""  # another option that it requires, if any
     # Message if that option is missing, if it is not the default.
     missing_message: str = ""
     scene: Key | None = None
@@ -251,8 +251,9 @@ def clash_messages(record: Any) -> list[str]:
             if excluded_name in changes:
                 pair_text = f"{markers[name]} and {markers[excluded_name]}"
                 messages.append(message or f"{pair_text} exclude each other")
-        if changed_option.goes_with and changed_option.goes_with not in changes:
-            message = f"{markers[name]} needs {markers[changed_option.goes_with]}"
+        required_name = changed_option.required_option
+        if required_name and required_name not in changes:
+            message = f"{markers[name]} needs {markers[required_name]}"
             messages.append(changed_option.missing_message or message)
     return messages
 

@@ -102,12 +102,12 @@ def find_page(topic: str) -> PageEntry:
         message = f"{topic!r} names several pages"
         hint = f"write one of {', '.join(page.name for page in matches)}"
         raise OptionError(Fault("CLI009", message, hint=hint))
-    pages_about = _defining_pages(name) if name.strip() else []
-    if len(pages_about) == 1:
-        return pages_about[0]
-    if name.strip() and not pages_about:
-        pages_about = _page_with_most_mentions(name)
-    names = ", ".join(page.name for page in pages_about[:MAX_HINTED_PAGES])
+    pages_on_topic = _defining_pages(name) if name.strip() else []
+    if len(pages_on_topic) == 1:
+        return pages_on_topic[0]
+    if name.strip() and not pages_on_topic:
+        pages_on_topic = _page_with_most_mentions(name)
+    names = ", ".join(page.name for page in pages_on_topic[:MAX_HINTED_PAGES])
     hint = f"it is a subject of {names}"
     if not names:
         hint = name_hint(name, [page.name.split("/")[-1] for page in pages])

@@ -93,9 +93,10 @@ def joint_positions(
 
 def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
     """Return the horizontal speed of hips ``(F, 3)`` per frame ``(F - 1,)`` [m/s]."""
-    fps, on_ground = float(take.clock.rate), np.delete(hips, up_index(take.rig), axis=1)
-    ground_positions = gaussian_smooth(on_ground, SPEED_INTERVAL / 2 * fps)
-    return np.asarray(np.linalg.norm(np.diff(ground_positions, axis=0), axis=1) * fps)
+    fps = float(take.clock.rate)
+    ground_path = np.delete(hips, up_index(take.rig), axis=1)
+    smooth_path = gaussian_smooth(ground_path, SPEED_INTERVAL / 2 * fps)
+    return np.asarray(np.linalg.norm(np.diff(smooth_path, axis=0), axis=1) * fps)
 
 
 def _noisiest_joint(take: Take) -> tuple[float, str]:

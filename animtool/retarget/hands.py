@@ -242,19 +242,19 @@ def _shift_into_reach(
     ``goals`` are those of each wrist ``(F, 3)`` [m], from ``shoulders`` ``(F, 3)`` [m]
     that are at most ``reaches`` [m] away.
     """
-    goals_in_reach = list(goals)
+    reachable_goals = list(goals)
     for _ in range(MAX_REACH_ITERATIONS):
-        excess = np.zeros_like(goals_in_reach[0])
+        excess = np.zeros_like(reachable_goals[0])
         for goal, shoulder, reach in zip(
-            goals_in_reach, shoulders, reaches, strict=True
+            reachable_goals, shoulders, reaches, strict=True
         ):
             offset = goal - shoulder
             distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)[:, None]
             excess += offset * np.maximum(1 - reach / distance, 0.0)
         if not excess.any():
             break
-        goals_in_reach = [goal - excess for goal in goals_in_reach]
-    return goals_in_reach
+        reachable_goals = [goal - excess for goal in reachable_goals]
+    return reachable_goals
 
 
 def _are_hands_joined(separation: FloatArray, length: float, fps: float) -> BoolArray:

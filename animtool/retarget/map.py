@@ -36,8 +36,9 @@ class JointChain:
     role: str
     source: tuple[int, ...]
     target: tuple[int, ...]
-    source_at: tuple[float, ...]  # positions of the source joints, from 0 to below 1
-    target_at: tuple[float, ...]  # positions of the target joints, from 0 to below 1
+    # Positions of the joints along the chain, from 0 to below 1.
+    source_fractions: tuple[float, ...]
+    target_fractions: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)

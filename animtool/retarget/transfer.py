@@ -74,9 +74,9 @@ class Transfer:
                 for joint, source_joint in zip(chain.target, chain.source, strict=True):
                     source_joints[joint] = next_source_joints[joint] = source_joint
                 continue
-            middles = _fraction_middles(chain.source_at)
+            middles = _fraction_middles(chain.source_fractions)
             for joint, position in zip(
-                chain.target, _fraction_middles(chain.target_at), strict=True
+                chain.target, _fraction_middles(chain.target_fractions), strict=True
             ):
                 k = int(np.searchsorted(middles, position))
                 lower_index, upper_index = max(k - 1, 0), min(k, len(middles) - 1)

@@ -104,8 +104,8 @@ class Verdict:
 
     def in_output_frames(self, numbers: FrameNumbers) -> Verdict:
         """Return the verdict on the frames of an output, in its numbering."""
-        in_output = [reason.in_output_frames(numbers) for reason in self.reasons]
-        reasons = tuple(reason for reason in in_output if reason is not None)
+        output_reasons = [reason.in_output_frames(numbers) for reason in self.reasons]
+        reasons = tuple(reason for reason in output_reasons if reason is not None)
         is_good = self.status is TakeStatus.LOOK and not reasons
         return Verdict(TakeStatus.GOOD if is_good else self.status, reasons)
 

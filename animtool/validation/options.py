@@ -138,7 +138,7 @@ class ReportOptions:
         None,
         "output",
         short_flag="-o",
-        goes_with="fix",
+        required_option="fix",
         missing_message=f"{argument('output')} {_NEEDS_FIX}",
         help=f"With {argument('fix', True)} and one USD file: write the repaired "
         "copy here.",
@@ -146,7 +146,7 @@ class ReportOptions:
     overwrite: bool = option(
         False,
         "switch",
-        goes_with="fix",
+        required_option="fix",
         missing_message=f"{argument('overwrite', True)} {_NEEDS_FIX}",
         help=f"With {argument('fix', True)}: replace the file of -o; without -o, the "
         "USD files themselves.",

@@ -73,9 +73,9 @@ class Bread:
     """Bread."""
 
     whole: bool = option(False, "switch", excludes={"width": ""})
-    width: float | None = option(None, "length", goes_with="sliced")
+    width: float | None = option(None, "length", required_option="sliced")
     sliced: bool = option(False, "switch", excludes={"whole": "sliced: no whole"})
-    crust: bool | None = option(None, "answer", goes_with="sliced")
+    crust: bool | None = option(None, "answer", required_option="sliced")
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_what_options_exclude_and_want(bread: Bread, messages: list[str]) -> Non
 
 def test_what_options_exclude_and_want_is_an_option() -> None:
     for described in options_of(BakeOptions).values():
-        assert {*described.excludes, described.goes_with or "fps"} <= {
+        assert {*described.excludes, described.required_option or "fps"} <= {
             *options_of(BakeOptions)
         }
 

@@ -90,11 +90,11 @@ def test_chains_of_unequal_length_share_by_length(ours: int, theirs: int) -> Non
     chain = next((c for c in found.chains if c.role == "spine"), None)
     assert (chain is None) == (ours == theirs == 1)
     if chain:
-        assert chain.source_at == pytest.approx(np.arange(ours) / ours)
-        for i, at in enumerate(chain.target_at):
+        assert chain.source_fractions == pytest.approx(np.arange(ours) / ours)
+        for i, at in enumerate(chain.target_fractions):
             k = chain.source.index(source.index(followed[i]))
             if ours != theirs:
-                gaps = np.abs(np.array(chain.source_at) - at)
+                gaps = np.abs(np.array(chain.source_fractions) - at)
                 assert gaps[k] == pytest.approx(gaps.min())
 
 

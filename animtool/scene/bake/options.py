@@ -125,7 +125,7 @@ class BakeOptions:
         "switch",
         label="bones",
         not_for=("systems", "library", "deform", "file"),
-        over_layer=f"{argument('bones', True)} has no effect on a layer",
+        layer_refusal=f"{argument('bones', True)} has no effect on a layer",
         common_key=Key("Add geometry that shows the joints.", True),
         help="Add light geometry that shows the joints.",
     )
@@ -142,7 +142,7 @@ class BakeOptions:
         flag="rest",
         label="rest",
         not_for=("systems", "library", "deform", "file"),
-        over_layer=f"{argument('rest_frame')} sets the rest pose of a skeleton, "
+        layer_refusal=f"{argument('rest_frame')} sets the rest pose of a skeleton, "
         "which a layer does not contain",
         metavar="offsets|frame:N",
         help="Source of the rest pose.  [default: offsets]",
@@ -209,7 +209,7 @@ class BakeOptions:
         None,
         "unit",
         not_for=("library", "file"),
-        over_layer=_ADOPTED_OPTIONS,
+        layer_refusal=_ADOPTED_OPTIONS,
         batch=Key("Unit of the outputs. Default: each source's.", "m"),
         help="Unit of the output.",
     )
@@ -217,7 +217,7 @@ class BakeOptions:
         None,
         "axis",
         not_for=("library", "file"),
-        over_layer=_ADOPTED_OPTIONS,
+        layer_refusal=_ADOPTED_OPTIONS,
         batch=Key("Up axis of the outputs. Default: each source's.", "Y"),
         help="Up axis of the output.",
     )
@@ -273,7 +273,7 @@ class BakeOptions:
     reduce_at: tuple[tuple[str, float], ...] = option(
         (),
         "lengths",
-        goes_with="reduce",
+        required_option="reduce",
         common_key=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
         help=f"Another tolerance of {argument('reduce')} for a joint or a pattern, "
         "such as 'hand_*=0.1mm'; repeatable.",
@@ -296,7 +296,7 @@ class BakeOptions:
         False,
         "switch",
         not_for=("file",),
-        goes_with="deform",
+        required_option="deform",
         scene=Key("With `deform`: also write velocities of points, per second.", True),
         help=f"With {argument('deform', True)}, also write velocities of points, per "
         "second, for motion blur.",
@@ -305,7 +305,7 @@ class BakeOptions:
         None,
         "answer",
         not_for=("file",),
-        goes_with="deform",
+        required_option="deform",
         scene=Key("With `deform`: whether meshes keep normals. Default: yes.", False),
         help=f"With {argument('deform', True)}, whether meshes keep normals, which "
         "take half of the file.  [default: normals]",

@@ -194,7 +194,7 @@ def _layer_clashes(options: BakeOptions, form: str) -> Iterator[str]:
     if form != "layer" and options.rig_layer is not None:
         yield f"{argument('rig_layer')} needs {argument('form', 'layer')}"
     if form == "layer":
-        reasons = (option.over_layer for option in changed_options(options).values())
+        reasons = (option.layer_refusal for option in changed_options(options).values())
         yield from dict.fromkeys(filter(None, reasons))
 
 
