@@ -9,7 +9,7 @@
 namespace animtool {
 
 // The loops for one type of processor.
-struct SpringLoops {
+struct SpringFunctions {
   void (*add_forces)(const SpringColumns&, std::size_t, const double*, const double*, double*);
   void (*accelerate)(const ParticleColumns&, std::size_t, const double*, const double*, double*);
   void (*advance)(std::size_t, double, const double*, double*, double*);
@@ -24,12 +24,12 @@ struct SpringLoops {
 };
 
 template <class Simd>
-constexpr SpringLoops spring_loops_on{
+constexpr SpringFunctions spring_functions_on{
     add_forces<Simd>,       accelerate_rows<Simd>, advance_rows<Simd>,
     project_all<Simd>,      rows_to_planes<Simd>,  planes_to_rows<Simd>,
     add_plane_forces<Simd>, step_planes<Simd>,     advance_bundle<Simd>};
 
-const SpringLoops* springs_in_quads();  // null if the processor has no such registers
-const SpringLoops& spring_loops();      // the loops for this processor
+const SpringFunctions* springs_in_quads();  // null if the processor has no such registers
+const SpringFunctions& spring_functions();      // the loops for this processor
 
 }  // namespace animtool

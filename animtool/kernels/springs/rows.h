@@ -9,7 +9,7 @@
 namespace animtool {
 
 // Doubles per particle.
-constexpr std::size_t ROW = 4;
+constexpr std::size_t ROW_SIZE = 4;
 
 // Springs as columns; the ends of a spring are adjacent.
 struct SpringColumns {
@@ -61,8 +61,8 @@ void add_forces(const SpringColumns& springs, std::size_t count, const double* x
     const std::int32_t* ends = springs.ends + 2 * s;
     N d[SIMD_WIDTH], e[SIMD_WIDTH];
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
-      const std::size_t i = ROW * static_cast<std::size_t>(ends[2 * l]);
-      const std::size_t j = ROW * static_cast<std::size_t>(ends[2 * l + 1]);
+      const std::size_t i = ROW_SIZE * static_cast<std::size_t>(ends[2 * l]);
+      const std::size_t j = ROW_SIZE * static_cast<std::size_t>(ends[2 * l + 1]);
       d[l] = N::load(x + j) - N::load(x + i);
       e[l] = N::load(v + j) - N::load(v + i);
     }
@@ -71,16 +71,16 @@ void add_forces(const SpringColumns& springs, std::size_t count, const double* x
                       N::load(springs.damping + s), dots(d, d), dots(d, e))
         .store(factors);
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
-      double* f = forces + ROW * static_cast<std::size_t>(ends[2 * l]);
-      double* g = forces + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
+      double* f = forces + ROW_SIZE * static_cast<std::size_t>(ends[2 * l]);
+      double* g = forces + ROW_SIZE * static_cast<std::size_t>(ends[2 * l + 1]);
       const N force = factors[l] * d[l];
       (N::load(f) + force).store(f);
       (N::load(g) - force).store(g);
     }
   }
   for (; s < count; ++s) {
-    const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
-    const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
+    const std::size_t i = ROW_SIZE * static_cast<std::size_t>(springs.ends[2 * s]);
+    const std::size_t j = ROW_SIZE * static_cast<std::size_t>(springs.ends[2 * s + 1]);
     const auto d = load_row<Simd>(x + j) - load_row<Simd>(x + i);
     const auto e = load_row<Simd>(v + j) - load_row<Simd>(v + i);
     const auto force =
@@ -102,7 +102,7 @@ void accelerate_rows(const ParticleColumns& particles, std::size_t count, const 
                      const double* v, double* rows) {
   using N = Four<Simd>;
   const N gravity_row = N::load(gravity);
-  for (std::size_t n = 0; n < count; ++n, v += ROW, rows += ROW) {
+  for (std::size_t n = 0; n < count; ++n, v += ROW_SIZE, rows += ROW_SIZE) {
     const double inverse_mass = particles.inverse_masses[n];
     const N acceleration =
         N::load(rows) * inverse_mass + (gravity_row - particles.drags[n] * N::load(v));
@@ -114,7 +114,7 @@ void accelerate_rows(const ParticleColumns& particles, std::size_t count, const 
 template <class Simd>
 void advance_rows(std::size_t count, double h, const double* accelerations, double* x, double* v) {
   using N = Four<Simd>;
-  for (std::size_t k = 0; k < ROW * count; k += ROW) {
+  for (std::size_t k = 0; k < ROW_SIZE * count; k += ROW_SIZE) {
     const N new_velocity = N::load(v + k) + h * N::load(accelerations + k);
     new_velocity.store(v + k);
     (N::load(x + k) + h * new_velocity).store(x + k);
@@ -130,8 +130,8 @@ void project_four(const ComplianceColumns& springs, std::size_t s, double* x, co
   const std::int32_t* ends = springs.ends + 2 * s;
   N d[SIMD_WIDTH], e[SIMD_WIDTH];
   for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
-    const std::size_t i = ROW * static_cast<std::size_t>(ends[2 * l]);
-    const std::size_t j = ROW * static_cast<std::size_t>(ends[2 * l + 1]);
+    const std::size_t i = ROW_SIZE * static_cast<std::size_t>(ends[2 * l]);
+    const std::size_t j = ROW_SIZE * static_cast<std::size_t>(ends[2 * l + 1]);
     d[l] = N::load(x + j) - N::load(x + i);
     e[l] = d[l] - (N::load(before + j) - N::load(before + i));
   }
@@ -153,8 +153,8 @@ void project_four(const ComplianceColumns& springs, std::size_t s, double* x, co
           old_elongations[l] - factors[l] * (weights[2 * l] + weights[2 * l + 1]) * lengths[l];
   }
   for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
-    double* p = x + ROW * static_cast<std::size_t>(ends[2 * l]);
-    double* q = x + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
+    double* p = x + ROW_SIZE * static_cast<std::size_t>(ends[2 * l]);
+    double* q = x + ROW_SIZE * static_cast<std::size_t>(ends[2 * l + 1]);
     (N::load(p) + factors[l] * weights[2 * l] * d[l]).store(p);
     (N::load(q) - factors[l] * weights[2 * l + 1] * d[l]).store(q);
   }
@@ -165,8 +165,8 @@ template <class Simd>
 void project_one(const ComplianceColumns& springs, std::size_t s, double* x, const double* before,
                  double* elongations) {
   using N = Single<Simd>;
-  const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
-  const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
+  const std::size_t i = ROW_SIZE * static_cast<std::size_t>(springs.ends[2 * s]);
+  const std::size_t j = ROW_SIZE * static_cast<std::size_t>(springs.ends[2 * s + 1]);
   const auto d = load_row<Simd>(x + j) - load_row<Simd>(x + i);
   const auto e = d - (load_row<Simd>(before + j) - load_row<Simd>(before + i));
   const N square = dot(d, d), inverse_square = inverse(square), length = sqrt(square);
