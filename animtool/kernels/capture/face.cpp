@@ -66,7 +66,7 @@ void solve_forward(const double* l, std::size_t n, std::size_t stride, double* x
 // differences.
 struct WeightProblem {
   std::size_t frame_count, shape_count;
-  double smoothness;             // weight of the squared differences
+  double smoothness;                           // weight of the squared differences
   std::vector<double> hessians, linear_terms;  // (F, S, S), (F, S)
   std::vector<double> low, top;
 
@@ -91,7 +91,7 @@ struct WeightProblem {
   // Weighted sum of the same weight in neighbouring frames.
   double neighbour_sum(const double* w, std::size_t f, std::size_t s) const {
     return smoothness * ((f > 0 ? w[(f - 1) * shape_count + s] : 0.0) +
-                     (f + 1 < frame_count ? w[(f + 1) * shape_count + s] : 0.0));
+                         (f + 1 < frame_count ? w[(f + 1) * shape_count + s] : 0.0));
   }
 
   // Gradient of the cost by a frame's weights.
@@ -150,7 +150,8 @@ struct WeightProblem {
         if (change == 0) continue;
         wf[s] = weight;
         max_change = std::max(max_change, std::fabs(change));
-        for (std::size_t k = 0; k < shape_count; ++k) gradient[k] += change * hf[s * shape_count + k];
+        for (std::size_t k = 0; k < shape_count; ++k)
+          gradient[k] += change * hf[s * shape_count + k];
         gradient[s] += change * coupling;
       }
     }
@@ -161,7 +162,8 @@ struct WeightProblem {
   // fixed.
   void compute_newton_step(const double* w) {
     std::vector<double> gradient(shape_count), right_hand_side(shape_count), pivots(shape_count);
-    std::vector<std::size_t> slots(shape_count, shape_count), previous_index(shape_count, shape_count);
+    std::vector<std::size_t> slots(shape_count, shape_count),
+        previous_index(shape_count, shape_count);
     for (std::size_t f = 0; f < frame_count; ++f) {
       const double* hf = hessians.data() + f * shape_count * shape_count;
       std::size_t* free_shapes = free_shapes_.data() + f * shape_count;
@@ -188,7 +190,8 @@ struct WeightProblem {
         const double* previous_factor = factors_.data() + (f - 1) * shape_count * shape_count;
         const double* previous_solution = solutions_.data() + (f - 1) * shape_count;
         std::fill(previous_index.begin(), previous_index.end(), shape_count);
-        for (std::size_t i = 0; i < m; ++i) previous_index[free_shapes_[(f - 1) * shape_count + i]] = i;
+        for (std::size_t i = 0; i < m; ++i)
+          previous_index[free_shapes_[(f - 1) * shape_count + i]] = i;
         for (std::size_t i = 0; i < n; ++i) {
           const std::size_t previous_slot = previous_index[free_shapes[i]];
           double* column = coupling_columns_.data() + i * shape_count;
@@ -239,8 +242,8 @@ struct WeightProblem {
     double sum = 0;
     for (std::size_t s = 0; s < shape_count; ++s) {
       if (frame_weights[s] == 0) continue;
-      double row =
-          0.5 * coupling_weight(f) * frame_weights[s] - linear_terms[f * shape_count + s] - neighbour_sum(w, f, s);
+      double row = 0.5 * coupling_weight(f) * frame_weights[s] - linear_terms[f * shape_count + s] -
+                   neighbour_sum(w, f, s);
       const double* hs = hf + s * shape_count;
       for (std::size_t k = 0; k < shape_count; ++k) row += 0.5 * hs[k] * frame_weights[k];
       sum += frame_weights[s] * row;
@@ -297,7 +300,7 @@ struct Face {
   const double *neutral, *deltas;      // (N, 3), (S, N, 3)
   const double* camera;                // fx, fy, cx, cy; null for landmarks in three dimensions
   std::vector<double> rows_of_deltas;  // (N, 3, S): the three rows of each landmark
-  std::vector<double> gram_matrix;            // (S, S): sum over all rows, with weights of 1
+  std::vector<double> gram_matrix;     // (S, S): sum over all rows, with weights of 1
 
   void prepare() {
     rows_of_deltas.resize(landmark_count * 3 * shape_count);
@@ -306,7 +309,8 @@ struct Face {
         rows_of_deltas[i * shape_count + s] = deltas[s * 3 * landmark_count + i];
     gram_matrix.assign(shape_count * shape_count, 0.0);
     for (std::size_t i = 0; i < 3 * landmark_count; ++i)
-      add_outer_product(gram_matrix.data(), 1, &rows_of_deltas[i * shape_count], &rows_of_deltas[i * shape_count]);
+      add_outer_product(gram_matrix.data(), 1, &rows_of_deltas[i * shape_count],
+                        &rows_of_deltas[i * shape_count]);
   }
 
   // Adds a scaled outer product to a matrix (S, S).
@@ -333,7 +337,9 @@ struct Face {
 class LinearizedFrame {
  public:
   explicit LinearizedFrame(const Face& face)
-      : face_(face), points_(3 * face.landmark_count), pose_shape_hessian_(face.shape_count * POSE_DOFS) {}
+      : face_(face),
+        points_(3 * face.landmark_count),
+        pose_shape_hessian_(face.shape_count * POSE_DOFS) {}
 
   // Computes the lengths of residuals (N,) and robust weights of observed landmarks; returns the
   // loss.
@@ -380,7 +386,8 @@ class LinearizedFrame {
       const double robust_weight = robust_weights[n];
       if (!face_.camera && robust_weight != 1)
         for (int k = 0; k < 3; ++k)
-          face_.add_outer_product(h, robust_weight - 1, rows + k * shape_count, rows + k * shape_count);
+          face_.add_outer_product(h, robust_weight - 1, rows + k * shape_count,
+                                  rows + k * shape_count);
       if (robust_weight == 0) continue;
       if (!face_.camera) {
         const double* x = observed + 3 * n;
@@ -416,7 +423,8 @@ class LinearizedFrame {
     solve_forward(factor_, POSE_DOFS, POSE_DOFS, right_hand_side);
     for (std::size_t s = 0; s < shape_count; ++s) {
       double column[POSE_DOFS];
-      for (std::size_t i = 0; i < POSE_DOFS; ++i) column[i] = pose_shape_hessian_[i * shape_count + s];
+      for (std::size_t i = 0; i < POSE_DOFS; ++i)
+        column[i] = pose_shape_hessian_[i * shape_count + s];
       solve_forward(factor_, POSE_DOFS, POSE_DOFS, column);
       for (std::size_t i = 0; i < POSE_DOFS; ++i) {
         coupling[i * shape_count + s] = column[i];
@@ -433,7 +441,8 @@ class LinearizedFrame {
     double step[POSE_DOFS];
     for (std::size_t i = 0; i < POSE_DOFS; ++i) {
       double sum = right_hand_side_[i];
-      for (std::size_t s = 0; s < face_.shape_count; ++s) sum -= coupling_[i * face_.shape_count + s] * w[s];
+      for (std::size_t s = 0; s < face_.shape_count; ++s)
+        sum -= coupling_[i * face_.shape_count + s] * w[s];
       step[i] = sum;
     }
     cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{factor_, POSE_DOFS}, POSE_DOFS, step);
@@ -508,7 +517,8 @@ class LinearizedFrame {
     for (std::size_t i = 0; i < POSE_DOFS; ++i) {
       const double scaled_entry = scale * pose_row[i];
       if (scaled_entry == 0) continue;
-      for (std::size_t s = 0; s < shape_count; ++s) pose_shape_hessian_[i * shape_count + s] += scaled_entry * shape_row_[s];
+      for (std::size_t s = 0; s < shape_count; ++s)
+        pose_shape_hessian_[i * shape_count + s] += scaled_entry * shape_row_[s];
       for (std::size_t k = 0; k < POSE_DOFS; ++k)
         pose_hessian_[i * POSE_DOFS + k] += scaled_entry * pose_row[k];
       pose_gradient_[i] += scaled_entry * z;
@@ -532,7 +542,8 @@ FaceFit fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> obse
   const std::size_t width = camera ? 2 : 3;
   check::at_most("observed", frame_count * landmark_count, check::MAX_ROWS);
   check::at_most("deltas", shape_count * landmark_count, check::MAX_ROWS);
-  check::at_most("weights", frame_count * shape_count * std::max<std::size_t>(shape_count, 1), check::MAX_ROWS);
+  check::at_most("weights", frame_count * shape_count * std::max<std::size_t>(shape_count, 1),
+                 check::MAX_ROWS);
   check::shape("neutral", neutral, {neutral.shape(0) == 1 ? 1 : frame_count, landmark_count, 3});
   check::shape("deltas", deltas, {shape_count, landmark_count, 3});
   check::shape("observed", observed, {frame_count, landmark_count, width});
@@ -552,12 +563,17 @@ FaceFit fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> obse
     check::positive("camera", camera->data()[0]);
     check::positive("camera", camera->data()[1]);
   }
-  Out<double, 2> result(frame_count, shape_count), fitted_poses(frame_count, 7), lengths(frame_count, landmark_count),
-      robust_weights(frame_count, landmark_count);
+  Out<double, 2> result(frame_count, shape_count), fitted_poses(frame_count, 7),
+      lengths(frame_count, landmark_count), robust_weights(frame_count, landmark_count);
   int iteration = 0;
   double change = 0;
-  Face face{landmark_count, shape_count, neutral.data(), deltas.data(), camera ? camera->data() : nullptr,
-            {},        {}};
+  Face face{landmark_count,
+            shape_count,
+            neutral.data(),
+            deltas.data(),
+            camera ? camera->data() : nullptr,
+            {},
+            {}};
   face.prepare();
   LinearizedFrame linear(face);
   WeightProblem problem(frame_count, shape_count, smooth);
@@ -572,7 +588,8 @@ FaceFit fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> obse
     face.neutral = neutral.data() + f * neutral_stride;
     linear.compute_residuals(observed.data() + f * landmark_count * width, w + f * shape_count,
                              fitted_poses.get() + 7 * f, limit, power,
-                             lengths.get() + f * landmark_count, robust_weights.get() + f * landmark_count);
+                             lengths.get() + f * landmark_count,
+                             robust_weights.get() + f * landmark_count);
   };
   for (; iteration < max_iterations; ++iteration) {
     std::copy(w, w + frame_count * shape_count, previous_weights.begin());

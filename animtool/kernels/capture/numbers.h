@@ -89,8 +89,8 @@ inline NumberKind read_general_number(const char* p, const char* end, double& va
     value = is_negative ? -0.0 : 0.0;
     return NumberKind::finite;
   }
-  value =
-      is_negative ? -std::numeric_limits<double>::infinity() : std::numeric_limits<double>::infinity();
+  value = is_negative ? -std::numeric_limits<double>::infinity()
+                      : std::numeric_limits<double>::infinity();
   return NumberKind::overflow;
 }
 
@@ -173,9 +173,11 @@ inline NumberKind read_number(const char*& p, const char* end, double& value) {
   // 19 digits cannot overflow 64 bits, so this comparison uses all of them.
   constexpr std::uint64_t kExactMantissa = std::uint64_t{1} << 53;
   const std::int64_t decimal_exponent = exponent - fraction_digit_count;
-  if (digit_count <= 19 && mantissa <= kExactMantissa && decimal_exponent >= -22 && decimal_exponent <= 22) {
+  if (digit_count <= 19 && mantissa <= kExactMantissa && decimal_exponent >= -22 &&
+      decimal_exponent <= 22) {
     double v = static_cast<double>(mantissa);
-    v = decimal_exponent <= 0 ? v / kPowersOfTen[-decimal_exponent] : v * kPowersOfTen[decimal_exponent];
+    v = decimal_exponent <= 0 ? v / kPowersOfTen[-decimal_exponent]
+                              : v * kPowersOfTen[decimal_exponent];
     value = std::copysign(v, is_negative ? -1.0 : 1.0);
     return NumberKind::finite;
   }

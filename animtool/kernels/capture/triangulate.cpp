@@ -94,7 +94,7 @@ struct Factor {
 
 // A distorted position (x, y), and its derivatives by the undistorted one.
 struct Distortion {
-  double x, y, xx, xy, yx, yy;  // a distorted place, and its slopes by the place
+  double x, y, xx, xy, yx, yy;
 };
 
 struct Camera {
@@ -225,7 +225,9 @@ struct Solution {
   bool has_converged = false;
 };
 
-bool is_finite(const Vec& p) { return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z); }
+bool is_finite(const Vec& p) {
+  return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
+}
 
 // Solves a point from the cameras that observe it.
 class PointSolver {
@@ -396,7 +398,8 @@ class PointSolver {
         if (!intersect_pair(i, j, p)) continue;
         const double point_cost = cost(p, agreeing_count);
         if (agreeing_count == 2 && count > 2) ++tie_count;
-        if (point_cost < min_cost) min_cost = point_cost, best_count = agreeing_count, best_point = p;
+        if (point_cost < min_cost)
+          min_cost = point_cost, best_count = agreeing_count, best_point = p;
       }
     if (best_count < 2 || (best_count == 2 && tie_count > 1)) return Solution{};
     project_all(best_point);
@@ -509,7 +512,8 @@ Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 
           continue;
         }
         view_states[c] = UNRESOLVED;
-        view.camera = &camera_models[c], view.camera_index = c, view.u = u, view.v = v, view.is_used = true;
+        view.camera = &camera_models[c], view.camera_index = c, view.u = u, view.v = v,
+        view.is_used = true;
         view.weight = camera_models[c].information * confidence;
         ++point_solver.count;
       }
@@ -564,7 +568,8 @@ Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 
         point_numbers[1] = std::sqrt(metric_squares / point_numbers[3]);
         point_numbers[2] = std::sqrt(trace);
       }
-      for (std::size_t c = 0; has_details && c < C; ++c) states.get()[(f * C + c) * M + m] = view_states[c];
+      for (std::size_t c = 0; has_details && c < C; ++c)
+        states.get()[(f * C + c) * M + m] = view_states[c];
     }
   return {std::move(points), std::move(numbers), std::move(tallies), std::move(residuals),
           std::move(states)};
@@ -588,7 +593,8 @@ Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> camera
         view.is_used = true;
         ++point_solver.count;
       }
-      medians.get()[f * M + m] = point_solver.count < 2 ? NAN_VALUE : std::sqrt(point_solver.find_least_median());
+      medians.get()[f * M + m] =
+          point_solver.count < 2 ? NAN_VALUE : std::sqrt(point_solver.find_least_median());
     }
   return medians;
 }

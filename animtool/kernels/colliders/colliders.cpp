@@ -157,7 +157,8 @@ ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
       const auto hit = collide::sample(world_colliders[c], pose, point, 0, collide::INF);
       distances.get()[row] = hit.distance;
       store(hit.normal, normals.get() + 3 * row);
-      store(world_colliders[c].motion.displacement(point, pose) * inverse_step, velocities.get() + 3 * row);
+      store(world_colliders[c].motion.displacement(point, pose) * inverse_step,
+            velocities.get() + 3 * row);
     }
   }
   return {std::move(distances), std::move(normals), std::move(velocities)};

@@ -154,7 +154,9 @@ class ParticleContacts {
   }
 
  private:
-  bool is_culled(std::size_t i) const { return i < MAX_CULLED_COLLIDERS && (culled_bits_ >> i & 1); }
+  bool is_culled(std::size_t i) const {
+    return i < MAX_CULLED_COLLIDERS && (culled_bits_ >> i & 1);
+  }
 
   // Whether the current path cannot hit a collider.
   bool cannot_hit(const Collider& c) const {
@@ -215,9 +217,11 @@ class ParticleContacts {
   // it does not. Uses conservative advancement.
   double hit_time(const Collider& c, double time_limit) const {
     Pose pose = pose_at(c, 0);
-    const double speed = approach_bound(c, pose), max_distance = speed * time_limit + 2 * TOUCH_DISTANCE;
+    const double speed = approach_bound(c, pose),
+                 max_distance = speed * time_limit + 2 * TOUCH_DISTANCE;
     Sample nearest_hit = sample(c, pose, path_.position, radius_, max_distance);
-    if (nearest_hit.distance > speed * time_limit + TOUCH_DISTANCE || nearest_hit.distance < -INSIDE_DEPTH)
+    if (nearest_hit.distance > speed * time_limit + TOUCH_DISTANCE ||
+        nearest_hit.distance < -INSIDE_DEPTH)
       return -1;
     double s = 0;
     if (nearest_hit.distance <= TOUCH_DISTANCE) {
@@ -234,7 +238,8 @@ class ParticleContacts {
       pose = pose_at(c, s);
       const Vec point = path_.position_at(s);
       nearest_hit = sample(c, pose, point, radius_, max_distance);
-      if (nearest_hit.distance <= TOUCH_DISTANCE && is_approaching(c, point, pose, nearest_hit.normal, s))
+      if (nearest_hit.distance <= TOUCH_DISTANCE &&
+          is_approaching(c, point, pose, nearest_hit.normal, s))
         return s;
       const double min_advance =
           advance < MAX_ADVANCES ? TOUCH_DISTANCE / 2 / speed : path_.remaining / MAX_ADVANCES;
@@ -294,8 +299,8 @@ class ParticleContacts {
     const bool is_bouncing = !is_last && exit_speed > -normal_acceleration * remaining / 2;
     const double normal_impulse =
         normal_speed < 0 ? (is_bouncing ? exit_speed - normal_speed : -normal_speed) : 0.0;
-    const Vec slip_velocity =
-        with_friction(relative_velocity - nearest_hit.normal * normal_speed, c.friction * normal_impulse);
+    const Vec slip_velocity = with_friction(relative_velocity - nearest_hit.normal * normal_speed,
+                                            c.friction * normal_impulse);
     contact_ = {index, Touch::BOUNCED, nearest_hit.normal};
     if (is_bouncing) {
       const Vec velocity = collider_velocity + slip_velocity + nearest_hit.normal * exit_speed;

@@ -127,7 +127,8 @@ void number_edges(const std::int32_t* corners, std::int32_t count, MeshAdjacency
       adjacency.edges[3 * triangle_sides[end].triangle + triangle_sides[end].side] = number;
       adjacency.edge_triangles.push_back(triangle_sides[end].triangle);
     }
-    if (end - i == 1) adjacency.is_boundary_point[first.low] = adjacency.is_boundary_point[first.high] = true;
+    if (end - i == 1)
+      adjacency.is_boundary_point[first.low] = adjacency.is_boundary_point[first.high] = true;
   }
   adjacency.edge_starts.push_back(static_cast<std::int32_t>(triangle_sides.size()));
 }
@@ -232,7 +233,8 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
     BoxTree box_tree(points.data(), triangles.data(), triangle_count);
     for (std::int32_t k = 0; k < triangle_count; ++k)
       std::copy_n(triangles.data() + 3 * box_tree.order()[k], 3, sorted_triangles.get() + 3 * k);
-    const MeshAdjacency adjacency = build_adjacency(sorted_triangles.get(), triangle_count, point_count);
+    const MeshAdjacency adjacency =
+        build_adjacency(sorted_triangles.get(), triangle_count, point_count);
     const collide::Mesh mesh{points.data(), sorted_triangles.get(), nullptr, nullptr, nullptr,
                              nullptr};
     for (std::size_t p = 0; p < point_count; ++p)

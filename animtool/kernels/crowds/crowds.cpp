@@ -26,11 +26,11 @@ constexpr double SAME_DIRECTION_COSINE = 0.7;
 // An agent walks with another if its speed along that direction exceeds this fraction of its whole
 // speed. Otherwise it is oncoming or crossing.
 constexpr double MIN_ALONG_FRACTION = 0.5;
-// An agent that is slower than STUCK_SPEED_FRACTION, as a fraction of its preferred speed, is stuck. Then it
-// pushes with PUSH_FRACTION of the missing velocity. The second pair applies among many oncoming
-// agents.
-constexpr double STUCK_SPEED_FRACTION = 0.3, PUSH_FRACTION = 0.5, CROWDED_STUCK_SPEED_FRACTION = 0.8,
-                 CROWDED_PUSH_FRACTION = 1.0;
+// An agent that is slower than STUCK_SPEED_FRACTION, as a fraction of its preferred speed, is
+// stuck. Then it pushes with PUSH_FRACTION of the missing velocity. The second pair applies among
+// many oncoming agents.
+constexpr double STUCK_SPEED_FRACTION = 0.3, PUSH_FRACTION = 0.5,
+                 CROWDED_STUCK_SPEED_FRACTION = 0.8, CROWDED_PUSH_FRACTION = 1.0;
 // Among many oncoming agents an agent follows at this fraction of its headway, and looks ahead for
 // at least this fraction of its horizon.
 constexpr double CROWDED_HEADWAY_FACTOR = 0.6, MIN_HORIZON_FRACTION = 0.25;
@@ -43,8 +43,9 @@ constexpr double COST_TOLERANCE = 1e-9;
 // The sideways speed of an agent that changes lanes, over its speed: for each width, and at most.
 constexpr double SLANT_PER_WIDTH = 0.44, MAX_SLANT = 0.7;
 // An agent that oncoming agents block turns its shoulders. It turns them fully if the gap to one of
-// them is zero, and not at all if the gap exceeds MAX_SHOULDER_GAP_RATIO, as a fraction of the width. Below
-// BLOCKED_SPEED_FRACTION, as a fraction of its preferred speed, it turns them more the slower it is.
+// them is zero, and not at all if the gap exceeds MAX_SHOULDER_GAP_RATIO, as a fraction of the
+// width. Below BLOCKED_SPEED_FRACTION, as a fraction of its preferred speed, it turns them more the
+// slower it is.
 constexpr double MAX_SHOULDER_GAP_RATIO = 0.6, BLOCKED_SPEED_FRACTION = 0.7;
 // The largest depth of a lane inside a wall, over the agent's width.
 constexpr double MAX_WALL_DEPTH_RATIO = 0.23;
@@ -113,9 +114,9 @@ class VelocityProgram {
     }
     if (low > high) return false;
     const double desired_position = desired.dot(line_direction);
-    velocity =
-        normal * planes[i].limit + line_direction * (is_direction ? (desired_position > 0 ? high : low)
-                                                         : std::clamp(desired_position, low, high));
+    velocity = normal * planes[i].limit +
+               line_direction * (is_direction ? (desired_position > 0 ? high : low)
+                                              : std::clamp(desired_position, low, high));
     return true;
   }
 
@@ -138,8 +139,8 @@ void minimize_violation(const VelocityProgram& program, const std::vector<HalfPl
       bisectors.push_back({normal * (1 / length), (planes[j].limit - planes[i].limit) / length});
     }
     Vec2 relaxed_velocity;
-    if (program.solve(bisectors.data(), bisectors.size(), planes[i].normal, true, relaxed_velocity) ==
-        bisectors.size())
+    if (program.solve(bisectors.data(), bisectors.size(), planes[i].normal, true,
+                      relaxed_velocity) == bisectors.size())
       velocity = relaxed_velocity;
     violation = planes[i].limit - planes[i].normal.dot(velocity);
   }
@@ -152,7 +153,8 @@ struct CrowdRules {
 
 struct Agents {
   const Neighbours& grid;
-  const double *points, *velocities, *preferred_velocities, *radii, *max_speeds, *yielding, *shoulders;
+  const double *points, *velocities, *preferred_velocities, *radii, *max_speeds, *yielding,
+      *shoulders;
   double depth;
   const std::int32_t *groups, *wall_starts;
   const double* walls;
@@ -200,7 +202,8 @@ class Walker {
     const Vec2 velocity = vec2(agents_.velocities + 2 * agent);
     // Blocked agents look less far into the future. Otherwise all would stop, because each would
     // avoid the others.
-    const double preferred_speed = std::max(vec2(agents_.preferred_velocities + 2 * agent).length(), EPSILON);
+    const double preferred_speed =
+        std::max(vec2(agents_.preferred_velocities + 2 * agent).length(), EPSILON);
     const double min_fraction = blend(1, MIN_HORIZON_FRACTION);
     horizon_ = std::max(
         rules_.horizon * std::clamp(velocity.length() / preferred_speed, min_fraction, 1.0),
@@ -215,7 +218,8 @@ class Walker {
       minimize_violation(program, planes_, hard_count, satisfied_count, bisectors_, new_velocity);
     shoulder_yaw_ = find_shoulder_yaw(agent, velocity);
     const double speed = new_velocity.length();
-    const double min_speed = blend(STUCK_SPEED_FRACTION, CROWDED_STUCK_SPEED_FRACTION) * desired.length();
+    const double min_speed =
+        blend(STUCK_SPEED_FRACTION, CROWDED_STUCK_SPEED_FRACTION) * desired.length();
     if (speed < min_speed)
       new_velocity += (desired - new_velocity) *
                       (blend(PUSH_FRACTION, CROWDED_PUSH_FRACTION) * (1 - speed / min_speed));
@@ -243,7 +247,8 @@ class Walker {
     const Vec2 forward = desired * (preferred_speed > EPSILON ? 1 / preferred_speed : 0.0);
     const double slowness =
         1 - velocity.dot(forward) / (BLOCKED_SPEED_FRACTION * std::max(preferred_speed, EPSILON));
-    const double blocked_fraction = preferred_speed > EPSILON ? std::clamp(slowness, 0.0, 1.0) : 0.0;
+    const double blocked_fraction =
+        preferred_speed > EPSILON ? std::clamp(slowness, 0.0, 1.0) : 0.0;
     double max_strength = 0, side = 1;
     for (const Neighbour& neighbour : neighbours_) {
       const double width = agents_.radii[agent] + agents_.radii[neighbour.index];
@@ -286,7 +291,8 @@ class Walker {
       const Vec2 offset = vec2(agents_.points + 2 * other) - position;
       insert_sorted({offset, offset.dot(offset), other});
       const double sight_fraction = offset.dot(sight_scale);
-      if (sight_fraction > 0) add_cost(offset.dot(sideways), 1 - sight_fraction, other, speed_scale);
+      if (sight_fraction > 0)
+        add_cost(offset.dot(sideways), 1 - sight_fraction, other, speed_scale);
     }
     oncoming_strength_ = std::min(oncoming_strength_, 1.0);
   }
@@ -322,7 +328,8 @@ class Walker {
         0.5 * (preferred_speed + vec2(agents_.velocities + 2 * other).dot(speed_scale));
     const double cost = proximity * std::clamp(1 - mean_speed, 0.0, 2.0);
     // A standing agent is not a stream of agents.
-    if (preferred_speed < MIN_ALONG_FRACTION && vec2(agents_.preferred_velocities + 2 * other).length() > EPSILON)
+    if (preferred_speed < MIN_ALONG_FRACTION &&
+        vec2(agents_.preferred_velocities + 2 * other).length() > EPSILON)
       oncoming_strength_ += proximity;
     const int lane = static_cast<int>(lane_position);
     const double upper_cost = cost * (lane_position - lane);
@@ -342,8 +349,8 @@ class Walker {
         const double offset = direction * k,
                      lane_cost = costs_[static_cast<std::size_t>(SIDE_LANES + 1 + direction * k)];
         if (!is_clear_of_walls(agent, position + left * (offset * width))) break;
-        const double cost =
-            lane_cost + DETOUR_COST_PER_LANE * k + crossing_cost - rules_.preferred_side * oncoming_strength_ * offset;
+        const double cost = lane_cost + DETOUR_COST_PER_LANE * k + crossing_cost -
+                            rules_.preferred_side * oncoming_strength_ * offset;
         if (cost < least_cost - COST_TOLERANCE) least_cost = cost, best_offset = offset;
         crossing_cost += CROSSING_COST * lane_cost;
       }
@@ -354,7 +361,8 @@ class Walker {
   bool is_clear_of_walls(std::size_t agent, const Vec2& point) const {
     for (std::int32_t k = agents_.wall_starts[agent]; k < agents_.wall_starts[agent + 1]; ++k) {
       const double* wall = agents_.walls + 4 * static_cast<std::size_t>(k);
-      if (vec2(wall).dot(point) < wall[3] - MAX_WALL_DEPTH_RATIO * 2 * agents_.radii[agent]) return false;
+      if (vec2(wall).dot(point) < wall[3] - MAX_WALL_DEPTH_RATIO * 2 * agents_.radii[agent])
+        return false;
     }
     return true;
   }
@@ -373,7 +381,8 @@ class Walker {
                    width = radius + agents_.radii[neighbour.index];
       const double gap = std::max(distance - width, 0.0);
       const double forward_distance = neighbour.offset.dot(forward);
-      if (headway > 0 && forward_distance > 0 && neighbour.squared_distance - forward_distance * forward_distance < width * width) {
+      if (headway > 0 && forward_distance > 0 &&
+          neighbour.squared_distance - forward_distance * forward_distance < width * width) {
         const Vec2 other_velocity = vec2(agents_.preferred_velocities + 2 * neighbour.index);
         // Does not slow down if the other agent also sees this one in front of itself.
         if (other_velocity.dot(forward) > SAME_DIRECTION_COSINE * other_velocity.length() &&
@@ -383,10 +392,12 @@ class Walker {
       const bool is_same_group =
           agents_.groups[agent] >= 0 && agents_.groups[agent] == agents_.groups[neighbour.index];
       if (gap < rules_.personal_space && distance > EPSILON && !is_same_group)
-        separation -= neighbour.offset * (rules_.separation_speed * (1 - gap / rules_.personal_space) / distance);
+        separation -= neighbour.offset *
+                      (rules_.separation_speed * (1 - gap / rules_.personal_space) / distance);
     }
     if (oncoming_strength_ == 0) return forward * max_speed + separation;
-    const double slant = std::clamp(SLANT_PER_WIDTH * find_cheapest_lane(agent, forward), -MAX_SLANT, MAX_SLANT);
+    const double slant =
+        std::clamp(SLANT_PER_WIDTH * find_cheapest_lane(agent, forward), -MAX_SLANT, MAX_SLANT);
     return forward * max_speed + left_of(forward) * (slant * speed) + separation;
   }
 
@@ -431,7 +442,8 @@ class Walker {
   const Agents& agents_;
   std::vector<Neighbour> neighbours_;
   std::array<double, 2 * SIDE_LANES + 3> costs_;
-  double oncoming_strength_ = 0;  // number of oncoming or crossing agents, weighted by proximity, at most 1
+  double oncoming_strength_ =
+      0;  // number of oncoming or crossing agents, weighted by proximity, at most 1
   double horizon_ = 0, shoulder_yaw_ = 0;
   std::vector<HalfPlane> planes_, bisectors_;
 };
@@ -528,7 +540,7 @@ CrowdStepResult crowd_step(const CrowdStep& options) {
   const double no_limit = std::numeric_limits<double>::infinity();
   const Block<Vec2> new_points = block<Vec2>(count);
   const CrowdRules rules{sight,   horizon, space, push,
-                    headway, side,    step,  static_cast<std::size_t>(nearest)};
+                         headway, side,    step,  static_cast<std::size_t>(nearest)};
   const Neighbours grid(flat_points.get(), nullptr, count, sight, no_period, no_period);
   const Agents agents{grid,         points.data(),     velocities.data(), preferred.data(),
                       radii.data(), max_speeds.data(), yielding.data(),   shoulders.data(),
@@ -586,7 +598,8 @@ struct QueuedNode {
 // advancing fronts, 1996).
 Out<double, 2> travel_distances(In<bool, 2> is_free, double cell_size, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts) {
-  const std::size_t row_count = is_free.shape(0), column_count = is_free.shape(1), count = row_count * column_count;
+  const std::size_t row_count = is_free.shape(0), column_count = is_free.shape(1),
+                    count = row_count * column_count;
   check::at_most("free", count, check::MAX_ROWS);
   check::positive("cell", cell_size);
   check::indices("seeds", seeds, 0, static_cast<std::int64_t>(count));
@@ -608,7 +621,8 @@ Out<double, 2> travel_distances(In<bool, 2> is_free, double cell_size, In<std::i
   const auto find_distance = [&](std::size_t row, std::size_t column, int down, int right) {
     const std::size_t other_row = row + static_cast<std::size_t>(down),
                       other_column = column + static_cast<std::size_t>(right);
-    return other_row < row_count && other_column < column_count && is_done[other_row * column_count + other_column]
+    return other_row < row_count && other_column < column_count &&
+                   is_done[other_row * column_count + other_column]
                ? distances[other_row * column_count + other_column]
                : INF;
   };

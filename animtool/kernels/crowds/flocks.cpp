@@ -22,7 +22,8 @@ struct FlockRule {
 
   // Whether all pairs in sight interact symmetrically.
   bool is_mutual() const {
-    return !(cosine > -1) && !max_neighbours && attraction.radius >= radius && alignment.radius >= radius;
+    return !(cosine > -1) && !max_neighbours && attraction.radius >= radius &&
+           alignment.radius >= radius;
   }
 };
 
@@ -35,7 +36,7 @@ Vec find_repulsion(const FlockRule& rule, const Vec& offset, double squared_dist
 
 // Adds the forces of symmetric interactions. Each pair is visited once.
 double add_mutual_forces(const FlockRule& rule, const Neighbours& grid, const Vec* velocities,
-                  double max_tests, double* out, std::int32_t* counts) {
+                         double max_tests, double* out, std::int32_t* counts) {
   struct Sums {
     Vec pull, repulsion;
   };
@@ -131,7 +132,8 @@ class NeighbourForces {
       return a.squared_distance != b.squared_distance ? a.squared_distance < b.squared_distance
                                                       : index[a.index] < index[b.index];
     };
-    const auto end_of_nearest = neighbours_.begin() + static_cast<std::ptrdiff_t>(rule_.max_neighbours);
+    const auto end_of_nearest =
+        neighbours_.begin() + static_cast<std::ptrdiff_t>(rule_.max_neighbours);
     std::nth_element(neighbours_.begin(), end_of_nearest - 1, neighbours_.end(), nearer);
     neighbours_.erase(end_of_nearest, neighbours_.end());
     std::sort(neighbours_.begin(), neighbours_.end(), nearer);
@@ -189,7 +191,8 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
                         others ? others->shape(0) : count, radius, period.data(), periods);
   const Block<Vec> sorted_velocities = block<Vec>(grid.size());
   for (std::size_t i = 0; i < grid.size(); ++i)
-    sorted_velocities[i] = load(velocities.data() + 3 * static_cast<std::size_t>(grid.point_indices()[i]));
+    sorted_velocities[i] =
+        load(velocities.data() + 3 * static_cast<std::size_t>(grid.point_indices()[i]));
   const bool has_no_period = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
   const bool visits_all = has_no_period && !members && !others;
   NeighbourForces forces(rule, grid, sorted_velocities.get());
@@ -199,8 +202,8 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
     counts.get()[row] = static_cast<std::int32_t>(count);
   };
   if (visits_all && rule.is_mutual())
-    test_count =
-        add_mutual_forces(rule, grid, sorted_velocities.get(), max_tests, result.get(), counts.get());
+    test_count = add_mutual_forces(rule, grid, sorted_velocities.get(), max_tests, result.get(),
+                                   counts.get());
   else if (visits_all)
     test_count = grid.visit_all<false>(
         max_tests,

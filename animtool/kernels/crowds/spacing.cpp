@@ -89,7 +89,8 @@ void check_spacing(const In<double, 1>& min_distances, std::size_t count,
   check::numbers("period", period, {2, 3});
 }
 
-void add_along_gap(double* values, const Pair& pair, const SpacedMembers::Gap& gap, double magnitude) {
+void add_along_gap(double* values, const Pair& pair, const SpacedMembers::Gap& gap,
+                   double magnitude) {
   for (std::size_t k = 0; k < 3; ++k) {
     values[3 * pair.first + k] -= magnitude * gap.direction[k];
     values[3 * pair.second + k] += magnitude * gap.direction[k];

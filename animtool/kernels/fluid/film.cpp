@@ -90,7 +90,8 @@ void FreeSurface::list_blocks(const double* rows, std::size_t count) {
       const std::int64_t first = static_cast<std::int64_t>(std::floor(coordinate)) - 1;
       block_range[2 * k] = floor_divide(first - 1 - MARGIN_CELLS, BLOCK_SIDE);
       block_range[2 * k + 1] = floor_divide(first + 4 + MARGIN_CELLS, BLOCK_SIDE);
-      is_same_block_range = is_same_block_range && block_range[2 * k] == previous[2 * k] && block_range[2 * k + 1] == previous[2 * k + 1];
+      is_same_block_range = is_same_block_range && block_range[2 * k] == previous[2 * k] &&
+                            block_range[2 * k + 1] == previous[2 * k + 1];
     }
     if (!is_finite || is_same_block_range) continue;
     std::copy_n(block_range, 6, previous);
@@ -105,7 +106,8 @@ void FreeSurface::list_blocks(const double* rows, std::size_t count) {
       neighbour_blocks_[8 * b + static_cast<std::size_t>(k)] =
           block_at(blocks_[b][0] + (k >> 2), blocks_[b][1] + (k >> 1 & 1), blocks_[b][2] + (k & 1));
   find_drops();
-  colour_.resize(BLOCK_NODES * size), colour_rates_.resize(BLOCK_NODES * size), gradient_.resize(BLOCK_NODES * size);
+  colour_.resize(BLOCK_NODES * size), colour_rates_.resize(BLOCK_NODES * size),
+      gradient_.resize(BLOCK_NODES * size);
 }
 
 bool FreeSurface::locate(const double* row, GridCell& cell) const {
@@ -201,8 +203,8 @@ double FreeSurface::add_block_area(std::size_t block) {
         const int offset = x * X_STRIDE + y * Y_STRIDE + z;
         const double* c = colours + offset;
         // Along the four diagonals of the cell.
-        const double p = c[X_STRIDE + Y_STRIDE + 1] - c[0], q = c[X_STRIDE + Y_STRIDE] - c[1], r = c[X_STRIDE + 1] - c[Y_STRIDE],
-                     s = c[X_STRIDE] - c[Y_STRIDE + 1];
+        const double p = c[X_STRIDE + Y_STRIDE + 1] - c[0], q = c[X_STRIDE + Y_STRIDE] - c[1],
+                     r = c[X_STRIDE + 1] - c[Y_STRIDE], s = c[X_STRIDE] - c[Y_STRIDE + 1];
         const double gx = quarter * (p + q + r + s), gy = quarter * (p + q - r - s),
                      gz = quarter * (p - q + r - s);
         const double squared_gradient = gx * gx + gy * gy + gz * gz;
@@ -312,8 +314,8 @@ void FreeSurface::remove_net_forces(const double* rows) {
     const double determinant = a * aa + d * ab + e * ac;
     const Vec scaled_moment = drop.angular_correction * (determinant > 0 ? 1 / determinant : 0.0);
     drop.angular_correction = {aa * scaled_moment.x + ab * scaled_moment.y + ac * scaled_moment.z,
-                    ab * scaled_moment.x + bb * scaled_moment.y + bc * scaled_moment.z,
-                    ac * scaled_moment.x + bc * scaled_moment.y + cc * scaled_moment.z};
+                               ab * scaled_moment.x + bb * scaled_moment.y + bc * scaled_moment.z,
+                               ac * scaled_moment.x + bc * scaled_moment.y + cc * scaled_moment.z};
   }
   for (std::size_t i = 0; i < tensions_.size(); ++i) {
     const Drop& drop = drop_of(i);

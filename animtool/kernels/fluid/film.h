@@ -35,7 +35,8 @@ class FreeSurface {
  private:
   // Number of nodes along the side of a block, in a block, and along the side including the next
   // block.
-  static constexpr int BLOCK_SIDE = 4, BLOCK_NODES = BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE, PADDED_SIDE = BLOCK_SIDE + 1;
+  static constexpr int BLOCK_SIDE = 4, BLOCK_NODES = BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE,
+                       PADDED_SIDE = BLOCK_SIDE + 1;
 
   // Position of a particle in the grid: eight blocks, the first node in the first of them, and
   // spline weights with their derivatives.

@@ -33,13 +33,14 @@ struct alignas(32) ParticleRow {
 
 // A body that the fluid pushes, with its displacement from free motion.
 struct Body {
-  double inverse_mass = 0;                  // 1 over its mass
-  double inverse_inertia[6];                // its inverse inertia: xx, yy, zz, xy, xz, yz
-  Vec begin, end;                           // centre of mass at the start and the end of the step
-  Vec shift, rotation;                      // displacement from free motion so far
-  Vec velocity, angular_velocity;           // changes of these by the fluid
-  double impulse[6] = {}, impulse_times_remaining_time[6] = {};  // impulses and angular impulses about the origin; the
-                                            // same times the remaining time
+  double inverse_mass = 0;         // 1 over its mass
+  double inverse_inertia[6];       // its inverse inertia: xx, yy, zz, xy, xz, yz
+  Vec begin, end;                  // centre of mass at the start and the end of the step
+  Vec shift, rotation;             // displacement from free motion so far
+  Vec velocity, angular_velocity;  // changes of these by the fluid
+  double impulse[6] = {},
+         impulse_times_remaining_time[6] = {};  // impulses and angular impulses about the origin;
+                                                // the same times the remaining time
 
   Vec angular_change(Vec angular_impulse) const {
     return {inverse_inertia[0] * angular_impulse.x + inverse_inertia[3] * angular_impulse.y +
@@ -223,8 +224,8 @@ class FluidStepper {
     std::vector<double> points(3 * count_);
     for (std::size_t i = 0; i < count_; ++i) store(points_[i].vector(), &points[3 * i]);
     const double no_period[3] = {0, 0, 0};
-    const Neighbours grid(points.data(), nullptr, count_, radius_ * (1 + LIST_MARGIN_RATIO), no_period,
-                          no_period);
+    const Neighbours grid(points.data(), nullptr, count_, radius_ * (1 + LIST_MARGIN_RATIO),
+                          no_period, no_period);
     std::vector<std::int32_t> order(grid.point_indices(), grid.point_indices() + grid.size());
     // Non-finite particles have no neighbours, and are last.
     if (order.size() < count_) {
@@ -271,8 +272,9 @@ class FluidStepper {
     const double max_distance = radius_ * (1 + LIST_MARGIN_RATIO);
     std::vector<std::size_t> near_colliders;
     for (std::size_t c = 0; c < colliders_.size(); ++c)
-      if (collide::sample(colliders_[c], poses_[c], particles_centre_, 0, particles_extent_ + max_distance).distance <
-          particles_extent_ + max_distance)
+      if (collide::sample(colliders_[c], poses_[c], particles_centre_, 0,
+                          particles_extent_ + max_distance)
+              .distance < particles_extent_ + max_distance)
         near_colliders.push_back(c);
     for (std::size_t i = 0; i < count_; ++i) {
       for (const std::size_t c : near_colliders)
@@ -307,7 +309,8 @@ class FluidStepper {
     density_gradients_.assign(count_ + 1, {}), corrections_.assign(count_ + 1, {}),
         squared_gradients_.assign(count_ + 1, 0);
     functions_.measure_density(pairs());
-    const double scale = 1 / lattice_weight_sum_, min_steepness = Walls::lattice_steepness() / (radius_ * radius_);
+    const double scale = 1 / lattice_weight_sum_,
+                 min_steepness = Walls::lattice_steepness() / (radius_ * radius_);
     const double wall_virial = Walls::virial();
     double sum = 0;
     for (std::size_t i = 0; i < count_; ++i) {
@@ -336,13 +339,15 @@ class FluidStepper {
     const double period = std::sqrt(constants_.mass() / constants_.tension);
     const double max_substeps =
         std::min(MAX_CAPILLARY_TIME * period / h, static_cast<double>(substeps));
-    const std::size_t combined_substeps = std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1);
+    const std::size_t combined_substeps =
+        std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1);
     if (substep % combined_substeps != 0) return;
-    const double duration = h * static_cast<double>(std::min(combined_substeps, substeps - substep));
+    const double duration =
+        h * static_cast<double>(std::min(combined_substeps, substeps - substep));
     free_surface_.compute_area(&points_.data()->x, count_);
     free_surface_.add_tension(&points_.data()->x, count_,
-                      -constants_.tension * h * duration / constants_.mass(),
-                      &corrections_.data()->x);
+                              -constants_.tension * h * duration / constants_.mass(),
+                              &corrections_.data()->x);
   }
 
   // Damps velocities before the next neighbour update: together with pressure this would overshoot.
@@ -368,8 +373,8 @@ class FluidStepper {
             : substeps;
     if (!(constants_.viscosity > 0) || substep % combined_substeps != 0) return false;
     FluidPairs damped_pairs = pairs();
-    damped_pairs.damping =
-        -2 * constants_.viscosity * h * static_cast<double>(std::min(combined_substeps, substeps - substep));
+    damped_pairs.damping = -2 * constants_.viscosity * h *
+                           static_cast<double>(std::min(combined_substeps, substeps - substep));
     functions_.apply_viscosity(damped_pairs);
     return true;
   }
@@ -385,7 +390,7 @@ class FluidStepper {
     FluidPairs damped_pairs = pairs();
     damped_pairs.noise_speed = NOISE_SPEED * sound_speed_;
     damped_pairs.damping = -NOISE_DECAY * strength * fraction *
-                     static_cast<double>(std::min(NOISE_SUBSTEPS, substeps - substep));
+                           static_cast<double>(std::min(NOISE_SUBSTEPS, substeps - substep));
     functions_.damp_noise(damped_pairs);
     return true;
   }
@@ -409,7 +414,8 @@ class FluidStepper {
         if (m != k) other_density *= 1 - contacts_[m].contribution.fraction;
       Vec& wall_gradient = contacts_[k].contribution.gradient;
       wall_gradient = wall_gradient * other_density;
-      contacts_[k].contribution.pressing_gradient = contacts_[k].contribution.pressing_gradient * other_density;
+      contacts_[k].contribution.pressing_gradient =
+          contacts_[k].contribution.pressing_gradient * other_density;
       gradient.x += wall_gradient.x, gradient.y += wall_gradient.y, gradient.z += wall_gradient.z;
       gradient.w += dot(wall_gradient, wall_gradient);
     }
@@ -455,16 +461,16 @@ class FluidStepper {
       for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
         ColliderContact& contact = contacts_[k];
         const Vec impulse = contact.correction * inverse_h, old_velocity = v;
-        touch_count +=
-            resolve_contact(contact, points_before_[i].vector(), inverse_h, length(impulse), x, v) > 0;
+        touch_count += resolve_contact(contact, points_before_[i].vector(), inverse_h,
+                                       length(impulse), x, v) > 0;
         contact.correction = impulse + (v - old_velocity);
       }
       for (int iteration = 0; iteration < MAX_ALTERNATIONS && touch_count > 1; ++iteration) {
         double max_depth = 0;
         for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
           const Vec old_velocity = v;
-          max_depth = std::max(
-              max_depth, resolve_contact(contacts_[k], points_before_[i].vector(), inverse_h, 0, x, v));
+          max_depth = std::max(max_depth, resolve_contact(contacts_[k], points_before_[i].vector(),
+                                                          inverse_h, 0, x, v));
           contacts_[k].correction = contacts_[k].correction + (v - old_velocity);
         }
         if (max_depth <= CONTACT_TOLERANCE * particle_radius) break;
@@ -476,8 +482,8 @@ class FluidStepper {
 
   // Pushes a particle out of a collider, with friction for an impulse; returns the penetration
   // depth.
-  double resolve_contact(ColliderContact& contact, Vec before, double inverse_h, double normal_impulse,
-                         Vec& x, Vec& v) {
+  double resolve_contact(ColliderContact& contact, Vec before, double inverse_h,
+                         double normal_impulse, Vec& x, Vec& v) {
     const double particle_radius = constants_.spacing / 2;
     const std::size_t c = static_cast<std::size_t>(contact.collider);
     const Collider& collider = colliders_[c];
@@ -532,7 +538,8 @@ class FluidStepper {
                                 impulses[b].z,         angular_impulses[b].x,
                                 angular_impulses[b].y, angular_impulses[b].z};
       for (int k = 0; k < 6; ++k)
-        body.impulse[k] += wrench[k], body.impulse_times_remaining_time[k] += wrench[k] * remaining_fraction * step_;
+        body.impulse[k] += wrench[k],
+            body.impulse_times_remaining_time[k] += wrench[k] * remaining_fraction * step_;
       const Vec centre = body.begin + (body.end - body.begin) * fraction + body.shift;
       body.velocity = body.velocity + impulses[b] * body.inverse_mass;
       body.angular_velocity = body.angular_velocity +
@@ -567,8 +574,8 @@ class FluidStepper {
   std::vector<std::int32_t> order_, partners_;
   std::vector<std::size_t> neighbour_starts_, contact_starts_;
   std::vector<double> factors_, squared_gradients_, excess_densities_, pressures_, virial_;
-  std::vector<ParticleRow> points_, points_before_, velocities_, accelerations_, corrections_, density_gradients_,
-      listed_points_;
+  std::vector<ParticleRow> points_, points_before_, velocities_, accelerations_, corrections_,
+      density_gradients_, listed_points_;
   std::vector<ColliderContact> contacts_;
   std::vector<Pose> poses_, old_poses_, listed_poses_;
 };
@@ -626,7 +633,8 @@ FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners
   compression = stepper.compression();
   for (std::size_t b = 0; b < body_count; ++b) {
     std::copy_n(stepper.bodies()[b].impulse, 6, wrenches.get() + 6 * b);
-    std::copy_n(stepper.bodies()[b].impulse_times_remaining_time, 6, wrenches.get() + 6 * (body_count + b));
+    std::copy_n(stepper.bodies()[b].impulse_times_remaining_time, 6,
+                wrenches.get() + 6 * (body_count + b));
   }
   return {std::move(result), std::move(pressures), std::move(wrenches), compression};
 }

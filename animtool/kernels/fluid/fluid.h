@@ -87,9 +87,9 @@ const Walls& walls();
 // Contribution of a collider to the density of a particle, as a fraction of the full density.
 struct WallContribution {
   double fraction = 0, distance = 0;
-  Vec gradient;  // gradient of the fraction, in the world [1/m]
+  Vec gradient;           // gradient of the fraction, in the world [1/m]
   Vec pressing_gradient;  // the part of it that presses, see `box_contribution`
-  Vec normal;    // outward direction of the collider
+  Vec normal;             // outward direction of the collider
 };
 
 WallContribution wall_contribution(const collide::Collider& c, const collide::Pose& pose, Vec point,

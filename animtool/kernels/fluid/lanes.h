@@ -19,7 +19,7 @@ struct FluidPairs {
   double* squared_gradients;                // of slopes
   double inverse_radius, derivative_scale;  // 1 over the radius; scale of kernel derivatives
   double damping;                           // factor of velocity damping
-  double noise_speed;                             // relative speed that counts as noise
+  double noise_speed;                       // relative speed that counts as noise
 };
 
 struct FluidFunctions {

@@ -180,7 +180,7 @@ void box_contribution(const Collider& c, const Pose& pose, Vec point, double rad
   out.gradient = pose.rotate(c.is_container ? -gradient : gradient);
   const auto is_outside = [&](int k) { return std::fabs(coordinates[k]) > c.size[k] ? 1.0 : 0.0; };
   const Vec pressing_gradient{gradient.x * is_outside(0), gradient.y * is_outside(1),
-                     gradient.z * is_outside(2)};
+                              gradient.z * is_outside(2)};
   out.pressing_gradient = c.is_container ? out.gradient : pose.rotate(pressing_gradient);
 }
 

@@ -78,31 +78,35 @@ double angle_between(const Triple& axis, const Triple& p, const Triple& q, doubl
 // Subproblem 4: angles of rotations of p about an axis after which its component along h is d. If d
 // is out of range by up to `range_tolerance`, it is clamped.
 AngleSolutions angles_to_component(const Triple& axis, const Triple& p, const Triple& h, double d,
-                           double range_tolerance, double free_angle) {
+                                   double range_tolerance, double free_angle) {
   const double constant_part = inner(h, axis) * inner(axis, p);
   const double cosine_part = inner(h, p) - constant_part,
                sine_part = inner(h, cross_product(axis, p)), remainder = d - constant_part;
   const double amplitude = std::hypot(cosine_part, sine_part);
   if (amplitude < ARM_MIN_LENGTH)
-    return std::fabs(remainder) < ARM_MIN_LENGTH + range_tolerance ? AngleSolutions{1, {free_angle}} : AngleSolutions{};
+    return std::fabs(remainder) < ARM_MIN_LENGTH + range_tolerance ? AngleSolutions{1, {free_angle}}
+                                                                   : AngleSolutions{};
   const double cosine = remainder / amplitude;
   if (std::fabs(cosine) > 1 + range_tolerance / amplitude) return {};
-  const double middle = std::atan2(sine_part, cosine_part), clamped_cosine = std::clamp(cosine, -1.0, 1.0);
-  const double half_width = std::atan2(std::sqrt((1 - clamped_cosine) * (1 + clamped_cosine)), clamped_cosine);
+  const double middle = std::atan2(sine_part, cosine_part),
+               clamped_cosine = std::clamp(cosine, -1.0, 1.0);
+  const double half_width =
+      std::atan2(std::sqrt((1 - clamped_cosine) * (1 + clamped_cosine)), clamped_cosine);
   return {2, {middle + half_width, middle - half_width}};
 }
 
 // Subproblem 3: angles of rotations of p about an axis after which it has a given distance from q.
-AngleSolutions angles_to_distance(const Triple& axis, const Triple& p, const Triple& q, double distance,
-                          double range_tolerance, double free_angle) {
+AngleSolutions angles_to_distance(const Triple& axis, const Triple& p, const Triple& q,
+                                  double distance, double range_tolerance, double free_angle) {
   return angles_to_component(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2,
                              range_tolerance, free_angle);
 }
 
 // Subproblem 2: angles of rotations of p and q about two axes that take them to the same vector.
 template <class Function>
-void angles_to_common_vector(const Triple& first_axis, const Triple& p, const Triple& second_axis, const Triple& q,
-                      double range_tolerance, double first_free_angle, double second_free_angle, Function&& function) {
+void angles_to_common_vector(const Triple& first_axis, const Triple& p, const Triple& second_axis,
+                             const Triple& q, double range_tolerance, double first_free_angle,
+                             double second_free_angle, Function&& function) {
   const double axis_dot = inner(first_axis, second_axis), squared_sine = 1 - axis_dot * axis_dot;
   const double p_component = inner(first_axis, p), q_component = inner(second_axis, q);
   const double a = (p_component - axis_dot * q_component) / squared_sine,
@@ -216,7 +220,7 @@ ArmGeometry analyze_arm(const Task& task) {
     return arm;
   }
   const bool has_spherical_wrist = is_on_line(arm.wrist, joint_axes[3]) &&
-                        sine_between(joint_axes[3], joint_axes[4]) > ARM_TOLERANCE;
+                                   sine_between(joint_axes[3], joint_axes[4]) > ARM_TOLERANCE;
   arm.method = has_spherical_wrist ? find_wrist_method(arm) : WristMethod::NONE;
   if (arm.method != WristMethod::NONE) arm.kind = ArmKind::WRIST;
   return arm;
@@ -347,21 +351,24 @@ class SixPins : public Arm {
     const double component = inner(axis(1), minus(arm_.wrist, point_on(0)));
     const Triple reversed_axis = times(-1, axis(0));
     for_each_solution(angles_to_component(reversed_axis, minus(wrist_target_, point_on(0)), axis(1),
-                                 component, RANGE_TOLERANCE, start_[0]),
-             [&](double first_angle) { solve_in_plane(first_angle, undo_first_rotation(first_angle), arm_.wrist); });
+                                          component, RANGE_TOLERANCE, start_[0]),
+                      [&](double first_angle) {
+                        solve_in_plane(first_angle, undo_first_rotation(first_angle), arm_.wrist);
+                      });
   }
 
   // The second and third angle, from the sides of a triangle.
   void solve_in_plane(double first_angle, const Triple& goal, const Triple& point) {
     const double distance = norm(minus(goal, point_on(1)));
-    for_each_solution(angles_to_distance(axis(2), minus(point, point_on(2)), minus(point_on(1), point_on(2)),
-                                distance, RANGE_TOLERANCE, start_[2]),
-             [&](double third_angle) {
-               const Triple rotated = rotate_point(2, third_angle, point);
-               const double second_angle = angle_between(axis(1), minus(rotated, point_on(1)),
-                                                   minus(goal, point_on(1)), start_[1]);
-               solve_wrist(first_angle, second_angle, third_angle);
-             });
+    for_each_solution(
+        angles_to_distance(axis(2), minus(point, point_on(2)), minus(point_on(1), point_on(2)),
+                           distance, RANGE_TOLERANCE, start_[2]),
+        [&](double third_angle) {
+          const Triple rotated = rotate_point(2, third_angle, point);
+          const double second_angle = angle_between(axis(1), minus(rotated, point_on(1)),
+                                                    minus(goal, point_on(1)), start_[1]);
+          solve_wrist(first_angle, second_angle, third_angle);
+        });
   }
 
   // Axes 2 and 3 intersect.
@@ -369,61 +376,69 @@ class SixPins : public Arm {
     const Triple& intersection = arm_.intersection;
     const Triple reversed_axis = times(-1, axis(0));
     const double distance = norm(minus(arm_.wrist, intersection));
-    for_each_solution(angles_to_distance(reversed_axis, minus(wrist_target_, point_on(0)),
-                                minus(intersection, point_on(0)), distance, RANGE_TOLERANCE, start_[0]),
-             [&](double first_angle) {
-               angles_to_common_vector(
-                   times(-1, axis(1)), minus(undo_first_rotation(first_angle), intersection), axis(2),
-                   minus(arm_.wrist, intersection), RANGE_TOLERANCE, start_[1], start_[2],
-                   [&](double second_angle, double third_angle) { solve_wrist(first_angle, second_angle, third_angle); });
-             });
+    for_each_solution(
+        angles_to_distance(reversed_axis, minus(wrist_target_, point_on(0)),
+                           minus(intersection, point_on(0)), distance, RANGE_TOLERANCE, start_[0]),
+        [&](double first_angle) {
+          angles_to_common_vector(times(-1, axis(1)),
+                                  minus(undo_first_rotation(first_angle), intersection), axis(2),
+                                  minus(arm_.wrist, intersection), RANGE_TOLERANCE, start_[1],
+                                  start_[2], [&](double second_angle, double third_angle) {
+                                    solve_wrist(first_angle, second_angle, third_angle);
+                                  });
+        });
   }
 
   // Axes 1 and 2 intersect.
   void solve_intersect_12() {
     const Triple& intersection = arm_.intersection;
     const double distance = norm(minus(wrist_target_, intersection));
-    for_each_solution(angles_to_distance(axis(2), minus(arm_.wrist, point_on(2)),
-                                minus(intersection, point_on(2)), distance, RANGE_TOLERANCE, start_[2]),
-             [&](double third_angle) {
-               const Triple rotated = rotate_point(2, third_angle, arm_.wrist);
-               angles_to_common_vector(
-                   times(-1, axis(0)), minus(wrist_target_, intersection), axis(1),
-                   minus(rotated, intersection), RANGE_TOLERANCE, start_[0], start_[1],
-                   [&](double first_angle, double second_angle) { solve_wrist(first_angle, second_angle, third_angle); });
-             });
+    for_each_solution(
+        angles_to_distance(axis(2), minus(arm_.wrist, point_on(2)),
+                           minus(intersection, point_on(2)), distance, RANGE_TOLERANCE, start_[2]),
+        [&](double third_angle) {
+          const Triple rotated = rotate_point(2, third_angle, arm_.wrist);
+          angles_to_common_vector(times(-1, axis(0)), minus(wrist_target_, intersection), axis(1),
+                                  minus(rotated, intersection), RANGE_TOLERANCE, start_[0],
+                                  start_[1], [&](double first_angle, double second_angle) {
+                                    solve_wrist(first_angle, second_angle, third_angle);
+                                  });
+        });
   }
 
   // Axes 1 and 2 are parallel.
   void solve_parallel_12() {
     const double component = inner(axis(0), minus(wrist_target_, point_on(2)));
-    for_each_solution(angles_to_component(axis(2), minus(arm_.wrist, point_on(2)), axis(0), component, RANGE_TOLERANCE,
-                                 start_[2]),
-             [&](double third_angle) {
-               const Triple rotated = rotate_point(2, third_angle, arm_.wrist);
-               const double distance = norm(minus(wrist_target_, point_on(0)));
-               for_each_solution(
-                   angles_to_distance(axis(1), minus(rotated, point_on(1)),
-                                      minus(point_on(0), point_on(1)), distance, RANGE_TOLERANCE, start_[1]),
-                   [&](double second_angle) {
-                     const Triple rotated_twice = rotate_point(1, second_angle, rotated);
-                     const double first_angle =
-                         angle_between(axis(0), minus(rotated_twice, point_on(0)),
-                                       minus(wrist_target_, point_on(0)), start_[0]);
-                     solve_wrist(first_angle, second_angle, third_angle);
-                   });
-             });
+    for_each_solution(angles_to_component(axis(2), minus(arm_.wrist, point_on(2)), axis(0),
+                                          component, RANGE_TOLERANCE, start_[2]),
+                      [&](double third_angle) {
+                        const Triple rotated = rotate_point(2, third_angle, arm_.wrist);
+                        const double distance = norm(minus(wrist_target_, point_on(0)));
+                        for_each_solution(angles_to_distance(axis(1), minus(rotated, point_on(1)),
+                                                             minus(point_on(0), point_on(1)),
+                                                             distance, RANGE_TOLERANCE, start_[1]),
+                                          [&](double second_angle) {
+                                            const Triple rotated_twice =
+                                                rotate_point(1, second_angle, rotated);
+                                            const double first_angle = angle_between(
+                                                axis(0), minus(rotated_twice, point_on(0)),
+                                                minus(wrist_target_, point_on(0)), start_[0]);
+                                            solve_wrist(first_angle, second_angle, third_angle);
+                                          });
+                      });
   }
 
   // The last three angles, from the remaining rotation.
   void solve_wrist(double first_angle, double second_angle, double third_angle) {
     const auto undo_first_three = [&](const Triple& v) {
-      return rotate_about(axis(2), -third_angle,
-                          rotate_about(axis(1), -second_angle, rotate_about(axis(0), -first_angle, v)));
+      return rotate_about(
+          axis(2), -third_angle,
+          rotate_about(axis(1), -second_angle, rotate_about(axis(0), -first_angle, v)));
     };
     const Triple last_axis = undo_first_three(rotate_by_goal(axis(5)));
     for_each_solution(
-        angles_to_component(axis(4), axis(5), axis(3), inner(axis(3), last_axis), RANGE_TOLERANCE, start_[4]),
+        angles_to_component(axis(4), axis(5), axis(3), inner(axis(3), last_axis), RANGE_TOLERANCE,
+                            start_[4]),
         [&](double fifth_angle) {
           const Triple rotated_axis = rotate_about(axis(4), fifth_angle, axis(5));
           const double fourth_angle = angle_between(axis(3), rotated_axis, last_axis, start_[3]);
@@ -458,17 +473,20 @@ class SixPins : public Arm {
                             RANGE_TOLERANCE, start_[0]),
         [&](double first_angle) {
           const Triple goal = undo_first_rotation(first_angle);
-          const double axis_component = inner(normal, rotate_about(axis(0), -first_angle, last_axis));
-          for_each_solution(angles_to_component(axis(4), axis(5), normal, axis_component, RANGE_TOLERANCE, start_[4]),
-                   [&](double fifth_angle) { solve_parallel(first_angle, fifth_angle, goal); });
+          const double axis_component =
+              inner(normal, rotate_about(axis(0), -first_angle, last_axis));
+          for_each_solution(
+              angles_to_component(axis(4), axis(5), normal, axis_component, RANGE_TOLERANCE,
+                                  start_[4]),
+              [&](double fifth_angle) { solve_parallel(first_angle, fifth_angle, goal); });
         });
   }
 
   void solve_parallel(double first_angle, double fifth_angle, const Triple& goal) {
     const Triple& normal = axis(1);
     const Triple normal_before = unrotate_by_goal(rotate_about(axis(0), first_angle, normal));
-    const double sixth_angle =
-        angle_between(axis(5), normal_before, rotate_about(axis(4), -fifth_angle, normal), start_[5]);
+    const double sixth_angle = angle_between(
+        axis(5), normal_before, rotate_about(axis(4), -fifth_angle, normal), start_[5]);
     // The sum of the three parallel rotations.
     const Triple perpendicular = orthogonal(normal);
     const Triple unrotated =
@@ -478,14 +496,16 @@ class SixPins : public Arm {
     const Triple wrist_start =
         minus(goal, rotate_about(normal, parallel_angle_sum, minus(arm_.wrist, point_on(3))));
     const double distance = norm(minus(wrist_start, point_on(1)));
-    for_each_solution(angles_to_distance(axis(2), minus(point_on(3), point_on(2)),
-                                minus(point_on(1), point_on(2)), distance, RANGE_TOLERANCE, start_[2]),
-             [&](double third_angle) {
-               const Triple rotated = rotate_point(2, third_angle, point_on(3));
-               const double second_angle = angle_between(normal, minus(rotated, point_on(1)),
-                                                   minus(wrist_start, point_on(1)), start_[1]);
-               add_branch({first_angle, second_angle, third_angle, parallel_angle_sum - second_angle - third_angle, fifth_angle, sixth_angle});
-             });
+    for_each_solution(
+        angles_to_distance(axis(2), minus(point_on(3), point_on(2)),
+                           minus(point_on(1), point_on(2)), distance, RANGE_TOLERANCE, start_[2]),
+        [&](double third_angle) {
+          const Triple rotated = rotate_point(2, third_angle, point_on(3));
+          const double second_angle = angle_between(normal, minus(rotated, point_on(1)),
+                                                    minus(wrist_start, point_on(1)), start_[1]);
+          add_branch({first_angle, second_angle, third_angle,
+                      parallel_angle_sum - second_angle - third_angle, fifth_angle, sixth_angle});
+        });
   }
 
   template <class Function>

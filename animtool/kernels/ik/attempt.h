@@ -29,7 +29,8 @@ class Random {
 };
 
 // Samples a random pose; joints without narrow limits are varied around `reference_pose`.
-inline void sample_pose(const Chain& chain, const double* reference_pose, Random& random, double* q) {
+inline void sample_pose(const Chain& chain, const double* reference_pose, Random& random,
+                        double* q) {
   for (const Node& node : chain.nodes) {
     if (node.is_driven) continue;
     double* values = q + node.coordinate;
@@ -62,7 +63,7 @@ struct Settings {
   int iterations;           // largest number in all descents of a problem
   int restarts;             // largest number of other starts
   std::uint64_t seed;
-  double seconds;        // time limit; 0 for none
+  double seconds;            // time limit; 0 for none
   bool has_separate_starts;  // each frame of a clip has its start
 
   double tolerance(int component) const {
@@ -151,8 +152,8 @@ class SolverState {
   void evaluate(State& state) {
     compute_frames(task_.chain, state.q.data(), state.frames);
     measure(task_, targets_, state, residual_offsets_);
-    state.rest_cost =
-        evaluate_rest(task_, state.q.data(), rest_, task_.rest_weight, negative_rest_gradient_.data());
+    state.rest_cost = evaluate_rest(task_, state.q.data(), rest_, task_.rest_weight,
+                                    negative_rest_gradient_.data());
     state.cost += state.rest_cost;
   }
 

@@ -4,7 +4,7 @@
 namespace animtool::ik {
 
 void compute_frames(const Chain& chain, const double* q, std::size_t first, std::size_t end,
-             Frames& frames) {
+                    Frames& frames) {
   if (!chain.programs.empty()) Evaluation(chain.programs, q, frames.results).run();
   for (std::size_t n = first; n < end; ++n) {
     const Node& node = chain.nodes[n];

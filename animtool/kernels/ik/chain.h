@@ -92,7 +92,7 @@ inline void rotate_about_z(const double* r, double angle, double* out) {
 
 // Computes the frames of the nodes in [first, end); those of earlier nodes must be up to date.
 void compute_frames(const Chain& chain, const double* q, std::size_t first, std::size_t end,
-             Frames& frames);
+                    Frames& frames);
 
 inline void compute_frames(const Chain& chain, const double* q, Frames& frames) {
   compute_frames(chain, q, 0, chain.nodes.size(), frames);

@@ -21,11 +21,12 @@ namespace {
 
 struct FitSettings {
   PathWeights weights;
-  double robust_scale;     // c, in units of weighted residuals; infinite for least squares
-  double rest_return_fraction;     // fraction by which an unconstrained joint returns to its rest pose per frame
-  int first, end;    // range of frames that may change
-  int iterations;    // largest number of Gauss-Newton iterations over all frames
-  bool solves_frames_first;  // whether frames are solved one after the other first
+  double robust_scale;          // c, in units of weighted residuals; infinite for least squares
+  double rest_return_fraction;  // fraction by which an unconstrained joint returns to its rest pose
+                                // per frame
+  int first, end;               // range of frames that may change
+  int iterations;               // largest number of Gauss-Newton iterations over all frames
+  bool solves_frames_first;     // whether frames are solved one after the other first
 };
 
 // Number of iterations over all frames, and the cost before and after them.
@@ -64,8 +65,9 @@ class PathFit : public Descent {
   // Targets (F, E, W), after they were reassigned between goals.
   const double* targets(int t) const { return source_targets(t); }
 
-  // Improves a path (F, Q) in place. `used_start_pose` (F,) is set for frames that used their start pose,
-  // and `target_sources` (F, E) to the goal whose target a goal uses, -1 if it lost its target.
+  // Improves a path (F, Q) in place. `used_start_pose` (F,) is set for frames that used their start
+  // pose, and `target_sources` (F, E) to the goal whose target a goal uses, -1 if it lost its
+  // target.
   FitOutcome run(double* path, std::int64_t* used_start_pose, std::int64_t* target_sources) {
     target_sources_ = target_sources;
     path_.assign(path, path + static_cast<std::size_t>(frame_count_) * coordinate_count_);
@@ -96,10 +98,11 @@ class PathFit : public Descent {
   static constexpr int MAX_RESTARTS = 4;
   // Weight of the start pose in a search from another start: unconstrained joints keep it.
   static constexpr double START_WEIGHT = 1;
-  // A target is stray if its squared error exceeds this multiple of c^2. It is assigned to another
-  // goal that is within this multiple of c, and nearer by this factor. If more targets than this
-  // are stray, the pose is wrong, not the targets.
-  static constexpr double UNMATCHED_ERROR_RATIO = 2, MAX_REASSIGN_DISTANCE_RATIO = 2, NEARER_DISTANCE_RATIO = 0.25;
+  // A target is unmatched if its squared error exceeds this multiple of c^2. It is assigned to
+  // another goal that is within this multiple of c, and nearer by this factor. If more targets than
+  // this are unmatched, the pose is wrong, not the targets.
+  static constexpr double UNMATCHED_ERROR_RATIO = 2, MAX_REASSIGN_DISTANCE_RATIO = 2,
+                          NEARER_DISTANCE_RATIO = 0.25;
   static constexpr std::size_t MAX_UNMATCHED_GOALS = 16;
   // This many goals outweigh the pose extrapolated from earlier frames.
   static constexpr double PREDICTION_GOALS = 3;
@@ -215,7 +218,8 @@ class PathFit : public Descent {
 
   // Solves a frame from a start; state_ is the pose at the end. Returns the cost of its goals.
   // Errors at the start above a scale count little at first.
-  double solve_frame(int t, const double* start, const double* preferred_pose, bool trusts_targets) {
+  double solve_frame(int t, const double* start, const double* preferred_pose,
+                     bool trusts_targets) {
     evaluate_pose(t, start, state_);
     double scale = trusts_targets ? max_error(t, state_) : OUTLIER_RATIO * median_error(t, state_);
     scale = std::max(fit_.robust_scale, scale);
@@ -231,7 +235,8 @@ class PathFit : public Descent {
       std::copy(best_.q.begin(), best_.q.end(), start_.data());
       evaluate_pose(t, start_.data(), state_);
       if (!(scale > fit_.robust_scale)) break;
-      scale = std::max(fit_.robust_scale, std::min(scale / 2, OUTLIER_RATIO * median_error(t, state_)));
+      scale =
+          std::max(fit_.robust_scale, std::min(scale / 2, OUTLIER_RATIO * median_error(t, state_)));
     }
     return robust_cost(t, state_, fit_.robust_scale);
   }
@@ -250,7 +255,8 @@ class PathFit : public Descent {
     difference(task_.chain, out, rest_pose_.data(), tangent_.data());
     for (const Node& node : task_.chain.nodes)
       for (int k = 0; k < (node.program < 0 ? node.dof_count() : 0); ++k)
-        tangent_[node.dof + k] *= node.kind == Kind::SLIDE || is_root(node) ? 0 : fit_.rest_return_fraction;
+        tangent_[node.dof + k] *=
+            node.kind == Kind::SLIDE || is_root(node) ? 0 : fit_.rest_return_fraction;
     stepper_.move(std::vector<double>(out, out + coordinate_count_).data(), tangent_.data(), out);
   }
 
@@ -326,19 +332,21 @@ class PathFit : public Descent {
       if (!(task_.goals[e].weights[0] > 0)) continue;
       const double weight = weight_of(task_.goals[e], source_targets(t) + TARGET_WIDTH * e, 0);
       const double error = weight * state_.errors[COMPONENT_COUNT * e];
-      if (!(weight > 0) || error * error > UNMATCHED_ERROR_RATIO * limit) unmatched_goals_.push_back(e);
+      if (!(weight > 0) || error * error > UNMATCHED_ERROR_RATIO * limit)
+        unmatched_goals_.push_back(e);
     }
     if (unmatched_goals_.size() < 2 || unmatched_goals_.size() > MAX_UNMATCHED_GOALS) return;
     std::int64_t* target_sources =
         target_sources_ + static_cast<std::size_t>(t) * task_.goals.size();
     const std::vector<double> targets_before(source_targets(t),
-                                     source_targets(t) + task_.goals.size() * TARGET_WIDTH);
+                                             source_targets(t) + task_.goals.size() * TARGET_WIDTH);
     for (const std::size_t from : unmatched_goals_) {
       const double* target = targets_before.data() + TARGET_WIDTH * from;
       if (!(target[WEIGHTS_OFFSET] > 0)) continue;
       const double max_distance =
           MAX_REASSIGN_DISTANCE_RATIO * fit_.robust_scale / weight_of(task_.goals[from], target, 0);
-      double min_distance = std::min(max_distance, NEARER_DISTANCE_RATIO * distance_to(from, target));
+      double min_distance =
+          std::min(max_distance, NEARER_DISTANCE_RATIO * distance_to(from, target));
       std::size_t nearest = from;
       for (const std::size_t to : unmatched_goals_) {
         const double* current_target = targets_before.data() + TARGET_WIDTH * to;
@@ -429,7 +437,8 @@ class PathFit : public Descent {
       }
       if (!is_better) break;
       ++outcome.iterations;
-      if (previous_cost - cost < (keeps_weights ? FIXED_WEIGHTS_MIN_GAIN : PATH_MIN_GAIN) * cost) break;
+      if (previous_cost - cost < (keeps_weights ? FIXED_WEIGHTS_MIN_GAIN : PATH_MIN_GAIN) * cost)
+        break;
     }
     if (!keeps_weights) outcome.end_cost = cost;
   }
@@ -448,7 +457,8 @@ class PathFit : public Descent {
       if (keeps_weights) {
         evaluate_weighted(t, pose(path, t));
         double square = 0;
-        for (int m = 0; m < task_.row_count; ++m) square += state_.residuals[m] * state_.residuals[m];
+        for (int m = 0; m < task_.row_count; ++m)
+          square += state_.residuals[m] * state_.residuals[m];
         cost += square / 2;
       } else {
         evaluate_pose(t, pose(path, t), state_);
@@ -479,9 +489,11 @@ class PathFit : public Descent {
       differentiate(task_, weighted_targets(t), state_, linear_.columns);
       double* normal = normals_.data() + static_cast<std::size_t>(i) * dof_count_ * dof_count_;
       compute_normal_matrix(task_, linear_, normal);
-      double* frame_negative_gradient = negative_gradients_.data() + static_cast<std::size_t>(i) * dof_count_;
+      double* frame_negative_gradient =
+          negative_gradients_.data() + static_cast<std::size_t>(i) * dof_count_;
       for (int d = 0; d < dof_count_; ++d) {
-        const double* column = linear_.columns.data() + static_cast<std::size_t>(d) * task_.row_count;
+        const double* column =
+            linear_.columns.data() + static_cast<std::size_t>(d) * task_.row_count;
         double sum = -row(path_gradient_, t)[d];
         for (int m = linear_.first_rows[d]; m < linear_.last_rows[d]; ++m)
           sum += column[m] * state_.residuals[m];
@@ -502,7 +514,8 @@ class PathFit : public Descent {
       if (node.is_driven) continue;
       double squared_length = 0;
       for (int k = 0; k < node.dof_count(); ++k)
-        squared_length += frame_negative_gradient[node.dof + k] * frame_negative_gradient[node.dof + k];
+        squared_length +=
+            frame_negative_gradient[node.dof + k] * frame_negative_gradient[node.dof + k];
       for (int k = 0; k < node.dof_count() && squared_length > 0; ++k)
         tangent_[node.dof + k] =
             PROBE_STEP * frame_negative_gradient[node.dof + k] / std::sqrt(squared_length);
@@ -561,7 +574,8 @@ class PathFit : public Descent {
   std::vector<std::size_t> unmatched_goals_;
   std::int64_t* target_sources_ = nullptr;
   State state_;
-  std::vector<double> path_, next_path_, anchors_, path_gradient_, negative_gradients_, normals_, step_;
+  std::vector<double> path_, next_path_, anchors_, path_gradient_, negative_gradients_, normals_,
+      step_;
   std::vector<std::vector<FixedDirection>> fixed_directions_;
   double max_stiffness_ = 0;
 };
@@ -577,8 +591,8 @@ using namespace ik;
 
 IkFitResult fit_ik(const IkFitArguments& arguments) {
   const auto& [nodes, numbers, goals, goal_numbers, path, targets, starts, anchor, speed,
-               acceleration, robust_scale, rest_weight, rest_return_fraction, first, end, iterations, rounds, solves_frames_first] =
-      arguments;
+               acceleration, robust_scale, rest_weight, rest_return_fraction, first, end,
+               iterations, rounds, solves_frames_first] = arguments;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const std::size_t frame_count = path.shape(0), width = path.shape(1), goal_count = goals.shape(0);
   check_poses("path", task, frame_count, path);
@@ -597,7 +611,7 @@ IkFitResult fit_ik(const IkFitArguments& arguments) {
   const Settings settings{0, 0, FIT_DAMPING, iterations, 0, 0, 0, false};
   const FitSettings fit_settings{
       {anchor, speed, acceleration}, robust_scale, rest_return_fraction, static_cast<int>(first),
-      static_cast<int>(end),         rounds, solves_frames_first};
+      static_cast<int>(end),         rounds,       solves_frames_first};
   Out<double, 2> fitted(frame_count, width);
   Out<double, 3> errors(frame_count, goal_count, COMPONENT_COUNT);
   Out<std::int64_t, 1> used_start_pose(frame_count);
@@ -614,10 +628,12 @@ IkFitResult fit_ik(const IkFitArguments& arguments) {
     std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
     compute_frames(task.chain, state.q.data(), state.frames);
     measure(task, fit.targets(static_cast<int>(t)), state);
-    std::copy(state.errors.begin(), state.errors.end(), errors.get() + t * goal_count * COMPONENT_COUNT);
+    std::copy(state.errors.begin(), state.errors.end(),
+              errors.get() + t * goal_count * COMPONENT_COUNT);
   }
-  return {std::move(fitted),  std::move(errors),  std::move(used_start_pose), std::move(target_sources),
-          outcome.iterations, outcome.start_cost, outcome.end_cost};
+  return {std::move(fitted),         std::move(errors),  std::move(used_start_pose),
+          std::move(target_sources), outcome.iterations, outcome.start_cost,
+          outcome.end_cost};
 }
 
 }  // namespace animtool

@@ -15,11 +15,11 @@ namespace animtool::ik {
 
 // The pose of the chain as seen by a goal kind.
 struct GoalView {
-  const double* rotation;        // of the goal's node
-  const double* point;           // the goal's point
-  const double* aim_axis;        // in the node's frame
-  int root, middle;              // nodes of the limb, or -1
-  const double *root_position, *middle_position;  // positions of its root and middle; null without a limb
+  const double* rotation;                         // of the goal's node
+  const double* point;                            // the goal's point
+  const double* aim_axis;                         // in the node's frame
+  int root, middle;                               // nodes of the limb, or -1
+  const double *root_position, *middle_position;  // null without a limb
 };
 
 // Velocity of a goal's point and frame per unit motion about an axis of a node.
@@ -296,7 +296,8 @@ struct Pole : PointTarget {
     void add(const AxisMotion& motion, double scale, double* column) const {
       if (!is_defined) return;
       double angle_rate = dot(tip, motion.linear);
-      if (motion.index <= view.middle) angle_rate += motion.velocity_along(middle, view.middle_position);
+      if (motion.index <= view.middle)
+        angle_rate += motion.velocity_along(middle, view.middle_position);
       if (motion.index <= view.root) angle_rate += motion.velocity_along(root, view.root_position);
       column[0] -= scale * angle_rate;
     }
@@ -342,7 +343,8 @@ constexpr std::array<int, COMPONENT_COUNT + 1> TARGET_OFFSETS =
 constexpr int WEIGHTS_OFFSET = TARGET_OFFSETS[COMPONENT_COUNT];
 constexpr int TARGET_WIDTH = WEIGHTS_OFFSET + COMPONENT_COUNT;
 // Number of rows of a goal with all kinds.
-constexpr int MAX_GOAL_ROWS = cumulative_sums([]<class Kind>() { return Kind::RESIDUAL_COUNT; })[COMPONENT_COUNT];
+constexpr int MAX_GOAL_ROWS =
+    cumulative_sums([]<class Kind>() { return Kind::RESIDUAL_COUNT; })[COMPONENT_COUNT];
 // Whether the error of each kind is a length, else an angle.
 constexpr std::array<bool, COMPONENT_COUNT> IS_LENGTH = [] {
   std::array<bool, COMPONENT_COUNT> is_length{};

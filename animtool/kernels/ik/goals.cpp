@@ -22,7 +22,8 @@ void measure(const Task& task, const double* targets, State& state,
     const GoalView view = view_of(goal, state, point);
     for_each_kind([&]<class Kind>(int component) {
       if (weights[component] > 0)
-        error[component] = Kind::measure(weights[component], view, target + TARGET_OFFSETS[component], r);
+        error[component] =
+            Kind::measure(weights[component], view, target + TARGET_OFFSETS[component], r);
       r += Kind::RESIDUAL_COUNT * (goal.weights[component] > 0);
     });
   }
@@ -41,7 +42,8 @@ void differentiate(const Task& task, const double* targets, const State& state,
     const double* target = targets + TARGET_WIDTH * e;
     const double* point = &state.points[3 * e];
     const double* weights = &state.weights[COMPONENT_COUNT * e];
-    if (std::all_of(weights, weights + COMPONENT_COUNT, [](double w) { return !(w > 0); })) continue;
+    if (std::all_of(weights, weights + COMPONENT_COUNT, [](double w) { return !(w > 0); }))
+      continue;
     const GoalView view = view_of(goal, state, point);
     Slopes slopes;
     double component_weights[COMPONENT_COUNT];
@@ -115,7 +117,8 @@ void stretch_limbs(const Chain& unstretched, const double* factors, Task& task) 
       for (int i = 0; i < 3; ++i)
         task.chain.nodes[goal.path[k]].offset[i] =
             goal.stretch_factor * unstretched.nodes[goal.path[k]].offset[i];
-    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.stretch_factor * goal.stretching_offset[i] + goal.fixed_offset[i];
+    for (int i = 0; i < 3; ++i)
+      goal.offset[i] = goal.stretch_factor * goal.stretching_offset[i] + goal.fixed_offset[i];
   }
 }
 

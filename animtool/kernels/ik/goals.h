@@ -11,8 +11,9 @@ namespace animtool::ik {
 // A goal of one node, with a weight for each kind.
 struct Goal {
   int node;
-  double offset[3];         // of its point, in the node's frame: stretch_factor * bone + tool
-  double stretching_offset[3], fixed_offset[3];  // the part that stretches with the limb, and the rest
+  double offset[3];  // of its point, in the node's frame: stretch_factor * bone + tool
+  double stretching_offset[3],
+      fixed_offset[3];  // the part that stretches with the limb, and the rest
   double aim_axis[3];
   double weights[COMPONENT_COUNT];  // 0 for kinds that are not used
   double stretch_factor = 1;
@@ -38,8 +39,9 @@ struct Task {
 // Number of residuals of a goal.
 inline int count_rows(const Goal& goal) {
   int count = 0;
-  for_each_kind(
-      [&]<class Kind>(int component) { count += Kind::RESIDUAL_COUNT * (goal.weights[component] > 0); });
+  for_each_kind([&]<class Kind>(int component) {
+    count += Kind::RESIDUAL_COUNT * (goal.weights[component] > 0);
+  });
   return count;
 }
 
@@ -48,7 +50,8 @@ inline int count_active_rows(const Task& task, const double* targets) {
   int count = 0;
   for (std::size_t e = 0; e < task.goals.size(); ++e)
     for_each_kind([&]<class Kind>(int component) {
-      count += Kind::RESIDUAL_COUNT * (weight_of(task.goals[e], targets + TARGET_WIDTH * e, component) > 0);
+      count += Kind::RESIDUAL_COUNT *
+               (weight_of(task.goals[e], targets + TARGET_WIDTH * e, component) > 0);
     });
   return count;
 }

@@ -37,7 +37,9 @@ void Search::search(const double* targets) {
 Status Search::search_all() {
   min_cost_ = cost_lower_bound(task_, targets_, best_.frames);
   const bool has_tradeoffs = task_.rest_weight > 0 || task_.level_count > 1;
-  min_gain_ = task_.level_count > 1 ? LEVEL_MIN_GAIN : has_tradeoffs ? REST_MIN_GAIN : ROUNDING_MIN_GAIN;
+  min_gain_ = task_.level_count > 1 ? LEVEL_MIN_GAIN
+              : has_tradeoffs       ? REST_MIN_GAIN
+                                    : ROUNDING_MIN_GAIN;
   const bool is_thorough =
       min_cost_ > 0 || has_tradeoffs ||
       task_.chain.dof_count >= REDUNDANCY_RATIO * count_active_rows(task_, targets_);
@@ -49,7 +51,8 @@ Status Search::search_all() {
     return Status::REACHED;
   if (is_same_minimum(descent_end)) {
     const double best_cost = best_.cost;
-    const int restarts = task_.level_count > 1 ? 0 : std::min(MAX_CONTINUED_STARTS, settings_.restarts);
+    const int restarts =
+        task_.level_count > 1 ? 0 : std::min(MAX_CONTINUED_STARTS, settings_.restarts);
     for (int i = 0; i < restarts && !is_budget_spent() && !is_known_minimum(); ++i) {
       sample_start(i % 2 ? best_ : start_);
       descend(NEW_START_DAMPING, is_thorough);
@@ -67,7 +70,8 @@ Status Search::search_all() {
 bool Search::search_restarts(bool is_stuck, bool is_thorough) {
   const double exact_min_gain = min_gain_;
   int agreeing_count = 0;
-  const int max_agreeing_starts = stepper_.is_redundant() ? MAX_REDUNDANT_AGREEING_STARTS : MAX_AGREEING_STARTS;
+  const int max_agreeing_starts =
+      stepper_.is_redundant() ? MAX_REDUNDANT_AGREEING_STARTS : MAX_AGREEING_STARTS;
   for (int i = 0; i < settings_.restarts && !is_budget_spent() && !is_known_minimum(); ++i) {
     begin_restart(i, is_stuck);
     min_gain_ = i == POLISH_START ? exact_min_gain : std::max(exact_min_gain, COMPARISON_MIN_GAIN);
@@ -193,9 +197,9 @@ Status PrioritySolver::separate_levels(bool was_unreached) {
 bool PrioritySolver::update_offsets() {
   bool has_drifted = false;
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
-    has_drifted = has_drifted ||
-                (is_constrained_[task_.goals[e].level] &&
-                 !search_.is_within_tolerance(&best().errors[COMPONENT_COUNT * e], LEVEL_TOLERANCE));
+    has_drifted = has_drifted || (is_constrained_[task_.goals[e].level] &&
+                                  !search_.is_within_tolerance(&best().errors[COMPONENT_COUNT * e],
+                                                               LEVEL_TOLERANCE));
   if (!has_drifted) return false;
   for (const Goal& goal : task_.goals)
     if (is_constrained_[goal.level])
@@ -246,7 +250,8 @@ std::vector<std::size_t> PrioritySolver::find_missed_goals() const {
   std::vector<std::size_t> missed_goals;
   const std::vector<double>& errors = best().errors;
   const auto max_error = [&](std::size_t e) {
-    return *std::max_element(&errors[COMPONENT_COUNT * e], &errors[COMPONENT_COUNT * e] + COMPONENT_COUNT);
+    return *std::max_element(&errors[COMPONENT_COUNT * e],
+                             &errors[COMPONENT_COUNT * e] + COMPONENT_COUNT);
   };
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
     if (!search_.is_within_tolerance(&errors[COMPONENT_COUNT * e])) missed_goals.push_back(e);

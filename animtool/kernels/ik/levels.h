@@ -76,7 +76,8 @@ class Search : public Descent {
   bool continue_previous(bool is_thorough) {
     set_current(previous_state_);
     descend(NEAR_GOAL_DAMPING, is_thorough);
-    return (current_.cost < best_.cost * IMPROVEMENT_RATIO || is_reached(current_)) && keep_better();
+    return (current_.cost < best_.cost * IMPROVEMENT_RATIO || is_reached(current_)) &&
+           keep_better();
   }
 
   // Descends from new starts; returns whether the goals are reached.
@@ -133,8 +134,9 @@ class PrioritySolver : public Solver {
         scaled_targets_(TARGET_WIDTH * task.goals.size()),
         residual_offsets_(task.row_count),
         is_constrained_(task.level_count),
-        weight_ratio_(std::max(MIN_LEVEL_RATIO,
-                               std::pow(MIN_LEVEL_WEIGHT, 1.0 / std::max(1, task.level_count - 1)))) {}
+        weight_ratio_(std::max(
+            MIN_LEVEL_RATIO, std::pow(MIN_LEVEL_WEIGHT, 1.0 / std::max(1, task.level_count - 1)))) {
+  }
 
   Outcome run(const double* start, const double* targets, const double* rest,
               bool is_next_frame) override;
@@ -175,7 +177,8 @@ class PrioritySolver : public Solver {
     task_.rest_weight = 0;
     std::copy(targets_, targets_ + scaled_targets_.size(), scaled_targets_.begin());
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (e != goal) std::fill_n(&scaled_targets_[TARGET_WIDTH * e + WEIGHTS_OFFSET], COMPONENT_COUNT, 0.0);
+      if (e != goal)
+        std::fill_n(&scaled_targets_[TARGET_WIDTH * e + WEIGHTS_OFFSET], COMPONENT_COUNT, 0.0);
   }
 
   bool is_level_reached(int level) const {

@@ -41,7 +41,8 @@ class LimitBand {
           for (int c = 0; c < W; ++c)
             free_projection[r * W + c] -= fixed.direction[r] * fixed.direction[c];
       }
-      for (std::size_t j = 0; j < dofs_.size(); ++j) factor(band, i, recent_frames_[j], factors(i, j));
+      for (std::size_t j = 0; j < dofs_.size(); ++j)
+        factor(band, i, recent_frames_[j], factors(i, j));
     }
   }
 
@@ -172,15 +173,15 @@ class LimitBand {
     Square pivot = scale_square(band.entry(t, 0), free_projections[current]);
     Square far_block{}, near_block{};
     if (i > 1) {
-      far_block = scale_square(band.entry(t, -2),
-                         product(free_projections[current], free_projections[second_previous]));
+      far_block = scale_square(
+          band.entry(t, -2), product(free_projections[current], free_projections[second_previous]));
       const Square factor = product(far_block, recent_frames.inverses[second_previous]);
       subtract_product(factor, far_block, pivot);
       out.second_previous = to_float(factor);
     }
     if (i > 0) {
-      near_block =
-          scale_square(band.entry(t, -1), product(free_projections[current], free_projections[previous]));
+      near_block = scale_square(band.entry(t, -1),
+                                product(free_projections[current], free_projections[previous]));
       if (i > 1) subtract_product(far_block, recent_frames.previous[previous], near_block);
       recent_frames.previous[current] = product(near_block, recent_frames.inverses[previous]);
       subtract_product(recent_frames.previous[current], near_block, pivot);
@@ -190,7 +191,8 @@ class LimitBand {
     for (int r = 0; r < W; ++r)
       for (int c = 0; c < r; ++c)
         pivot[r * W + c] = pivot[c * W + r] = (pivot[r * W + c] + pivot[c * W + r]) / 2;
-    recent_frames.inverses[current] = inverse_of(pivot, free_projections[current], band.entry(t, 0));
+    recent_frames.inverses[current] =
+        inverse_of(pivot, free_projections[current], band.entry(t, 0));
     out.inverse = to_float(recent_frames.inverses[current]);
   }
 

@@ -81,7 +81,8 @@ struct ExceededLimits {
 
 inline ExceededLimits exceeded_limits(const SwingTwist& swing_twist, const double* limit) {
   return {swing_ratio(swing_twist, limit) > 1 + ROUNDING_TOLERANCE,
-          swing_twist.twist < limit[2] - ROUNDING_TOLERANCE || swing_twist.twist > limit[3] + ROUNDING_TOLERANCE};
+          swing_twist.twist < limit[2] - ROUNDING_TOLERANCE ||
+              swing_twist.twist > limit[3] + ROUNDING_TOLERANCE};
 }
 
 // Clamps a ball's motion to its limits; the swing keeps its direction.

@@ -46,10 +46,12 @@ void compute_normal_matrix(const Task& task, const Linearized& linear, double* n
   for (int d = 0; d < dofs; ++d) {
     const double* column = linear.columns.data() + static_cast<std::size_t>(d) * task.row_count;
     for (int k = 0; k <= d; ++k) {
-      const double* other_column = linear.columns.data() + static_cast<std::size_t>(k) * task.row_count;
+      const double* other_column =
+          linear.columns.data() + static_cast<std::size_t>(k) * task.row_count;
       const int first = std::max(linear.first_rows[d], linear.first_rows[k]);
       const int last = std::min(linear.last_rows[d], linear.last_rows[k]);
-      normal_matrix[static_cast<std::size_t>(d) * dofs + k] = inner(column, other_column, first, last);
+      normal_matrix[static_cast<std::size_t>(d) * dofs + k] =
+          inner(column, other_column, first, last);
     }
   }
 }

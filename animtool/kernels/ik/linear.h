@@ -29,18 +29,19 @@ inline double inner(const double* a, const double* b, int first, int last) {
 struct Linearized {
   // If there are more residuals than degrees of freedom, systems have the size of the chain.
   const bool is_primal;
-  std::vector<double> columns;             // (D, M)
-  std::vector<double> gram_matrix;                // (M, M), lower triangle: J J^T; unless is_primal
-  std::vector<double> normal_matrix;              // (D, D), lower triangle: J^T J; if is_primal
-  std::vector<double> negative_gradient;            // (D,): negative gradient, with the rest preference
-  std::vector<double> negative_rest_gradient;       // (D,): negative gradient of the rest preference
-  std::vector<int> first_rows, last_rows;  // (D,): range of rows that a degree of freedom moves
+  std::vector<double> columns;                 // (D, M)
+  std::vector<double> gram_matrix;             // (M, M), lower triangle: J J^T; unless is_primal
+  std::vector<double> normal_matrix;           // (D, D), lower triangle: J^T J; if is_primal
+  std::vector<double> negative_gradient;       // (D,): negative gradient, with the rest preference
+  std::vector<double> negative_rest_gradient;  // (D,): negative gradient of the rest preference
+  std::vector<int> first_rows, last_rows;      // (D,): range of rows that a degree of freedom moves
 
   explicit Linearized(const Task& task)
       : is_primal(task.row_count > task.chain.dof_count),
         columns(static_cast<std::size_t>(task.chain.dof_count) * task.row_count),
         gram_matrix(is_primal ? 0 : static_cast<std::size_t>(task.row_count) * task.row_count),
-        normal_matrix(is_primal ? static_cast<std::size_t>(task.chain.dof_count) * task.chain.dof_count : 0),
+        normal_matrix(
+            is_primal ? static_cast<std::size_t>(task.chain.dof_count) * task.chain.dof_count : 0),
         negative_gradient(task.chain.dof_count),
         negative_rest_gradient(task.chain.dof_count),
         first_rows(task.chain.dof_count, task.row_count),

@@ -93,9 +93,11 @@ class Gradient : public Method {
     double largest = 0;
     for (const double d : negative_gradient) largest = std::max(largest, std::fabs(d));
     if (!(largest > 0)) return false;
-    step_length_ = std::min(step_length_ / STEP_SHORTENING / STEP_SHORTENING, MAX_ROTATION / largest);
+    step_length_ =
+        std::min(step_length_ / STEP_SHORTENING / STEP_SHORTENING, MAX_ROTATION / largest);
     for (; step_length_ * largest > MIN_ROTATION; step_length_ *= STEP_SHORTENING) {
-      for (std::size_t d = 0; d < negative_gradient.size(); ++d) delta_[d] = step_length_ * negative_gradient[d];
+      for (std::size_t d = 0; d < negative_gradient.size(); ++d)
+        delta_[d] = step_length_ * negative_gradient[d];
       stepper_.move(current_.q.data(), delta_.data(), next_.q.data());
       evaluate(next_);
       const double predicted = predicted_decrease();
@@ -294,7 +296,8 @@ class Fabrik : public Method {
   void collect_points(std::size_t n, int depth, std::vector<RotatedPoint>& points) const {
     for (const RotatedPoint& rotated_point : next_points_[n]) {
       points.push_back(rotated_point);
-      if (!rotated_point.is_goal && depth > 1) collect_points(rotated_point.index, depth - 1, points);
+      if (!rotated_point.is_goal && depth > 1)
+        collect_points(rotated_point.index, depth - 1, points);
     }
   }
 
@@ -343,7 +346,8 @@ class Fabrik : public Method {
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
       const double* target = targets_ + TARGET_WIDTH * e + TARGET_OFFSETS[component_of<Position>()];
-      point_at_length(target, &desired_points_[3 * goal.node], length(goal.offset), &goal_points_[3 * e]);
+      point_at_length(target, &desired_points_[3 * goal.node], length(goal.offset),
+                      &goal_points_[3 * e]);
     }
   }
 
@@ -381,7 +385,9 @@ class Fabrik : public Method {
     std::size_t end = n + 1;
     for (const RotatedPoint& rotated_point : rotated_points_[n])
       end = std::max<std::size_t>(
-          end, (rotated_point.is_goal ? task_.goals[rotated_point.index].node : rotated_point.index) + 1);
+          end,
+          (rotated_point.is_goal ? task_.goals[rotated_point.index].node : rotated_point.index) +
+              1);
     compute_frames(task_.chain, current_.q.data(), n, end, current_.frames);
   }
 
@@ -390,10 +396,12 @@ class Fabrik : public Method {
     AlignmentSums sums;
     for (const RotatedPoint& rotated_point : points) {
       double point[3], from[3], to[3];
-      const double* desired_point =
-          rotated_point.is_goal ? &goal_points_[3 * rotated_point.index] : &desired_points_[3 * rotated_point.index];
+      const double* desired_point = rotated_point.is_goal
+                                        ? &goal_points_[3 * rotated_point.index]
+                                        : &desired_points_[3 * rotated_point.index];
       if (!find_point(rotated_point, point)) continue;
-      for (int i = 0; i < 3; ++i) from[i] = point[i] - origin[i], to[i] = desired_point[i] - origin[i];
+      for (int i = 0; i < 3; ++i)
+        from[i] = point[i] - origin[i], to[i] = desired_point[i] - origin[i];
       sums.add(1, from, to);
     }
     return sums;
@@ -424,10 +432,10 @@ class Fabrik : public Method {
     return current_.weights[COMPONENT_COUNT * rotated_point.index + component_of<Position>()] > 0;
   }
 
-  std::vector<double> desired_points_;       // (N, 3): desired positions of the nodes' origins
-  std::vector<double> goal_points_;   // (E, 3): desired positions of the goals' points
-  std::vector<int> request_counts_;   // (N,): number of branches that request a position
-  std::vector<double> bone_lengths_;  // (N,): from the parent
+  std::vector<double> desired_points_;  // (N, 3): desired positions of the nodes' origins
+  std::vector<double> goal_points_;     // (E, 3): desired positions of the goals' points
+  std::vector<int> request_counts_;     // (N,): number of branches that request a position
+  std::vector<double> bone_lengths_;    // (N,): from the parent
   std::vector<std::vector<RotatedPoint>> next_points_, rotated_points_;
 };
 

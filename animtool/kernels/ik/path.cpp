@@ -36,18 +36,23 @@ double step_cost(const Chain& chain, const double* step, const double* drift, do
 }
 
 // Chooses one of `count` paths (K, L, C) for each of L frames. The first frame is on the first
-// path, or on any if `allows_any_start`; with `must_end_on_first`, the last frame is on the first path.
+// path, or on any if `allows_any_start`; with `must_end_on_first`, the last frame is on the first
+// path.
 void find_cheapest(const Chain& chain, const double* paths, const double* costs,
                    const double* drifts, const double* free_step, std::size_t path_count,
-                   std::size_t frame_count, bool allows_any_start, bool must_end_on_first, std::int64_t* chosen_paths) {
+                   std::size_t frame_count, bool allows_any_start, bool must_end_on_first,
+                   std::int64_t* chosen_paths) {
   const std::size_t width = chain.coordinate_count;
   std::vector<double> total_costs(path_count, std::numeric_limits<double>::infinity()),
       next_costs(path_count);
   std::vector<double> step(chain.dof_count);
   std::vector<std::int64_t> predecessors(path_count * frame_count);
-  const auto pose = [&](std::size_t k, std::size_t t) { return paths + (k * frame_count + t) * width; };
+  const auto pose = [&](std::size_t k, std::size_t t) {
+    return paths + (k * frame_count + t) * width;
+  };
   if (path_count > 0) total_costs[0] = 0;
-  for (std::size_t k = 0; allows_any_start && frame_count > 0 && k < path_count; ++k) total_costs[k] = costs[k * frame_count];
+  for (std::size_t k = 0; allows_any_start && frame_count > 0 && k < path_count; ++k)
+    total_costs[k] = costs[k * frame_count];
   for (std::size_t t = 1; t < frame_count; ++t) {
     for (std::size_t to = 0; to < path_count; ++to) {
       double min_cost = std::numeric_limits<double>::infinity();
@@ -82,8 +87,8 @@ using namespace ik;
 
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,
-                                      In<double, 2> drifts, In<double, 1> free_step, bool allows_any_start,
-                                      bool must_end_on_first) {
+                                      In<double, 2> drifts, In<double, 1> free_step,
+                                      bool allows_any_start, bool must_end_on_first) {
   const Chain chain = read_chain(nodes, numbers);
   const std::size_t path_count = paths.shape(0), frame_count = paths.shape(1);
   const auto width = static_cast<std::size_t>(chain.coordinate_count);
@@ -94,8 +99,8 @@ Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> n
   check::shape("easy", free_step,
                {std::max<std::size_t>(free_step.shape(0), frame_count ? frame_count - 1 : 0)});
   Out<std::int64_t, 1> chosen_paths(frame_count);
-  find_cheapest(chain, paths.data(), costs.data(), drifts.data(), free_step.data(), path_count, frame_count,
-                allows_any_start, must_end_on_first, chosen_paths.get());
+  find_cheapest(chain, paths.data(), costs.data(), drifts.data(), free_step.data(), path_count,
+                frame_count, allows_any_start, must_end_on_first, chosen_paths.get());
   return chosen_paths;
 }
 

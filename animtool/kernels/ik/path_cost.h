@@ -33,7 +33,8 @@ class TimeBand {
 
   // Adds a multiple of the identity; replaces an earlier one.
   void set_damping(double damping) {
-    for (int t = 0; t < static_cast<int>(band_rows_.size()) / 5; ++t) row(t)[2] += damping - damping_;
+    for (int t = 0; t < static_cast<int>(band_rows_.size()) / 5; ++t)
+      row(t)[2] += damping - damping_;
     damping_ = damping;
     for (int i = 0; i < frame_count_; ++i) {
       const double* row_i = row(first_ + i);
@@ -104,10 +105,12 @@ class TimeBand {
     const double inverse = inverse_pivots_[i];
     if (i + 2 >= frame_count_) {
       for (int d = 0; d < width; ++d) row_i[d] *= inverse;
-      if (i + 1 < frame_count_) add_scaled(-lower_diagonals_[2 * i + 2], row_of(x, i + 1, width), width, row_i);
+      if (i + 1 < frame_count_)
+        add_scaled(-lower_diagonals_[2 * i + 2], row_of(x, i + 1, width), width, row_i);
       return;
     }
-    const double first_lower = lower_diagonals_[2 * i + 2], second_lower = lower_diagonals_[2 * i + 5];
+    const double first_lower = lower_diagonals_[2 * i + 2],
+                 second_lower = lower_diagonals_[2 * i + 5];
     const double *next = row_i + width, *second_next = next + width;
     for (int d = 0; d < width; ++d)
       row_i[d] = row_i[d] * inverse - first_lower * next[d] - second_lower * second_next[d];
@@ -133,7 +136,8 @@ class TimeBand {
   int first_, frame_count_;
   double damping_ = 0;
   std::vector<double> band_rows_;
-  std::vector<double> inverse_pivots_, lower_diagonals_;  // reciprocal pivots, and the two diagonals below
+  std::vector<double> inverse_pivots_,
+      lower_diagonals_;  // reciprocal pivots, and the two diagonals below
 };
 
 // Half the sum over the frames of anchor |q - anchor|^2 + speed |v|^2 + acceleration |a|^2.
@@ -164,7 +168,8 @@ class PathCost {
                   int end) {
     const std::size_t size = static_cast<std::size_t>(frame_count_) * dof_count_;
     velocities_.resize(size), forces_.resize(size), frame_costs.resize(frame_count_);
-    const int first_affected = std::max(first - 1, 0), last_affected = std::min(end, frame_count_ - 2);
+    const int first_affected = std::max(first - 1, 0),
+              last_affected = std::min(end, frame_count_ - 2);
     if (gradient) {
       gradient->resize(size);
       std::fill(gradient->begin() + row(first_affected),
@@ -201,12 +206,15 @@ class PathCost {
     }
     for (int t = first_affected; t <= last_affected; ++t) cost += frame_costs[t];
     if (gradient)
-      for (int t = first_affected; t < std::min(end, frame_count_ - 1); ++t) add_gradient(t, *gradient);
+      for (int t = first_affected; t < std::min(end, frame_count_ - 1); ++t)
+        add_gradient(t, *gradient);
     return cost;
   }
 
  private:
-  std::size_t pose_offset(int t) const { return static_cast<std::size_t>(t) * chain_.coordinate_count; }
+  std::size_t pose_offset(int t) const {
+    return static_cast<std::size_t>(t) * chain_.coordinate_count;
+  }
   std::size_t row(int t) const { return static_cast<std::size_t>(t) * dof_count_; }
   const double* drift_of(int t) const { return drifts_ ? drifts_ + row(t) : zero_drift_.data(); }
 

@@ -138,7 +138,8 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
   std::vector<int> dof_by_coordinate;
   std::vector<bool> is_ball;
   std::size_t node_count = 0;
-  while (node_count < nodes.shape(0) && nodes.data()[4 * node_count] != INSTRUCTION_ROW) ++node_count;
+  while (node_count < nodes.shape(0) && nodes.data()[4 * node_count] != INSTRUCTION_ROW)
+    ++node_count;
   for (std::size_t n = 0; n < node_count; ++n) {
     const std::int64_t* row = nodes.data() + 4 * n;
     const double* values = numbers.data() + 18 * n;

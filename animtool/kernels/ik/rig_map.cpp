@@ -20,7 +20,8 @@ RigMap::RigMap(const RigMapArrays& arrays, const Chain& chain, std::size_t width
   check::shape("mimics", arrays.mimics, {mimic_count, 2});
   check::shape("mimic_numbers", arrays.mimic_numbers, {mimic_count, 2});
   check::indices("columns", arrays.columns.data(), count, 0, static_cast<std::int64_t>(width));
-  check::indices("mimics", arrays.mimics.data(), 2 * mimic_count, 0, static_cast<std::int64_t>(width));
+  check::indices("mimics", arrays.mimics.data(), 2 * mimic_count, 0,
+                 static_cast<std::int64_t>(width));
   for (std::size_t c = 0; c < count; ++c) {
     const double* period = arrays.periods.data() + 2 * c;
     if (!(arrays.scales.data()[c] > 0)) check::refuse("scales", "a scale is not more than 0");
@@ -70,7 +71,8 @@ void RigMap::to_rig(const double* q, double* rig) const {
     double rotated[3];
     rotate_vector(ball.inverse_frame, values, rotated);
     for (int i = 0; i < 3; ++i)
-      rig[coordinates_[ball.first_coordinate + i].column] = rotated[i] * coordinates_[ball.first_coordinate + i].scale;
+      rig[coordinates_[ball.first_coordinate + i].column] =
+          rotated[i] * coordinates_[ball.first_coordinate + i].scale;
   }
   for (const Mimic& mimic : mimics_)
     rig[mimic.column] = mimic.gain * rig[mimic.leader] + mimic.offset;

@@ -145,9 +145,11 @@ struct RigSolver::Problem {
         const double* values = targets.data() + TARGET_WIDTH * row + TARGET_OFFSETS[component];
         if (std::is_same_v<Kind, Position>) return;
         double largest = 0;
-        for (int i = 0; i < Kind::TARGET_SIZE; ++i) largest = std::max(largest, std::fabs(values[i]));
+        for (int i = 0; i < Kind::TARGET_SIZE; ++i)
+          largest = std::max(largest, std::fabs(values[i]));
         if (!(largest <= MAX_DIRECTION)) check::refuse(name, "a direction is beyond squares");
-        if (Kind::TARGET_SIZE == 4 && !(largest > 0)) check::refuse(name, "a rotation has no length");
+        if (Kind::TARGET_SIZE == 4 && !(largest > 0))
+          check::refuse(name, "a rotation has no length");
       });
   }
 
@@ -159,7 +161,8 @@ struct RigSolver::Problem {
   }
 
   // Computes the positions and linear frames of the rig's joints, with stretched bones.
-  void compute_pose(const double* rig, const double* scales, double* positions, double* linear_frames) {
+  void compute_pose(const double* rig, const double* scales, double* positions,
+                    double* linear_frames) {
     const std::size_t count = joints.types.size();
     translations.resize(3 * count), rotations.resize(4 * count);
     local_frame(joints.arrays(), rig, translations.data(), rotations.data());
@@ -230,18 +233,20 @@ RigSolveResult RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
     else
       rest = start;
     problem.pack_targets(targets.data() + b * goal_count * TARGET_WIDTH, target.data());
-    extend_limbs(problem.limbs, goal_count, target.data(), reachable.data(), scale, is_softened.get());
-    const bool is_continued =
-        problem.starts_from_previous && problem.closed_form && problem.closed_form->depends_on_start() && has_previous;
+    extend_limbs(problem.limbs, goal_count, target.data(), reachable.data(), scale,
+                 is_softened.get());
+    const bool is_continued = problem.starts_from_previous && problem.closed_form &&
+                              problem.closed_form->depends_on_start() && has_previous;
     const double* from = is_continued ? previous.data() : start.data();
     std::fill(report, report + 3, 0);
     seconds.get()[b] = 0;
     const bool is_closed_form =
-        problem.closed_form && problem.closed_form->solve(from, target.data(), reachable.data(), scale[0],
-                                                solution.data(), error);
+        problem.closed_form && problem.closed_form->solve(from, target.data(), reachable.data(),
+                                                          scale[0], solution.data(), error);
     if (!is_closed_form) {
       const bool is_next_frame = problem.is_sequential && has_search;
-      if (problem.starts_from_previous && has_search && !is_continued) from = previous_search.data();
+      if (problem.starts_from_previous && has_search && !is_continued)
+        from = previous_search.data();
       RunResult run = run_one(*problem.solver, problem.unstretched, problem.task, from,
                               target.data(), reachable.data(), scale, rest.data(), is_next_frame);
       seconds.get()[b] = run.seconds;
@@ -256,8 +261,8 @@ RigSolveResult RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
       has_search = true;
     }
     // A limb without goals in a frame keeps its last pose.
-    const bool is_without_goals =
-        problem.closed_form && problem.starts_from_previous && !count_active_rows(problem.task, target.data());
+    const bool is_without_goals = problem.closed_form && problem.starts_from_previous &&
+                                  !count_active_rows(problem.task, target.data());
     if (!is_without_goals)
       previous = solution, has_previous = true;
     else if (has_previous)
@@ -279,8 +284,9 @@ RigSolveResult RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
       problem.compute_pose(rig, scale, positions.get() + 3 * b * joint_count,
                            linear_frames.get() + 9 * b * joint_count);
   }
-  return {std::move(coordinates), std::move(errors), std::move(reports),   std::move(seconds),
-          std::move(reached_flags),     std::move(scales), std::move(positions), std::move(linear_frames)};
+  return {std::move(coordinates), std::move(errors),        std::move(reports),
+          std::move(seconds),     std::move(reached_flags), std::move(scales),
+          std::move(positions),   std::move(linear_frames)};
 }
 
 Out<double, 2> RigSolver::branches(In<double, 1> start, In<double, 2> targets) {

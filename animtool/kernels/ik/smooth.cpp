@@ -155,7 +155,8 @@ class PathSmoother {
 
   bool is_reached(const State& state) const {
     for (std::size_t i = 0; i < state.errors.size(); ++i)
-      if (!(state.errors[i] <= settings_.tolerance(static_cast<int>(i % COMPONENT_COUNT)))) return false;
+      if (!(state.errors[i] <= settings_.tolerance(static_cast<int>(i % COMPONENT_COUNT))))
+        return false;
     return true;
   }
 
@@ -357,7 +358,8 @@ class PathSmoother {
     band_.multiply(step_, dof_count_, product_);
     residual_.assign(length, 0.0);
     preconditioned_residual_.assign(length, 0.0);
-    for (std::size_t i = range_begin(); i < range_end(); ++i) residual_[i] = -gradient_[i] - product_[i];
+    for (std::size_t i = range_begin(); i < range_end(); ++i)
+      residual_[i] = -gradient_[i] - product_[i];
     double size = precondition();
     // The size of the gradient before limits are run into is the scale of the tolerance.
     if (is_first) initial_size_ = size;
@@ -374,18 +376,21 @@ class PathSmoother {
       }
       const double next_size = precondition();
       for (std::size_t i = range_begin(); i < range_end(); ++i)
-        search_direction_[i] = preconditioned_residual_[i] + next_size / size * search_direction_[i];
+        search_direction_[i] =
+            preconditioned_residual_[i] + next_size / size * search_direction_[i];
       size = next_size;
     }
   }
 
-  // Projects residual_, and computes preconditioned_residual_, the preconditioned residual; returns their dot
-  // product. Frames are traversed back and forth, so that the last ones are still in the cache.
+  // Projects residual_, and computes preconditioned_residual_, the preconditioned residual; returns
+  // their dot product. Frames are traversed back and forth, so that the last ones are still in the
+  // cache.
   double precondition() {
     double* x = preconditioned_residual_.data();
     for (int t = first_; t < end_; ++t) {
       project(residual_, t);
-      std::copy(frame(residual_, t), frame(residual_, t) + dof_count_, frame(preconditioned_residual_, t));
+      std::copy(frame(residual_, t), frame(residual_, t) + dof_count_,
+                frame(preconditioned_residual_, t));
       band_.forward(x, t - first_, dof_count_);
       pin_band_.forward(residual_.data(), x, t - first_, dof_count_);
       ball_band_.forward(residual_.data(), x, t - first_, dof_count_);
@@ -421,8 +426,11 @@ class PathSmoother {
     bool has_fixed = false;
     for (int t = first_; t < end_; ++t) {
       GoalSpace& space = goal_spaces_[t];
-      std::copy(pose(current_path_, t), pose(current_path_, t) + coordinate_count_, state_.q.begin());
-      if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed_directions, space.limit_flags)) continue;
+      std::copy(pose(current_path_, t), pose(current_path_, t) + coordinate_count_,
+                state_.q.begin());
+      if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed_directions,
+                                   space.limit_flags))
+        continue;
       load_frame(t);
       update_null_space(t);
       has_fixed = true;
@@ -430,8 +438,8 @@ class PathSmoother {
     return has_fixed;
   }
 
-  // Computes next_path_, the path after the step, restored to its goals. Returns false if a frame cannot
-  // be restored; unless `can_retry`, such a frame is frozen from now on.
+  // Computes next_path_, the path after the step, restored to its goals. Returns false if a frame
+  // cannot be restored; unless `can_retry`, such a frame is frozen from now on.
   bool apply_step(bool can_retry) {
     next_path_ = current_path_;
     stepped_pose_.resize(coordinate_count_);
@@ -512,7 +520,8 @@ IkSmoothResult smooth_ik(const IkSmoothArguments& arrays) {
     stretch_limbs(unstretched, stretches.data() + t * goal_count, task);
     compute_frames(task.chain, state.q.data(), state.frames);
     measure(task, targets.data() + t * goal_count * TARGET_WIDTH, state);
-    std::copy(state.errors.begin(), state.errors.end(), errors.get() + t * goal_count * COMPONENT_COUNT);
+    std::copy(state.errors.begin(), state.errors.end(),
+              errors.get() + t * goal_count * COMPONENT_COUNT);
   }
   return {std::move(smoothed_path), std::move(errors), outcome.iterations, outcome.start_cost,
           outcome.end_cost};

@@ -75,7 +75,8 @@ void to_chain_targets(Filled<double, 3> targets, In<double, 2> frames, double le
 std::vector<IkGoalKind> ik_goal_kinds() {
   std::vector<IkGoalKind> kinds;
   for_each_kind([&]<class Kind>(int) {
-    kinds.emplace_back(Kind::NAME, Kind::RESIDUAL_COUNT, Kind::TARGET_SIZE, Kind::IS_LENGTH, Alignable<Kind>);
+    kinds.emplace_back(Kind::NAME, Kind::RESIDUAL_COUNT, Kind::TARGET_SIZE, Kind::IS_LENGTH,
+                       Alignable<Kind>);
   });
   return kinds;
 }
@@ -86,7 +87,8 @@ IkSolveResult solve_ik(const IkProblems& problems) {
                seconds, is_sequential, starts_from_previous, method] = problems;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const Chain unstretched = task.chain;
-  const std::size_t batch_size = starts.shape(0), width = starts.shape(1), goal_count = goals.shape(0);
+  const std::size_t batch_size = starts.shape(0), width = starts.shape(1),
+                    goal_count = goals.shape(0);
   check_poses("starts", task, batch_size, starts);
   check_poses("rests", task, batch_size, rests);
   check_targets("targets", task, batch_size, targets);
@@ -103,8 +105,8 @@ IkSolveResult solve_ik(const IkProblems& problems) {
   for (std::size_t b = 0; b < batch_size; ++b) {
     const std::size_t offset = b * goal_count * TARGET_WIDTH;
     const bool is_next_frame = (is_sequential || starts_from_previous) && b > 0;
-    const double* start =
-        starts_from_previous && b > 0 ? solutions.get() + (b - 1) * width : starts.data() + b * width;
+    const double* start = starts_from_previous && b > 0 ? solutions.get() + (b - 1) * width
+                                                        : starts.data() + b * width;
     const auto [outcome, elapsed] = run_one(
         *solver, unstretched, task, start, targets.data() + offset, reachable.data() + offset,
         stretches.data() + b * goal_count, rests.data() + b * width, is_next_frame);
@@ -112,7 +114,8 @@ IkSolveResult solve_ik(const IkProblems& problems) {
     const State& best = solver->best();
     const double* q = outcome.status == Status::NOT_FINITE ? start : best.q.data();
     std::copy(q, q + width, solutions.get() + b * width);
-    std::copy(best.errors.begin(), best.errors.end(), errors.get() + b * goal_count * COMPONENT_COUNT);
+    std::copy(best.errors.begin(), best.errors.end(),
+              errors.get() + b * goal_count * COMPONENT_COUNT);
     std::int64_t* report = reports.get() + 3 * b;
     report[0] = static_cast<std::int64_t>(outcome.status);
     report[1] = outcome.iterations;
@@ -125,12 +128,14 @@ IkLinearization linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                              In<std::int64_t, 2> goals, In<double, 2> goal_numbers,
                              In<double, 2> starts, In<double, 3> targets, In<double, 2> steps) {
   const Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
-  const std::size_t batch_size = starts.shape(0), width = starts.shape(1), dof_count = task.chain.dof_count;
+  const std::size_t batch_size = starts.shape(0), width = starts.shape(1),
+                    dof_count = task.chain.dof_count;
   const std::size_t row_count = task.row_count;
   check_poses("starts", task, batch_size, starts);
   check_targets("targets", task, batch_size, targets);
   check::shape("steps", steps, {batch_size, dof_count});
-  Out<double, 2> poses(batch_size, width), residuals(batch_size, row_count), curvatures(batch_size, dof_count);
+  Out<double, 2> poses(batch_size, width), residuals(batch_size, row_count),
+      curvatures(batch_size, dof_count);
   Out<double, 3> jacobians(batch_size, row_count, dof_count);
   Stepper stepper(task);
   State state(task);

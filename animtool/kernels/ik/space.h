@@ -64,7 +64,8 @@ class GoalSpace {
     for (int i = 0; i < m; ++i) work.gram_matrix[i * m + i] += DAMPING;
     work.product.resize(m);
     cholesky::factor<cholesky::Inverses, cholesky::SmallPivot::IGNORE>(
-        work.gram_matrix.data(), m, m, work.product.data(), [](std::size_t) { return DAMPING / 2; });
+        work.gram_matrix.data(), m, m, work.product.data(),
+        [](std::size_t) { return DAMPING / 2; });
     invert(work);
     solve(work.residual, work);
     add_transposed(work.residual, 1, step.data());

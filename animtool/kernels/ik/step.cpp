@@ -4,7 +4,8 @@
 namespace animtool::ik {
 
 bool Stepper::fix_violations(const State& state, const double* step,
-                             std::vector<FixedDirection>& fixed, std::vector<LimitFlags>& at_limit) {
+                             std::vector<FixedDirection>& fixed,
+                             std::vector<LimitFlags>& at_limit) {
   fixed_directions_.swap(fixed), at_limit_.swap(at_limit);
   const bool has_fixed = fix_violations(state, step);
   fixed_directions_.swap(fixed), at_limit_.swap(at_limit);
@@ -21,8 +22,9 @@ bool Stepper::step(const State& state, const Linearized& linear, double damping,
   bool uses_tight_tolerance = !is_redundant || !is_at_limit(state), has_released = !is_redundant;
   for (int pass = 0; pass < MAX_LIMIT_PASSES; ++pass) {
     uses_tight_tolerance = uses_tight_tolerance || pass + 1 == MAX_LIMIT_PASSES;
-    if (!(uses_hessian        ? solve_hessian(state, linear, damping, max_rotation,
-                                             uses_tight_tolerance ? CG_TOLERANCE : ROUGH_CG_TOLERANCE, out)
+    if (!(uses_hessian
+              ? solve_hessian(state, linear, damping, max_rotation,
+                              uses_tight_tolerance ? CG_TOLERANCE : ROUGH_CG_TOLERANCE, out)
           : linear.is_primal ? solve_primal(linear, damping, out)
                              : solve_dual(state, linear, damping, out)))
       return false;
@@ -110,7 +112,8 @@ void Stepper::fix_locked(const State& state) {
       if (is_swing_locked[k]) fix_direction(static_cast<int>(n), limit_gradients.swing[k], 0.0);
     if (is_swing_locked[0] && is_swing_locked[1]) at_limit_[n].is_swing_fixed = true;
     if (is_twist_locked)
-      fix_direction(static_cast<int>(n), limit_gradients.twist, 0.0), at_limit_[n].is_twist_fixed = true;
+      fix_direction(static_cast<int>(n), limit_gradients.twist, 0.0),
+          at_limit_[n].is_twist_fixed = true;
   }
 }
 
@@ -132,7 +135,8 @@ void Stepper::fix_direction(int n, const double* normal, double value, int outwa
   norm = length(direction);
   if (norm < 1e-3) return;
   for (double& x : direction) x /= norm;
-  fixed_directions_.push_back({node.dof, 3, {direction[0], direction[1], direction[2]}, value / norm, n});
+  fixed_directions_.push_back(
+      {node.dof, 3, {direction[0], direction[1], direction[2]}, value / norm, n});
   fixed_directions_.back().outward_sign = outward_sign;
   if (curvature)
     for (int i = 0; i < 3; ++i) fixed_directions_.back().bend[i] = curvature_scale * curvature[i];
@@ -150,7 +154,8 @@ bool Stepper::fix_violations(const State& state, const double* step) {
     }
     if (at_limit_[n].is_range_fixed) continue;
     const double next = q[0] + step[node.dof];
-    if (next >= node.limit[0] - ROUNDING_TOLERANCE && next <= node.limit[1] + ROUNDING_TOLERANCE) continue;
+    if (next >= node.limit[0] - ROUNDING_TOLERANCE && next <= node.limit[1] + ROUNDING_TOLERANCE)
+      continue;
     const double bound = next < node.limit[0] ? node.limit[0] : node.limit[1];
     fixed_directions_.push_back({node.dof, 1, {1, 0, 0}, bound - q[0], static_cast<int>(n)});
     fixed_directions_.back().outward_sign = next < node.limit[0] ? -1 : 1;
@@ -240,7 +245,8 @@ bool Stepper::solve_primal(const Linearized& linear, double damping, double* out
   prepare_normal(linear, damping + task_.rest_weight);
   std::fill(out, out + dofs, 0.0);
   for (const FixedDirection& fixed : fixed_directions_) add_fixed(fixed, fixed.value, out);
-  std::copy(linear.negative_gradient.begin(), linear.negative_gradient.end(), right_hand_side_.begin());
+  std::copy(linear.negative_gradient.begin(), linear.negative_gradient.end(),
+            right_hand_side_.begin());
   if (!fixed_directions_.empty()) {
     multiply_matrix(out, buffer_.data());
     for (int d = 0; d < dofs; ++d) right_hand_side_[d] -= buffer_[d];
@@ -401,7 +407,8 @@ bool Stepper::release_limits(const State& state, const Linearized& linear, doubl
                              const double* step) {
   multiply_hessian(state, linear, true, damping, step, product_.data());
   add_cone_curvature(step, product_.data());
-  for (int d = 0; d < task_.chain.dof_count; ++d) residual_[d] = linear.negative_gradient[d] - product_[d];
+  for (int d = 0; d < task_.chain.dof_count; ++d)
+    residual_[d] = linear.negative_gradient[d] - product_[d];
   const auto is_inward = [&](const FixedDirection& fixed) {
     return fixed.outward_sign * component(fixed, residual_.data()) < 0;
   };
@@ -413,7 +420,8 @@ bool Stepper::release_limits(const State& state, const Linearized& linear, doubl
   }
   const auto is_released = [&](const FixedDirection& fixed) {
     const LimitFlags& at_limit = at_limit_[fixed.node];
-    return fixed.outward_sign != 0 && !at_limit.is_range_fixed && !at_limit.is_swing_fixed && !at_limit.is_twist_fixed;
+    return fixed.outward_sign != 0 && !at_limit.is_range_fixed && !at_limit.is_swing_fixed &&
+           !at_limit.is_twist_fixed;
   };
   std::erase_if(fixed_directions_, is_released);
   return has_released;

@@ -51,8 +51,8 @@ class Stepper {
   bool fix_violations(const State& state, const double* step, std::vector<FixedDirection>& fixed,
                       std::vector<LimitFlags>& at_limit);
 
-  // Computes the step; with `uses_hessian`, uses the full Hessian instead of J^T J. Returns false if
-  // the damping is too small.
+  // Computes the step; with `uses_hessian`, uses the full Hessian instead of J^T J. Returns false
+  // if the damping is too small.
   bool step(const State& state, const Linearized& linear, double damping, bool uses_hessian,
             double max_rotation, double* out);
 
@@ -107,7 +107,8 @@ class Stepper {
   // rotates too far in the world, where second derivatives would be inaccurate. Returns whether it
   // was too long.
   bool shorten(const State& state, bool uses_hessian, double max_rotation, double* step) {
-    const double largest = uses_hessian ? max_world_rotation(state, step) : max_joint_rotation(step);
+    const double largest =
+        uses_hessian ? max_world_rotation(state, step) : max_joint_rotation(step);
     last_rotation_ = std::min(largest, max_rotation);
     if (largest <= max_rotation) return false;
     for (int d = 0; d < task_.chain.dof_count; ++d) step[d] *= max_rotation / largest;
@@ -139,7 +140,8 @@ class Stepper {
 
   void prepare_normal(const Linearized& linear, double diagonal) {
     std::copy(linear.normal_matrix.begin(), linear.normal_matrix.end(), matrix_.begin());
-    for (int d = 0; d < matrix_size_; ++d) matrix_[static_cast<std::size_t>(d) * matrix_size_ + d] += diagonal;
+    for (int d = 0; d < matrix_size_; ++d)
+      matrix_[static_cast<std::size_t>(d) * matrix_size_ + d] += diagonal;
   }
 
   double& entry(int i, int j) {

@@ -109,7 +109,8 @@ class TwoBone : public ClosedForm {
     std::copy(shoulder.offset, shoulder.offset + 3, root_);
     std::copy(elbow_.offset, elbow_.offset + 3, elbow_offset_);
     quaternion_from_matrix(shoulder.rest, shoulder_rest_);
-    for (int k = 0; k < 4; ++k) inverse_shoulder_rest_[k] = k < 3 ? -shoulder_rest_[k] : shoulder_rest_[k];
+    for (int k = 0; k < 4; ++k)
+      inverse_shoulder_rest_[k] = k < 3 ? -shoulder_rest_[k] : shoulder_rest_[k];
   }
 
   bool depends_on_start() const override { return false; }
@@ -131,7 +132,8 @@ class TwoBone : public ClosedForm {
       root_to_target[i] = reachable[TARGET_OFFSETS[position] + i] - root_[i];
       pole[i] = pole_target[i] - root_[i];
     }
-    const double angle = elbow_angle(length(upper_bone_), length(lower_bone), length(root_to_target));
+    const double angle =
+        elbow_angle(length(upper_bone_), length(lower_bone), length(root_to_target));
     const bool is_within_limits = bend_elbow(q, lower_bone, angle);
     find_tip(q, lower_bone, tip);
     rotate_shoulder(q, tip, root_to_target);
@@ -154,11 +156,12 @@ class TwoBone : public ClosedForm {
   bool bend_elbow(double* q, const double* lower_bone, double angle) const {
     double upper_in_elbow_frame[3];
     for (int i = 0; i < 3; ++i)
-      upper_in_elbow_frame[i] = upper_bone_[0] * elbow_.rest[i] + upper_bone_[1] * elbow_.rest[3 + i] +
-                      upper_bone_[2] * elbow_.rest[6 + i];
+      upper_in_elbow_frame[i] = upper_bone_[0] * elbow_.rest[i] +
+                                upper_bone_[1] * elbow_.rest[3 + i] +
+                                upper_bone_[2] * elbow_.rest[6 + i];
     if (elbow_.kind == Kind::PIN) {
-      const double offset =
-          std::atan2(lower_bone[1], lower_bone[0]) - std::atan2(upper_in_elbow_frame[1], upper_in_elbow_frame[0]);
+      const double offset = std::atan2(lower_bone[1], lower_bone[0]) -
+                            std::atan2(upper_in_elbow_frame[1], upper_in_elbow_frame[0]);
       const double side = std::sin(q[4] + offset) < 0 ? -1 : 1;
       const double near_solution = nearest_revolution(side * angle - offset, q[4]);
       const double far_solution = nearest_revolution(-side * angle - offset, q[4]);
@@ -173,8 +176,9 @@ class TwoBone : public ClosedForm {
     rotate_vector(values, lower_bone, direction);
     cross(upper_in_elbow_frame, direction, normal);
     unit_or_perpendicular(normal, upper_in_elbow_frame, axis);
-    axis_angle_quaternion(axis, angle - std::atan2(dot(axis, normal), dot(upper_in_elbow_frame, direction)),
-                          rotation);
+    axis_angle_quaternion(
+        axis, angle - std::atan2(dot(axis, normal), dot(upper_in_elbow_frame, direction)),
+        rotation);
     product(rotation, values, composed);
     make_unit(composed);
     std::copy(composed, composed + 4, values);

@@ -116,7 +116,8 @@ class Bodies {
       acceleration[3 * body + 1] = acceleration_scale * sums.y[k];
       acceleration[3 * body + 2] = acceleration_scale * sums.z[k];
       potential[body] = -acceleration_scale * length_unit_ * sums.potential[k];
-      max_squared_frequency[body] = acceleration_scale / length_unit_ * sums.max_squared_frequency[k];
+      max_squared_frequency[body] =
+          acceleration_scale / length_unit_ * sums.max_squared_frequency[k];
     }
   }
 
@@ -137,7 +138,8 @@ class Octree {
       std::uint64_t key = 0;
       for (std::size_t k = 0; k < 3; ++k) {
         const double cell = (bodies.scale(points + 3 * i, k) + 1) * (CELLS_PER_AXIS / 2);
-        key |= spread_bits(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS_PER_AXIS - 1))) << k;
+        key |= spread_bits(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS_PER_AXIS - 1)))
+               << k;
       }
       sorted_.keys[i] = key;
       sorted_.indices[i] = static_cast<std::int32_t>(i);
@@ -209,10 +211,12 @@ class Octree {
       }
       i = cell.next;
     }
-    const double external_acceleration = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
+    const double external_acceleration =
+        std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
     const double squared_extent = group.squared_radius + softening_square;
     // The heaviest body, which dominates the others, is attracted only by the rest.
-    return external_acceleration + (squared_extent > 0 ? (group.mass - group.max_mass) / squared_extent : 0.0);
+    return external_acceleration +
+           (squared_extent > 0 ? (group.mass - group.max_mass) / squared_extent : 0.0);
   }
 
   // Collects the cells that a group may use as a whole, and the ranges of bodies that it sums
@@ -322,9 +326,11 @@ void sum_by_tree(Bodies& bodies, const double* points, const double* masses, dou
     for (std::size_t first = group.begin; first < group.end; first += GRAVITY_WIDTH) {
       const GravityTargets targets = bodies.targets(first, group.end, bounds.centre);
       GravitySums sums{};
-      gravity_functions.sum_cells(far_cells.data(), far_cells.size() / FAR_CELL_SIZE, softening_square, targets, sums);
+      gravity_functions.sum_cells(far_cells.data(), far_cells.size() / FAR_CELL_SIZE,
+                                  softening_square, targets, sums);
       for (const BodyRange& run : near_runs)
-        gravity_functions.sum_pairs_float(bodies.bodies(), run, bodies.squared_softening(), targets, sums);
+        gravity_functions.sum_pairs_float(bodies.bodies(), run, bodies.squared_softening(), targets,
+                                          sums);
       bodies.write(sums, first, group.end, tree.order(), constant);
     }
   });
@@ -342,8 +348,9 @@ void sum_directly(Bodies& bodies, const double* points, const double* masses, do
   std::fill_n(sums.get(), block_count, GravitySums{});
   for (std::size_t tile = 0; tile < count; tile += SOURCE_TILE_SIZE)
     for (std::size_t i = 0; i < block_count; ++i)
-      gravity_functions.sum_pairs_double(bodies.bodies(), {tile, std::min(count, tile + SOURCE_TILE_SIZE)}, bodies.squared_softening(),
-                  bodies.targets(i * GRAVITY_WIDTH, count, centre), sums[i]);
+      gravity_functions.sum_pairs_double(
+          bodies.bodies(), {tile, std::min(count, tile + SOURCE_TILE_SIZE)},
+          bodies.squared_softening(), bodies.targets(i * GRAVITY_WIDTH, count, centre), sums[i]);
   for (std::size_t i = 0; i < block_count; ++i)
     bodies.write(sums[i], i * GRAVITY_WIDTH, count, nullptr, constant);
 }
@@ -367,7 +374,8 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(In<double, 2>
   Out<double, 1> potentials(count), rates(count);
   if (count) {
     const GravityFunctions* quads = gravity_in_quads();
-    const GravityFunctions& gravity_functions = quads ? *quads : GravityKernels<Portable>::functions;
+    const GravityFunctions& gravity_functions =
+        quads ? *quads : GravityKernels<Portable>::functions;
     Bodies bodies(points.data(), masses.data(), count, softening);
     bodies.acceleration = accelerations.get();
     bodies.potential = potentials.get();

@@ -33,13 +33,13 @@ struct BodyRange {
 struct GravityFunctions {
   // Pairs in float64, from an inverse square root in float32 that is refined.
   void (*sum_pairs_double)(const GravityBodies& bodies, BodyRange run, double squared_softening,
-                const GravityTargets& targets, GravitySums& sums);
+                           const GravityTargets& targets, GravitySums& sums);
   // Pairs with distances in float64 and forces in float32.
   void (*sum_pairs_float)(const GravityBodies& bodies, BodyRange run, double squared_softening,
-               const GravityTargets& targets, GravitySums& sums);
+                          const GravityTargets& targets, GravitySums& sums);
   // Cells by their monopole and quadrupole, in float32.
   void (*sum_cells)(const float* cells, std::size_t count, float squared_softening,
-              const GravityTargets& targets, GravitySums& sums);
+                    const GravityTargets& targets, GravitySums& sums);
 };
 // Null if the processor has no such registers.
 const GravityFunctions* gravity_in_quads();

@@ -50,7 +50,7 @@ struct GravityKernels {
   };
 
   static void sum_pairs_double(const GravityBodies& bodies, BodyRange run, double squared_softening,
-                    const GravityTargets& targets, GravitySums& sums) {
+                               const GravityTargets& targets, GravitySums& sums) {
     const D position[3] = {D::load(targets.x), D::load(targets.y), D::load(targets.z)},
             target_mass = D::load(targets.mass), softening = squared_softening;
     PartialSums<D> partial_sums;
@@ -64,14 +64,15 @@ struct GravityKernels {
       const D inverse_distance = D(zero_if_coincident(F(squared_distance), rough_inverse_distance));
       // Halley's third-order step: from seven digits to full precision.
       const D residual = 1.0 - softened_square * inverse_distance * inverse_distance;
-      partial_sums.add_pair(offset, bodies.mass[j], target_mass,
-                       inverse_distance + inverse_distance * residual * (0.5 + 0.375 * residual));
+      partial_sums.add_pair(
+          offset, bodies.mass[j], target_mass,
+          inverse_distance + inverse_distance * residual * (0.5 + 0.375 * residual));
     }
     partial_sums.add_to(sums);
   }
 
   static void sum_pairs_float(const GravityBodies& bodies, BodyRange run, double squared_softening,
-                   const GravityTargets& targets, GravitySums& sums) {
+                              const GravityTargets& targets, GravitySums& sums) {
     const D position[3] = {D::load(targets.x), D::load(targets.y), D::load(targets.z)};
     const F target_mass = F(D::load(targets.mass)),
             softening = static_cast<float>(squared_softening);
@@ -84,7 +85,7 @@ struct GravityKernels {
             offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2];
         const F inverse = inverse_root(squared_distance + softening);
         partial_sums.add_pair(offset, static_cast<float>(bodies.mass[j]), target_mass,
-                         zero_if_coincident(squared_distance, inverse));
+                              zero_if_coincident(squared_distance, inverse));
       }
       partial_sums.add_to(sums);
     }
@@ -92,7 +93,7 @@ struct GravityKernels {
 
   // The potential 1/s with s² = r² + ε², expanded to second order about the centre of mass.
   static void sum_cells(const float* cells, std::size_t count, float squared_softening,
-                  const GravityTargets& targets, GravitySums& sums) {
+                        const GravityTargets& targets, GravitySums& sums) {
     const F position[3] = {F::load(targets.from_centre[0]), F::load(targets.from_centre[1]),
                            F::load(targets.from_centre[2])};
     const F softening = squared_softening;
@@ -116,7 +117,7 @@ struct GravityKernels {
         partial_sums.y = partial_sums.y + (radial * y - outward * qy);
         partial_sums.z = partial_sums.z + (radial * z - outward * qz);
         partial_sums.potential = partial_sums.potential + mass +
-                            inverse_square * inverse * (1.5f * quadrupole - 0.5f * trace);
+                                 inverse_square * inverse * (1.5f * quadrupole - 0.5f * trace);
       }
       partial_sums.add_to(sums);
     }

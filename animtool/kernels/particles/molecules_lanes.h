@@ -24,7 +24,8 @@ struct MoleculeKernels {
     explicit PairLaw(const MoleculeSystem& system)
         : squared_cutoff(system.squared_cutoff), squared_onset(system.squared_onset) {
       const double switch_width = system.squared_cutoff - system.squared_onset;
-      inverse_cubed_switch_width = switch_width > 0 ? 1 / (switch_width * switch_width * switch_width) : 0.0;
+      inverse_cubed_switch_width =
+          switch_width > 0 ? 1 / (switch_width * switch_width * switch_width) : 0.0;
       for (std::size_t k = 0; k < 3; ++k)
         box[k] = system.box[k], inverse_box[k] = 1 / system.box[k];
       damping = system.damping;
@@ -93,10 +94,12 @@ struct MoleculeKernels {
         if constexpr (uses_switching) {
           const D clamped_square = max(squared_distance, law.squared_onset),
                   remaining = law.squared_cutoff - clamped_square;
-          const D switching = remaining * remaining *
-                              (law.squared_cutoff + 2.0 * clamped_square - 3.0 * law.squared_onset) *
-                              law.inverse_cubed_switch_width;
-          const D switching_slope = 12.0 * remaining * (clamped_square - law.squared_onset) * law.inverse_cubed_switch_width;
+          const D switching =
+              remaining * remaining *
+              (law.squared_cutoff + 2.0 * clamped_square - 3.0 * law.squared_onset) *
+              law.inverse_cubed_switch_width;
+          const D switching_slope = 12.0 * remaining * (clamped_square - law.squared_onset) *
+                                    law.inverse_cubed_switch_width;
           force = switching * force + switching_slope * energy;
           energy = switching * energy;
         }
@@ -117,7 +120,8 @@ struct MoleculeKernels {
         force = masked(is_in_range, force);
         energy = masked(is_in_range, 0.5 * energy);
         virial = virial + masked(is_in_range, force * squared_distance);
-        D changes[4] = {force * masked(is_in_range, offsets[0]), force * masked(is_in_range, offsets[1]),
+        D changes[4] = {force * masked(is_in_range, offsets[0]),
+                        force * masked(is_in_range, offsets[1]),
                         force * masked(is_in_range, offsets[2]), 0.0 - energy};
         for (std::size_t k = 0; k < 4; ++k) sum[k] = sum[k] + changes[k];
         scatter(changes, partner, out);
@@ -131,7 +135,7 @@ struct MoleculeKernels {
   static double add_for_kinds(const MoleculeSystem& system, double* out) {
     if (system.charges) return add_pairs<uses_switching, true, true>(system, out);
     return system.kind_count > 1 ? add_pairs<uses_switching, true, false>(system, out)
-                            : add_pairs<uses_switching, false, false>(system, out);
+                                 : add_pairs<uses_switching, false, false>(system, out);
   }
 
   // Adds forces and half the pair energies to rows of four numbers; returns the virial.

@@ -57,11 +57,14 @@ Neighbours::Neighbours(const double* points, const std::int32_t* subset, std::si
   for (std::size_t k = 0; k < 3; ++k) {
     // The extent is halved because the full extent may overflow.
     const double half_extent = high[k] / 2 - origin_[k] / 2;
-    inverse_cell_[k] = 1 / (CELL_WIDTH_FACTOR * std::max(radius_, 2 * (half_extent / MAX_CELLS_PER_AXIS)));
-    max_cell_index_[k] = std::min(std::floor((high[k] - origin_[k]) * inverse_cell_[k]), MAX_CELLS_PER_AXIS);
+    inverse_cell_[k] =
+        1 / (CELL_WIDTH_FACTOR * std::max(radius_, 2 * (half_extent / MAX_CELLS_PER_AXIS)));
+    max_cell_index_[k] =
+        std::min(std::floor((high[k] - origin_[k]) * inverse_cell_[k]), MAX_CELLS_PER_AXIS);
   }
   row_stride_ = static_cast<std::uint64_t>(max_cell_index_[0] + 1 + 2 * MARGIN_CELLS);
-  layer_stride_ = row_stride_ * static_cast<std::uint64_t>(max_cell_index_[1] + 1 + 2 * MARGIN_CELLS);
+  layer_stride_ =
+      row_stride_ * static_cast<std::uint64_t>(max_cell_index_[1] + 1 + 2 * MARGIN_CELLS);
   SortedKeys sorted(grid_count);
   for (std::size_t i = 0; i < grid_count; ++i) {
     sorted.keys[i] = find_key(position(i));

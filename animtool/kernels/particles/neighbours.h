@@ -14,8 +14,8 @@
 
 namespace animtool {
 
-// Grid positions in the layout of loops that are built for several processors. Up to GRID_PADDING
-// numbers are read past the end, and written past the last match.
+// Grid positions in the layout of functions that are compiled for several processors. Up to
+// GRID_PADDING numbers are read past the end, and written past the last match.
 struct GridPoints {
   const double *x, *y, *z;
   double squared_radius;  // of the search radius
@@ -43,7 +43,9 @@ class Neighbours {
   const double* x() const { return sorted_points_.x; }
   const double* y() const { return sorted_points_.y; }
   const double* z() const { return sorted_points_.z; }
-  const std::int32_t* point_indices() const { return point_indices_.data(); }  // indices into `points`
+  const std::int32_t* point_indices() const {
+    return point_indices_.data();
+  }  // indices into `points`
 
   // Visits some points; null means all. The function receives the number of a visited point, its
   // index in `points`, its wrapped position, and the grid indices of all points within the radius,
@@ -52,8 +54,8 @@ class Neighbours {
   double visit(const double* points, const std::int32_t* subset, std::size_t count,
                double max_tests, Function function) const;
 
-  // Visits every grid position in the same way. With `is_later_only`, the function receives only later
-  // neighbours.
+  // Visits every grid position in the same way. With `is_later_only`, the function receives only
+  // later neighbours.
   template <bool is_later_only, class Function>
   double visit_all(double max_tests, Function function) const;
 
@@ -140,21 +142,21 @@ template <bool is_later_only, class Function>
 double Neighbours::visit_all(double max_tests, Function function) const {
   std::vector<std::int32_t> hits;
   double test_count = 0;
-  for_each_cell(
-      cells_, [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
-        test_count += static_cast<double>(last - first) * static_cast<double>(capacity);
-        if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
-        for (std::size_t i = first; i < last && test_count <= max_tests; ++i) {
-          const double position[3] = {x()[i], y()[i], z()[i]};
-          GridRun searched_runs[RUN_COUNT];
-          std::copy(runs, runs + RUN_COUNT, searched_runs);
-          if (is_later_only) searched_runs[CENTRE_RUN].begin = i + 1;
-          function(i, position, hits.data(),
-                   find_neighbours_(sorted_points_, searched_runs + (is_later_only ? CENTRE_RUN : 0),
-                                    searched_runs + RUN_COUNT, position, hits.data()));
-        }
-        return test_count <= max_tests;
-      });
+  for_each_cell(cells_, [&](std::size_t first, std::size_t last, const GridRun* runs,
+                            std::size_t capacity) {
+    test_count += static_cast<double>(last - first) * static_cast<double>(capacity);
+    if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
+    for (std::size_t i = first; i < last && test_count <= max_tests; ++i) {
+      const double position[3] = {x()[i], y()[i], z()[i]};
+      GridRun searched_runs[RUN_COUNT];
+      std::copy(runs, runs + RUN_COUNT, searched_runs);
+      if (is_later_only) searched_runs[CENTRE_RUN].begin = i + 1;
+      function(i, position, hits.data(),
+               find_neighbours_(sorted_points_, searched_runs + (is_later_only ? CENTRE_RUN : 0),
+                                searched_runs + RUN_COUNT, position, hits.data()));
+    }
+    return test_count <= max_tests;
+  });
   return test_count;
 }
 

@@ -38,11 +38,12 @@ void check_starts(const char* name, const In<std::int64_t, 1>& starts, std::size
 
 }  // namespace
 
-RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies, In<double, 2> shape_numbers,
-                         In<double, 2> points, In<std::int64_t, 1> point_starts,
-                         In<std::int64_t, 1> face_starts, In<std::int64_t, 1> corner_starts,
-                         In<std::int64_t, 1> corners, In<std::int64_t, 2> joints,
-                         In<double, 2> joint_numbers, In<std::int64_t, 2> excluded_pairs) {
+RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
+                         In<double, 2> shape_numbers, In<double, 2> points,
+                         In<std::int64_t, 1> point_starts, In<std::int64_t, 1> face_starts,
+                         In<std::int64_t, 1> corner_starts, In<std::int64_t, 1> corners,
+                         In<std::int64_t, 2> joints, In<double, 2> joint_numbers,
+                         In<std::int64_t, 2> excluded_pairs) {
   const std::size_t count = inertias.shape(0), shape_count = bodies.shape(0);
   check::numbers("inertias", inertias, {check::ANY, 4});
   check::at_most("inertias", count, check::MAX_ROWS);
@@ -97,7 +98,8 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies, In<
   check::shape("excluded", excluded_pairs, {check::ANY, 2});
   check::at_most("excluded", excluded_pairs.shape(0), check::MAX_ROWS);
   for (std::size_t k = 0; k < excluded_pairs.shape(0); ++k) {
-    check::between("excluded", excluded_pairs.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
+    check::between("excluded", excluded_pairs.data()[2 * k], 0,
+                   static_cast<std::int64_t>(count) - 1);
     check::between("excluded", excluded_pairs.data()[2 * k + 1], 0,
                    static_cast<std::int64_t>(count + check::MAX_ROWS));
   }
@@ -124,7 +126,8 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
     joint.a = row[1], joint.b = static_cast<std::size_t>(row[2]);
     joint.frame_a = {load(n), read_rotation(n + 3)},
     joint.frame_b = {load(n + 7), read_rotation(n + 10)};
-    joint.low_limit = n[14], joint.high_limit = n[15], joint.swing[0] = n[16], joint.swing[1] = n[17];
+    joint.low_limit = n[14], joint.high_limit = n[15], joint.swing[0] = n[16],
+    joint.swing[1] = n[17];
     joint.target = n[18], joint.target_rotation = read_rotation(n + 19);
     check::not_negative("joint_numbers", n[23]);
     check::not_negative("joint_numbers", n[24]);
@@ -176,15 +179,17 @@ RigidStepResult step_rigid(const RigidBodies& bodies, In<double, 2> state,
     check::between("pairs", pair[1], 0,
                    shape_count + static_cast<std::int64_t>(world_colliders.size()) - 1);
     stored_contacts[i] = {pair[0], pair[1], load(contacts.data() + CONTACT_SIZE * i),
-                 load(contacts.data() + CONTACT_SIZE * i + 3)};
-    if (i && (stored_contacts[i].first != stored_contacts[i - 1].first ? stored_contacts[i].first < stored_contacts[i - 1].first
-                                                     : stored_contacts[i].second < stored_contacts[i - 1].second))
+                          load(contacts.data() + CONTACT_SIZE * i + 3)};
+    if (i && (stored_contacts[i].first != stored_contacts[i - 1].first
+                  ? stored_contacts[i].first < stored_contacts[i - 1].first
+                  : stored_contacts[i].second < stored_contacts[i - 1].second))
       check::refuse("pairs", "they do not ascend");
   }
   std::vector<std::array<double, rigid::JOINT_SLOT_COUNT>> impulses(joint_count);
   std::vector<collide::Motion> anchor_motions(joint_count);
   for (std::size_t k = 0; k < joint_count; ++k) {
-    std::copy_n(joint_impulses.data() + rigid::JOINT_SLOT_COUNT * k, rigid::JOINT_SLOT_COUNT, impulses[k].begin());
+    std::copy_n(joint_impulses.data() + rigid::JOINT_SLOT_COUNT * k, rigid::JOINT_SLOT_COUNT,
+                impulses[k].begin());
     const double* pose = anchors.data() + 2 * POSE_SIZE * k;
     check_rotation("anchors", pose + 3), check_rotation("anchors", pose + POSE_SIZE + 3);
     anchor_motions[k] = collide::Motion(pose, pose + POSE_SIZE);
@@ -214,12 +219,14 @@ RigidStepResult step_rigid(const RigidBodies& bodies, In<double, 2> state,
     row[6] = body_state.rotation.w, row[13] = body_state.slow_time;
   }
   for (std::size_t i = 0; i < stored_contacts.size(); ++i) {
-    contact_pairs.get()[2 * i] = stored_contacts[i].first, contact_pairs.get()[2 * i + 1] = stored_contacts[i].second;
+    contact_pairs.get()[2 * i] = stored_contacts[i].first,
+                            contact_pairs.get()[2 * i + 1] = stored_contacts[i].second;
     store(stored_contacts[i].position, contact_rows.get() + CONTACT_SIZE * i),
         store(stored_contacts[i].force, contact_rows.get() + CONTACT_SIZE * i + 3);
   }
   for (std::size_t k = 0; k < joint_count; ++k)
-    std::copy_n(impulses[k].begin(), rigid::JOINT_SLOT_COUNT, joint_rows.get() + rigid::JOINT_SLOT_COUNT * k);
+    std::copy_n(impulses[k].begin(), rigid::JOINT_SLOT_COUNT,
+                joint_rows.get() + rigid::JOINT_SLOT_COUNT * k);
   return {std::move(new_states),
           std::move(contact_pairs),
           std::move(contact_rows),

@@ -233,14 +233,16 @@ std::pair<Vec, Vec> nearest_points(const PosedCore& faceted_core, const PosedCor
   if (end_count > 1)
     for (const Edge& e : faceted_core.core->edges) {
       const auto [faceted_point, round_point] =
-          nearest({faceted_core.points[e.from], faceted_core.points[e.to]}, {round_core.points[0], round_core.points[1]});
+          nearest({faceted_core.points[e.from], faceted_core.points[e.to]},
+                  {round_core.points[0], round_core.points[1]});
       keep_nearer(faceted_point, round_point);
     }
   return best_points;
 }
 
 // Contacts of a core with faces and one without.
-Manifold faceted_manifold(const PosedCore& faceted_core, const PosedCore& round_core, double max_gap) {
+Manifold faceted_manifold(const PosedCore& faceted_core, const PosedCore& round_core,
+                          double max_gap) {
   const double radius_sum = faceted_core.core->radius + round_core.core->radius;
   const Axis axis = separating_axis(faceted_core, round_core, max_gap + radius_sum);
   if (axis.gap > max_gap + radius_sum) return {};
@@ -263,7 +265,8 @@ Manifold faceted_manifold(const PosedCore& faceted_core, const PosedCore& round_
     }
   }
   if (axis.gap > 0)
-    return point_manifold(faceted_point, round_point, normal, faceted_core.core->radius, round_core.core->radius);
+    return point_manifold(faceted_point, round_point, normal, faceted_core.core->radius,
+                          round_core.core->radius);
   if (axis.kind == Axis::EDGES) {
     const auto [p, q] = nearest({axis.edge_a[0], axis.edge_a[1]}, {axis.edge_b[0], axis.edge_b[1]});
     return point_manifold(p, q, normal, faceted_core.core->radius, round_core.core->radius);
@@ -291,8 +294,8 @@ bool arcs_cross(Vec a, Vec b, Vec c, Vec d) {
 }
 
 // Updates the best axis with the face normals of one core.
-void update_best_face_axis(const PosedCore& a, const PosedCore& b, bool is_first, double preference_margin,
-                    double max_gap, Axis& best_axis) {
+void update_best_face_axis(const PosedCore& a, const PosedCore& b, bool is_first,
+                           double preference_margin, double max_gap, Axis& best_axis) {
   for (std::size_t f = 0; f < a.core->face_count(); ++f) {
     const Vec n = a.normals[f];
     const double gap = b.min_projection(n) - a.offset(f);
@@ -306,7 +309,8 @@ void update_best_face_axis(const PosedCore& a, const PosedCore& b, bool is_first
 }
 
 // The separating axis of two boxes, from their half extents: the best of 15 candidates.
-Axis separating_boxes(const PosedCore& a, const PosedCore& b, double max_gap, double preference_margin) {
+Axis separating_boxes(const PosedCore& a, const PosedCore& b, double max_gap,
+                      double preference_margin) {
   const Vec offset = b.centre - a.centre;
   Vec axes_a[3], axes_b[3];
   double half_a[3], half_b[3], cosines[3][3], abs_cosines[3][3], offset_a[3], offset_b[3];
@@ -318,11 +322,13 @@ Axis separating_boxes(const PosedCore& a, const PosedCore& b, double max_gap, do
   }
   Axis best_axis;
   const auto try_face = [&](double gap, double distance, Vec n, bool is_first, int i) {
-    if (!(gap > best_axis.gap + (is_first || best_axis.kind == Axis::NONE ? 0 : preference_margin))) return;
+    if (!(gap > best_axis.gap + (is_first || best_axis.kind == Axis::NONE ? 0 : preference_margin)))
+      return;
     // Faces of the first body face the second, and vice versa.
     best_axis.gap = gap, best_axis.normal = distance < 0 ? -n : n;
     best_axis.kind = is_first ? Axis::FIRST_FACE : Axis::SECOND_FACE;
-    (is_first ? best_axis.first_face : best_axis.second_face) = 2 * i + (is_first ? distance < 0 : distance > 0);
+    (is_first ? best_axis.first_face : best_axis.second_face) =
+        2 * i + (is_first ? distance < 0 : distance > 0);
   };
   for (int i = 0; i < 3; ++i) {
     double extent_sum = half_a[i];
@@ -351,7 +357,9 @@ Axis separating_boxes(const PosedCore& a, const PosedCore& b, double max_gap, do
                                 half_b[j1] * abs_cosines[i][j2] + half_b[j2] * abs_cosines[i][j1];
       const double distance = offset_a[i2] * cosines[i1][j] - offset_a[i1] * cosines[i2][j];
       const double gap = (std::fabs(distance) - extent_sum) / std::sqrt(squared_sine);
-      if (gap <= best_axis.gap + preference_margin + DEEP_FACE_PREFERENCE_RATIO * std::max(-best_axis.gap, 0.0)) continue;
+      if (gap <= best_axis.gap + preference_margin +
+                     DEEP_FACE_PREFERENCE_RATIO * std::max(-best_axis.gap, 0.0))
+        continue;
       best_axis.gap = gap, best_axis.kind = Axis::EDGES, edge_i = i, edge_j = j;
       const Vec n = direction(cross(axes_a[i], axes_b[j]), {0, 1, 0});
       best_axis.normal = dot(n, offset) < 0 ? -n : n;
@@ -428,11 +436,13 @@ Axis separating_axis(const PosedCore& a, const PosedCore& b, double max_gap) {
   Axis best_axis;
   update_best_face_axis(a, b, true, 0, max_gap, best_axis);
   if (best_axis.gap > max_gap) return best_axis;
-  update_best_face_axis(b, a, false, best_axis.kind == Axis::NONE ? 0 : preference_margin, max_gap, best_axis);
+  update_best_face_axis(b, a, false, best_axis.kind == Axis::NONE ? 0 : preference_margin, max_gap,
+                        best_axis);
   if (best_axis.gap > max_gap) return best_axis;
   const bool are_solid = a.core->face_count() > 2 && b.core->face_count() > 2;
   const auto try_edges = [&](Vec normal, double gap, Vec a0, Vec a1, Vec b0, Vec b1) {
-    if (gap > best_axis.gap + preference_margin + DEEP_FACE_PREFERENCE_RATIO * std::max(-best_axis.gap, 0.0))
+    if (gap > best_axis.gap + preference_margin +
+                  DEEP_FACE_PREFERENCE_RATIO * std::max(-best_axis.gap, 0.0))
       best_axis = {gap, normal, Axis::EDGES, -1, -1, {a0, a1}, {b0, b1}};
   };
   if (are_solid) {
@@ -480,7 +490,8 @@ Axis separating_axis(const PosedCore& a, const PosedCore& b, double max_gap) {
 
 Manifold find_manifold(const PosedCore& a, const PosedCore& b, double max_gap) {
   if (!a.core->face_count())
-    return b.core->face_count() ? flip_manifold(faceted_manifold(b, a, max_gap)) : round_manifold(a, b, max_gap);
+    return b.core->face_count() ? flip_manifold(faceted_manifold(b, a, max_gap))
+                                : round_manifold(a, b, max_gap);
   if (!b.core->face_count()) return faceted_manifold(a, b, max_gap);
   const double radius_sum = a.core->radius + b.core->radius;
   const Axis axis = separating_axis(a, b, max_gap + radius_sum);

@@ -24,7 +24,8 @@ struct Edge {
 // faces.
 struct Core {
   std::vector<Vec> points;
-  std::vector<int> face_starts{0}, face_corners;  // corners of each face, counter-clockwise from outside
+  std::vector<int> face_starts{0},
+      face_corners;  // corners of each face, counter-clockwise from outside
   std::vector<Vec> normals;
   std::vector<double> offsets;
   std::vector<Edge> edges;
@@ -51,7 +52,8 @@ struct PosedCore {
   Vec centre;
 
   double offset(std::size_t face) const {
-    return dot(normals[face], points[core->face_corners[static_cast<std::size_t>(core->face_starts[face])]]);
+    return dot(normals[face],
+               points[core->face_corners[static_cast<std::size_t>(core->face_starts[face])]]);
   }
   // Smallest component of a point along a direction.
   double min_projection(Vec n) const {
@@ -101,7 +103,7 @@ struct Axis {
   Vec normal;  // from the first to the second body
   enum { NONE, FIRST_FACE, SECOND_FACE, EDGES } kind = NONE;
   int first_face = -1, second_face = -1;  // face of the first or second body
-  Vec edge_a[2], edge_b[2];     // ends of the edges
+  Vec edge_a[2], edge_b[2];               // ends of the edges
 };
 
 // The axis along which two cores are separated most.

@@ -27,18 +27,19 @@ constexpr double WELL_CONDITIONED_INDEPENDENCE = 0.02, MIN_INDEPENDENCE = 1e-3;
 // Response of x'' = pull - stiffness x - damping x' after time 1, from rest at 0, or with an
 // initial speed.
 struct Response {
-  double pull_response;      // twice the displacement by a pull
-  double speed_response;     // displacement by an initial speed
-  double speed_decay;        // of the initial speed
-  double mass_excess;  // 1 / pull_response - 1
-  double response_deficit;          // 1 - speed_response / pull_response
+  double pull_response;     // twice the displacement by a pull
+  double speed_response;    // displacement by an initial speed
+  double speed_decay;       // of the initial speed
+  double mass_excess;       // 1 / pull_response - 1
+  double response_deficit;  // 1 - speed_response / pull_response
 };
 
 Response compute_response(double stiffness, double damping) {
   Response response{};
   if (stiffness + damping <= 1) {
     // A power series, which keeps small differences exact.
-    double previous_term = 0, term = 0.5, pull_excess = 0, response_deficit = 0, speed_response = 1, speed_decay = 1;
+    double previous_term = 0, term = 0.5, pull_excess = 0, response_deficit = 0, speed_response = 1,
+           speed_decay = 1;
     for (int n = 2; n < 18; ++n) {
       const double next = -(stiffness * previous_term + damping * n * term) / ((n + 1.0) * n);
       speed_response += (n + 1) * next, speed_decay += (n + 1.0) * n * next;
@@ -65,7 +66,8 @@ Response compute_response(double stiffness, double damping) {
     response.speed_response = envelope * sine;
     response.speed_decay =
         envelope * (is_oscillating ? std::cos(r) : std::cosh(r)) - z * response.speed_response;
-    response.pull_response = 2 * (1 - response.speed_decay - damping * response.speed_response) / stiffness;
+    response.pull_response =
+        2 * (1 - response.speed_decay - damping * response.speed_response) / stiffness;
   }
   response.mass_excess = 1 / response.pull_response - 1,
   response.response_deficit = 1 - response.speed_response / response.pull_response;
@@ -150,8 +152,8 @@ class InverseMassMatrix {
 
 // How independent joint equations are.
 struct Conditioning {
-  double min_independence = 1;  // of equations that are not redundant
-  bool has_redundant_equations = false;   // whether some are redundant
+  double min_independence = 1;           // of equations that are not redundant
+  bool has_redundant_equations = false;  // whether some are redundant
 
   void add(double independence) {
     if (independence > REDUNDANT_INDEPENDENCE)
@@ -163,7 +165,7 @@ struct Conditioning {
 
 // Adds the equations of a joint that are always active.
 void add_lock_equations(InverseMassMatrix& matrix, Conditioning& conditioning, const Joint& joint,
-               const Rows& rows) {
+                        const Rows& rows) {
   for (std::size_t r = 0; r < rows.count; ++r)
     if (rows.entries[r].kind == Row::LOCK) conditioning.add(matrix.add(joint, rows.entries[r]));
 }
@@ -268,7 +270,8 @@ bool update_drive_masses(const std::vector<Joint>& joints, const std::vector<std
       drive.is_mass_free = joint_conditioning.min_independence > MIN_INDEPENDENCE;
     }
   }
-  return is_solved_as_one && !conditioning.has_redundant_equations && conditioning.min_independence > WELL_CONDITIONED_INDEPENDENCE;
+  return is_solved_as_one && !conditioning.has_redundant_equations &&
+         conditioning.min_independence > WELL_CONDITIONED_INDEPENDENCE;
 }
 
 }  // namespace animtool::rigid

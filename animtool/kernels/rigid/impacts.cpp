@@ -66,7 +66,8 @@ void Impacts::run(const std::function<double(const Patch&)>& rest_speed,
     solve(speed);
     bound_energy();
     for (const std::size_t b : bodies_)
-      for (std::size_t i = patch_starts_[b]; i < patch_starts_[b + 1]; ++i) update_speed(patches_by_body_[i]);
+      for (std::size_t i = patch_starts_[b]; i < patch_starts_[b + 1]; ++i)
+        update_speed(patches_by_body_[i]);
   }
 }
 
@@ -138,7 +139,9 @@ void Impacts::add_joint_equations() {
       const bool has_first_body = joint.a >= 0;
       const std::size_t a =
           has_first_body ? static_cast<std::size_t>(joint.a) : world_.bodies.size();
-      if (is_joint_included[k] || !(is_body_included(joint.b) || (has_first_body && is_body_included(a)))) continue;
+      if (is_joint_included[k] ||
+          !(is_body_included(joint.b) || (has_first_body && is_body_included(a))))
+        continue;
       is_joint_included[k] = 1, has_added = true;
       if (!is_body_included(joint.b)) bodies_.push_back(joint.b);
       if (has_first_body && !is_body_included(a)) bodies_.push_back(a);
@@ -184,7 +187,8 @@ void Impacts::solve(double speed) {
         const double target_impulse =
             equation.impulse - equation.mass * (speed_of(equation) - equation.target_speed);
         const double impulse_change =
-            (equation.is_one_sided ? std::max(target_impulse, 0.0) : target_impulse) - equation.impulse;
+            (equation.is_one_sided ? std::max(target_impulse, 0.0) : target_impulse) -
+            equation.impulse;
         if (impulse_change == 0) continue;
         add_impulse(equation, impulse_change);
         max_change = std::max(max_change, std::fabs(impulse_change) / equation.mass);
@@ -192,11 +196,12 @@ void Impacts::solve(double speed) {
         Equation& other = equations_[k + 1];
         const double limit = equation.friction * equations_[k - 1].impulse;
         const double target_impulse[2] = {equation.impulse - equation.mass * speed_of(equation),
-                                  other.impulse - other.mass * speed_of(other)};
-        const double magnitude = std::sqrt(target_impulse[0] * target_impulse[0] + target_impulse[1] * target_impulse[1]);
+                                          other.impulse - other.mass * speed_of(other)};
+        const double magnitude = std::sqrt(target_impulse[0] * target_impulse[0] +
+                                           target_impulse[1] * target_impulse[1]);
         const double scale = magnitude > limit ? limit / magnitude : 1;
         const double impulse_change[2] = {target_impulse[0] * scale - equation.impulse,
-                                     target_impulse[1] * scale - other.impulse};
+                                          target_impulse[1] * scale - other.impulse};
         if (impulse_change[0] != 0)
           add_impulse(equation, impulse_change[0]),
               max_change = std::max(max_change, std::fabs(impulse_change[0]) / equation.mass);

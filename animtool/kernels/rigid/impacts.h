@@ -57,7 +57,8 @@ class Impacts {
   const std::vector<Rows>& rows_;
   std::vector<Speed>& speeds_;
   double tolerance_, max_arrival_time_;
-  std::vector<std::size_t> patch_starts_, patches_by_body_;  // patches of each body, and their starts
+  std::vector<std::size_t> patch_starts_,
+      patches_by_body_;  // patches of each body, and their starts
   std::vector<Equation> equations_;
   std::vector<std::size_t> bodies_;  // of an impact, ascending
   std::vector<Speed> old_speeds_;    // velocities of these bodies before the impact

@@ -81,35 +81,37 @@ Rows build_rows(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a,
   const Vec anchor_velocity = a.velocity + cross(a.angular_velocity, is_slide ? offset : Vec{});
   for (int i = is_slide ? 1 : 0; i < 3; ++i)
     builder.add_linear(axes[i], slide_arm, arm_b, dot(axes[i], offset),
-                      -dot(axes[i], anchor_velocity), SLOT_LINE + i);
+                       -dot(axes[i], anchor_velocity), SLOT_LINE + i);
   if (joint.kind == JointKind::FIXED || is_slide) {
     const Vec error = rotate(a.rotation, rotation_vector(relative_rotation));
     for (int i = 0; i < 3; ++i)
       builder.add_angular(axes[i], dot(axes[i], error), -dot(axes[i], a.angular_velocity),
-                         SLOT_ROTATION + i);
+                          SLOT_ROTATION + i);
   } else if (joint.kind == JointKind::PIN) {
     const Vec error = cross(x, rotate(b.rotation, {1, 0, 0}));
     for (int i = 1; i < 3; ++i)
       builder.add_angular(axes[i], dot(axes[i], error), -dot(axes[i], a.angular_velocity),
-                         SLOT_ROTATION + i);
+                          SLOT_ROTATION + i);
   }
   const bool has_limit = joint.low_limit <= joint.high_limit;
   if (is_slide) {
     const double slide_distance = dot(x, offset), bias_speed = -dot(x, anchor_velocity);
     if (has_limit) {
-      builder.make_limit(
-          builder.add_linear(x, slide_arm, arm_b, slide_distance - joint.low_limit, bias_speed, SLOT_LOW));
+      builder.make_limit(builder.add_linear(x, slide_arm, arm_b, slide_distance - joint.low_limit,
+                                            bias_speed, SLOT_LOW));
       builder.make_limit(builder.add_linear(-x, slide_arm, arm_b, joint.high_limit - slide_distance,
-                                          -bias_speed, SLOT_HIGH));
+                                            -bias_speed, SLOT_HIGH));
     }
     if (has_drive(joint))
       builder.make_drive(builder.add_linear(x, slide_arm, arm_b, slide_distance - joint.target,
-                                          bias_speed, SLOT_DRIVE),
-                        joint);
+                                            bias_speed, SLOT_DRIVE),
+                         joint);
     return builder.rows;
   }
   if (joint.kind == JointKind::FIXED) return builder.rows;
-  double twist_angle = 2 * std::atan2(relative_rotation.w < 0 ? -relative_rotation.x : relative_rotation.x, std::fabs(relative_rotation.w));
+  double twist_angle =
+      2 * std::atan2(relative_rotation.w < 0 ? -relative_rotation.x : relative_rotation.x,
+                     std::fabs(relative_rotation.w));
   const bool is_ball = joint.kind == JointKind::BALL;
   if (!is_ball) {
     // Of angles that differ by full revolutions, takes the nearest to the limits or to the target.
@@ -123,19 +125,22 @@ Rows build_rows(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a,
       is_ball && one_plus_cosine > 1e-6 ? (x + twisted_axis) * (1 / one_plus_cosine) : x;
   if (has_limit) {
     const double bias_speed = -dot(axis, a.angular_velocity);
-    builder.make_limit(builder.add_angular(axis, twist_angle - joint.low_limit, bias_speed, SLOT_LOW));
-    builder.make_limit(builder.add_angular(-axis, joint.high_limit - twist_angle, -bias_speed, SLOT_HIGH));
+    builder.make_limit(
+        builder.add_angular(axis, twist_angle - joint.low_limit, bias_speed, SLOT_LOW));
+    builder.make_limit(
+        builder.add_angular(-axis, joint.high_limit - twist_angle, -bias_speed, SLOT_HIGH));
   }
   if (is_ball && joint.swing[0] >= 0) {
     const Vec swing_axis = cross(x, twisted_axis);
     const double sine = length(swing_axis), angle = std::atan2(sine, one_plus_cosine - 1);
     if (sine > 1e-9) {
-      const Vec swing_direction = swing_axis * (1 / sine), local_swing = inverse_rotate(a.rotation, swing_direction);
+      const Vec swing_direction = swing_axis * (1 / sine),
+                local_swing = inverse_rotate(a.rotation, swing_direction);
       const double u = local_swing.y * joint.swing[1], v = local_swing.z * joint.swing[0];
       const double norm = std::sqrt(u * u + v * v);
       const double limit_angle = norm > 0 ? joint.swing[0] * joint.swing[1] / norm : 0;
       builder.make_limit(builder.add_angular(-swing_direction, limit_angle - angle,
-                                           dot(swing_direction, a.angular_velocity), SLOT_SWING));
+                                             dot(swing_direction, a.angular_velocity), SLOT_SWING));
     }
   }
   if (!has_drive(joint)) return builder.rows;
@@ -149,8 +154,8 @@ Rows build_rows(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a,
       rotate(a.rotation, rotation_vector(relative_rotation * conjugate(joint.target_rotation)));
   for (int i = 0; i < 3; ++i)
     builder.make_drive(builder.add_angular(axes[i], dot(axes[i], error),
-                                         -dot(axes[i], a.angular_velocity), SLOT_DRIVE + i),
-                      joint);
+                                           -dot(axes[i], a.angular_velocity), SLOT_DRIVE + i),
+                       joint);
   return builder.rows;
 }
 

@@ -26,7 +26,8 @@ struct Joint {
   std::ptrdiff_t a = -1;  // body; -1 for an animated frame
   std::size_t b = 0;      // body
   Frame frame_a, frame_b;
-  double low_limit = 1, high_limit = 0;           // of the angle, slide or twist; no limit if low is above high
+  double low_limit = 1,
+         high_limit = 0;              // of the angle, slide or twist; no limit if low is above high
   double swing[2] = {-1, -1};         // half-angles about y and z; no limit if negative
   double target = 0;                  // of the drive: angle or slide
   Quaternion target_rotation;         // target of a ball's drive: rotation of b relative to a
@@ -70,7 +71,7 @@ struct Row {
   double error = 0;            // constraint error: must be 0, or not below 0
   double curvature_speed = 0;  // additional error in a substep from curvature, over its time
   double mass = 0, impulse = 0, half_impulse = 0;
-  double min_impulse = 0, max_impulse = 0;                     // bounds of the impulse
+  double min_impulse = 0, max_impulse = 0;      // bounds of the impulse
   double speed_gain = 0, position_impulse = 0;  // of a drive: impulse by speed, and by position
   enum { LOCK, LIMIT, DRIVE } kind = LOCK;
   int slot = 0;

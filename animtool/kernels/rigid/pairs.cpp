@@ -223,7 +223,8 @@ class ContactFinder {
     body_poses_.resize(motions_.size());
     for (std::size_t i = 0; i < motions_.size(); ++i) body_poses_[i] = pose_of(motions_[i].begin);
     std::size_t points = 0;
-    for (const auto& shape : world_.shapes) points += shape.core.points.size() + shape.core.face_count();
+    for (const auto& shape : world_.shapes)
+      points += shape.core.points.size() + shape.core.face_count();
     posed_cores_.resize(count);
     for (std::size_t s = 0; s < count; ++s) {
       const auto& shape = world_.shapes[s];
@@ -352,9 +353,10 @@ class ContactFinder {
       gap = axis.gap - radius_sum;
       if (gap <= tolerance) break;
     }
-    const double max_gap = std::max(gap, 0.0) + CONTACT_MARGIN_RATIO * size + max_displacement * (1 - fraction);
-    contact.set_manifold(find_manifold(advanced_core_a_.get(), advanced_core_b_.get(), max_gap), pose_a,
-                         pose_b);
+    const double max_gap =
+        std::max(gap, 0.0) + CONTACT_MARGIN_RATIO * size + max_displacement * (1 - fraction);
+    contact.set_manifold(find_manifold(advanced_core_a_.get(), advanced_core_b_.get(), max_gap),
+                         pose_a, pose_b);
   }
 
   // Adds a contact of a shape with a collider.
@@ -435,8 +437,8 @@ class ContactFinder {
     const double rotation_bound =
         length(motion.angular_velocity) * step_ * p.core->bounding_radius +
         collider.motion.angle() * length(p.centre - pose.origin);
-    const double max_gap =
-        CONTACT_MARGIN_RATIO * p.core->bounding_radius + length(displacement) + rotation_bound + collider.margin;
+    const double max_gap = CONTACT_MARGIN_RATIO * p.core->bounding_radius + length(displacement) +
+                           rotation_bound + collider.margin;
     Box local_box{pose.to_local(p.points[0]), pose.to_local(p.points[0])};
     for (std::size_t i = 1; i < p.core->points.size(); ++i) {
       const Vec point = pose.to_local(p.points[i]);
@@ -445,10 +447,13 @@ class ContactFinder {
     const double r = p.core->radius + max_gap;
     const std::size_t previous_count = contacts_.size();
     bool is_behind_some_triangle = false;
-    collide::visit_overlapping(
-        mesh, collider.root, local_box.low - Vec{r, r, r}, local_box.high + Vec{r, r, r},
-        [&](std::int32_t t) { is_behind_some_triangle |= !collide_triangle(s, c, t, pose, max_gap); });
-    if (is_behind_some_triangle && contacts_.size() == previous_count) collide_inside(s, c, pose, max_gap);
+    collide::visit_overlapping(mesh, collider.root, local_box.low - Vec{r, r, r},
+                               local_box.high + Vec{r, r, r}, [&](std::int32_t t) {
+                                 is_behind_some_triangle |=
+                                     !collide_triangle(s, c, t, pose, max_gap);
+                               });
+    if (is_behind_some_triangle && contacts_.size() == previous_count)
+      collide_inside(s, c, pose, max_gap);
   }
 
   // Adds the contact of a body whose centre is inside of a mesh, along the outward direction of the

@@ -76,7 +76,8 @@ void Solver::solve_island(Island& island) {
   rows_.assign(island.joints.size(), {});
   choose_substeps(island);
   patches_.clear(), points_.clear();
-  patches_.reserve(island.contacts.size()), points_.reserve(MAX_MANIFOLD_POINTS * island.contacts.size());
+  patches_.reserve(island.contacts.size()),
+      points_.reserve(MAX_MANIFOLD_POINTS * island.contacts.size());
   for (const std::size_t k : island.contacts) add_patch(contacts_[k]);
   has_restitution_ = std::any_of(patches_.begin(), patches_.end(),
                                  [](const Patch& patch) { return patch.restitution > 0; });
@@ -97,8 +98,8 @@ void Solver::solve_island(Island& island) {
       slots[static_cast<std::size_t>(row.slot)] = row.impulse / substep_;
       const bool is_rotation = dot(row.line, row.line) == 0;
       const double depth = row.kind == Row::LIMIT ? -row.error : std::fabs(row.error);
-      island.has_penetration |=
-          row.kind != Row::DRIVE && depth > MIN_AWAKE_DEPTH_RATIO * (is_rotation ? 1 : bounding_radius);
+      island.has_penetration |= row.kind != Row::DRIVE &&
+                                depth > MIN_AWAKE_DEPTH_RATIO * (is_rotation ? 1 : bounding_radius);
     }
   }
 }
@@ -116,8 +117,9 @@ void Solver::choose_substeps(const Island& island) {
     for (const Drive& drive : drives_[k]) {
       const double frequency =
           drive_frequency(world_.joints[island.joints[k]], drive.mass, substep_);
-      substep_factor = std::max(substep_factor, frequency * substep_ /
-                                    (drive.is_mass_free ? MAX_DRIVE_PHASE : MAX_CONSTRAINED_PHASE));
+      substep_factor = std::max(
+          substep_factor,
+          frequency * substep_ / (drive.is_mass_free ? MAX_DRIVE_PHASE : MAX_CONSTRAINED_PHASE));
       const double max_phase =
           (drive.is_mass_free ? REPORTED_PHASE : MAX_CONSTRAINED_PHASE) * MAX_SUBSTEP_FACTOR;
       if (frequency * substep_ > max_phase)
@@ -161,7 +163,8 @@ void Solver::advance_substep(const Island& island, int index) {
   // Warm start from the previous step.
   if (index == 0) {
     update_points(begin_fraction);
-    for (std::size_t k = 0; k < joint_count; ++k) update_rows(island.joints[k], k, begin_fraction, true);
+    for (std::size_t k = 0; k < joint_count; ++k)
+      update_rows(island.joints[k], k, begin_fraction, true);
   }
   double remaining = substep_;
   const int max_stops = static_cast<int>(std::clamp<std::size_t>(
@@ -170,7 +173,8 @@ void Solver::advance_substep(const Island& island, int index) {
     const double time = time_to_impact(island, remaining, begin_fraction, end_fraction);
     if (!(time < remaining)) break;
     remaining -= time;
-    advance(island, time, begin_fraction + (end_fraction - begin_fraction) * (1 - remaining / substep_));
+    advance(island, time,
+            begin_fraction + (end_fraction - begin_fraction) * (1 - remaining / substep_));
   }
   advance(island, remaining, end_fraction);
 }
@@ -191,12 +195,14 @@ void Solver::advance(const Island& island, double duration, double end_fraction)
   for (Patch& p : patches_) warm_start(p, scale);
   for (std::size_t k = 0; k < joint_count; ++k)
     warm_start(world_.joints[island.joints[k]], rows_[k], scale);
-  for (std::size_t k = 0; k < joint_count; ++k) set_curvature(island.joints[k], rows_[k], end_fraction);
+  for (std::size_t k = 0; k < joint_count; ++k)
+    set_curvature(island.joints[k], rows_[k], end_fraction);
   iterate(island, true);
   mark_pushed(island);
   for (const std::size_t i : island.bodies) move_body(i);
   update_points(end_fraction);
-  for (std::size_t k = 0; k < joint_count; ++k) update_rows(island.joints[k], k, end_fraction, false);
+  for (std::size_t k = 0; k < joint_count; ++k)
+    update_rows(island.joints[k], k, end_fraction, false);
   for (std::size_t k = 0; k < joint_count; ++k) end_drives(world_.joints[island.joints[k]], k);
   for (const std::size_t i : island.bodies) apply_forces(i);
   for (Patch& p : patches_) warm_start_second_half(p);
@@ -219,22 +225,23 @@ void Solver::apply_forces(std::size_t i) {
 void Solver::iterate(const Island& island, bool correct_positions) {
   if (patches_.empty() && island.joints.empty()) return;
   const std::size_t equation_count = points_.size() + island.joints.size() * 6;
-  const int max_iterations =
-      settings_.max_iterations *
-      static_cast<int>(std::clamp<std::size_t>(
-          SMALL_ISLAND_EQUATIONS / std::max<std::size_t>(equation_count, 1), 1, MAX_ITERATION_FACTOR));
+  const int max_iterations = settings_.max_iterations *
+                             static_cast<int>(std::clamp<std::size_t>(
+                                 SMALL_ISLAND_EQUATIONS / std::max<std::size_t>(equation_count, 1),
+                                 1, MAX_ITERATION_FACTOR));
   double change = 0;
   int iteration = 0;
   do {
     change = 0;
     for (std::size_t k = 0; k < island.joints.size(); ++k)
-      change =
-          std::max(change, correct_velocities(world_.joints[island.joints[k]], rows_[k], correct_positions));
+      change = std::max(
+          change, correct_velocities(world_.joints[island.joints[k]], rows_[k], correct_positions));
     const std::size_t patch_count = patches_.size();
     // Forwards and backwards, so that weight and support both propagate.
     for (std::size_t k = 0; k < patch_count; ++k)
-      change = std::max(change,
-                        correct_velocities(patches_[iteration % 2 ? patch_count - 1 - k : k], correct_positions));
+      change = std::max(
+          change,
+          correct_velocities(patches_[iteration % 2 ? patch_count - 1 - k : k], correct_positions));
     ++iteration;
   } while (change > settings_.tolerance && iteration < max_iterations);
   report_.iteration_count += iteration;

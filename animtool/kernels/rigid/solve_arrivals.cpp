@@ -15,10 +15,12 @@ constexpr int MAX_IMPACT_ROUNDS = 4, MAX_ROOT_STEPS = 16;
 
 }  // namespace
 
-double Solver::time_to_impact(const Island& island, double remaining, double begin_fraction, double end_fraction) {
+double Solver::time_to_impact(const Island& island, double remaining, double begin_fraction,
+                              double end_fraction) {
   const double contact_time = substep_ * CONTACT_ARRIVAL_FRACTION;
   for (int round = 0; round < MAX_IMPACT_ROUNDS; ++round) {
-    const double fraction = begin_fraction + (end_fraction - begin_fraction) * (1 - remaining / substep_);
+    const double fraction =
+        begin_fraction + (end_fraction - begin_fraction) * (1 - remaining / substep_);
     const double time = mark_bounces(remaining, fraction);
     if (time > contact_time || !(time < remaining)) return time;
     for (const std::size_t i : island.bodies) is_pushed_[i] = 0;

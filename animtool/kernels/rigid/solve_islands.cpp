@@ -99,8 +99,8 @@ void Solver::update_sleep() {
       const double body_speed = length(s.velocity) + rim_speed;
       speed = std::max(speed, body_speed);
       const double factor = support_counts_[i] >= MIN_SUPPORT_POINTS ? 1
-                            : support_counts_[i]               ? PARTIAL_SUPPORT_FACTOR
-                                                               : NO_SUPPORT_FACTOR;
+                            : support_counts_[i]                     ? PARTIAL_SUPPORT_FACTOR
+                                                                     : NO_SUPPORT_FACTOR;
       is_slow_and_supported &= body_speed < settings_.sleep_speed * factor &&
                                (support_counts_[i] || is_supported(island));
     }

@@ -84,7 +84,8 @@ void Solver::update_rows(std::size_t joint_index, std::size_t k, double fraction
   const Joint& joint = world_.joints[joint_index];
   std::array<double, JOINT_SLOT_COUNT> impulses{}, half_impulses{};
   if (is_first) {
-    for (std::size_t i = 0; i < JOINT_SLOT_COUNT; ++i) impulses[i] = joint_impulses_[joint_index][i] * h_;
+    for (std::size_t i = 0; i < JOINT_SLOT_COUNT; ++i)
+      impulses[i] = joint_impulses_[joint_index][i] * h_;
   } else {
     for (std::size_t r = 0; r < rows_[k].count; ++r) {
       const Row& row = rows_[k].entries[r];
@@ -162,8 +163,9 @@ double Solver::correct_velocities(const Joint& joint, Rows& rows, bool correct_p
       const double correction_speed =
           std::clamp(joint_softness_.bias_rate * row.error, -MAX_CLOSING_SPEED, MAX_CLOSING_SPEED);
       const bool is_rigid = are_joints_rigid_ && row.kind == Row::LOCK;
-      change = -row.mass * (is_rigid ? 1 : joint_softness_.mass_factor) * (speed + correction_speed) -
-               (is_rigid ? 0 : joint_softness_.impulse_factor) * row.impulse;
+      change =
+          -row.mass * (is_rigid ? 1 : joint_softness_.mass_factor) * (speed + correction_speed) -
+          (is_rigid ? 0 : joint_softness_.impulse_factor) * row.impulse;
     } else {
       change = -row.mass * speed;
     }

@@ -22,8 +22,9 @@ constexpr double CONTACT_DAMPING = 10, JOINT_DAMPING = 2;
 class Solver {
  public:
   Solver(const World& world, std::vector<State>& states, std::vector<StoredContact>& stored,
-         std::vector<std::array<double, JOINT_SLOT_COUNT>>& joint_impulses, const std::vector<Vec>& forces,
-         const std::vector<Vec>& torques, const std::vector<collide::Collider>& colliders,
+         std::vector<std::array<double, JOINT_SLOT_COUNT>>& joint_impulses,
+         const std::vector<Vec>& forces, const std::vector<Vec>& torques,
+         const std::vector<collide::Collider>& colliders,
          const std::vector<collide::Motion>& anchors, const Settings& settings, double step)
       : world_(world),
         states_(states),
@@ -112,7 +113,8 @@ class Solver {
 
   // Time until the first bouncing arrival, at most the remaining time; points in contact bounce
   // first.
-  double time_to_impact(const Island& island, double remaining, double begin_fraction, double end_fraction);
+  double time_to_impact(const Island& island, double remaining, double begin_fraction,
+                        double end_fraction);
 
   // Marks points that approach so fast that they bounce; returns the first arrival, or the
   // remaining time.

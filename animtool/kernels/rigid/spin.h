@@ -97,10 +97,10 @@ constexpr double MAX_ORDER_8_ANGLE = 0.2, MAX_DIVISIONS = 64;
 // Rotates by splitting, at the order that the step needs.
 inline void rotate_by_splitting(Spin& s, const InverseInertia& inverse_inertia, double h) {
   static constexpr double order_4_fractions[] = {0.41449077179437573714, 0.41449077179437573714,
-                                      -0.65796308717750294857};
+                                                 -0.65796308717750294857};
   static constexpr double order_6_fractions[] = {0.39216144400731413928, 0.33259913678935943860,
-                                     -0.70624617255763935981, 0.08221359629355080023,
-                                     0.79854399093482996340};
+                                                 -0.70624617255763935981, 0.08221359629355080023,
+                                                 0.79854399093482996340};
   static constexpr double order_8_fractions[] = {
       0.13020248308889008088, 0.56116298177510838456,  -0.38947496264484728641,
       0.15884190655515560090, -0.39590389413323757734, 0.18453964097831570709,
@@ -116,8 +116,10 @@ inline void rotate_by_splitting(Spin& s, const InverseInertia& inverse_inertia, 
     return;
   }
   if (angle_bound <= MAX_ORDER_2_ANGLE) return split_step(s, inverse_inertia, h);
-  if (angle_bound <= MAX_ORDER_4_ANGLE) return compose_steps(s, inverse_inertia, h, order_4_fractions);
-  if (angle_bound <= MAX_ORDER_6_ANGLE) return compose_steps(s, inverse_inertia, h, order_6_fractions);
+  if (angle_bound <= MAX_ORDER_4_ANGLE)
+    return compose_steps(s, inverse_inertia, h, order_4_fractions);
+  if (angle_bound <= MAX_ORDER_6_ANGLE)
+    return compose_steps(s, inverse_inertia, h, order_6_fractions);
   const double count = std::min(std::ceil(angle_bound / MAX_ORDER_8_ANGLE), MAX_DIVISIONS);
   for (int i = 0; i < count; ++i) compose_steps(s, inverse_inertia, h / count, order_8_fractions);
 }

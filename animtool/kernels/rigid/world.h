@@ -46,7 +46,7 @@ struct World {
 struct Settings {
   Method method = Method::SPLITTING;
   int substeps = 8;
-  int max_iterations = 64;        // largest number of iterations in a substep
+  int max_iterations = 64;    // largest number of iterations in a substep
   double tolerance = 1e-3;    // velocity change at convergence [m/s]
   double sleep_speed = 0.02;  // speed below which bodies fall asleep [m/s]; 0 disables sleep
   double sleep_time = 0.5;    // time below that speed before sleep [s]

@@ -52,7 +52,8 @@ constexpr std::size_t MAX_CHUNK_SIZE = 16 * SIMD_WIDTH;
 // Offsets are processed as a group if they differ by at most MAX_OFFSET_SPREAD; largest group.
 constexpr std::size_t MAX_OFFSET_SPREAD = SIMD_WIDTH, MAX_GROUP_SIZE = 3;
 // Zero padding before and after the spring forces, for accesses with other offsets.
-constexpr std::size_t FORCE_PADDING = MAX_OFFSET_SPREAD + SIMD_WIDTH, FORCE_COLUMN = MAX_CHUNK_SIZE + 2 * FORCE_PADDING;
+constexpr std::size_t FORCE_PADDING = MAX_OFFSET_SPREAD + SIMD_WIDTH,
+                      FORCE_COLUMN = MAX_CHUNK_SIZE + 2 * FORCE_PADDING;
 
 // Converts rows of particles to planes.
 template <class Simd>
@@ -91,7 +92,8 @@ void add_start_forces(const BandChunks& springs, const BandChunk& chunk, const B
   };
   for (std::size_t n = chunk.begin; n < end; n += SIMD_WIDTH) {
     const double *x = planes.x + n, *v = planes.v + n;
-    double *f = planes.f + n, *spring_forces = planes.spring_forces + FORCE_PADDING + (n - chunk.begin);
+    double *f = planes.f + n,
+           *spring_forces = planes.spring_forces + FORCE_PADDING + (n - chunk.begin);
     const Vector3<N> position = load_vectors(x), velocity = load_vectors(v);
     Vector3<N> sum = load_vectors(f);
     for (std::size_t b = 0; b < count;
@@ -120,7 +122,8 @@ void add_grouped_forces(std::index_sequence<B...>, const std::size_t* offsets,
   for (std::size_t n = (begin + offsets[0]) / SIMD_WIDTH * SIMD_WIDTH; n < end + last_offset;
        n += SIMD_WIDTH) {
     Four<Simd> sum = Four<Simd>::load(forces + n);
-    ((sum += Four<Simd>::load(spring_forces + 3 * B * FORCE_COLUMN + (FORCE_PADDING + n - starts[B]))),
+    ((sum +=
+      Four<Simd>::load(spring_forces + 3 * B * FORCE_COLUMN + (FORCE_PADDING + n - starts[B]))),
      ...);
     sum.store(forces + n);
   }

@@ -50,8 +50,8 @@ struct StrandSteps {
   // Whether a collider is a capsule or sphere, and whether the displacement of its surface is known
   // (C,).
   const unsigned char *is_capsule, *is_bounded;
-  std::size_t depth_row_count;     // number of leading colliders with allowed depths
-  const double* thicknesses;  // (C,)
+  std::size_t depth_row_count;  // number of leading colliders with allowed depths
+  const double* thicknesses;    // (C,)
   // Common drift of each step (steps, 3); bounds of the surface displacement relative to it, from
   // each step to the end of the frame (steps + 1, C).
   const double *drifts, *remaining_shifts;
@@ -62,9 +62,9 @@ struct StrandSteps {
 // Four strands of P particles; vectors are (P, 3, 4).
 struct StrandBundle {
   double *x, *before, *v;
-  double* reference_positions;   // positions relative to which velocities are measured; they move with slow
-                        // depenetration
-  const double* goals;  // (cells + 1, P, 3, 4)
+  double* reference_positions;  // positions relative to which velocities are measured; they move
+                                // with slow depenetration
+  const double* goals;          // (intervals + 1, P, 3, 4)
   const double *rest_lengths, *bend_lengths;
   // Allowed depths of each strand in the first collider, and the stride to the next collider.
   const double* depths[SIMD_WIDTH];
@@ -134,7 +134,7 @@ class BundleSolver {
     return V::load(rows + FOUR_VEC_SIZE * p);
   }
 
-  // Animated position of a particle at a fraction of the cell; exact at both ends.
+  // Animated position of a particle at a fraction of the interval; exact at both ends.
   V goal_position(std::size_t p, double fraction) const {
     return load_vector(interval_goals_, p) * (1 - fraction) +
            load_vector(interval_goals_ + FOUR_VEC_SIZE * plan_.point_count, p) * fraction;
@@ -172,7 +172,8 @@ class BundleSolver {
     if (plan_.goal_pull_factor == 0) return;
     for (std::size_t p = 1; p < plan_.point_count; ++p) {
       const V x = load_vector(bundle_.x, p), offset = goal_position(p, end_fraction_) - x;
-      const V offset_change = offset - (goal_position(p, begin_fraction_) - load_vector(bundle_.before, p));
+      const V offset_change =
+          offset - (goal_position(p, begin_fraction_) - load_vector(bundle_.before, p));
       (x + offset * plan_.goal_pull_factor + offset_change * plan_.goal_damping_factor)
           .store(bundle_.x + FOUR_VEC_SIZE * p);
     }
@@ -242,7 +243,8 @@ class BundleSolver {
     unsigned section_bits = 0;
     double low[3][SIMD_WIDTH], high[3][SIMD_WIDTH];
     for (std::size_t k = 0; k < 3; ++k)
-      for (std::size_t g = 0; g < SIMD_WIDTH; ++g) low[k][g] = HUGE_DISTANCE, high[k][g] = -HUGE_DISTANCE;
+      for (std::size_t g = 0; g < SIMD_WIDTH; ++g)
+        low[k][g] = HUGE_DISTANCE, high[k][g] = -HUGE_DISTANCE;
     for (std::size_t p = 0; p < plan_.point_count; ++p) {
       const std::size_t g = section_of(p);
       section_bits |= 1u << g;
@@ -278,9 +280,11 @@ class BundleSolver {
       }
       double nearest_distance = HUGE_DISTANCE;
       for (std::size_t g = 0; g < SIMD_WIDTH; ++g)
-        if ((section_bits >> g & 1) && distances[g] < nearest_distance) nearest_distance = distances[g];
+        if ((section_bits >> g & 1) && distances[g] < nearest_distance)
+          nearest_distance = distances[g];
       if (nearest_distance >= NEAR_COLLIDER_DISTANCE) {
-        far_contact_path_ = nearest_distance < far_contact_path_ ? nearest_distance : far_contact_path_;
+        far_contact_path_ =
+            nearest_distance < far_contact_path_ ? nearest_distance : far_contact_path_;
         continue;
       }
       bundle_.near_colliders[near_count_++] = c;
@@ -370,7 +374,8 @@ class BundleSolver {
     const std::size_t count = plan_.collider_count;
     for (std::size_t c = 0; c < count; ++c) {
       bool is_near = false;
-      for (std::size_t k = 0; k < near_count_; ++k) is_near = is_near || bundle_.near_colliders[k] == c;
+      for (std::size_t k = 0; k < near_count_; ++k)
+        is_near = is_near || bundle_.near_colliders[k] == c;
       for (std::size_t p = 0; !is_near && p < plan_.point_count; ++p)
         bundle_.collider_paths[p * count + c] = 0;
     }
@@ -407,7 +412,8 @@ class BundleSolver {
       // A particle that is pushed may come near colliders that were far away.
       if (path_length >= far_contact_path_) include_all_colliders();
       moved_bits |= pushed_bits;
-      if (!pushed_bits || (tested_count == 1 && !may_touch_any(paths, path_length, last_tested_collider)))
+      if (!pushed_bits ||
+          (tested_count == 1 && !may_touch_any(paths, path_length, last_tested_collider)))
         break;
     }
     bundle_.contact_paths[p] = next_contact_path(p);
@@ -419,7 +425,9 @@ class BundleSolver {
   // Whether any nearby collider but one may be touched at a path length.
   bool may_touch_any(const double* paths, double path_length, std::size_t excluded_collider) const {
     for (std::size_t k = 0; k < near_count_; ++k)
-      if (bundle_.near_colliders[k] != excluded_collider && paths[bundle_.near_colliders[k]] <= path_length) return true;
+      if (bundle_.near_colliders[k] != excluded_collider &&
+          paths[bundle_.near_colliders[k]] <= path_length)
+        return true;
     return false;
   }
 
@@ -519,7 +527,8 @@ class BundleSolver {
       unsigned deep_bits = 0;
       for (std::size_t k = 0; k < near_count_; ++k) {
         const std::size_t c = bundle_.near_colliders[k];
-        if (bundle_.collider_paths[p * plan_.collider_count + c] > bundle_.path_lengths[p]) continue;
+        if (bundle_.collider_paths[p * plan_.collider_count + c] > bundle_.path_lengths[p])
+          continue;
         const std::size_t row = (steps - 1) * plan_.collider_count + c;
         const N excess =
             sample(row, c, true, load_vector(bundle_.x, p)).distance - allowed_depths(p, c);
@@ -547,8 +556,8 @@ class BundleSolver {
 
   const StrandSteps& plan_;
   StrandBundle& bundle_;
-  // Animated positions of the strands at the start of the current cell; fractions of the cell at
-  // the start and the end of the step.
+  // Animated positions of the strands at the start of the current interval; fractions of the
+  // interval at the start and the end of the step.
   const double* interval_goals_ = nullptr;
   double begin_fraction_ = 0, end_fraction_ = 0;
   // Number of nearby colliders, and the path length at which any other collider may be touched.

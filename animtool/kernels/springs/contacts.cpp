@@ -194,7 +194,8 @@ StepCollider MovingColliders::step_collider(const Collider& c, const Motion& mot
 }
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
-                               const SpringNetwork& network, std::int64_t interval_count, bool has_midpoints)
+                               const SpringNetwork& network, std::int64_t interval_count,
+                               bool has_midpoints)
     : network_(network),
       colliders_(colliders, network.particle_count(), interval_count),
       faces_(network, colliders_.radius()),
@@ -202,7 +203,8 @@ SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
       interval_count_(interval_count),
       has_midpoints_(has_midpoints) {
   if (!colliders) return;
-  const std::size_t particles = network.particle_count() + (has_midpoints ? network.edges.size() / 2 : 0);
+  const std::size_t particles =
+      network.particle_count() + (has_midpoints ? network.edges.size() / 2 : 0);
   for (std::size_t c = 0; c < collider_count_; ++c) faces_.add(colliders_[c]);
   for (const SpringSurface& surface : std::get<5>(*colliders))
     surfaces_.emplace_back(surface, interval_count);
@@ -217,7 +219,8 @@ SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
 void SpringContacts::build_patches(std::size_t particles) {
   for (std::size_t c = 0; c < collider_count_; ++c) {
     const bool is_rigid = c < colliders_.size();
-    const double margin = is_rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
+    const double margin =
+        is_rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
     const double contact_distance = colliders_.radius() + (is_rigid ? margin : 0);
     contact_distances_.push_back(colliders_.radius() + margin);
     const double* box = nullptr;
@@ -228,8 +231,8 @@ void SpringContacts::build_patches(std::size_t particles) {
     patch_indices_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
     if (box)
       patches_.emplace_back(
-          particles,
-          SLACK_FACTOR * std::max(contact_distance, MIN_SLACK_RATIO * length(load(box + 3) - load(box))));
+          particles, SLACK_FACTOR * std::max(contact_distance,
+                                             MIN_SLACK_RATIO * length(load(box + 3) - load(box))));
   }
 }
 
@@ -243,8 +246,8 @@ void SpringContacts::begin_interval(std::int64_t interval, int substeps, double 
   colliders_.append_steps(interval, substeps, h, rigid_steps_);
   // A teleported collider invalidates the cache.
   const bool is_repeated = interval == last_interval_;
-  bool is_cache_valid =
-      is_repeated || (interval == last_interval_ + 1 && (last_interval_ < 0 || colliders_.is_continuous(interval)));
+  bool is_cache_valid = is_repeated || (interval == last_interval_ + 1 &&
+                                        (last_interval_ < 0 || colliders_.is_continuous(interval)));
   begin_surfaces(interval, is_cache_valid);
   add_surfaces();
   if (is_repeated) clearances_ = start_clearances_, lever_arms_ = start_lever_arms_;
@@ -266,7 +269,7 @@ void SpringContacts::add_surfaces() {
   for (int step = 0; step < substeps_; ++step) {
     const auto first = rigid_steps_.begin() + step * static_cast<std::ptrdiff_t>(colliders_.size());
     interval_steps_.insert(interval_steps_.end(), first,
-                       first + static_cast<std::ptrdiff_t>(colliders_.size()));
+                           first + static_cast<std::ptrdiff_t>(colliders_.size()));
     for (std::size_t s = 0; s < surfaces_.size(); ++s) {
       StepCollider step_collider{};
       const double start_fraction = surfaces_[s].knot_fraction(double(step) / substeps_);
@@ -300,7 +303,8 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
     max_angle = std::max(max_angle, step_colliders_[c].rotation_angle());
   }
   masses_.assign(colliders_.size(), 0.0);
-  min_impact_speed_ = RESTING_SPEED_FACTOR * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
+  min_impact_speed_ =
+      RESTING_SPEED_FACTOR * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
   std::int64_t moved_count = 0, inside_count = 0;
   const double search_distance = faces_.search_distance();
   nearby_.clear();
@@ -310,23 +314,27 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
       continue;
     }
     if (particle_marks && !(*particle_marks)[n]) continue;
-    double *position = x.data() + ROW_SIZE * n, motion_bound = max_displacement + max_angle * lever_arms_[n];
+    double *position = x.data() + ROW_SIZE * n,
+           motion_bound = max_displacement + max_angle * lever_arms_[n];
     double* from = before.data() + ROW_SIZE * n;
     for (std::size_t k = 0; k < 3; ++k) motion_bound += std::abs(position[k] - from[k]);
     clearances_[n] -= motion_bound;
     if (clearances_[n] <= search_distance) nearby_.push_back(static_cast<std::int32_t>(n));
     if (clearances_[n] > 0) continue;
     const double mass = 1 / network_.inverse_masses[n];
-    moved_count += resolve_particle(n, mass, from, position, v ? v->data() + ROW_SIZE * n : nullptr);
+    moved_count +=
+        resolve_particle(n, mass, from, position, v ? v->data() + ROW_SIZE * n : nullptr);
     inside_count += nearest_distance_ < -colliders_.inside_tolerance();
   }
   for (std::size_t c = 0; c < masses_.size(); ++c) {
     double& largest_mass = interval_impulses_[IMPULSE_WIDTH * c + IMPULSE_WIDTH - 1];
     largest_mass = std::max(largest_mass, masses_[c]);
   }
-  if (has_midpoints_) resolve_midpoints(max_displacement, max_angle, {before, x, v}, particle_marks);
+  if (has_midpoints_)
+    resolve_midpoints(max_displacement, max_angle, {before, x, v}, particle_marks);
   touched_count = std::max(touched_count, moved_count);
-  if (!particle_marks && last_interval_ + 1 == interval_count_ && step + 1 == substeps_) unresolved_count = inside_count;
+  if (!particle_marks && last_interval_ + 1 == interval_count_ && step + 1 == substeps_)
+    unresolved_count = inside_count;
   const bool has_moved_faces = !nearby_.empty() && resolve_faces({before, x, v}, particle_marks);
   if (has_moved_faces && particle_marks)
     for (const std::int32_t n : nearby_) (*particle_marks)[static_cast<std::size_t>(n)] = 1;
@@ -358,9 +366,10 @@ void SpringContacts::resolve_midpoints(double max_displacement, double max_angle
                           midpoint, nullptr))
       continue;
     if (particle_marks) (*particle_marks)[first] = (*particle_marks)[last] = 1;
-    const Vec end_shift = (load(midpoint) - unpushed_midpoint) * (2 / (p_inverse_mass + q_inverse_mass));
-    const Vec start_shift =
-        (load(midpoint_before) - unpushed_midpoint_before) * (2 / (p_inverse_mass + q_inverse_mass));
+    const Vec end_shift =
+        (load(midpoint) - unpushed_midpoint) * (2 / (p_inverse_mass + q_inverse_mass));
+    const Vec start_shift = (load(midpoint_before) - unpushed_midpoint_before) *
+                            (2 / (p_inverse_mass + q_inverse_mass));
     clearances_[first] -= p_inverse_mass * length(end_shift),
         clearances_[last] -= q_inverse_mass * length(end_shift);
     store(load(p) + end_shift * p_inverse_mass, p), store(load(q) + end_shift * q_inverse_mass, q);
@@ -420,7 +429,8 @@ SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n,
                                                Vec point) {
   const StepCollider& c = step_colliders_[index];
   const double radius = colliders_.radius();
-  if (!c.is_mesh()) return {is_at_end ? c.sample_end(point, radius) : c.sample_start(point, radius), -1};
+  if (!c.is_mesh())
+    return {is_at_end ? c.sample_end(point, radius) : c.sample_start(point, radius), -1};
   const Mesh mesh = mesh_at(c, is_at_end);
   const Pose& pose = is_at_end ? c.end : c.begin;
   const double contact_distance = collide::contact_distance(c.collider, radius),
@@ -502,12 +512,14 @@ bool SpringContacts::sweep(std::size_t c, std::size_t n, Vec from, Vec& to, doub
 bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec& to, double* v) {
   const StepCollider& c = step_colliders_[index];
   const double lever_arm = length(from - c.begin.origin);
-  const double displacement = length(to - from) + c.max_displacement({}) + c.rotation_angle() * lever_arm;
+  const double displacement =
+      length(to - from) + c.max_displacement({}) + c.rotation_angle() * lever_arm;
   const double radius = colliders_.radius();
   if (!(displacement > c.thickness(radius))) return false;
   const PatchHit hit = query(index, n, false, from);
   // Particles that start inside are moved out at the depenetration speed.
-  if (hit.sample.distance > displacement || hit.sample.distance < -collide::INSIDE_DEPTH) return false;
+  if (hit.sample.distance > displacement || hit.sample.distance < -collide::INSIDE_DEPTH)
+    return false;
   const Vec surface_shift = surface_displacement(c, hit, false, from);
   if (!(length(to - from - surface_shift) > c.thickness(radius))) return false;
   if (c.surface < 0) return c.sweep(h_, radius, from, to, v);

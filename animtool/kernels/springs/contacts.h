@@ -14,9 +14,9 @@
 
 namespace animtool {
 
-// Colliders; their poses at both ends of each cell (cells, C, 2, 7); the radius of particles;
-// allowed signed distances (C, N), at most 0, with rows for moving meshes last, or None; the extra
-// depth above which a particle counts as unresolved; and moving meshes.
+// Colliders; their poses at both ends of each interval (intervals, C, 2, 7); the radius of
+// particles; allowed signed distances (C, N), at most 0, with rows for moving meshes last, or None;
+// the extra depth above which a particle counts as unresolved; and moving meshes.
 using SpringColliders =
     std::tuple<ColliderArrays, In<double, 4>, double, std::optional<In<double, 2>>, double,
                std::vector<SpringSurface>>;
@@ -49,7 +49,7 @@ struct StepCollider {
   bool sweep(double h, double radius, collide::Vec from, collide::Vec& to, double* v) const;
 };
 
-// The rigid colliders over all cells of time.
+// The rigid colliders over all intervals of time.
 class MovingColliders {
  public:
   MovingColliders(const std::optional<SpringColliders>& colliders, std::size_t particles,
@@ -68,9 +68,9 @@ class MovingColliders {
     return c < depth_row_count_ ? depths_[c * particles_ + n] : 0.0;
   }
 
-  // Whether all colliders start a cell where the previous cell ended.
+  // Whether all colliders start an interval where the previous interval ended.
   bool is_continuous(std::int64_t interval) const;
-  // Appends the colliders of each of the equal steps of a cell, of length h.
+  // Appends the colliders of each of the equal steps of an interval, of length h.
   void append_steps(std::int64_t interval, int substeps, double h,
                     std::vector<StepCollider>& out) const;
 
@@ -91,16 +91,17 @@ class MovingColliders {
 // Resolves collisions of particles, edges and faces with all colliders.
 class SpringContacts {
  public:
-  // With `has_midpoints`, the midpoints of triangle edges collide like particles, and move both ends.
+  // With `has_midpoints`, the midpoints of triangle edges collide like particles, and move both
+  // ends.
   SpringContacts(const std::optional<SpringColliders>& colliders, const SpringNetwork& network,
                  std::int64_t interval_count, bool has_midpoints = false);
 
   bool has_colliders() const { return collider_count_ > 0; }
-  // Begins a cell of time, with steps of equal length.
+  // Begins an interval of time, with steps of equal length.
   void begin_interval(std::int64_t interval, int substeps, double h);
-  // Moves particles out of colliders at the end of a step of a cell, and applies friction to their
-  // displacements, and to velocities if given. Particles that started too deep gain no speed: their
-  // start position moves too. Returns whether any was moved. With marks, tests only marked
+  // Moves particles out of colliders at the end of a step of an interval, and applies friction to
+  // their displacements, and to velocities if given. Particles that started too deep gain no speed:
+  // their start position moves too. Returns whether any was moved. With marks, tests only marked
   // particles and edges with a marked end, and marks moved particles.
   bool resolve(int step, std::vector<double>& before, std::vector<double>& x,
                std::vector<double>* v, std::vector<std::uint8_t>* particle_marks = nullptr);
@@ -115,9 +116,9 @@ class SpringContacts {
 
   // Builds a cache for each collider that is a mesh.
   void build_patches(std::size_t particles);
-  // Begins a cell for moving meshes; resets `is_cache_valid` if one teleports.
+  // Begins an interval for moving meshes; resets `is_cache_valid` if one teleports.
   void begin_surfaces(std::int64_t interval, bool& is_cache_valid);
-  // Builds the colliders of all steps of the cell, with moving meshes.
+  // Builds the colliders of all steps of the interval, with moving meshes.
   void add_surfaces();
   // Collides the edges and faces of nearby particles; marks the particles that it moves.
   bool resolve_faces(StepState state, std::vector<std::uint8_t>* particle_marks);
@@ -167,13 +168,14 @@ class SpringContacts {
   // Smallest distance in an iteration, beyond the allowed depth.
   double nearest_distance_ = 0;
   std::int64_t last_interval_ = -1;
-  // Impulses of earlier cells, and of the current one, which may be repeated (C, IMPULSE_WIDTH).
+  // Impulses of earlier intervals, and of the current one, which may be repeated (C,
+  // IMPULSE_WIDTH).
   std::vector<double> past_impulses_, interval_impulses_;
   std::vector<double> masses_;  // masses that touched colliders in this step (C,)
   // Lower bound of the distance from all colliders, of each particle and then each midpoint; and
   // its largest distance from the origins of colliders, about which they rotate.
   std::vector<double> clearances_, lever_arms_;
-  // Clearances and arms at the start of the cell.
+  // Clearances and arms at the start of the interval.
   std::vector<double> start_clearances_, start_lever_arms_;
 };
 

@@ -31,7 +31,8 @@ void RelativeMotion::build(const std::vector<double>& x, double width) {
     Cell cell_index;
     for (std::size_t k = 0; k < 3; ++k) {
       const double coordinate = (x[n + k] - low[k]) / width;
-      cell_index[k] = static_cast<std::int32_t>(coordinate < MAX_CELL_INDEX ? coordinate : MAX_CELL_INDEX);
+      cell_index[k] =
+          static_cast<std::int32_t>(coordinate < MAX_CELL_INDEX ? coordinate : MAX_CELL_INDEX);
     }
     const auto number = static_cast<std::uint32_t>(cell_numbers.size());
     cell_of_particle_.push_back(cell_numbers.insert({cell_index, number}).first->second);
@@ -79,7 +80,8 @@ Drift RelativeMotion::measure_relative_to(const std::vector<double>& from,
     }
   }
   for (const auto& [c, d] : adjacent_cells_)
-    drift.nearby_bound = std::max(drift.nearby_bound, combined_extent(cell_ranges_[c], cell_ranges_[d]));
+    drift.nearby_bound =
+        std::max(drift.nearby_bound, combined_extent(cell_ranges_[c], cell_ranges_[d]));
   drift.overall_bound = combined_extent(total_range, total_range);
   return drift;
 }

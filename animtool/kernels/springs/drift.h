@@ -40,9 +40,9 @@ class RelativeMotion {
   static double combined_extent(const Range& a, const Range& b);
 
   double width_ = 0;
-  std::vector<std::uint32_t> cell_of_particle_;                               // of particles
+  std::vector<std::uint32_t> cell_of_particle_;                          // of particles
   std::vector<std::pair<std::uint32_t, std::uint32_t>> adjacent_cells_;  // cells
-  std::vector<Range> cell_ranges_;                                      // of cells
+  std::vector<Range> cell_ranges_;                                       // of cells
 };
 
 }  // namespace animtool

@@ -17,7 +17,7 @@ SpringRun build_run(const SpringNetwork& network, const In<double, 3>& state,
   return {network, state.data(), state.data() + 3 * count, is_torn.data()};
 }
 
-// Checks the cells of time and the number of substeps.
+// Checks the intervals of time and the number of substeps.
 void check_intervals(const IntervalGrid& grid, std::int64_t substeps) {
   check::finite("origin", grid.origin);
   check::between("first", grid.first_interval, -MAX_INTERVAL_INDEX, MAX_INTERVAL_INDEX);
@@ -80,10 +80,10 @@ std::tuple<double, double> spring_energy(const SpringNetwork& network, In<double
     const double* p = positions.data() + 3 * static_cast<std::size_t>(spring.i);
     const double* q = positions.data() + 3 * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-    const double length = std::sqrt(dot3(d, d)), elongation = length - spring.rest;
+    const double length = std::sqrt(dot3(d, d)), elongation = length - spring.rest_length;
     energy += 0.5 * spring.stiffness * elongation * elongation;
-    if (spring.rest > 0 && !(length <= max_length_ratio * spring.rest))
-      max_length_ratio = length / spring.rest;
+    if (spring.rest_length > 0 && !(length <= max_length_ratio * spring.rest_length))
+      max_length_ratio = length / spring.rest_length;
   }
   return {energy, max_length_ratio};
 }
@@ -107,9 +107,10 @@ class ExplicitStepper {
     strides_ = {1, height};
   }
 
-  // Advances over a cell that starts at a time, in steps of h.
+  // Advances over an interval that starts at a time, in steps of h.
   void advance_interval(double start, int substeps, double h) {
-    if (run_.spring_set().forces.has_bands()) return advance_interval_in_columns(start, substeps, h);
+    if (run_.spring_set().forces.has_bands())
+      return advance_interval_in_columns(start, substeps, h);
     for (int step = 0; step < substeps; ++step) step_rows(start + step * h, h, step);
   }
 
@@ -132,7 +133,8 @@ class ExplicitStepper {
     run_.sample_surroundings(t, h);
     run_.accelerate(run_.x.data(), run_.v.data(), accelerations_.data());
     store_positions_before();
-    spring_functions().advance(network.particle_count(), h, accelerations_.data(), run_.x.data(), run_.v.data());
+    spring_functions().advance(network.particle_count(), h, accelerations_.data(), run_.x.data(),
+                               run_.v.data());
     network.set_pinned(t + h, h, positions_before_.data(), run_.x.data(), run_.v.data());
     contacts_.resolve(step, positions_before_, run_.x, &run_.v);
   }
@@ -206,15 +208,16 @@ class ExplicitStepper {
 }  // namespace
 
 SpringStepResult step_springs(const SpringNetwork& network, In<double, 3> state,
-                              In<std::uint8_t, 1> is_torn, double origin, std::int64_t first,
-                              double interval, std::int64_t interval_count, int substeps,
+                              In<std::uint8_t, 1> is_torn, double origin,
+                              std::int64_t first_interval, double interval_duration,
+                              std::int64_t interval_count, int substeps,
                               const std::optional<SpringColliders>& colliders) {
-  const IntervalGrid grid{origin, first, interval, interval_count};
+  const IntervalGrid grid{origin, first_interval, interval_duration, interval_count};
   check_intervals(grid, substeps);
   check::finite("state", state);
   SpringRun run = build_run(network, state, is_torn);
   SpringContacts contacts(colliders, network, interval_count);
-  const double h = interval / substeps;
+  const double h = interval_duration / substeps;
   ExplicitStepper stepper(run, contacts);
   for (std::int64_t i = 0; i < interval_count; ++i) {
     contacts.begin_interval(i, substeps, h);

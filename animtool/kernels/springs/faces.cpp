@@ -75,15 +75,17 @@ FineFeatures mesh_features(const Collider& c, double longest_edge, double distan
   std::vector<std::array<std::int32_t, 4>> sharp_sides;  // two points, triangle, side
   std::int32_t triangles = 0;
   const Vec infinite_extent{collide::INF, collide::INF, collide::INF};
-  collide::visit_overlapping(c.mesh, c.root, -infinite_extent, infinite_extent, [&](std::int32_t t) {
-    triangles = std::max(triangles, t + 1);
-    for (std::int32_t side = 0; side < 3; ++side) {
-      if (!(curvature_radius(c.mesh, t, side, longest_edge) + distance < longest_edge)) continue;
-      const std::int32_t* corner = c.mesh.triangles + 3 * t;
-      const auto [i, j] = std::minmax(corner[side], corner[(side + 1) % 3]);
-      sharp_sides.push_back({i, j, t, side});
-    }
-  });
+  collide::visit_overlapping(
+      c.mesh, c.root, -infinite_extent, infinite_extent, [&](std::int32_t t) {
+        triangles = std::max(triangles, t + 1);
+        for (std::int32_t side = 0; side < 3; ++side) {
+          if (!(curvature_radius(c.mesh, t, side, longest_edge) + distance < longest_edge))
+            continue;
+          const std::int32_t* corner = c.mesh.triangles + 3 * t;
+          const auto [i, j] = std::minmax(corner[side], corner[(side + 1) % 3]);
+          sharp_sides.push_back({i, j, t, side});
+        }
+      });
   std::sort(sharp_sides.begin(), sharp_sides.end());
   std::vector<std::int32_t> points;
   for (const auto& side : sharp_sides) points.insert(points.end(), {side[0], side[1]});
@@ -143,7 +145,9 @@ FineFeatures collider_features(const Collider& c, double radius, double longest_
 }  // namespace
 
 FaceContacts::FaceContacts(const SpringElements& elements, double radius)
-    : network_(elements), radius_(radius), search_distance_(EDGE_REACH_FACTOR * elements.longest_edge) {}
+    : network_(elements),
+      radius_(radius),
+      search_distance_(EDGE_REACH_FACTOR * elements.longest_edge) {}
 
 void FaceContacts::add(const Collider& c) {
   // Features of meshes are searched only near elements.
@@ -265,7 +269,8 @@ std::int32_t FaceContacts::slot_of(std::int32_t particle, const StepCollider& c,
   inverse_masses_.push_back(network_.inverse_masses[static_cast<std::size_t>(particle)]);
   from_.resize(from_.size() + ROW_SIZE, 0.0);
   to_.resize(to_.size() + ROW_SIZE, 0.0);
-  store(c.begin.to_local(position_of(state.before.data(), particle)), &from_[from_.size() - ROW_SIZE]);
+  store(c.begin.to_local(position_of(state.before.data(), particle)),
+        &from_[from_.size() - ROW_SIZE]);
   store(c.end.to_local(position_of(state.x.data(), particle)), &to_[to_.size() - ROW_SIZE]);
   return entry;
 }
@@ -295,7 +300,8 @@ void FaceContacts::find_contacts(const FineFeatures& features, const StepCollide
     element.low = {collide::INF, collide::INF, collide::INF}, element.high = -element.low;
     for (int k = 0; k < element.count; ++k)
       for (const auto* positions : {&from_, &to_}) {
-        const Vec point = position_of(positions->data(), element.corners[static_cast<std::size_t>(k)]);
+        const Vec point =
+            position_of(positions->data(), element.corners[static_cast<std::size_t>(k)]);
         element.low = min_of(element.low, point), element.high = max_of(element.high, point);
       }
   }
@@ -368,8 +374,10 @@ void FaceContacts::add_pair(const FourParticles& particles, double distance) {
 
 bool FaceContacts::separate(Separation& separation) const {
   bool has_separated = false;
-  for (const LayerHit& hit : corner_hits_) has_separated |= separation.separate<shapes::CornerPair>(hit);
-  for (const LayerHit& hit : edge_hits_) has_separated |= separation.separate<shapes::EdgePair>(hit);
+  for (const LayerHit& hit : corner_hits_)
+    has_separated |= separation.separate<shapes::CornerPair>(hit);
+  for (const LayerHit& hit : edge_hits_)
+    has_separated |= separation.separate<shapes::EdgePair>(hit);
   return has_separated;
 }
 

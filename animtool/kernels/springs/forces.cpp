@@ -45,7 +45,7 @@ const SpringFunctions& spring_functions() {
 
 void SpringForces::Coefficients::add(double rest_length, double spring_stiffness,
                                      double spring_damping) {
-  rest.push_back(rest_length);
+  rest_lengths.push_back(rest_length);
   stiffness.push_back(spring_stiffness);
   damping.push_back(spring_damping);
 }
@@ -64,7 +64,7 @@ SpringForces::SpringForces(const std::vector<Spring>& springs, std::size_t parti
     const Spring& spring = springs[s];
     unbanded_ends_.push_back(spring.i);
     unbanded_ends_.push_back(spring.j);
-    unbanded_coefficients_.add(spring.rest, spring.stiffness, spring.damping);
+    unbanded_coefficients_.add(spring.rest_length, spring.stiffness, spring.damping);
   }
 }
 
@@ -77,7 +77,8 @@ std::vector<SpringForces::Band> SpringForces::build_bands(
     const Spring& first = springs[order[k]];
     for (++k; k < order.size(); ++k) {
       const Spring &last = springs[band_springs.back()], &next = springs[order[k]];
-      if (index_offset(next) != index_offset(first) || lower_end(next) > lower_end(last) + MAX_BAND_GAP)
+      if (index_offset(next) != index_offset(first) ||
+          lower_end(next) > lower_end(last) + MAX_BAND_GAP)
         break;
       // Of several springs between two particles, only one is in a band.
       if (lower_end(next) != lower_end(last)) band_springs.push_back(order[k]);
@@ -101,7 +102,7 @@ SpringForces::Band SpringForces::build_band(const std::vector<Spring>& springs,
       continue;
     }
     const Spring& spring = springs[band_springs[next++]];
-    band.coefficients.add(spring.rest, spring.stiffness, spring.damping);
+    band.coefficients.add(spring.rest_length, spring.stiffness, spring.damping);
   }
   return band;
 }
@@ -132,7 +133,7 @@ void SpringForces::build_chunk(std::size_t begin, std::size_t end, std::vector<c
     for (const Band* band : bands) {
       const Coefficients& columns = band->coefficients;
       for (const std::vector<double>* column :
-           {&columns.rest, &columns.stiffness, &columns.damping})
+           {&columns.rest_lengths, &columns.stiffness, &columns.damping})
         for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
           coefficients_.push_back((*column)[n - band->first + l]);
     }
@@ -178,9 +179,10 @@ void SpringForces::compute(const double* x, const double* v, ForceBuffers& buffe
 }
 
 void SpringForces::add_unbanded(const double* x, const double* v, double* forces) const {
-  const SpringColumns columns{unbanded_ends_.data(), unbanded_coefficients_.rest.data(),
-                              unbanded_coefficients_.stiffness.data(), unbanded_coefficients_.damping.data()};
-  spring_functions().add_forces(columns, unbanded_coefficients_.rest.size(), x, v, forces);
+  const SpringColumns columns{unbanded_ends_.data(), unbanded_coefficients_.rest_lengths.data(),
+                              unbanded_coefficients_.stiffness.data(),
+                              unbanded_coefficients_.damping.data()};
+  spring_functions().add_forces(columns, unbanded_coefficients_.rest_lengths.size(), x, v, forces);
 }
 
 void SpringForces::step(const PlaneSteps& steps, ForceBuffers& buffers) const {

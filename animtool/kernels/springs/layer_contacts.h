@@ -29,13 +29,13 @@ class LayerContacts {
   std::vector<Piercing> piercings;
   void sort_piercings() { std::sort(piercings.begin(), piercings.end()); }
 
-  // `list_pairs` lists all pairs within a distance. `filter_near_pairs` picks those that may be near now,
-  // given the displacements of particles since they were listed.
+  // `list_pairs` lists all pairs within a distance. `filter_near_pairs` picks those that may be
+  // near now, given the displacements of particles since they were listed.
   void list_pairs(const SpringLayers& layers, const std::vector<double>& x, double distance) {
     listed_pairs_ = Kind::find_near(layers, x, distance);
   }
   void filter_near_pairs(const SpringLayers& layers, const std::vector<double>& x,
-                  const std::vector<double>& displacements, double distance);
+                         const std::vector<double>& displacements, double distance);
 
   // Finds the contacts of a step: `max_travel` is the largest tested relative displacement,
   // `return_margin` the extra distance of pairs that only return to the contact distance. Tangled
@@ -77,8 +77,10 @@ class LayerContacts {
 };
 
 template <class Kind>
-void LayerContacts<Kind>::filter_near_pairs(const SpringLayers& layers, const std::vector<double>& x,
-                                     const std::vector<double>& displacements, double distance) {
+void LayerContacts<Kind>::filter_near_pairs(const SpringLayers& layers,
+                                            const std::vector<double>& x,
+                                            const std::vector<double>& displacements,
+                                            double distance) {
   const auto max_displacement = [&](const std::int32_t* first, const std::int32_t* last) {
     double largest = 0;
     for (; first != last; ++first)
@@ -88,8 +90,9 @@ void LayerContacts<Kind>::filter_near_pairs(const SpringLayers& layers, const st
   near_pairs_.clear();
   for (const LayerPair& pair : listed_pairs_) {
     const FourParticles particles = Kind::particles(layers, pair.first, pair.second);
-    const double max_approach = max_displacement(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) +
-                            max_displacement(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + 4);
+    const double max_approach =
+        max_displacement(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) +
+        max_displacement(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + 4);
     if (pair.gap - max_approach - pair.distance > distance) continue;
     if (length(Shape(particles.data(), x.data()).nearest().offset) - pair.distance <= distance)
       near_pairs_.push_back(pair);
@@ -116,7 +119,8 @@ void LayerContacts<Kind>::find_contacts(const SpringLayers& layers,
     LayerHit hit{pair.first, pair.second, 0, particles, gap, travel, pair.distance};
     hit.side = side_of(hit, before, x);
     if (!hit.side && !nearest.is_interior) continue;
-    if (tangles && !hit.side && are_tangled(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) &&
+    if (tangles && !hit.side &&
+        are_tangled(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) &&
         are_tangled(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + particles.size()))
       continue;
     hits_.push_back(hit);
@@ -131,8 +135,8 @@ double LayerContacts<Kind>::relative_shift(const FourParticles& particles,
                                            const std::vector<double>& x) {
   collide::Vec displacements[4];
   for (std::size_t k = 0; k < 4; ++k)
-    displacements[k] =
-        shapes::position_of(x.data(), particles[k]) - shapes::position_of(before.data(), particles[k]);
+    displacements[k] = shapes::position_of(x.data(), particles[k]) -
+                       shapes::position_of(before.data(), particles[k]);
   double max_square = 0;
   for (std::size_t i = 0; i < Kind::FIRST_PARTICLE_COUNT; ++i)
     for (std::size_t j = Kind::FIRST_PARTICLE_COUNT; j < 4; ++j) {

@@ -29,12 +29,13 @@ constexpr double INF = std::numeric_limits<double>::infinity();
 // Shortest path lengths between particles along edges and springs.
 class PathLengths {
  public:
-  PathLengths(const SpringNetwork& network, const std::vector<double>& rest)
+  PathLengths(const SpringNetwork& network, const std::vector<double>& rest_positions)
       : neighbours_(network.particle_count()),
         longest_edges_(network.particle_count(), 0),
         path_lengths_(network.particle_count(), INF) {
     const auto add_link = [&](std::int32_t i, std::int32_t j, bool is_edge) {
-      const double link_length = length(position_of(rest.data(), i) - position_of(rest.data(), j));
+      const double link_length =
+          length(position_of(rest_positions.data(), i) - position_of(rest_positions.data(), j));
       for (const auto& [from, to] : {std::pair(i, j), std::pair(j, i)}) {
         const std::size_t n = static_cast<std::size_t>(from);
         neighbours_[n].push_back({to, link_length});
@@ -82,21 +83,21 @@ class PathLengths {
 
 }  // namespace
 
-SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest, double thickness0,
-                           double friction0, double separation_speed0)
+SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest_positions,
+                           double thickness0, double friction0, double separation_speed0)
     : thickness(thickness0),
       friction(friction0),
       separation_speed(separation_speed0),
       particles_(network.particle_count()),
       corners_(network.triangles),
       adjacent_particle_starts_{0} {
-  check::numbers("rest", rest, {particles_, 3});
+  check::numbers("rest", rest_positions, {particles_, 3});
   check::positive("thickness", thickness);
   check::not_negative("friction", friction);
   check::not_negative("speed", separation_speed);
   rest_positions_.resize(ROW_SIZE * particles_);
   for (std::size_t n = 0; n < particles_; ++n)
-    std::copy_n(rest.data() + 3 * n, 3, rest_positions_.data() + ROW_SIZE * n);
+    std::copy_n(rest_positions.data() + 3 * n, 3, rest_positions_.data() + ROW_SIZE * n);
   collect_edges();
   collect_adjacent_particles(network);
 }
@@ -116,7 +117,8 @@ void SpringLayers::collect_adjacent_particles(const SpringNetwork& network) {
   for (std::size_t n = 0; n < particles_; ++n) {
     const auto& adjacent_particles = path_lengths.find_within(
         static_cast<std::int32_t>(n), MAX_DETOUR_RATIO * ADJACENT_RATIO * thickness);
-    adjacent_particles_.insert(adjacent_particles_.end(), adjacent_particles.begin(), adjacent_particles.end());
+    adjacent_particles_.insert(adjacent_particles_.end(), adjacent_particles.begin(),
+                               adjacent_particles.end());
     adjacent_particle_starts_.push_back(adjacent_particles_.size());
   }
 }
@@ -125,7 +127,9 @@ bool SpringLayers::is_adjacent(std::int32_t i, std::int32_t j) const {
   const auto from = static_cast<std::size_t>(i);
   return std::binary_search(
       adjacent_particles_.begin() + static_cast<std::ptrdiff_t>(adjacent_particle_starts_[from]),
-      adjacent_particles_.begin() + static_cast<std::ptrdiff_t>(adjacent_particle_starts_[from + 1]), j);
+      adjacent_particles_.begin() +
+          static_cast<std::ptrdiff_t>(adjacent_particle_starts_[from + 1]),
+      j);
 }
 
 double SpringLayers::contact_distance(double rest_gap, bool is_adjacent) const {
@@ -135,8 +139,8 @@ double SpringLayers::contact_distance(double rest_gap, bool is_adjacent) const {
 double SpringLayers::distance(std::size_t triangle, std::int32_t particle) const {
   const std::int32_t* triangle_corners = corners(triangle);
   if (std::find(triangle_corners, triangle_corners + 3, particle) != triangle_corners + 3) return 0;
-  const double rest_gap =
-      shapes::Triangle(triangle_corners, rest_positions_.data()).distance(position_of(rest_positions_.data(), particle));
+  const double rest_gap = shapes::Triangle(triangle_corners, rest_positions_.data())
+                              .distance(position_of(rest_positions_.data(), particle));
   if (!(rest_gap < ADJACENT_RATIO * thickness)) return thickness;
   return contact_distance(rest_gap,
                           std::any_of(triangle_corners, triangle_corners + 3,
@@ -170,14 +174,17 @@ double SpringLayers::edge_distance(std::size_t first, std::size_t second) const 
   const double max_distance = (ADJACENT_RATIO * thickness +
                                (length(first_edge.vector()) + length(second_edge.vector())) / 2) *
                               ROUNDING_FACTOR;
-  if (dot(midpoint_offset, midpoint_offset) > max_distance * max_distance) return max_edge_distance();
-  const double rest_gap = length(shapes::EdgePair(particles, rest_positions_.data()).nearest().offset);
+  if (dot(midpoint_offset, midpoint_offset) > max_distance * max_distance)
+    return max_edge_distance();
+  const double rest_gap =
+      length(shapes::EdgePair(particles, rest_positions_.data()).nearest().offset);
   if (!(rest_gap < ADJACENT_RATIO * thickness)) return max_edge_distance();
   const auto is_adjacent_to_second = [&](std::int32_t n) {
     return is_adjacent(n, particles[2]) || is_adjacent(n, particles[3]);
   };
-  return EDGE_THICKNESS_FACTOR * contact_distance(rest_gap, is_adjacent_to_second(particles[0]) ||
-                                                      is_adjacent_to_second(particles[1]));
+  return EDGE_THICKNESS_FACTOR *
+         contact_distance(
+             rest_gap, is_adjacent_to_second(particles[0]) || is_adjacent_to_second(particles[1]));
 }
 
 }  // namespace animtool

@@ -13,10 +13,10 @@ namespace animtool {
 // along the surface, so that the surface can bend and compress before it touches itself.
 class SpringLayers {
  public:
-  // `rest` are rest positions (N, 3); `separation_speed` is the largest speed at which pairs that start too
-  // close are separated.
-  SpringLayers(const SpringNetwork& network, In<double, 2> rest, double thickness, double friction,
-               double separation_speed);
+  // `rest_positions` are rest positions (N, 3); `separation_speed` is the largest speed at which
+  // pairs that start too close are separated.
+  SpringLayers(const SpringNetwork& network, In<double, 2> rest_positions, double thickness,
+               double friction, double separation_speed);
 
   std::size_t particle_count() const { return particles_; }
   std::size_t triangle_count() const { return corners_.size() / 3; }

@@ -54,7 +54,8 @@ Nearest MeshPatches::nearest(const Patch& patch, const Mesh& mesh, Vec p,
     const Nearest hit = collide::nearest_of_triangle(mesh, candidates[k].triangle, p);
     if (!collide::is_nearer(hit, best_hit)) continue;
     best_hit = hit;
-    max_useful_distance = std::sqrt(best_hit.squared_distance) + displacement + collide::TOUCH_DISTANCE;
+    max_useful_distance =
+        std::sqrt(best_hit.squared_distance) + displacement + collide::TOUCH_DISTANCE;
   }
   return best_hit;
 }
@@ -63,9 +64,9 @@ void MeshPatches::invalidate() {
   for (Patch& patch : patches_) patch.slack = patch.knot_slack = -1;
 }
 
-MeshPatches::PatchHit MeshPatches::fill_cache(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
-                                          const KnotBoxes* boxes, double contact_distance,
-                                          bool allows_bound) {
+MeshPatches::PatchHit MeshPatches::fill_cache(Patch& patch, const Mesh& mesh, std::int32_t root,
+                                              Vec p, const KnotBoxes* boxes,
+                                              double contact_distance, bool allows_bound) {
   patch.count = 0;
   patch.slack = patch.knot_slack = -1;
   if (allows_bound) {
@@ -196,7 +197,7 @@ bool MeshPatches::store_candidates(Patch& patch, double max_distance, bool is_in
   return true;
 }
 
-// Largest number of cells per knot interval.
+// Largest number of time intervals per knot interval.
 constexpr std::int64_t MAX_INTERVALS_PER_KNOT = std::int64_t{1} << 40;
 
 MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t interval_count)
@@ -208,7 +209,8 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t interval
   if (!surface_) check::refuse("colliders.surfaces", "a surface is None");
   check::between("colliders.surfaces", intervals_per_knot_, 1, MAX_INTERVALS_PER_KNOT);
   check::between("colliders.surfaces", first_interval_, 0, intervals_per_knot_ - 1);
-  const std::int64_t knot_count = (first_interval_ + interval_count + intervals_per_knot_ - 1) / intervals_per_knot_ + 1;
+  const std::int64_t knot_count =
+      (first_interval_ + interval_count + intervals_per_knot_ - 1) / intervals_per_knot_ + 1;
   check::numbers("colliders.surfaces", points_,
                  {static_cast<std::size_t>(knot_count), surface_->point_count(), 3});
   check::finite("colliders.surfaces", settings_.data(), settings_.size());
@@ -220,7 +222,8 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t interval
 bool MovingSurface::begin_interval(std::int64_t interval, double duration) {
   const std::int64_t knot = (first_interval_ + interval) / intervals_per_knot_,
                      elapsed_intervals = (first_interval_ + interval) % intervals_per_knot_;
-  knot_start_fraction_ = static_cast<double>(elapsed_intervals) / static_cast<double>(intervals_per_knot_);
+  knot_start_fraction_ =
+      static_cast<double>(elapsed_intervals) / static_cast<double>(intervals_per_knot_);
   if (knot_points_ && knot == knot_) return true;
   const bool is_next = knot_points_ && knot == knot_ + 1, is_first = !knot_points_;
   if (is_next) {
@@ -238,7 +241,7 @@ bool MovingSurface::begin_interval(std::int64_t interval, double duration) {
   const bool has_teleported =
       max_displacement_ > settings_[4] * duration * static_cast<double>(intervals_per_knot_);
   if (has_teleported) {
-    // A teleported mesh is at its end position from the start of the cell.
+    // A teleported mesh is at its end position from the start of the interval.
     knot_points_ = end;
     measure_motion(end, end);
   }

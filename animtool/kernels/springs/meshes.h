@@ -78,8 +78,8 @@ class MeshPatches {
     std::int32_t triangle;
   };
 
-  // Displacement since the cache was filled, negative if the cache is invalid; sets `is_in_knot` if it
-  // is relative to the nearest triangle.
+  // Displacement since the cache was filled, negative if the cache is invalid; sets `is_in_knot` if
+  // it is relative to the nearest triangle.
   static double displacement_since(const Patch& patch, collide::Vec p, const MeshMotion& motion,
                                    bool& is_in_knot);
   // The nearest cached triangle.
@@ -87,7 +87,7 @@ class MeshPatches {
                            double displacement) const;
   // Fills the cache of a particle; returns its distance from the mesh.
   PatchHit fill_cache(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
-                  const KnotBoxes* boxes, double contact_distance, bool allows_bound);
+                      const KnotBoxes* boxes, double contact_distance, bool allows_bound);
   // Finds the nearest triangle, starting from a recent one, and all nearby ones.
   collide::Nearest search(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
                           collide::Vec p, const KnotBoxes* boxes, double contact_distance);
@@ -105,19 +105,19 @@ class MeshPatches {
 };
 
 // A mesh whose points move: positions at knots of time (K, P, 3), linear between them; restitution,
-// friction, margin, depenetration speed and teleport speed; cells of time per knot interval; and
-// elapsed cells of the first interval.
+// friction, margin, depenetration speed and teleport speed; time intervals per knot interval; and
+// elapsed time intervals of the first knot interval.
 using SpringSurface = std::tuple<const MeshSurface*, In<double, 3>, std::array<double, 5>,
                                  std::int64_t, std::int64_t>;
 
-// A moving mesh over cells of time.
+// A moving mesh over intervals of time.
 class MovingSurface {
  public:
   MovingSurface(const SpringSurface& surface, std::int64_t interval_count);
 
-  // Advances to a cell. Returns whether the motion is continuous.
+  // Advances to an interval. Returns whether the motion is continuous.
   bool begin_interval(std::int64_t interval, double duration);
-  // The elapsed fraction of the knot interval at a fraction of the cell.
+  // The elapsed fraction of the knot interval at a fraction of the interval.
   double knot_fraction(double fraction) const {
     return knot_start_fraction_ + fraction / static_cast<double>(intervals_per_knot_);
   }

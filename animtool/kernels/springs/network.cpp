@@ -57,9 +57,9 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
       air_drag(arrays.air_drag),
       air_lift(arrays.air_lift),
       knot_times(to_vector(arrays.knots)) {
-  const auto& [masses, particle_drags, ends, rest, stiffness, damping, limit, faces, gravity_vector,
-               drag_coefficient, lift_coefficient, times, pins, pinned_path, anchor_particles,
-               anchor_stiffnesses, anchor_dampings, anchor_path, winds] = arrays;
+  const auto& [masses, particle_drags, ends, rest_lengths, stiffness, damping, limit, faces,
+               gravity_vector, drag_coefficient, lift_coefficient, times, pins, pinned_path,
+               anchor_particles, anchor_stiffnesses, anchor_dampings, anchor_path, winds] = arrays;
   const std::size_t count = inverse_masses.size(), spring_count = ends.shape(0);
   check::shape("inverse_masses", masses, {count});
   check::at_most("inverse_masses", count, check::MAX_ROWS);
@@ -68,7 +68,7 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
   check::shape("ends", ends, {check::ANY, 2});
   check::at_most("ends", spring_count, check::MAX_ROWS);
   check::indices("ends", ends, 0, static_cast<std::int64_t>(count));
-  check_column("rest", rest, spring_count);
+  check_column("rest", rest_lengths, spring_count);
   check_column("stiffness", stiffness, spring_count);
   check_column("damping", damping, spring_count);
   check_column("limit", limit, spring_count, false);
@@ -88,9 +88,9 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
   anchor_damping = finite_column("anchor_damping", anchor_dampings, anchor_particles.shape(0));
   for (std::size_t s = 0; s < spring_count; ++s) {
     const std::int64_t* pair = ends.data() + 2 * s;
-    spring_set.springs.push_back({static_cast<std::int32_t>(pair[0]), static_cast<std::int32_t>(pair[1]),
-                             rest.data()[s], stiffness.data()[s], damping.data()[s],
-                             limit.data()[s]});
+    spring_set.springs.push_back({static_cast<std::int32_t>(pair[0]),
+                                  static_cast<std::int32_t>(pair[1]), rest_lengths.data()[s],
+                                  stiffness.data()[s], damping.data()[s], limit.data()[s]});
     spring_set.indices.push_back(static_cast<std::int32_t>(s));
   }
   spring_set.prepare(count);
@@ -122,10 +122,10 @@ void SpringNetwork::collect_edges() {
   for (const auto& edge : edge_pairs) edges.insert(edges.end(), edge.begin(), edge.end());
   if (edge_pairs.empty()) return;
   for (const Spring& spring : spring_set.springs) {
-    if (!(spring.rest > longest_edge)) continue;
+    if (!(spring.rest_length > longest_edge)) continue;
     const auto [i, j] = std::minmax(spring.i, spring.j);
     if (std::binary_search(edge_pairs.begin(), edge_pairs.end(), std::array<std::int32_t, 2>{i, j}))
-      longest_edge = spring.rest;
+      longest_edge = spring.rest_length;
   }
 }
 
@@ -262,7 +262,7 @@ void SpringSet::prepare(std::size_t particles) {
   for (const Spring& spring : springs) {
     ends.push_back(spring.i);
     ends.push_back(spring.j);
-    rest.push_back(spring.rest);
+    rest_lengths.push_back(spring.rest_length);
     can_tear = can_tear || std::isfinite(spring.tear_length);
   }
   const auto is_independent = [&](std::size_t s) {
@@ -314,7 +314,8 @@ void SpringRun::accelerate(const double* positions, const double* velocities, do
   network.add_anchor_forces(anchor_points.data(), anchor_velocities.data(), positions, velocities,
                             out);
   network.add_air_forces(wind, positions, velocities, out);
-  const double gravity_row[ROW_SIZE] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
+  const double gravity_row[ROW_SIZE] = {network.gravity[0], network.gravity[1], network.gravity[2],
+                                        0};
   const ParticleColumns particles{network.inverse_masses.data(), network.drags.data()};
   spring_functions().accelerate(particles, network.particle_count(), gravity_row, velocities, out);
 }
@@ -338,12 +339,13 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
     spring_components[s] =
         static_cast<std::int64_t>(components.find_root(static_cast<std::size_t>(ends[2 * s])));
   const auto high = [&](std::int64_t s) { return std::max(ends[2 * s], ends[2 * s + 1]); };
-  std::vector<std::int64_t> order(spring_count), spring_levels(spring_count), spring_blocks(spring_count);
+  std::vector<std::int64_t> order(spring_count), spring_levels(spring_count),
+      spring_blocks(spring_count);
   for (std::size_t s = 0; s < spring_count; ++s) order[s] = static_cast<std::int64_t>(s);
   std::sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
     const auto key = [&](std::int64_t s) {
-      return std::array<std::int64_t, 4>{spring_components[static_cast<std::size_t>(s)], low(s), high(s),
-                                         s};
+      return std::array<std::int64_t, 4>{spring_components[static_cast<std::size_t>(s)], low(s),
+                                         high(s), s};
     };
     return key(a) < key(b);
   });
@@ -352,7 +354,8 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
   std::int64_t block_index = 0, block_size = 0, last_component = -1;
   for (const std::int64_t s : order) {
     const std::int64_t spring_component = spring_components[static_cast<std::size_t>(s)];
-    if ((spring_component != last_component && block_size >= MIN_BLOCK_SIZE) || block_size >= MAX_BLOCK_SIZE)
+    if ((spring_component != last_component && block_size >= MIN_BLOCK_SIZE) ||
+        block_size >= MAX_BLOCK_SIZE)
       ++block_index, block_size = 0;
     last_component = spring_component;
     ++block_size;
@@ -364,7 +367,8 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
   }
   std::stable_sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
     const auto key = [&](std::int64_t s) {
-      return std::pair(spring_blocks[static_cast<std::size_t>(s)], spring_levels[static_cast<std::size_t>(s)]);
+      return std::pair(spring_blocks[static_cast<std::size_t>(s)],
+                       spring_levels[static_cast<std::size_t>(s)]);
     };
     return key(a) < key(b);
   });

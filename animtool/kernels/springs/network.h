@@ -18,7 +18,7 @@ struct SpringSet {
   std::vector<Spring> springs;
   std::vector<std::int32_t> indices;  // of the springs in the network
   std::vector<std::int32_t> ends;
-  std::vector<double> rest;
+  std::vector<double> rest_lengths;
   std::vector<SpringRunLength> runs;  // groups of four springs without a shared end
   SpringForces forces;
   bool can_tear = false;  // whether any spring can tear
@@ -131,7 +131,9 @@ class SpringRun {
   std::vector<std::uint8_t> is_torn;
 
   // The springs that are not torn.
-  const SpringSet& spring_set() const { return intact_spring_set_ ? *intact_spring_set_ : network.spring_set; }
+  const SpringSet& spring_set() const {
+    return intact_spring_set_ ? *intact_spring_set_ : network.spring_set;
+  }
 
   // Samples anchors and wind at a time; velocities are those over the preceding h.
   void sample_surroundings(double t, double h);

@@ -139,7 +139,8 @@ std::vector<LayerPair> EdgesAndEdges::find_near(const SpringLayers& layers,
           first_ends[1] == second_ends[0] || first_ends[1] == second_ends[1])
         return;
       const std::int32_t* other_ends = layers.ends(f);
-      if (!tight_box.overlaps(position_of(x.data(), other_ends[0]), position_of(x.data(), other_ends[1])))
+      if (!tight_box.overlaps(position_of(x.data(), other_ends[0]),
+                              position_of(x.data(), other_ends[1])))
         return;
       const std::int32_t particles[4] = {first_ends[0], first_ends[1], second_ends[0],
                                          second_ends[1]};

@@ -51,7 +51,8 @@ std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangle
         find_piercings(x, collect_edges(edge_corners), face_corners).size());
   };
   if (!other_triangles) return count_piercings(corners, corners);
-  const std::vector<std::int32_t> other_corners = checked_corners("others", *other_triangles, count);
+  const std::vector<std::int32_t> other_corners =
+      checked_corners("others", *other_triangles, count);
   return count_piercings(corners, other_corners) + count_piercings(other_corners, corners);
 }
 

@@ -16,9 +16,9 @@ namespace animtool {
 
 namespace {
 
-// Number of consecutive calm cells after which half as many steps are tried.
+// Number of consecutive calm intervals after which half as many steps are tried.
 constexpr int RELAXED_INTERVALS = 120;
-// Strain, relative to the limit, below which a cell is calm.
+// Strain, relative to the limit, below which an interval is calm.
 constexpr double RELAXED_STRAIN_FRACTION = 0.125;
 // A strain counts as compliance if it exceeds the strain beyond the compliance by this factor.
 constexpr double COMPLIANT_STRAIN_RATIO = 2;
@@ -29,8 +29,8 @@ constexpr int STRAIN_LIMIT_PASSES = 4;
 // Strain that contacts may cause, over the limit; and passes that reduce it.
 constexpr double CONTACT_STRAIN_FACTOR = 1.4;
 constexpr int CONTACT_PASSES = 2;
-// A cell is repeated in shorter steps if its strain exceeds the limit by this factor; shorter steps
-// help if they reduce the strain to this ratio.
+// An interval is repeated in shorter steps if its strain exceeds the limit by this factor; shorter
+// steps help if they reduce the strain to this ratio.
 constexpr double MAX_STRAIN_EXCESS = 2, MAX_REDUCED_STRAIN_RATIO = 0.7;
 
 // Correction factors of a spring in a step of h: of its elongation, and of the change of its
@@ -48,17 +48,17 @@ CorrectionFactors correction_factors(double stiffness, double damping, double we
 // Advances a run by projecting springs.
 class Projection {
  public:
-  Projection(SpringRun& run, double interval, double strain_limit, SpringContacts& contacts,
-             SelfContacts& self_contacts)
+  Projection(SpringRun& run, double interval_duration, double strain_limit,
+             SpringContacts& contacts, SelfContacts& self_contacts)
       : run_(run),
         contacts_(contacts),
         self_contacts_(self_contacts),
-        interval_duration_(interval),
+        interval_duration_(interval_duration),
         strain_limit_(strain_limit),
         positions_before_(run.size) {}
 
-  // Advances a cell in a number of steps. Returns the largest strain of a spring that is not mostly
-  // due to its own compliance under load.
+  // Advances an interval in a number of steps. Returns the largest strain of a spring that is not
+  // mostly due to its own compliance under load.
   double advance_interval(std::int64_t index, double start, int substeps) {
     prepare(substeps);
     const double h = interval_duration_ / substeps;
@@ -84,24 +84,25 @@ class Projection {
     return max_strain();
   }
 
-  // Recomputes the factors of springs before the next cell.
+  // Recomputes the factors of springs before the next interval.
   void invalidate() { prepared_substeps_ = 0; }
 
  private:
-  // Computes the factors of springs for a number of steps per cell.
+  // Computes the factors of springs for a number of steps per interval.
   void prepare(int substeps) {
     if (prepared_substeps_ == substeps) return;
     prepared_substeps_ = substeps;
     const double h = interval_duration_ / substeps;
-    const auto& masses = run_.network.inverse_masses;
+    const auto& inverse_masses = run_.network.inverse_masses;
     length_factors_.clear();
     change_factors_.clear();
-    weights_.clear();
+    inverse_masses_.clear();
     for (const Spring& spring : run_.spring_set().springs) {
-      weights_.push_back(masses[static_cast<std::size_t>(spring.i)]);
-      weights_.push_back(masses[static_cast<std::size_t>(spring.j)]);
-      const double weight_sum = *(weights_.end() - 2) + weights_.back();
-      const CorrectionFactors factors = correction_factors(spring.stiffness, spring.damping, weight_sum, h);
+      inverse_masses_.push_back(inverse_masses[static_cast<std::size_t>(spring.i)]);
+      inverse_masses_.push_back(inverse_masses[static_cast<std::size_t>(spring.j)]);
+      const double inverse_mass_sum = *(inverse_masses_.end() - 2) + inverse_masses_.back();
+      const CorrectionFactors factors =
+          correction_factors(spring.stiffness, spring.damping, inverse_mass_sum, h);
       length_factors_.push_back(factors.length);
       change_factors_.push_back(factors.change);
     }
@@ -109,23 +110,27 @@ class Projection {
     for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
       anchor_factors_.push_back(
           correction_factors(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
-                        masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
+                             inverse_masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
     elongations_.assign(run_.spring_set().springs.size(), 0.0);
     collect_stiff_springs();
   }
 
-  // Collects stiff springs, with the weights of their ends.
+  // Collects stiff springs, with the inverse masses of their ends.
   void collect_stiff_springs() {
     stiff_springs_.clear();
     if (!(strain_limit_ > 0)) return;
     for (std::size_t s = 0; s < run_.spring_set().springs.size(); ++s) {
       const Spring& spring = run_.spring_set().springs[s];
-      const double first_weight = weights_[2 * s], last_weight = weights_[2 * s + 1],
-                   weight_sum = first_weight + last_weight;
-      if (!(spring.rest > 0) || !(length_factors_[s] * weight_sum > 1 - STIFF_FRACTION)) continue;
+      const double first_inverse_mass = inverse_masses_[2 * s],
+                   last_inverse_mass = inverse_masses_[2 * s + 1],
+                   inverse_mass_sum = first_inverse_mass + last_inverse_mass;
+      if (!(spring.rest_length > 0) ||
+          !(length_factors_[s] * inverse_mass_sum > 1 - STIFF_FRACTION))
+        continue;
       stiff_springs_.push_back({ROW_SIZE * static_cast<std::size_t>(spring.i),
-                                ROW_SIZE * static_cast<std::size_t>(spring.j), spring.rest,
-                                first_weight / weight_sum, last_weight / weight_sum});
+                                ROW_SIZE * static_cast<std::size_t>(spring.j), spring.rest_length,
+                                first_inverse_mass / inverse_mass_sum,
+                                last_inverse_mass / inverse_mass_sum});
     }
   }
 
@@ -157,10 +162,11 @@ class Projection {
   // Corrects all springs once; stores their elongations unless null.
   void project(double* elongations) {
     const SpringSet& spring_set = run_.spring_set();
-    const ComplianceColumns columns{spring_set.ends.data(), spring_set.rest.data(), length_factors_.data(),
-                                    change_factors_.data(), weights_.data()};
-    spring_functions().project(columns, spring_set.runs.data(), spring_set.runs.size(), run_.x.data(),
-                           positions_before_.data(), elongations);
+    const ComplianceColumns columns{spring_set.ends.data(), spring_set.rest_lengths.data(),
+                                    length_factors_.data(), change_factors_.data(),
+                                    inverse_masses_.data()};
+    spring_functions().project(columns, spring_set.runs.data(), spring_set.runs.size(),
+                               run_.x.data(), positions_before_.data(), elongations);
   }
 
   // Resolves contacts with colliders. If strain is limited, also prevents piercing, and reduces the
@@ -172,13 +178,14 @@ class Projection {
       contacts_.resolve(step, positions_before_, run_.x, nullptr, &is_moved_);
     };
     is_moved_.assign(run_.network.particle_count(), 1);
-    self_contacts_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_, resolve_contacts);
+    self_contacts_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_,
+                                    resolve_contacts);
     for (int pass = 0; pass < CONTACT_PASSES; ++pass) {
       std::fill(is_moved_.begin(), is_moved_.end(), 0);
       if (!limit_strains(CONTACT_STRAIN_FACTOR * strain_limit_, &is_moved_)) return;
       resolve_contacts();
       self_contacts_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_,
-                             resolve_contacts);
+                                      resolve_contacts);
     }
   }
 
@@ -213,8 +220,8 @@ class Projection {
         const double length = std::sqrt(square);
         const double correction = (length - std::clamp(length, min_length, max_length)) / length;
         for (std::size_t k = 0; k < 3; ++k) {
-          p[k] += spring.first_weight * correction * d[k];
-          q[k] -= spring.last_weight * correction * d[k];
+          p[k] += spring.first_inverse_mass * correction * d[k];
+          q[k] -= spring.last_inverse_mass * correction * d[k];
         }
         if (marks) (*marks)[spring.i / ROW_SIZE] = (*marks)[spring.j / ROW_SIZE] = 1;
         has_corrected = true;
@@ -237,8 +244,8 @@ class Projection {
       if (!(square > 0)) continue;
       const double correction = dot3(d, relative) / square;
       for (std::size_t k = 0; k < 3; ++k) {
-        u[k] += spring.first_weight * correction * d[k];
-        v[k] -= spring.last_weight * correction * d[k];
+        u[k] += spring.first_inverse_mass * correction * d[k];
+        v[k] -= spring.last_inverse_mass * correction * d[k];
       }
     }
   }
@@ -248,17 +255,17 @@ class Projection {
     double largest = 0;
     for (std::size_t s = 0; s < run_.spring_set().springs.size(); ++s) {
       const Spring& spring = run_.spring_set().springs[s];
-      if (!(spring.rest > 0) || !(spring.stiffness > 0)) continue;
+      if (!(spring.rest_length > 0) || !(spring.stiffness > 0)) continue;
       const double* p = run_.x.data() + ROW_SIZE * static_cast<std::size_t>(spring.i);
       const double* q = run_.x.data() + ROW_SIZE * static_cast<std::size_t>(spring.j);
       const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-      const double square = dot3(d, d), bound = spring.rest * (1 + largest);
+      const double square = dot3(d, d), bound = spring.rest_length * (1 + largest);
       if (square <= bound * bound) continue;
-      const double elongation = std::sqrt(square) - spring.rest;
+      const double elongation = std::sqrt(square) - spring.rest_length;
       const double load_elongation = std::max(0.0, elongations_[s]);
-      largest =
-          std::max(largest, std::min(elongation, COMPLIANT_STRAIN_RATIO * (elongation - load_elongation)) /
-                                spring.rest);
+      largest = std::max(
+          largest, std::min(elongation, COMPLIANT_STRAIN_RATIO * (elongation - load_elongation)) /
+                       spring.rest_length);
       if (square != square) return std::numeric_limits<double>::infinity();
     }
     return largest;
@@ -271,12 +278,12 @@ class Projection {
   int prepared_substeps_ = 0;
   struct StiffSpring {
     std::size_t i, j;  // offsets of rows
-    double rest_length, first_weight, last_weight;
+    double rest_length, first_inverse_mass, last_inverse_mass;
   };
   std::vector<StiffSpring> stiff_springs_;
   std::vector<double> step_start_;      // positions at the start of a step
   std::vector<std::uint8_t> is_moved_;  // particles moved since the last test
-  std::vector<double> positions_before_, forces_, length_factors_, change_factors_, weights_;
+  std::vector<double> positions_before_, forces_, length_factors_, change_factors_, inverse_masses_;
   std::vector<double> elongations_;  // elongation of springs right after their correction
   std::vector<CorrectionFactors> anchor_factors_;
 };
@@ -284,19 +291,21 @@ class Projection {
 }  // namespace
 
 SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> state,
-                                    In<std::uint8_t, 1> is_torn, double origin, std::int64_t first,
-                                    double interval, std::int64_t interval_count, int substeps, int low_strain_count,
+                                    In<std::uint8_t, 1> is_torn, double origin,
+                                    std::int64_t first_interval, double interval_duration,
+                                    std::int64_t interval_count, int substeps, int low_strain_count,
                                     int min_substeps, int max_substeps, double repeat_strain,
                                     const std::optional<SpringColliders>& colliders,
-                                    const SpringLayers* layers, In<std::int64_t, 2> initial_piercings,
-                                    double strain_limit) {
-  const IntervalGrid grid{origin, first, interval, interval_count};
+                                    const SpringLayers* layers,
+                                    In<std::int64_t, 2> initial_piercings, double strain_limit) {
+  const IntervalGrid grid{origin, first_interval, interval_duration, interval_count};
   check::between("max_substeps", max_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
   check::between("min_substeps", min_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
   check_intervals(grid, substeps);
   check_intervals(grid, std::max(substeps, max_substeps));
   check::between("calm", low_strain_count, 0, std::numeric_limits<int>::max() / 2);
-  if (!(repeat_strain >= 0)) check::refuse("stretch", check::text(repeat_strain) + " is not 0 or more");
+  if (!(repeat_strain >= 0))
+    check::refuse("stretch", check::text(repeat_strain) + " is not 0 or more");
   check::not_negative("limit", strain_limit);
   check::finite("state", state);
   SpringRun run = build_run(network, state, is_torn);
@@ -304,19 +313,23 @@ SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> 
   SelfContacts self_contacts(layers, network, initial_piercings, strain_limit > 0);
   double largest_strain = 0;
   std::int64_t total_steps = 0;
-  Projection projection(run, interval, strain_limit, contacts, self_contacts);
+  Projection projection(run, interval_duration, strain_limit, contacts, self_contacts);
   std::vector<double> x, v;
   for (std::int64_t i = 0; i < interval_count; ++i) {
     x = run.x;
     v = run.v;
     double strain = projection.advance_interval(i, grid.start(i), substeps);
     total_steps += substeps;
-    const double strain_bound = strain_limit > 0 ? std::max(repeat_strain, MAX_STRAIN_EXCESS * strain_limit) : repeat_strain;
+    const double strain_bound = strain_limit > 0
+                                    ? std::max(repeat_strain, MAX_STRAIN_EXCESS * strain_limit)
+                                    : repeat_strain;
     const auto has_new_piercings = [&] {
-      return strain_limit > 0 && self_contacts.piercing_count() > self_contacts.start_piercing_count();
+      return strain_limit > 0 &&
+             self_contacts.piercing_count() > self_contacts.start_piercing_count();
     };
     bool is_improving = true;
-    while ((!(strain <= strain_bound) || has_new_piercings()) && substeps < max_substeps && is_improving) {
+    while ((!(strain <= strain_bound) || has_new_piercings()) && substeps < max_substeps &&
+           is_improving) {
       substeps = std::min(2 * substeps, max_substeps);
       low_strain_count = 0;
       run.x = x;
@@ -328,7 +341,8 @@ SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> 
       if (strain_limit > 0)
         is_improving = has_new_piercings() || strain <= MAX_REDUCED_STRAIN_RATIO * previous_strain;
     }
-    if (strain_limit > 0 && strain <= strain_bound && !has_new_piercings() && substeps > min_substeps)
+    if (strain_limit > 0 && strain <= strain_bound && !has_new_piercings() &&
+        substeps > min_substeps)
       substeps = std::max(substeps / 2, min_substeps);
     largest_strain = std::max(largest_strain, strain);
     self_contacts.update_max_counts();
@@ -339,9 +353,17 @@ SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> 
     }
     if (run.tear()) projection.invalidate();
   }
-  return {copy_state(run),  copy_torn(run),    substeps,           low_strain_count,
-          largest_strain,   total_steps,       contacts.touched_count,   contacts.unresolved_count,
-          self_contacts.piercings(), self_contacts.max_counts(), contacts.impulses()};
+  return {copy_state(run),
+          copy_torn(run),
+          substeps,
+          low_strain_count,
+          largest_strain,
+          total_steps,
+          contacts.touched_count,
+          contacts.unresolved_count,
+          self_contacts.piercings(),
+          self_contacts.max_counts(),
+          contacts.impulses()};
 }
 
 }  // namespace animtool

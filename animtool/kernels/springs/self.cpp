@@ -64,8 +64,8 @@ void SelfContacts::read_piercings(const In<std::int64_t, 2>& initial_piercings) 
   };
   for (std::size_t c = 0; c < initial_piercings.size(); c += 3) {
     const std::int64_t* row = initial_piercings.data() + c;
-    const bool is_corner =
-        layers_ && is_index(row[0], layers_->particle_count()) && is_index(row[1], layers_->triangle_count());
+    const bool is_corner = layers_ && is_index(row[0], layers_->particle_count()) &&
+                           is_index(row[1], layers_->triangle_count());
     const std::int64_t edge =
         layers_ && row[0] >= 0 ? row[0] - std::int64_t(layers_->particle_count()) : -1;
     const bool is_edge = layers_ && is_index(edge, layers_->edge_count()) && edge < row[1] &&
@@ -84,7 +84,8 @@ void SelfContacts::read_piercings(const In<std::int64_t, 2>& initial_piercings) 
 
 void SelfContacts::begin_interval(std::int64_t interval, const std::vector<double>& x) {
   // A surface without piercings cannot become tangled.
-  if (tangles_ && interval != interval_ && (interval_ < 0 || tangles_->has_piercings() || piercing_count() > 0))
+  if (tangles_ && interval != interval_ &&
+      (interval_ < 0 || tangles_->has_piercings() || piercing_count() > 0))
     tangles_->find(x);
   if (interval == interval_) {
     corner_contacts_.piercings = start_corner_piercings_;
@@ -103,14 +104,14 @@ void SelfContacts::rebuild_cells(double h, const std::vector<double>& before,
     longest_edge_ =
         std::max(longest_edge_, length(shapes::Segment(layers_->ends(e), x.data()).vector()));
   const double return_distance = layers_->separation_speed * h;
-  relative_motion_.build(x, CELL_EDGE_FACTOR * longest_edge_ + CELL_THICKNESS_FACTOR * layers_->thickness +
-                       2 * return_distance);
+  relative_motion_.build(x, CELL_EDGE_FACTOR * longest_edge_ +
+                                CELL_THICKNESS_FACTOR * layers_->thickness + 2 * return_distance);
   pair_list_.distance = near_list_.distance = -1;
   measure_displacements(h, before, x);
 }
 
 void SelfContacts::measure_displacements(double h, const std::vector<double>& before,
-                           const std::vector<double>& x) {
+                                         const std::vector<double>& x) {
   travel_ = relative_motion_.measure(before, x).nearby_bound;
   tested_travel_ = std::min(travel_, MAX_TESTED_TRAVEL * layers_->thickness);
   required_distance_ = tested_travel_ + layers_->separation_speed * h;
@@ -120,7 +121,8 @@ void SelfContacts::measure_displacements(double h, const std::vector<double>& be
       relative_motion_.measure(pair_list_.positions, x, fit_common_motion(pair_list_.positions, x));
   pair_list_.drift = drift.nearby_bound, total_drift_ = drift.overall_bound;
   near_list_.drift =
-      relative_motion_.measure(near_list_.positions, x, fit_common_motion(near_list_.positions, x)).nearby_bound;
+      relative_motion_.measure(near_list_.positions, x, fit_common_motion(near_list_.positions, x))
+          .nearby_bound;
 }
 
 bool SelfContacts::are_cells_sufficient() const {
@@ -139,13 +141,14 @@ void SelfContacts::update_lists(double h, const std::vector<double>& before,
     edge_contacts_.list_pairs(*layers_, x, pair_list_.distance);
   }
   const double distance =
-      required_distance_ +
-      std::clamp(NEAR_LIST_STEPS * travel_, MIN_NEAR_MARGIN * thickness, MAX_NEAR_MARGIN * thickness);
+      required_distance_ + std::clamp(NEAR_LIST_STEPS * travel_, MIN_NEAR_MARGIN * thickness,
+                                      MAX_NEAR_MARGIN * thickness);
   near_list_.reset(x, std::min(distance, pair_list_.distance - pair_list_.drift));
   const RigidMotion motion = fit_common_motion(pair_list_.positions, x);
   displacements_.resize(x.size() / ROW_SIZE);
   for (std::size_t n = 0; n < displacements_.size(); ++n)
-    displacements_[n] = length(load(&x[ROW_SIZE * n]) - motion(load(&pair_list_.positions[ROW_SIZE * n])));
+    displacements_[n] =
+        length(load(&x[ROW_SIZE * n]) - motion(load(&pair_list_.positions[ROW_SIZE * n])));
   corner_contacts_.filter_near_pairs(*layers_, x, displacements_, near_list_.distance);
   edge_contacts_.filter_near_pairs(*layers_, x, displacements_, near_list_.distance);
 }
@@ -161,14 +164,17 @@ void SelfContacts::separate(double h, std::vector<double>& before, std::vector<d
   else
     measure_displacements(h, before, x);
   update_lists(h, before, x);
-  const double max_travel = MAX_TESTED_TRAVEL * layers_->thickness, return_distance = layers_->separation_speed * h;
-  if (travel_ > max_travel) required_step_rate_ = std::max(required_step_rate_, travel_ / (max_travel * h));
+  const double max_travel = MAX_TESTED_TRAVEL * layers_->thickness,
+               return_distance = layers_->separation_speed * h;
+  if (travel_ > max_travel)
+    required_step_rate_ = std::max(required_step_rate_, travel_ / (max_travel * h));
   const Tangles* tangles = tangles_ && tangles_->has_piercings() ? &*tangles_ : nullptr;
   if (tangles) tangles->untangle(UNTANGLING_SPEED * h, before, x);
   corner_contacts_.find_contacts(*layers_, before, x, tested_travel_, return_distance, tangles);
   edge_contacts_.find_contacts(*layers_, before, x, tested_travel_, return_distance, tangles);
   if (!corner_contacts_.has_hits() && !edge_contacts_.has_hits()) return;
-  Separation separation(layers_->friction, layers_->separation_speed * h, network_.inverse_masses, before, x);
+  Separation separation(layers_->friction, layers_->separation_speed * h, network_.inverse_masses,
+                        before, x);
   corner_contacts_.separate(*layers_, separation);
   edge_contacts_.separate(*layers_, separation);
   separation.finish();
@@ -193,8 +199,8 @@ bool SelfContacts::find_tunnelling(double h, const std::vector<double>& from,
 
 void SelfContacts::separate_tunnelling(double h, std::vector<double>& before,
                                        std::vector<double>& x) const {
-  Separation separation(layers_->friction, layers_->separation_speed * h, network_.inverse_masses, before, x,
-                        true);
+  Separation separation(layers_->friction, layers_->separation_speed * h, network_.inverse_masses,
+                        before, x, true);
   for (const LayerHit& hit : tunnelling_corners_)
     separation.separate<TrianglesAndCorners::Shape>(hit);
   for (const LayerHit& hit : tunnelling_edges_) separation.separate<EdgesAndEdges::Shape>(hit);
@@ -227,13 +233,15 @@ Out<std::int64_t, 2> SelfContacts::piercings() const {
   for (const Piercing& piercing : corner_contacts_.piercings)
     add_row(piercing.second, piercing.first, piercing.side);
   for (const Piercing& piercing : edge_contacts_.piercings)
-    add_row(std::int64_t(layers_->particle_count()) + piercing.first, piercing.second, piercing.side);
+    add_row(std::int64_t(layers_->particle_count()) + piercing.first, piercing.second,
+            piercing.side);
   return result;
 }
 
 void SelfContacts::update_max_counts() {
   std::vector<std::int32_t> pierced_particles;
-  for (const Piercing& piercing : corner_contacts_.piercings) pierced_particles.push_back(piercing.second);
+  for (const Piercing& piercing : corner_contacts_.piercings)
+    pierced_particles.push_back(piercing.second);
   std::sort(pierced_particles.begin(), pierced_particles.end());
   max_corner_piercings_ = std::max<std::int64_t>(
       max_corner_piercings_,

@@ -28,12 +28,12 @@ class SelfContacts {
 
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
-  // Without layers nothing is done. `initial_piercings` are piercings to resume with (C, 3), as `piercings`
-  // returns them. With `untangles`, tangles are resolved and tunnelling is prevented.
+  // Without layers nothing is done. `initial_piercings` are piercings to resume with (C, 3), as
+  // `piercings` returns them. With `untangles`, tangles are resolved and tunnelling is prevented.
   SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
                const In<std::int64_t, 2>& initial_piercings, bool untangles = false);
 
-  // Begins a cell of time, or repeats the current one.
+  // Begins an interval of time, or repeats the current one.
   void begin_interval(std::int64_t interval, const std::vector<double>& x);
   // Separates elements at the end of a step. If they only return to the contact distance, the
   // previous positions move too, so that no velocity is added.
@@ -52,10 +52,14 @@ class SelfContacts {
   // The remaining piercings (C, 3): particle, triangle and side; for edges, numbered after the
   // particles: edge, edge and side.
   Out<std::int64_t, 2> piercings() const;
-  // Number of piercings now, and at the start of the cell.
-  std::size_t piercing_count() const { return corner_contacts_.piercings.size() + edge_contacts_.piercings.size(); }
-  std::size_t start_piercing_count() const { return start_corner_piercings_.size() + start_edge_piercings_.size(); }
-  // Updates the largest numbers of piercings at the end of a cell.
+  // Number of piercings now, and at the start of the interval.
+  std::size_t piercing_count() const {
+    return corner_contacts_.piercings.size() + edge_contacts_.piercings.size();
+  }
+  std::size_t start_piercing_count() const {
+    return start_corner_piercings_.size() + start_edge_piercings_.size();
+  }
+  // Updates the largest numbers of piercings at the end of an interval.
   void update_max_counts();
   PiercingCounts max_counts() const {
     return {max_corner_piercings_, max_edge_piercings_, required_step_rate_};
@@ -85,7 +89,8 @@ class SelfContacts {
   void separate_tunnelling(double h, std::vector<double>& before, std::vector<double>& x) const;
   // Measures the relative displacement of nearby elements in a step; `rebuild_cells` also rebuilds
   // the cells.
-  void measure_displacements(double h, const std::vector<double>& before, const std::vector<double>& x);
+  void measure_displacements(double h, const std::vector<double>& before,
+                             const std::vector<double>& x);
   void rebuild_cells(double h, const std::vector<double>& before, const std::vector<double>& x);
   // Whether all pairs that may become near in the step were in adjacent cells.
   bool are_cells_sufficient() const;

@@ -30,8 +30,8 @@ struct LayerHit {
 // distance, the previous positions move too, so that no velocity is added.
 class Separation {
  public:
-  // `return_shift` is the largest separation in the step that adds no velocity. With `separates_at_ends`,
-  // piercing edges are separated even if they are closest at an end.
+  // `return_shift` is the largest separation in the step that adds no velocity. With
+  // `separates_at_ends`, piercing edges are separated even if they are closest at an end.
   Separation(double friction, double return_shift, const std::vector<double>& inverse_masses,
              std::vector<double>& before, std::vector<double>& x, bool separates_at_ends = false)
       : friction_(friction),
@@ -105,7 +105,8 @@ inline void Separation::move(const LayerHit& hit, const double* coefficients,
     max_inverse_mass = std::max(max_inverse_mass, inverse_masses_[particle]);
     slip = slip + (collide::load(ends[k]) - collide::load(starts[k])) * coefficients[k];
   }
-  total_weight = std::max({total_weight, max_weight / MAX_SHIFT_RATIO, max_inverse_mass * MIN_EFFECTIVE_WEIGHT});
+  total_weight = std::max(
+      {total_weight, max_weight / MAX_SHIFT_RATIO, max_inverse_mass * MIN_EFFECTIVE_WEIGHT});
   if (!(total_weight > 0)) return;
   slip = slip - direction * dot(slip, direction);
   const double slip_length = length(slip), friction_limit = friction_ * contact_shift;

@@ -46,7 +46,9 @@ struct Triangle {
 
   Triangle(Vec a0, Vec b0, Vec c0) : a(a0), b(b0), c(c0) {}
   Triangle(const std::int32_t* corners, const double* positions)
-      : a(position_of(positions, corners[0])), b(position_of(positions, corners[1])), c(position_of(positions, corners[2])) {}
+      : a(position_of(positions, corners[0])),
+        b(position_of(positions, corners[1])),
+        c(position_of(positions, corners[2])) {}
 
   // The closest point to p.
   Nearest nearest(Vec p) const {
@@ -252,7 +254,8 @@ inline bool paths_overlap(const std::int32_t* particles, std::size_t first_count
     double low[2], high[2];
     for (std::size_t element = 0; element < 2; ++element) {
       const std::size_t begin = element ? first_count : 0, end = element ? 4 : first_count;
-      low[element] = high[element] = from[ROW_SIZE * static_cast<std::size_t>(particles[begin]) + k];
+      low[element] = high[element] =
+          from[ROW_SIZE * static_cast<std::size_t>(particles[begin]) + k];
       for (std::size_t i = begin; i < end; ++i) {
         const std::size_t index = ROW_SIZE * static_cast<std::size_t>(particles[i]) + k;
         low[element] = std::min({low[element], from[index], to[index]});

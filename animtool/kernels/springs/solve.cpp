@@ -17,7 +17,7 @@ namespace animtool {
 namespace {
 
 // Largest number of Newton corrections of a step, of halvings of a correction, and of times that
-// the number of steps of a cell is doubled.
+// the number of steps of an interval is doubled.
 constexpr int MAX_CORRECTIONS = 40, MAX_HALVINGS = 8, MAX_DOUBLINGS = 6;
 // Largest number of matrix products of a conjugate gradient solve.
 constexpr int MAX_MATRIX_PRODUCTS = 400;
@@ -191,8 +191,10 @@ class ImplicitSolver {
     const double length = std::sqrt(dot3(d, d)), inverse_length = length > 0 ? 1 / length : 0;
     const double axial_stiffness = s * s * spring.stiffness;
     double transverse = axial_stiffness;
-    if (spring.rest > 0)
-      transverse = length > spring.rest ? axial_stiffness * (1 - spring.rest * inverse_length) : 0;
+    if (spring.rest_length > 0)
+      transverse = length > spring.rest_length
+                       ? axial_stiffness * (1 - spring.rest_length * inverse_length)
+                       : 0;
     SpringStiffness stiffness{
         spring.i, spring.j, transverse, axial_stiffness - transverse + s * spring.damping, {}};
     for (int k = 0; k < 3; ++k) stiffness.direction[k] = d[k] * inverse_length;
@@ -330,11 +332,11 @@ class PinImpulses {
       const std::size_t row = ROW_SIZE * static_cast<std::size_t>(pinned_[p]);
       const double *r = x + row, *f = forces_.data() + row;
       const double force_and_moment[IMPULSE_SIZE] = {f[0],
-                                             f[1],
-                                             f[2],
-                                             r[1] * f[2] - r[2] * f[1],
-                                             r[2] * f[0] - r[0] * f[2],
-                                             r[0] * f[1] - r[1] * f[0]};
+                                                     f[1],
+                                                     f[2],
+                                                     r[1] * f[2] - r[2] * f[1],
+                                                     r[2] * f[0] - r[0] * f[2],
+                                                     r[0] * f[1] - r[1] * f[0]};
       for (std::size_t k = 0; k < IMPULSE_SIZE; ++k) {
         double& impulse = last_impulses_[IMPULSE_SIZE * p + k];
         impulse = fraction * impulse + h * force_and_moment[k];
@@ -372,7 +374,8 @@ class PinImpulses {
     const double length = std::sqrt(dot3(d, d));
     if (!(length > 0)) return;
     const double force =
-        (spring.stiffness * (length - spring.rest) + spring.damping * dot3(d, e) / length) / length;
+        (spring.stiffness * (length - spring.rest_length) + spring.damping * dot3(d, e) / length) /
+        length;
     for (std::size_t k = 0; k < 3; ++k) {
       forces_[i + k] += force * d[k];
       forces_[j + k] -= force * d[k];
@@ -385,20 +388,20 @@ class PinImpulses {
   std::vector<double> last_impulses_, total_impulses_, forces_;
 };
 
-// Solves cells of time by implicit steps.
+// Solves intervals of time by implicit steps.
 class IntervalSolver {
  public:
   IntervalSolver(SpringRun& run, SpringContacts& contacts, double tolerance, bool uses_bdf2,
-             PinImpulses& pin_impulses)
+                 PinImpulses& pin_impulses)
       : run_(run),
         contacts_(contacts),
         solver_(run, tolerance),
         uses_bdf2_(uses_bdf2),
         pin_impulses_(pin_impulses) {}
 
-  // Solves a cell in a number of steps; returns whether all of them converged.
-  bool solve_interval(std::int64_t index, double start, double interval, int substeps) {
-    const double h = interval / substeps;
+  // Solves an interval in a number of steps; returns whether all of them converged.
+  bool solve_interval(std::int64_t index, double start, double interval_duration, int substeps) {
+    const double h = interval_duration / substeps;
     contacts_.begin_interval(index, substeps, h);
     for (int step = 0; step < substeps; ++step) {
       const double t = start + (step + 1) * h;
@@ -445,12 +448,13 @@ class IntervalSolver {
 }  // namespace
 
 SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> state,
-                                std::optional<In<double, 3>> earlier_state, In<std::uint8_t, 1> is_torn,
-                                double origin, std::int64_t first, double interval, std::int64_t interval_count,
-                                int substeps, bool uses_bdf2, double tolerance,
-                                const std::optional<SpringColliders>& colliders,
+                                std::optional<In<double, 3>> earlier_state,
+                                In<std::uint8_t, 1> is_torn, double origin,
+                                std::int64_t first_interval, double interval_duration,
+                                std::int64_t interval_count, int substeps, bool uses_bdf2,
+                                double tolerance, const std::optional<SpringColliders>& colliders,
                                 std::optional<In<double, 2>> last_pin_impulses) {
-  const IntervalGrid grid{origin, first, interval, interval_count};
+  const IntervalGrid grid{origin, first_interval, interval_duration, interval_count};
   check::between("substeps", substeps, 1, static_cast<int>(MAX_SUBSTEPS >> MAX_DOUBLINGS));
   check_intervals(grid, substeps << MAX_DOUBLINGS);
   check::positive("tolerance", tolerance);
@@ -467,14 +471,15 @@ SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> stat
   {
     if (earlier_state && uses_bdf2) {
       const std::size_t row = 3 * network.particle_count();
-      const SpringRun previous_run(network, earlier_state->data(), earlier_state->data() + row, is_torn.data());
+      const SpringRun previous_run(network, earlier_state->data(), earlier_state->data() + row,
+                                   is_torn.data());
       solver.previous = {previous_run.x, previous_run.v};
       solver.has_previous = true;
     }
     for (std::int64_t i = 0; i < interval_count && !unsolved_count; ++i) {
       const State start{run.x, run.v};
       const PinImpulses::Snapshot pin_snapshot = pin_impulses.snapshot();
-      if (!solver.solve_interval(i, grid.start(i), interval, substeps)) {
+      if (!solver.solve_interval(i, grid.start(i), interval_duration, substeps)) {
         // The equations of shorter steps are easier.
         bool is_solved = false;
         for (int doubling = 1; doubling <= MAX_DOUBLINGS && !is_solved; ++doubling) {
@@ -482,7 +487,8 @@ SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> stat
           run.v = start.v;
           pin_impulses.restore(pin_snapshot);
           solver.has_previous = false;
-          is_solved = solver.solve_interval(i, grid.start(i), interval, substeps << doubling);
+          is_solved =
+              solver.solve_interval(i, grid.start(i), interval_duration, substeps << doubling);
           solver.has_previous = false;
         }
         unsolved_count += !is_solved;
@@ -497,16 +503,10 @@ SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> stat
   SpringRun previous_run = run;
   previous_run.x = solver.previous.x;
   previous_run.v = solver.previous.v;
-  return {copy_state(run),
-          copy_state(previous_run),
-          solver.has_previous,
-          copy_torn(run),
-          solver.steps,
-          solver.corrections(),
-          unsolved_count,
-          contacts.unresolved_count,
-          contacts.impulses(),
-          pin_impulses.arrays()};
+  return {
+      copy_state(run),     copy_state(previous_run), solver.has_previous, copy_torn(run),
+      solver.steps,        solver.corrections(),     unsolved_count,      contacts.unresolved_count,
+      contacts.impulses(), pin_impulses.arrays()};
 }
 
 }  // namespace animtool

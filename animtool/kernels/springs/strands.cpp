@@ -37,7 +37,7 @@ std::vector<double> interleave(In<double, 2> rows, std::size_t strands, std::siz
   return result;
 }
 
-// The colliders of all steps of a frame, in the layout of bundle loops.
+// The colliders of all steps of a frame, as functions on bundles read them.
 class FrameColliders {
  public:
   // The common drift is the displacement of the first particle, whose path is given.
@@ -63,10 +63,12 @@ class FrameColliders {
       for (int step = 0; step < substeps; ++step) {
         const auto first =
             rigid_steps.begin() + step * static_cast<std::ptrdiff_t>(colliders.size());
-        step_colliders_.insert(step_colliders_.end(), first, first + static_cast<std::ptrdiff_t>(colliders.size()));
+        step_colliders_.insert(step_colliders_.end(), first,
+                               first + static_cast<std::ptrdiff_t>(colliders.size()));
         for (std::size_t s = 0; s < surfaces; ++s)
           step_colliders_.push_back(surface_step(surfaces_[surfaces_.size() - surfaces + s],
-                                        static_cast<std::int32_t>(s), step, substeps, load(drift)));
+                                                 static_cast<std::int32_t>(s), step, substeps,
+                                                 load(drift)));
         drifts_.insert(drifts_.end(), drift, drift + 3);
       }
     }
@@ -121,8 +123,10 @@ class FrameColliders {
     for (std::size_t row = step_colliders_.size(); row-- > 0;) {
       const Vec drift = load(&drifts_[3 * (row / count)]);
       remaining_shifts_[row] = remaining_shifts_[row + count];
-      if (step_colliders_[row].is_capsule) remaining_shifts_[row] += step_colliders_[row].max_displacement(drift);
-      if (step_colliders_[row].surface >= 0) remaining_shifts_[row] += step_colliders_[row].max_point_shift;
+      if (step_colliders_[row].is_capsule)
+        remaining_shifts_[row] += step_colliders_[row].max_displacement(drift);
+      if (step_colliders_[row].surface >= 0)
+        remaining_shifts_[row] += step_colliders_[row].max_point_shift;
     }
   }
 
@@ -132,7 +136,7 @@ class FrameColliders {
     const StepCollider& collider = self.step_colliders_[row];
     const double radius = self.colliders_.radius();
     const auto hit = is_at_end ? collider.sample_end(load(point), radius)
-                            : collider.sample_start(load(point), radius);
+                               : collider.sample_start(load(point), radius);
     distance_and_normal[0] = hit.distance;
     store(hit.normal, distance_and_normal + 1);
   }
@@ -141,16 +145,17 @@ class FrameColliders {
     const auto& self = *static_cast<const FrameColliders*>(context);
     Vec end_position = load(to);
     const double radius = self.colliders_.radius();
-    if (!self.step_colliders_[row].sweep(self.h_, radius, load(from), end_position, nullptr)) return false;
+    if (!self.step_colliders_[row].sweep(self.h_, radius, load(from), end_position, nullptr))
+      return false;
     store(end_position, to);
     return true;
   }
 
   const MovingColliders& colliders_;
   double h_;
-  std::size_t collider_count_;                    // rigid colliders and moving meshes
-  std::vector<MovingSurface> surfaces_;  // (cells, S)
-  std::vector<StepCollider> step_colliders_;      // (steps, C)
+  std::size_t collider_count_;                // rigid colliders and moving meshes
+  std::vector<MovingSurface> surfaces_;       // (intervals, S)
+  std::vector<StepCollider> step_colliders_;  // (steps, C)
   std::vector<collide::MovingCapsule> capsules_;
   std::vector<double> drifts_, remaining_shifts_, thicknesses_;
   std::vector<unsigned char> is_capsule_, is_bounded_;
@@ -258,11 +263,13 @@ class BundleWorker {
           copy(ROW_SIZE * p + k, FOUR_VEC_SIZE * p + SIMD_WIDTH * k + lane);
     };
     for_each_coordinate([&](std::size_t to, std::size_t from) {
-      self.strand_positions_before_[to] = bundle.reference_positions[from], self.strand_positions_[to] = bundle.x[from];
+      self.strand_positions_before_[to] = bundle.reference_positions[from],
+      self.strand_positions_[to] = bundle.x[from];
     });
     bool has_moved = false;
     for (std::size_t c = 0; c < self.colliders_.size(); ++c) {
-      if (!segments.resolve(c, self.frame_colliders_.row(step, c), self.plan_.h, self.near_particles_,
+      if (!segments.resolve(c, self.frame_colliders_.row(step, c), self.plan_.h,
+                            self.near_particles_,
                             {self.strand_positions_before_, self.strand_positions_, nullptr}))
         continue;
       has_moved = true;
@@ -272,7 +279,8 @@ class BundleWorker {
     }
     if (has_moved)
       for_each_coordinate([&](std::size_t from, std::size_t to) {
-        bundle.reference_positions[to] = self.strand_positions_before_[from], bundle.x[to] = self.strand_positions_[from];
+        bundle.reference_positions[to] = self.strand_positions_before_[from],
+        bundle.x[to] = self.strand_positions_[from];
       });
     return has_moved;
   }
@@ -291,7 +299,8 @@ class BundleWorker {
     }
   }
   void store_strands(std::size_t index, const double* rows, double* out) const {
-    for (std::size_t l = 0; l < SIMD_WIDTH && index * SIMD_WIDTH + l < strands_.strand_count(); ++l) {
+    for (std::size_t l = 0; l < SIMD_WIDTH && index * SIMD_WIDTH + l < strands_.strand_count();
+         ++l) {
       double* row = out + 3 * plan_.point_count * (index * SIMD_WIDTH + l);
       for (std::size_t k = 0; k < 3 * plan_.point_count; ++k) row[k] = rows[SIMD_WIDTH * k + l];
     }
@@ -341,9 +350,10 @@ double correction_fraction(double stiffness, double damping, double weight, doub
 
 }  // namespace
 
-SpringStrands::SpringStrands(In<double, 2> spring_rest_lengths, In<double, 2> fold_rest_lengths, In<double, 1> gravity,
-                             double drag, double stiffness, double fold_stiffness,
-                             double goal_stiffness, double goal_damping, double max_strain)
+SpringStrands::SpringStrands(In<double, 2> spring_rest_lengths, In<double, 2> fold_rest_lengths,
+                             In<double, 1> gravity, double drag, double stiffness,
+                             double fold_stiffness, double goal_stiffness, double goal_damping,
+                             double max_strain)
     : strands_(spring_rest_lengths.shape(0)),
       points_(spring_rest_lengths.shape(1) + 1),
       drag_(drag),
@@ -355,9 +365,11 @@ SpringStrands::SpringStrands(In<double, 2> spring_rest_lengths, In<double, 2> fo
   check::shape("rests", spring_rest_lengths, {check::ANY, check::ANY});
   if (strands_ == 0) check::refuse("rests", "there is no strand");
   check::at_most("rests", points_, check::MAX_ROWS / strands_);
-  for (std::size_t k = 0; k < spring_rest_lengths.size(); ++k) check::not_negative("rests", spring_rest_lengths.data()[k]);
+  for (std::size_t k = 0; k < spring_rest_lengths.size(); ++k)
+    check::not_negative("rests", spring_rest_lengths.data()[k]);
   check::shape("folds", fold_rest_lengths, {strands_, points_ - std::min<std::size_t>(points_, 2)});
-  for (std::size_t k = 0; k < fold_rest_lengths.size(); ++k) check::not_negative("folds", fold_rest_lengths.data()[k]);
+  for (std::size_t k = 0; k < fold_rest_lengths.size(); ++k)
+    check::not_negative("folds", fold_rest_lengths.data()[k]);
   check::numbers("gravity", gravity, {3});
   check::finite("drag", drag);
   check::not_negative("stiffness", stiffness);
@@ -394,7 +406,8 @@ void SpringStrands::group_segments(In<double, 2> spring_rest_lengths) {
   }
 }
 
-StrandSteps SpringStrands::plan_frame(std::size_t interval_count, std::size_t substeps, double frame_duration) const {
+StrandSteps SpringStrands::plan_frame(std::size_t interval_count, std::size_t substeps,
+                                      double frame_duration) const {
   StrandSteps result{};
   result.point_count = points_;
   result.interval_count = interval_count;
@@ -406,7 +419,8 @@ StrandSteps SpringStrands::plan_frame(std::size_t interval_count, std::size_t su
   result.bend_factor = correction_fraction(bend_stiffness_, 0, 2, h);
   result.root_bend_factor = correction_fraction(bend_stiffness_, 0, 1, h);
   result.goal_pull_factor = correction_fraction(goal_stiffness_, goal_damping_, 1, h);
-  result.goal_damping_factor = goal_damping_ * h / ((goal_stiffness_ * h * h + goal_damping_ * h) + 1);
+  result.goal_damping_factor =
+      goal_damping_ * h / ((goal_stiffness_ * h * h + goal_damping_ * h) + 1);
   result.along_compliance = 1 / (stiffness_ * h * h);
   result.max_length_ratio = 1 + max_strain_;
   return result;
@@ -414,8 +428,8 @@ StrandSteps SpringStrands::plan_frame(std::size_t interval_count, std::size_t su
 
 StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
                             In<double, 3> state, double frame_duration, int substeps,
-                            const std::optional<SpringColliders>& colliders, std::size_t thread_count,
-                            const CarrierColliders& carrier_colliders) {
+                            const std::optional<SpringColliders>& colliders,
+                            std::size_t thread_count, const CarrierColliders& carrier_colliders) {
   const std::size_t count = strands.strand_count() * strands.point_count();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
@@ -424,14 +438,18 @@ StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
   if (thread_count < 1) check::refuse("threads", "0 is none");
   const std::size_t interval_count = targets.shape(0) - 1;
   check::positive("span", frame_duration);
-  check_intervals({0, 0, frame_duration / static_cast<double>(interval_count), static_cast<std::int64_t>(interval_count)},
-              substeps);
-  const MovingColliders moving_colliders(colliders, count, static_cast<std::int64_t>(interval_count));
+  check_intervals({0, 0, frame_duration / static_cast<double>(interval_count),
+                   static_cast<std::int64_t>(interval_count)},
+                  substeps);
+  const MovingColliders moving_colliders(colliders, count,
+                                         static_cast<std::int64_t>(interval_count));
   Out<double, 3> out(2, count, 3);
   std::int64_t max_touched = 0, inside_count = 0;
   double max_strain = 0;
-  StrandSteps plan = strands.plan_frame(interval_count, static_cast<std::size_t>(substeps), frame_duration);
-  const FrameColliders frame(moving_colliders, colliders, interval_count, substeps, plan.h, targets.data(), count);
+  StrandSteps plan =
+      strands.plan_frame(interval_count, static_cast<std::size_t>(substeps), frame_duration);
+  const FrameColliders frame(moving_colliders, colliders, interval_count, substeps, plan.h,
+                             targets.data(), count);
   frame.fill(plan);
   const std::size_t bundle_count = count_bundles(strands.strand_count());
   const std::size_t max_workers = std::max<std::size_t>(1, bundle_count / MIN_BUNDLES_PER_THREAD);

@@ -21,9 +21,9 @@ using CarrierColliders = std::pair<std::size_t, std::size_t>;
 // Strands with equal numbers of particles, and their constants.
 class SpringStrands {
  public:
-  SpringStrands(In<double, 2> spring_rest_lengths, In<double, 2> fold_rest_lengths, In<double, 1> gravity, double drag,
-                double stiffness, double fold_stiffness, double goal_stiffness, double goal_damping,
-                double max_strain);
+  SpringStrands(In<double, 2> spring_rest_lengths, In<double, 2> fold_rest_lengths,
+                In<double, 1> gravity, double drag, double stiffness, double fold_stiffness,
+                double goal_stiffness, double goal_damping, double max_strain);
 
   std::size_t strand_count() const { return strands_; }
   std::size_t point_count() const { return points_; }
@@ -33,8 +33,9 @@ class SpringStrands {
   const std::vector<SpringElements>& segments() const { return segments_; }
   std::size_t segments_of(std::size_t strand) const { return group_of_strand_[strand]; }
 
-  // Constants of a frame that is divided into cells of several steps.
-  StrandSteps plan_frame(std::size_t interval_count, std::size_t substeps, double frame_duration) const;
+  // Constants of a frame that is divided into intervals of several steps.
+  StrandSteps plan_frame(std::size_t interval_count, std::size_t substeps,
+                         double frame_duration) const;
 
   // Rest lengths of the springs along and across the strands of a bundle.
   const double* rest_lengths(std::size_t bundle) const {
@@ -59,7 +60,7 @@ class SpringStrands {
 
 StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
                             In<double, 3> state, double frame_duration, int substeps,
-                            const std::optional<SpringColliders>& colliders, std::size_t thread_count,
-                            const CarrierColliders& carrier_colliders);
+                            const std::optional<SpringColliders>& colliders,
+                            std::size_t thread_count, const CarrierColliders& carrier_colliders);
 
 }  // namespace animtool
