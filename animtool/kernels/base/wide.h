@@ -143,7 +143,7 @@ struct Registers<double, 2, Portable> {
 template <class T, std::size_t N, class Simd>
 struct Wide {
   using Ops = Registers<T, N, Simd>;
-  static constexpr std::size_t LANE_COUNT = N;
+  static constexpr std::size_t LANES = N;
   typename Ops::Row row;
 
   Wide() = default;

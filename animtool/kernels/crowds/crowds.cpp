@@ -36,8 +36,8 @@ constexpr double STUCK_SPEED_FRACTION = 0.3, PUSH_FRACTION = 0.5,
 constexpr double CROWDED_HEADWAY_FACTOR = 0.6, MIN_HORIZON_FRACTION = 0.25;
 // The number of lanes on each side of the current one, each one agent wide. The cost of each lane
 // farther away. The cost of crossing a lane, as a fraction of the cost of walking in it.
-constexpr int SIDE_LANES = 3;
-constexpr double DETOUR_COST_PER_LANE = 0.3, CROSSING_COST = 0.3;
+constexpr int WIDTHS_PER_SIDE = 3;
+constexpr double DETOUR_COST_PER_WIDTH = 0.3, CROSSING_COST = 0.3;
 // Costs that differ by less are equal, so that rounding does not choose a lane.
 constexpr double COST_TOLERANCE = 1e-9;
 // The sideways speed of an agent that changes lanes, over its speed: for each width, and at most.
@@ -321,8 +321,8 @@ class Walker {
   // slower in the same direction, or faster in the opposite direction.
   void add_cost(double sideways, double proximity, std::size_t other, const Vec2& speed_scale) {
     // One extra lane on each side, so that both lanes that an agent covers exist.
-    const double lane_position = sideways + (SIDE_LANES + 1);
-    if (!(lane_position >= 0 && lane_position < 2 * SIDE_LANES + 2)) return;
+    const double position_in_costs = sideways + (WIDTHS_PER_SIDE + 1);
+    if (!(position_in_costs >= 0 && position_in_costs < 2 * WIDTHS_PER_SIDE + 2)) return;
     const double preferred_speed = vec2(agents_.preferred_velocities + 2 * other).dot(speed_scale);
     const double mean_speed =
         0.5 * (preferred_speed + vec2(agents_.velocities + 2 * other).dot(speed_scale));
@@ -331,25 +331,26 @@ class Walker {
     if (preferred_speed < MIN_ALONG_FRACTION &&
         vec2(agents_.preferred_velocities + 2 * other).length() > EPSILON)
       oncoming_strength_ += proximity;
-    const int lane = static_cast<int>(lane_position);
-    const double upper_cost = cost * (lane_position - lane);
+    const int lane = static_cast<int>(position_in_costs);
+    const double upper_cost = cost * (position_in_costs - lane);
     costs_[static_cast<std::size_t>(lane)] += cost - upper_cost;
     costs_[static_cast<std::size_t>(lane) + 1] += upper_cost;
   }
 
   // The offset to the left of the cheapest lane, in widths. The lane is not inside a wall. Lanes on
   // the preferred side cost less.
-  double find_cheapest_lane(std::size_t agent, const Vec2& forward) const {
+  double find_cheapest_offset(std::size_t agent, const Vec2& forward) const {
     const Vec2 position = vec2(agents_.points + 2 * agent), left = left_of(forward);
     const double width = 2 * agents_.radii[agent];
-    double least_cost = costs_[SIDE_LANES + 1], best_offset = 0;
+    double least_cost = costs_[WIDTHS_PER_SIDE + 1], best_offset = 0;
     for (const int direction : {-1, 1}) {
       double crossing_cost = 0;
-      for (int k = 1; k <= SIDE_LANES; ++k) {
+      for (int k = 1; k <= WIDTHS_PER_SIDE; ++k) {
         const double offset = direction * k,
-                     lane_cost = costs_[static_cast<std::size_t>(SIDE_LANES + 1 + direction * k)];
+                     lane_cost =
+                         costs_[static_cast<std::size_t>(WIDTHS_PER_SIDE + 1 + direction * k)];
         if (!is_clear_of_walls(agent, position + left * (offset * width))) break;
-        const double cost = lane_cost + DETOUR_COST_PER_LANE * k + crossing_cost -
+        const double cost = lane_cost + DETOUR_COST_PER_WIDTH * k + crossing_cost -
                             rules_.preferred_side * oncoming_strength_ * offset;
         if (cost < least_cost - COST_TOLERANCE) least_cost = cost, best_offset = offset;
         crossing_cost += CROSSING_COST * lane_cost;
@@ -397,7 +398,7 @@ class Walker {
     }
     if (oncoming_strength_ == 0) return forward * max_speed + separation;
     const double slant =
-        std::clamp(SLANT_PER_WIDTH * find_cheapest_lane(agent, forward), -MAX_SLANT, MAX_SLANT);
+        std::clamp(SLANT_PER_WIDTH * find_cheapest_offset(agent, forward), -MAX_SLANT, MAX_SLANT);
     return forward * max_speed + left_of(forward) * (slant * speed) + separation;
   }
 
@@ -441,7 +442,7 @@ class Walker {
   const CrowdRules& rules_;
   const Agents& agents_;
   std::vector<Neighbour> neighbours_;
-  std::array<double, 2 * SIDE_LANES + 3> costs_;
+  std::array<double, 2 * WIDTHS_PER_SIDE + 3> costs_;
   double oncoming_strength_ =
       0;  // number of oncoming or crossing agents, weighted by proximity, at most 1
   double horizon_ = 0, shoulder_yaw_ = 0;

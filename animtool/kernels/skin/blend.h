@@ -65,16 +65,16 @@ void scatter(const Vector3<Wide<double, Values, Simd>>& vectors, double* const* 
 template <class Values>
 void blend_frames(const Influences& influences, const double* palette, const double* const* points,
                   double* const* out) {
-  constexpr std::size_t group_count = FRAMES_AT_ONCE / Values::LANE_COUNT;
+  constexpr std::size_t group_count = FRAMES_AT_ONCE / Values::LANES;
   for (std::size_t vertex = 0; vertex < influences.vertices; ++vertex) {
     Vector3<Values> vertex_points[group_count], sums[group_count];
     for (std::size_t group = 0; group < group_count; ++group)
-      vertex_points[group] = gather<Values>(points + group * Values::LANE_COUNT, 3 * vertex);
+      vertex_points[group] = gather<Values>(points + group * Values::LANES, 3 * vertex);
     for (std::int64_t influence = influences.first[vertex];
          influence < influences.first[vertex + 1]; ++influence) {
       const Values weight = influences.weights[influence];
       const double* transform = palette + 12 * FRAMES_AT_ONCE * influences.joints[influence];
-      for (std::size_t group = 0; group < group_count; ++group, transform += Values::LANE_COUNT) {
+      for (std::size_t group = 0; group < group_count; ++group, transform += Values::LANES) {
         const Values weighted_x = weight * vertex_points[group].x,
                      weighted_y = weight * vertex_points[group].y,
                      weighted_z = weight * vertex_points[group].z;
@@ -86,7 +86,7 @@ void blend_frames(const Influences& influences, const double* palette, const dou
       }
     }
     for (std::size_t group = 0; group < group_count; ++group)
-      scatter(sums[group], out + group * Values::LANE_COUNT, 3 * vertex);
+      scatter(sums[group], out + group * Values::LANES, 3 * vertex);
   }
 }
 

@@ -61,7 +61,7 @@ void rows_to_planes(const double* rows, std::size_t count, std::size_t height, d
   Four<Simd> vectors[SIMD_WIDTH];
   for (std::size_t n = 0; n < count; n += SIMD_WIDTH) {
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
-      vectors[l] = n + l < count ? Four<Simd>::load(rows + ROW_SIZE * (n + l)) : 0.0;
+      vectors[l] = n + l < count ? Four<Simd>::load(rows + PARTICLE_STRIDE * (n + l)) : 0.0;
     transpose(vectors, vectors);
     for (std::size_t k = 0; k < 3; ++k) vectors[k].store(planes + k * height + n);
   }
@@ -76,7 +76,7 @@ void planes_to_rows(const double* planes, std::size_t count, std::size_t height,
     vectors[3] = 0.0;
     transpose(vectors, vectors);
     for (std::size_t l = 0; l < SIMD_WIDTH && n + l < count; ++l)
-      vectors[l].store(rows + ROW_SIZE * (n + l));
+      vectors[l].store(rows + PARTICLE_STRIDE * (n + l));
   }
 }
 

@@ -314,16 +314,16 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
       continue;
     }
     if (particle_marks && !(*particle_marks)[n]) continue;
-    double *position = x.data() + ROW_SIZE * n,
+    double *position = x.data() + PARTICLE_STRIDE * n,
            motion_bound = max_displacement + max_angle * lever_arms_[n];
-    double* from = before.data() + ROW_SIZE * n;
+    double* from = before.data() + PARTICLE_STRIDE * n;
     for (std::size_t k = 0; k < 3; ++k) motion_bound += std::abs(position[k] - from[k]);
     clearances_[n] -= motion_bound;
     if (clearances_[n] <= search_distance) nearby_.push_back(static_cast<std::int32_t>(n));
     if (clearances_[n] > 0) continue;
     const double mass = 1 / network_.inverse_masses[n];
     moved_count +=
-        resolve_particle(n, mass, from, position, v ? v->data() + ROW_SIZE * n : nullptr);
+        resolve_particle(n, mass, from, position, v ? v->data() + PARTICLE_STRIDE * n : nullptr);
     inside_count += nearest_distance_ < -colliders_.inside_tolerance();
   }
   for (std::size_t c = 0; c < masses_.size(); ++c) {
@@ -351,8 +351,9 @@ void SpringContacts::resolve_midpoints(double max_displacement, double max_angle
                  q_inverse_mass = network_.inverse_masses[last];
     if (p_inverse_mass + q_inverse_mass == 0) continue;
     if (particle_marks && !(*particle_marks)[first] && !(*particle_marks)[last]) continue;
-    double *p = &state.x[ROW_SIZE * first], *q = &state.x[ROW_SIZE * last];
-    double *p_before = &state.before[ROW_SIZE * first], *q_before = &state.before[ROW_SIZE * last];
+    double *p = &state.x[PARTICLE_STRIDE * first], *q = &state.x[PARTICLE_STRIDE * last];
+    double *p_before = &state.before[PARTICLE_STRIDE * first],
+           *q_before = &state.before[PARTICLE_STRIDE * last];
     double midpoint[3], midpoint_before[3],
         motion_bound = max_displacement + max_angle * lever_arms_[particles + e];
     for (std::size_t k = 0; k < 3; ++k) {
@@ -397,7 +398,7 @@ bool SpringContacts::resolve_faces(StepState state, std::vector<std::uint8_t>* p
       clearances_[n] -= moved_particle.displacement;
       // Far corners of an edge or a face move too, and are not among the nearby particles.
       if (particle_marks) (*particle_marks)[n] = 1;
-      record_impulse(c, 1 / network_.inverse_masses[n], load(&state.x[ROW_SIZE * n]),
+      record_impulse(c, 1 / network_.inverse_masses[n], load(&state.x[PARTICLE_STRIDE * n]),
                      moved_particle.velocity_change);
     }
   }

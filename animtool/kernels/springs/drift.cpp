@@ -23,11 +23,11 @@ using Cell = std::array<std::int32_t, 3>;
 void RelativeMotion::build(const std::vector<double>& x, double width) {
   width_ = width;
   double low[3] = {x[0], x[1], x[2]};
-  for (std::size_t n = 0; n < x.size(); n += ROW_SIZE)
+  for (std::size_t n = 0; n < x.size(); n += PARTICLE_STRIDE)
     for (std::size_t k = 0; k < 3; ++k) low[k] = std::min(low[k], x[n + k]);
   std::map<Cell, std::uint32_t> cell_numbers;
   cell_of_particle_.clear();
-  for (std::size_t n = 0; n < x.size(); n += ROW_SIZE) {
+  for (std::size_t n = 0; n < x.size(); n += PARTICLE_STRIDE) {
     Cell cell_index;
     for (std::size_t k = 0; k < 3; ++k) {
       const double coordinate = (x[n + k] - low[k]) / width;
@@ -62,10 +62,10 @@ Drift RelativeMotion::measure_relative_to(const std::vector<double>& from,
   std::fill(cell_ranges_.begin(), cell_ranges_.end(), Range{{INF, INF, INF}, {-INF, -INF, -INF}});
   for (std::size_t n = 0; n < cell_of_particle_.size(); ++n) {
     Range& range = cell_ranges_[cell_of_particle_[n]];
-    const collide::Vec transformed = transform(collide::load(&from[ROW_SIZE * n]));
+    const collide::Vec transformed = transform(collide::load(&from[PARTICLE_STRIDE * n]));
     const double expected[3] = {transformed.x, transformed.y, transformed.z};
     for (std::size_t k = 0; k < 3; ++k) {
-      const double difference = to[ROW_SIZE * n + k] - expected[k];
+      const double difference = to[PARTICLE_STRIDE * n + k] - expected[k];
       range.low[k] = std::min(range.low[k], difference);
       range.high[k] = std::max(range.high[k], difference);
     }

@@ -36,8 +36,8 @@ Out<double, 3> copy_state(const SpringRun& run) {
   const std::size_t count = run.network.particle_count();
   Out<double, 3> result(2, count, 3);
   for (std::size_t n = 0; n < count; ++n) {
-    std::copy_n(run.x.data() + ROW_SIZE * n, 3, result.get() + 3 * n);
-    std::copy_n(run.v.data() + ROW_SIZE * n, 3, result.get() + 3 * (count + n));
+    std::copy_n(run.x.data() + PARTICLE_STRIDE * n, 3, result.get() + 3 * n);
+    std::copy_n(run.v.data() + PARTICLE_STRIDE * n, 3, result.get() + 3 * (count + n));
   }
   return result;
 }
@@ -58,7 +58,7 @@ Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, doub
   run.sample_surroundings(t, h);
   run.accelerate(run.x.data(), run.v.data(), accelerations.data());
   for (std::size_t n = 0; n < network.particle_count(); ++n)
-    std::copy_n(accelerations.data() + ROW_SIZE * n, 3, result.get() + 3 * n);
+    std::copy_n(accelerations.data() + PARTICLE_STRIDE * n, 3, result.get() + 3 * n);
   return result;
 }
 
@@ -146,8 +146,8 @@ class ExplicitStepper {
       return;
     }
     for (const std::int32_t particle : run_.network.pinned) {
-      const std::size_t row = ROW_SIZE * static_cast<std::size_t>(particle);
-      std::copy_n(run_.x.data() + row, ROW_SIZE, positions_before_.data() + row);
+      const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(particle);
+      std::copy_n(run_.x.data() + row, PARTICLE_STRIDE, positions_before_.data() + row);
     }
   }
 

@@ -252,9 +252,9 @@ bool FaceContacts::collect_elements(const FineFeatures& features, const StepColl
   add_all(network_.triangles, 3);
   for (const std::int32_t n : candidates) is_candidate_[static_cast<std::size_t>(n)] = 0;
   for (const Vec p : features.points) {
-    const double row[ROW_SIZE] = {p.x, p.y, p.z, 0};
-    from_.insert(from_.end(), row, row + ROW_SIZE);
-    to_.insert(to_.end(), row, row + ROW_SIZE);
+    const double row[PARTICLE_STRIDE] = {p.x, p.y, p.z, 0};
+    from_.insert(from_.end(), row, row + PARTICLE_STRIDE);
+    to_.insert(to_.end(), row, row + PARTICLE_STRIDE);
     inverse_masses_.push_back(0);
   }
   return true;
@@ -267,11 +267,11 @@ std::int32_t FaceContacts::slot_of(std::int32_t particle, const StepCollider& c,
   entry = static_cast<std::int32_t>(particle_of_slot_.size());
   particle_of_slot_.push_back(particle);
   inverse_masses_.push_back(network_.inverse_masses[static_cast<std::size_t>(particle)]);
-  from_.resize(from_.size() + ROW_SIZE, 0.0);
-  to_.resize(to_.size() + ROW_SIZE, 0.0);
+  from_.resize(from_.size() + PARTICLE_STRIDE, 0.0);
+  to_.resize(to_.size() + PARTICLE_STRIDE, 0.0);
   store(c.begin.to_local(position_of(state.before.data(), particle)),
-        &from_[from_.size() - ROW_SIZE]);
-  store(c.end.to_local(position_of(state.x.data(), particle)), &to_[to_.size() - ROW_SIZE]);
+        &from_[from_.size() - PARTICLE_STRIDE]);
+  store(c.end.to_local(position_of(state.x.data(), particle)), &to_[to_.size() - PARTICLE_STRIDE]);
   return entry;
 }
 
@@ -383,11 +383,13 @@ bool FaceContacts::separate(Separation& separation) const {
 
 void FaceContacts::write_back(const StepCollider& c, double h, StepState& state) {
   for (std::size_t k = 0; k < particle_of_slot_.size(); ++k) {
-    const Vec end_shift = load(&to_[ROW_SIZE * k]) - load(&uncorrected_to_[ROW_SIZE * k]);
-    const Vec start_shift = load(&from_[ROW_SIZE * k]) - load(&uncorrected_from_[ROW_SIZE * k]);
+    const Vec end_shift =
+        load(&to_[PARTICLE_STRIDE * k]) - load(&uncorrected_to_[PARTICLE_STRIDE * k]);
+    const Vec start_shift =
+        load(&from_[PARTICLE_STRIDE * k]) - load(&uncorrected_from_[PARTICLE_STRIDE * k]);
     if (dot(end_shift, end_shift) == 0 && dot(start_shift, start_shift) == 0) continue;
     const std::int32_t n = particle_of_slot_[k];
-    const std::size_t row = ROW_SIZE * static_cast<std::size_t>(n);
+    const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(n);
     const Vec end_change = c.end.rotate(end_shift), start_change = c.begin.rotate(start_shift);
     store(load(&state.x[row]) + end_change, &state.x[row]);
     store(load(&state.before[row]) + start_change, &state.before[row]);

@@ -167,7 +167,7 @@ void SpringForces::write(const std::vector<double>& columns, double* rows) const
 void SpringForces::compute(const double* x, const double* v, ForceBuffers& buffers,
                            double* forces) const {
   if (!has_bands()) {
-    std::fill_n(forces, ROW_SIZE * particles_, 0.0);
+    std::fill_n(forces, PARTICLE_STRIDE * particles_, 0.0);
   } else {
     allocate(buffers);
     read(x, buffers.x);

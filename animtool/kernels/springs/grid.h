@@ -55,7 +55,7 @@ void PointGrid::visit(const double* low, const double* high, Function function) 
   }
   // If a box has more cells than there are points, it is faster to test all points.
   if (cells > static_cast<double>(count_)) {
-    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &positions_[ROW_SIZE * i]);
+    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &positions_[PARTICLE_STRIDE * i]);
     return;
   }
   std::int64_t cell[3];
@@ -65,7 +65,7 @@ void PointGrid::visit(const double* low, const double* high, Function function) 
         const std::uint64_t cell_key = key(cell);
         const std::size_t b = bucket(cell_key);
         for (std::size_t i = starts_[b]; i < starts_[b + 1]; ++i)
-          if (keys_[i] == cell_key) function(points_[i], &positions_[ROW_SIZE * i]);
+          if (keys_[i] == cell_key) function(points_[i], &positions_[PARTICLE_STRIDE * i]);
       }
 }
 

@@ -95,9 +95,9 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest_posi
   check::positive("thickness", thickness);
   check::not_negative("friction", friction);
   check::not_negative("speed", separation_speed);
-  rest_positions_.resize(ROW_SIZE * particles_);
+  rest_positions_.resize(PARTICLE_STRIDE * particles_);
   for (std::size_t n = 0; n < particles_; ++n)
-    std::copy_n(rest_positions.data() + 3 * n, 3, rest_positions_.data() + ROW_SIZE * n);
+    std::copy_n(rest_positions.data() + 3 * n, 3, rest_positions_.data() + PARTICLE_STRIDE * n);
   collect_edges();
   collect_adjacent_particles(network);
 }

@@ -145,7 +145,7 @@ KnotPosition knot_position(const std::vector<double>& knot_times, double t) {
 
 void SpringNetwork::sample_track(const Track& track, const KnotPosition& position, double* out) {
   const std::size_t width = 3 * track.points;
-  const double* a = track.rows.data() + (track.is_constant ? 0 : position.row * width);
+  const double* a = track.positions.data() + (track.is_constant ? 0 : position.knot_index * width);
   if (track.is_constant || position.fraction == 0) {
     std::copy_n(a, width, out);
     return;
@@ -156,7 +156,7 @@ void SpringNetwork::sample_track(const Track& track, const KnotPosition& positio
 void SpringNetwork::add_anchor_forces(const double* anchor_points, const double* anchor_velocities,
                                       const double* x, const double* v, double* forces) const {
   for (std::size_t a = 0; a < anchors.size(); ++a) {
-    const std::size_t row = ROW_SIZE * static_cast<std::size_t>(anchors[a]);
+    const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(anchors[a]);
     for (std::size_t k = 0; k < 3; ++k)
       forces[row + k] += anchor_stiffness[a] * (anchor_points[3 * a + k] - x[row + k]) +
                          anchor_damping[a] * (anchor_velocities[3 * a + k] - v[row + k]);
@@ -167,9 +167,9 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
                                    double* forces) const {
   if (air_drag == 0 && air_lift == 0) return;
   for (std::size_t t = 0; t < triangles.size(); t += 3) {
-    const std::size_t corners[3] = {ROW_SIZE * static_cast<std::size_t>(triangles[t]),
-                                    ROW_SIZE * static_cast<std::size_t>(triangles[t + 1]),
-                                    ROW_SIZE * static_cast<std::size_t>(triangles[t + 2])};
+    const std::size_t corners[3] = {PARTICLE_STRIDE * static_cast<std::size_t>(triangles[t]),
+                                    PARTICLE_STRIDE * static_cast<std::size_t>(triangles[t + 1]),
+                                    PARTICLE_STRIDE * static_cast<std::size_t>(triangles[t + 2])};
     double a[3], b[3], flow[3];
     for (std::size_t k = 0; k < 3; ++k) {
       a[k] = x[corners[1] + k] - x[corners[0] + k];
@@ -198,7 +198,8 @@ void SpringNetwork::set_pinned(double t, double h, const double* before, double*
   if (pinned.empty()) return;
   const KnotPosition knot = knot_at(t);
   const std::size_t width = 3 * pinned.size();
-  const double* a = pinned_track.rows.data() + (pinned_track.is_constant ? 0 : knot.row * width);
+  const double* a =
+      pinned_track.positions.data() + (pinned_track.is_constant ? 0 : knot.knot_index * width);
   const bool is_interpolated = !pinned_track.is_constant && knot.fraction != 0;
   for (std::size_t p = 0; p < pinned.size(); ++p)
     for (std::size_t k = 0; k < 3; ++k) {
@@ -214,7 +215,7 @@ void SpringNetwork::set_pinned(double t, double h, const double* before, double*
 SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const double* v0,
                      const std::uint8_t* is_torn0)
     : network(network),
-      size(ROW_SIZE * network.particle_count()),
+      size(PARTICLE_STRIDE * network.particle_count()),
       x(size),
       v(size),
       is_torn(is_torn0, is_torn0 + network.spring_set.springs.size()),
@@ -222,8 +223,8 @@ SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const doubl
       anchor_points_before(3 * network.anchors.size()),
       anchor_velocities(3 * network.anchors.size()) {
   for (std::size_t n = 0; n < network.particle_count(); ++n) {
-    std::copy_n(x0 + 3 * n, 3, x.data() + ROW_SIZE * n);
-    std::copy_n(v0 + 3 * n, 3, v.data() + ROW_SIZE * n);
+    std::copy_n(x0 + 3 * n, 3, x.data() + PARTICLE_STRIDE * n);
+    std::copy_n(v0 + 3 * n, 3, v.data() + PARTICLE_STRIDE * n);
   }
   if (std::find(is_torn.begin(), is_torn.end(), 1) != is_torn.end()) remove_torn();
 }
@@ -234,8 +235,8 @@ bool SpringRun::tear() {
   const SpringSet& current = spring_set();
   for (std::size_t s = 0; s < current.springs.size(); ++s) {
     const Spring& spring = current.springs[s];
-    const double* p = x.data() + ROW_SIZE * static_cast<std::size_t>(spring.i);
-    const double* q = x.data() + ROW_SIZE * static_cast<std::size_t>(spring.j);
+    const double* p = x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+    const double* q = x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
     if (!(dot3(d, d) > spring.tear_length * spring.tear_length)) continue;
     is_torn[static_cast<std::size_t>(current.indices[s])] = 1;
@@ -314,10 +315,11 @@ void SpringRun::accelerate(const double* positions, const double* velocities, do
   network.add_anchor_forces(anchor_points.data(), anchor_velocities.data(), positions, velocities,
                             out);
   network.add_air_forces(wind, positions, velocities, out);
-  const double gravity_row[ROW_SIZE] = {network.gravity[0], network.gravity[1], network.gravity[2],
-                                        0};
+  const double padded_gravity[PARTICLE_STRIDE] = {network.gravity[0], network.gravity[1],
+                                                  network.gravity[2], 0};
   const ParticleColumns particles{network.inverse_masses.data(), network.drags.data()};
-  spring_functions().accelerate(particles, network.particle_count(), gravity_row, velocities, out);
+  spring_functions().accelerate(particles, network.particle_count(), padded_gravity, velocities,
+                                out);
 }
 
 namespace {

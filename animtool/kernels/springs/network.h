@@ -29,14 +29,14 @@ struct SpringSet {
 
 // Paths of points over knots of time: linear between knots, constant outside of them.
 struct Track {
-  std::vector<double> rows;  // (K or 1, P, 3)
+  std::vector<double> positions;  // (K or 1, P, 3)
   std::size_t points = 0;
   bool is_constant = true;
 };
 
 // The knot interval that a time is in, and the fraction of it.
 struct KnotPosition {
-  std::size_t row;
+  std::size_t knot_index;
   double fraction;
 };
 
@@ -95,7 +95,7 @@ class SpringNetwork : public SpringElements {
   // Moves pinned particles to their track at a time. Their velocity is the displacement from
   // `before` over h; `before` may be the same array as x.
   void set_pinned(double t, double h, const double* before, double* x, double* v) const {
-    set_pinned(t, h, before, x, v, {ROW_SIZE, 1});
+    set_pinned(t, h, before, x, v, {PARTICLE_STRIDE, 1});
   }
   void set_pinned(double t, double h, const double* before, double* x, double* v,
                   const Strides& strides) const;

@@ -52,7 +52,7 @@ struct Box {
 void build_grid(PointGrid& grid, const std::vector<double>& rows, double width_sum,
                 std::size_t box_count) {
   const double mean = width_sum / static_cast<double>(std::max<std::size_t>(box_count, 1));
-  grid.build(rows.data(), rows.size() / ROW_SIZE, mean);
+  grid.build(rows.data(), rows.size() / PARTICLE_STRIDE, mean);
 }
 
 // Sorts pairs by both indices; first indices are below `count`.
@@ -105,7 +105,8 @@ std::vector<LayerPair> TrianglesAndCorners::find_near(const SpringLayers& layers
 std::vector<LayerPair> EdgesAndEdges::find_near(const SpringLayers& layers,
                                                 const std::vector<double>& x, double margin) {
   const double max_gap = layers.max_edge_distance() + margin;
-  std::vector<double> midpoints(ROW_SIZE * layers.edge_count()), lengths(layers.edge_count());
+  std::vector<double> midpoints(PARTICLE_STRIDE * layers.edge_count()),
+      lengths(layers.edge_count());
   // The longer of two edges finds the shorter one, whose midpoint is in this box.
   const auto edge_box = [&](const shapes::Segment& edge, double edge_length) {
     return Box({edge.a, edge.b}, max_gap + edge_length / 2);
@@ -113,8 +114,8 @@ std::vector<LayerPair> EdgesAndEdges::find_near(const SpringLayers& layers,
   double width_sum = 0;
   for (std::size_t e = 0; e < layers.edge_count(); ++e) {
     const shapes::Segment edge(layers.ends(e), x.data());
-    collide::store(edge.point_at(0.5), &midpoints[ROW_SIZE * e]);
-    lengths[e] = midpoints[ROW_SIZE * e + 3] = length(edge.vector());
+    collide::store(edge.point_at(0.5), &midpoints[PARTICLE_STRIDE * e]);
+    lengths[e] = midpoints[PARTICLE_STRIDE * e + 3] = length(edge.vector());
     width_sum += edge_box(edge, lengths[e]).max_width();
   }
   PointGrid grid;
@@ -124,7 +125,7 @@ std::vector<LayerPair> EdgesAndEdges::find_near(const SpringLayers& layers,
     const std::int32_t* ends = layers.ends(e);
     const shapes::Segment edge(ends, x.data());
     const Box bounds = edge_box(edge, lengths[e]), tight_box = edge_box(edge, 0);
-    const Vec midpoint = load(&midpoints[ROW_SIZE * e]);
+    const Vec midpoint = load(&midpoints[PARTICLE_STRIDE * e]);
     grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* position) {
       // The length is stored after the midpoint.
       const double other_length = position[3],

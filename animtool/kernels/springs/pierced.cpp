@@ -42,9 +42,9 @@ std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangle
   check::shape("positions", positions, {check::ANY, 3});
   check::at_most("positions", count, check::MAX_ROWS);
   const std::vector<std::int32_t> corners = checked_corners("triangles", triangles, count);
-  std::vector<double> x(ROW_SIZE * count);
+  std::vector<double> x(PARTICLE_STRIDE * count);
   for (std::size_t n = 0; n < count; ++n)
-    std::copy_n(positions.data() + 3 * n, 3, x.data() + ROW_SIZE * n);
+    std::copy_n(positions.data() + 3 * n, 3, x.data() + PARTICLE_STRIDE * n);
   const auto count_piercings = [&x](const std::vector<std::int32_t>& edge_corners,
                                     const std::vector<std::int32_t>& face_corners) {
     return static_cast<std::int64_t>(

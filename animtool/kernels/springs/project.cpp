@@ -127,9 +127,9 @@ class Projection {
       if (!(spring.rest_length > 0) ||
           !(length_factors_[s] * inverse_mass_sum > 1 - STIFF_FRACTION))
         continue;
-      stiff_springs_.push_back({ROW_SIZE * static_cast<std::size_t>(spring.i),
-                                ROW_SIZE * static_cast<std::size_t>(spring.j), spring.rest_length,
-                                first_inverse_mass / inverse_mass_sum,
+      stiff_springs_.push_back({PARTICLE_STRIDE * static_cast<std::size_t>(spring.i),
+                                PARTICLE_STRIDE * static_cast<std::size_t>(spring.j),
+                                spring.rest_length, first_inverse_mass / inverse_mass_sum,
                                 last_inverse_mass / inverse_mass_sum});
     }
   }
@@ -152,9 +152,9 @@ class Projection {
       if (inverse_mass == 0) continue;
       const double drag_factor = 1 / (1 + h * network.drags[n]);
       for (std::size_t k = 0; k < 3; ++k) {
-        double velocity = v[ROW_SIZE * n + k] + gravity_step[k];
-        if (has_air_forces) velocity += h * inverse_mass * forces_[ROW_SIZE * n + k];
-        x[ROW_SIZE * n + k] += h * (velocity * drag_factor);
+        double velocity = v[PARTICLE_STRIDE * n + k] + gravity_step[k];
+        if (has_air_forces) velocity += h * inverse_mass * forces_[PARTICLE_STRIDE * n + k];
+        x[PARTICLE_STRIDE * n + k] += h * (velocity * drag_factor);
       }
     }
   }
@@ -192,8 +192,8 @@ class Projection {
   void pull_anchors() {
     const SpringNetwork& network = run_.network;
     for (std::size_t a = 0; a < network.anchors.size(); ++a) {
-      const std::size_t row = ROW_SIZE * static_cast<std::size_t>(network.anchors[a]);
-      const double inverse_mass = network.inverse_masses[row / ROW_SIZE];
+      const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(network.anchors[a]);
+      const double inverse_mass = network.inverse_masses[row / PARTICLE_STRIDE];
       for (std::size_t k = 0; k < 3; ++k) {
         const double offset = run_.anchor_points[3 * a + k] - run_.x[row + k];
         const double offset_change =
@@ -223,7 +223,7 @@ class Projection {
           p[k] += spring.first_inverse_mass * correction * d[k];
           q[k] -= spring.last_inverse_mass * correction * d[k];
         }
-        if (marks) (*marks)[spring.i / ROW_SIZE] = (*marks)[spring.j / ROW_SIZE] = 1;
+        if (marks) (*marks)[spring.i / PARTICLE_STRIDE] = (*marks)[spring.j / PARTICLE_STRIDE] = 1;
         has_corrected = true;
       }
       if (!has_corrected) break;
@@ -256,8 +256,8 @@ class Projection {
     for (std::size_t s = 0; s < run_.spring_set().springs.size(); ++s) {
       const Spring& spring = run_.spring_set().springs[s];
       if (!(spring.rest_length > 0) || !(spring.stiffness > 0)) continue;
-      const double* p = run_.x.data() + ROW_SIZE * static_cast<std::size_t>(spring.i);
-      const double* q = run_.x.data() + ROW_SIZE * static_cast<std::size_t>(spring.j);
+      const double* p = run_.x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+      const double* q = run_.x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
       const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
       const double square = dot3(d, d), bound = spring.rest_length * (1 + largest);
       if (square <= bound * bound) continue;

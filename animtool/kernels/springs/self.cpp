@@ -31,8 +31,10 @@ constexpr double CELL_EDGE_FACTOR = 4, CELL_THICKNESS_FACTOR = 8;
 
 // The rigid motion that fits the displacements of all particles.
 RigidMotion fit_common_motion(const std::vector<double>& from, const std::vector<double>& to) {
-  return {from.size() / ROW_SIZE, [&](std::size_t n) { return load(&from[ROW_SIZE * n]); },
-          [&](std::size_t n) { return load(&to[ROW_SIZE * n]); }, [](std::size_t) { return 1.0; }};
+  return {from.size() / PARTICLE_STRIDE,
+          [&](std::size_t n) { return load(&from[PARTICLE_STRIDE * n]); },
+          [&](std::size_t n) { return load(&to[PARTICLE_STRIDE * n]); },
+          [](std::size_t) { return 1.0; }};
 }
 
 void check_layers(const SpringLayers& layers, const SpringNetwork& network) {
@@ -145,10 +147,10 @@ void SelfContacts::update_lists(double h, const std::vector<double>& before,
                                       MAX_NEAR_MARGIN * thickness);
   near_list_.reset(x, std::min(distance, pair_list_.distance - pair_list_.drift));
   const RigidMotion motion = fit_common_motion(pair_list_.positions, x);
-  displacements_.resize(x.size() / ROW_SIZE);
+  displacements_.resize(x.size() / PARTICLE_STRIDE);
   for (std::size_t n = 0; n < displacements_.size(); ++n)
-    displacements_[n] =
-        length(load(&x[ROW_SIZE * n]) - motion(load(&pair_list_.positions[ROW_SIZE * n])));
+    displacements_[n] = length(load(&x[PARTICLE_STRIDE * n]) -
+                               motion(load(&pair_list_.positions[PARTICLE_STRIDE * n])));
   corner_contacts_.filter_near_pairs(*layers_, x, displacements_, near_list_.distance);
   edge_contacts_.filter_near_pairs(*layers_, x, displacements_, near_list_.distance);
 }
@@ -257,17 +259,17 @@ Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& la
   check::shape("before", before, {count, 3});
   check::shape("after", after, {2, count, 3});
   check::positive("h", h);
-  std::vector<double> from(ROW_SIZE * count), x(ROW_SIZE * count);
+  std::vector<double> from(PARTICLE_STRIDE * count), x(PARTICLE_STRIDE * count);
   for (std::size_t n = 0; n < count; ++n) {
-    std::copy_n(before.data() + 3 * n, 3, &from[ROW_SIZE * n]);
-    std::copy_n(after.data() + 3 * n, 3, &x[ROW_SIZE * n]);
+    std::copy_n(before.data() + 3 * n, 3, &from[PARTICLE_STRIDE * n]);
+    std::copy_n(after.data() + 3 * n, 3, &x[PARTICLE_STRIDE * n]);
   }
   Out<double, 3> result(2, count, 3);
   SelfContacts(layers, network).separate(h, from, x);
   const double *positions = after.data(), *velocities = positions + 3 * count;
   for (std::size_t n = 0; n < count; ++n)
     for (std::size_t k = 0; k < 3; ++k) {
-      const std::size_t row = ROW_SIZE * n + k, index = 3 * n + k;
+      const std::size_t row = PARTICLE_STRIDE * n + k, index = 3 * n + k;
       // The velocity changes by the correction of the displacement.
       const double correction = (x[row] - positions[index]) - (from[row] - before.data()[index]);
       result.get()[index] = x[row];

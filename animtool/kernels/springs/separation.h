@@ -98,7 +98,7 @@ inline void Separation::move(const LayerHit& hit, const double* coefficients,
   collide::Vec slip;
   for (std::size_t k = 0; k < 4; ++k) {
     const auto particle = static_cast<std::size_t>(hit.particles[k]);
-    ends[k] = &x_[ROW_SIZE * particle], starts[k] = &previous[ROW_SIZE * particle];
+    ends[k] = &x_[PARTICLE_STRIDE * particle], starts[k] = &previous[PARTICLE_STRIDE * particle];
     weights[k] = inverse_masses_[particle] * coefficients[k];
     total_weight += weights[k] * coefficients[k];
     max_weight = std::max(max_weight, std::abs(weights[k]));

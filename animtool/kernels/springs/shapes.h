@@ -29,7 +29,7 @@ constexpr double CROSSING_TOLERANCE = 1e-3;
 
 // The position in the row of a particle.
 inline Vec position_of(const double* positions, std::int32_t particle) {
-  return collide::load(positions + ROW_SIZE * static_cast<std::size_t>(particle));
+  return collide::load(positions + PARTICLE_STRIDE * static_cast<std::size_t>(particle));
 }
 inline Vec interpolate(Vec a, Vec b, double fraction) { return a + (b - a) * fraction; }
 
@@ -255,9 +255,9 @@ inline bool paths_overlap(const std::int32_t* particles, std::size_t first_count
     for (std::size_t element = 0; element < 2; ++element) {
       const std::size_t begin = element ? first_count : 0, end = element ? 4 : first_count;
       low[element] = high[element] =
-          from[ROW_SIZE * static_cast<std::size_t>(particles[begin]) + k];
+          from[PARTICLE_STRIDE * static_cast<std::size_t>(particles[begin]) + k];
       for (std::size_t i = begin; i < end; ++i) {
-        const std::size_t index = ROW_SIZE * static_cast<std::size_t>(particles[i]) + k;
+        const std::size_t index = PARTICLE_STRIDE * static_cast<std::size_t>(particles[i]) + k;
         low[element] = std::min({low[element], from[index], to[index]});
         high[element] = std::max({high[element], from[index], to[index]});
       }

@@ -93,7 +93,7 @@ class ImplicitSolver {
     double sum = 0;
     for (std::size_t n = 0; n < run_.network.particle_count(); ++n) {
       const double inverse_mass = run_.network.inverse_masses[n];
-      for (std::size_t k = ROW_SIZE * n; k < ROW_SIZE * n + 3; ++k) {
+      for (std::size_t k = PARTICLE_STRIDE * n; k < PARTICLE_STRIDE * n + 3; ++k) {
         if (inverse_mass == 0) {
           residual_[k] = 0;
           continue;
@@ -164,9 +164,9 @@ class ImplicitSolver {
     const double *x = run_.x.data(), *v = run_.v.data();
     for (std::size_t t = 0; t < network.triangles.size(); t += 3) {
       const std::int32_t* corners = network.triangles.data() + t;
-      const std::size_t rows[3] = {ROW_SIZE * static_cast<std::size_t>(corners[0]),
-                                   ROW_SIZE * static_cast<std::size_t>(corners[1]),
-                                   ROW_SIZE * static_cast<std::size_t>(corners[2])};
+      const std::size_t rows[3] = {PARTICLE_STRIDE * static_cast<std::size_t>(corners[0]),
+                                   PARTICLE_STRIDE * static_cast<std::size_t>(corners[1]),
+                                   PARTICLE_STRIDE * static_cast<std::size_t>(corners[2])};
       double a[3], b[3], flow[3];
       for (std::size_t k = 0; k < 3; ++k) {
         a[k] = x[rows[1] + k] - x[rows[0] + k];
@@ -185,8 +185,8 @@ class ImplicitSolver {
   }
 
   void add_spring(const Spring& spring, double s) {
-    const double* p = run_.x.data() + ROW_SIZE * static_cast<std::size_t>(spring.i);
-    const double* q = run_.x.data() + ROW_SIZE * static_cast<std::size_t>(spring.j);
+    const double* p = run_.x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+    const double* q = run_.x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
     const double length = std::sqrt(dot3(d, d)), inverse_length = length > 0 ? 1 / length : 0;
     const double axial_stiffness = s * s * spring.stiffness;
@@ -224,14 +224,14 @@ class ImplicitSolver {
 
   // Multiplies the matrix by a vector.
   void multiply(const std::vector<double>& in, std::vector<double>& out) const {
-    for (std::size_t k = 0; k < run_.size; ++k) out[k] = diagonal_[k / ROW_SIZE] * in[k];
+    for (std::size_t k = 0; k < run_.size; ++k) out[k] = diagonal_[k / PARTICLE_STRIDE] * in[k];
     for (const SpringStiffness& spring : springs_) {
-      const double* a = in.data() + ROW_SIZE * static_cast<std::size_t>(spring.i);
-      const double* b = in.data() + ROW_SIZE * static_cast<std::size_t>(spring.j);
+      const double* a = in.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+      const double* b = in.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
       const double e[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
       const double axial = spring.axial * dot3(spring.direction, e);
-      double* f = out.data() + ROW_SIZE * static_cast<std::size_t>(spring.i);
-      double* g = out.data() + ROW_SIZE * static_cast<std::size_t>(spring.j);
+      double* f = out.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+      double* g = out.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
       for (int k = 0; k < 3; ++k) {
         const double force = spring.transverse * e[k] + axial * spring.direction[k];
         f[k] += force;
@@ -243,15 +243,15 @@ class ImplicitSolver {
 
   void zero_pinned(std::vector<double>& values) const {
     for (const std::int32_t n : run_.network.pinned)
-      std::fill_n(values.data() + ROW_SIZE * static_cast<std::size_t>(n), 3, 0.0);
+      std::fill_n(values.data() + PARTICLE_STRIDE * static_cast<std::size_t>(n), 3, 0.0);
   }
 
   // Multiplies by an approximate inverse of the matrix; an exact one for chains.
   void precondition(const std::vector<double>& in, std::vector<double>& out) {
-    if (is_chain()) return chain_.solve(in, out, ROW_SIZE);
+    if (is_chain()) return chain_.solve(in, out, PARTICLE_STRIDE);
     for (std::size_t n = 0; n < run_.network.particle_count(); ++n) {
-      const double *block = blocks_.data() + 9 * n, *a = in.data() + ROW_SIZE * n;
-      for (std::size_t k = 0; k < 3; ++k) out[ROW_SIZE * n + k] = dot3(block + 3 * k, a);
+      const double *block = blocks_.data() + 9 * n, *a = in.data() + PARTICLE_STRIDE * n;
+      for (std::size_t k = 0; k < 3; ++k) out[PARTICLE_STRIDE * n + k] = dot3(block + 3 * k, a);
     }
   }
 
@@ -329,7 +329,7 @@ class PinImpulses {
         add_spring_force(spring, x, v);
     run_.network.add_air_forces(run_.wind, x, v, forces_.data());
     for (std::size_t p = 0; p < pinned_.size(); ++p) {
-      const std::size_t row = ROW_SIZE * static_cast<std::size_t>(pinned_[p]);
+      const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(pinned_[p]);
       const double *r = x + row, *f = forces_.data() + row;
       const double force_and_moment[IMPULSE_SIZE] = {f[0],
                                                      f[1],
@@ -364,8 +364,8 @@ class PinImpulses {
   static constexpr std::size_t IMPULSE_SIZE = 6;
 
   void add_spring_force(const Spring& spring, const double* x, const double* v) {
-    const std::size_t i = ROW_SIZE * static_cast<std::size_t>(spring.i);
-    const std::size_t j = ROW_SIZE * static_cast<std::size_t>(spring.j);
+    const std::size_t i = PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+    const std::size_t j = PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
     double d[3], e[3];
     for (std::size_t k = 0; k < 3; ++k) {
       d[k] = x[j + k] - x[i + k];

@@ -181,8 +181,8 @@ class BundleWorker {
         near_colliders_(plan.collider_count),
         touched_counts_(plan.interval_count * plan.substeps),
         segment_particles_(plan.point_count),
-        strand_positions_before_(ROW_SIZE * plan.point_count),
-        strand_positions_(ROW_SIZE * plan.point_count) {
+        strand_positions_before_(PARTICLE_STRIDE * plan.point_count),
+        strand_positions_(PARTICLE_STRIDE * plan.point_count) {
     for (const SpringElements& elements : strands.segments()) {
       FaceContacts& segments = segments_.emplace_back(elements, colliders.radius());
       for (std::size_t c = 0; c < colliders.size(); ++c)
@@ -260,7 +260,7 @@ class BundleWorker {
     const auto for_each_coordinate = [&](auto&& copy) {
       for (std::size_t p = 0; p < points; ++p)
         for (std::size_t k = 0; k < 3; ++k)
-          copy(ROW_SIZE * p + k, FOUR_VEC_SIZE * p + SIMD_WIDTH * k + lane);
+          copy(PARTICLE_STRIDE * p + k, FOUR_VEC_SIZE * p + SIMD_WIDTH * k + lane);
     };
     for_each_coordinate([&](std::size_t to, std::size_t from) {
       self.strand_positions_before_[to] = bundle.reference_positions[from],

@@ -30,11 +30,11 @@ std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
                                          const std::vector<std::int32_t>& corners) {
   const std::size_t edge_count = ends.size() / 2;
   std::vector<EdgePiercing> piercings;
-  std::vector<double> midpoints(ROW_SIZE * edge_count);
+  std::vector<double> midpoints(PARTICLE_STRIDE * edge_count);
   double max_length = 0, length_sum = 0;
   const auto segment = [&](std::size_t e) { return shapes::Segment(&ends[2 * e], x.data()); };
   for (std::size_t e = 0; e < edge_count; ++e) {
-    store(segment(e).point_at(0.5), &midpoints[ROW_SIZE * e]);
+    store(segment(e).point_at(0.5), &midpoints[PARTICLE_STRIDE * e]);
     const double edge_length = length(segment(e).vector());
     max_length = std::max(max_length, edge_length), length_sum += edge_length;
   }
@@ -46,7 +46,7 @@ std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
     double low[3], high[3];
     for (std::size_t k = 0; k < 3; ++k) {
       const auto coordinate = [&](std::size_t i) {
-        return x[ROW_SIZE * static_cast<std::size_t>(corners[t + i]) + k];
+        return x[PARTICLE_STRIDE * static_cast<std::size_t>(corners[t + i]) + k];
       };
       low[k] = std::min({coordinate(0), coordinate(1), coordinate(2)}) - max_length / 2;
       high[k] = std::max({coordinate(0), coordinate(1), coordinate(2)}) + max_length / 2;
@@ -147,8 +147,8 @@ void Tangles::untangle(double distance, std::vector<double>& before, std::vector
       const auto n = static_cast<std::size_t>(particles[k]);
       const Vec correction =
           direction * (distance * inverse_masses_[n] * coefficients[k] / total_weight);
-      store(load(&x[ROW_SIZE * n]) + correction, &x[ROW_SIZE * n]);
-      store(load(&before[ROW_SIZE * n]) + correction, &before[ROW_SIZE * n]);
+      store(load(&x[PARTICLE_STRIDE * n]) + correction, &x[PARTICLE_STRIDE * n]);
+      store(load(&before[PARTICLE_STRIDE * n]) + correction, &before[PARTICLE_STRIDE * n]);
     }
   }
 }

@@ -77,8 +77,8 @@ void ImpactZones::move_zone(const std::int32_t* members, std::size_t count,
     const auto n = static_cast<std::size_t>(members[i]);
     if (inverse_masses_[n] == 0) continue;
     const Vec start_position = position_of(from.data(), members[i]);
-    store(motion(start_position), &x[ROW_SIZE * n]);
-    store(start_position, &before[ROW_SIZE * n]);
+    store(motion(start_position), &x[PARTICLE_STRIDE * n]);
+    store(start_position, &before[PARTICLE_STRIDE * n]);
   }
 }
 
