@@ -29,7 +29,7 @@ using Triangulation =
     std::tuple<Out<double, 3>, Out<double, 3>, Out<double, 3>, Out<float, 4>, Out<std::uint8_t, 3>>;
 Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
                                  In<double, 2> cameras, In<bool, 2> is_active, In<double, 1> noise,
-                                 double gate, double condition, bool has_details);
+                                 double outlier_gate, double max_condition, bool has_details);
 
 Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> cameras);
 

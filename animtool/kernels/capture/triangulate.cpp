@@ -466,15 +466,15 @@ void check_views(const In<double, 4>& pixels, const In<double, 2>& cameras) {
 
 Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
                                  In<double, 2> cameras, In<bool, 2> is_active, In<double, 1> noise,
-                                 double gate, double condition, bool has_details) {
+                                 double outlier_gate, double max_condition, bool has_details) {
   check_views(pixels, cameras);
   const std::size_t F = pixels.shape(0), C = pixels.shape(1), M = pixels.shape(2);
   if (confidences) check::shape("confidences", *confidences, {F, C, M});
   check::shape("active", is_active, {F, C});
   check::shape("noise", noise, {C});
   for (std::size_t c = 0; c < C; ++c) check::positive("noise", noise.data()[c]);
-  check::positive("gate", gate);
-  check::positive("condition", condition);
+  check::positive("gate", outlier_gate);
+  check::positive("condition", max_condition);
   const double* confidence_data = confidences ? confidences->data() : nullptr;
 
   const std::size_t detail_frames = has_details ? F : 0;
@@ -485,7 +485,7 @@ Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 
   std::fill_n(residuals.get(), detail_frames * C * M * 2, std::numeric_limits<float>::quiet_NaN());
   std::fill_n(tallies.get(), F * C * TALLY_COUNT, 0.0);
   PointSolver point_solver;
-  point_solver.squared_gate = gate * gate;
+  point_solver.squared_gate = outlier_gate * outlier_gate;
   std::array<std::uint8_t, 256> view_states;
   for (std::size_t f = 0; f < F; ++f)
     for (std::size_t m = 0; m < M; ++m) {
@@ -521,7 +521,7 @@ Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 
       const std::size_t used_count = solution.has_converged ? point_solver.count_used() : 0;
       const double trace = solution.has_converged ? solution.factor.trace() : 0;
       // Nearly parallel rays do not determine the depth.
-      if (used_count < 2 || !(trace * solution.trace <= condition)) solution = Solution{};
+      if (used_count < 2 || !(trace * solution.trace <= max_condition)) solution = Solution{};
 
       double* position = points.get() + (f * M + m) * 3;
       double* point_numbers = numbers.get() + (f * M + m) * POINT_NUMBER_COUNT;

@@ -98,9 +98,9 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
 
 // Like `sample`, for a particle with a known earlier position in the collider's frame: if it has
 // crossed a two-sided mesh in between, it is inside.
-inline Sample sample_after_crossing(const Collider& c, Vec earlier, const Pose& pose, Vec point,
-                                    double radius, double max_distance) {
-  if (!c.is_two_sided || !changes_side(c.mesh, c.root, earlier, pose.to_local(point)))
+inline Sample sample_after_crossing(const Collider& c, Vec earlier_point, const Pose& pose,
+                                    Vec point, double radius, double max_distance) {
+  if (!c.is_two_sided || !changes_side(c.mesh, c.root, earlier_point, pose.to_local(point)))
     return sample(c, pose, point, radius, max_distance);
   const Sample nearest_hit = sample(c, pose, point, radius, INF);
   const double clearance = contact_distance(c, radius);

@@ -266,8 +266,8 @@ class Walker {
   }
 
   // Interpolates between a value without oncoming agents and one with many.
-  double blend(double uncrowded, double crowded) const {
-    return uncrowded + (crowded - uncrowded) * oncoming_strength_;
+  double blend(double uncrowded_value, double crowded_value) const {
+    return uncrowded_value + (crowded_value - uncrowded_value) * oncoming_strength_;
   }
 
   void find_neighbours(std::size_t agent, const std::int32_t* hit, const std::int32_t* end) {

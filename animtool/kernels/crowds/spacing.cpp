@@ -30,10 +30,10 @@ class SpacedMembers {
   // Visits each pair within a multiple of the largest minimum distance. Returns the number of
   // tested pairs, and stops above `max_tests`.
   template <class Function>
-  double visit_pairs(const double* points, double multiple, double max_tests,
+  double visit_pairs(const double* points, double radius_factor, double max_tests,
                      Function function) const {
     if (members_.size() < 2) return 0;
-    double radius = multiple * max_distance_;
+    double radius = radius_factor * max_distance_;
     for (std::size_t k = 0; k < 3; ++k)
       if (period_[k] > 0) radius = std::min(radius, period_[k] / 2);
     const Neighbours grid(points, members_.data(), members_.size(), radius, low_, period_);

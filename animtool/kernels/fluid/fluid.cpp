@@ -87,9 +87,9 @@ class FluidStepper {
  public:
   FluidStepper(const FluidConstants& constants, std::vector<Collider> colliders,
                std::vector<std::int32_t> owners, std::vector<Body> bodies, double step,
-               double sound)
+               double sound_speed)
       : constants_(constants),
-        sound_speed_(sound),
+        sound_speed_(sound_speed),
         colliders_(std::move(colliders)),
         body_of_collider_(std::move(owners)),
         bodies_(std::move(bodies)),
@@ -213,10 +213,10 @@ class FluidStepper {
   // Reorders values.
   template <class T>
   void reorder(std::vector<T>& values, const std::vector<std::int32_t>& order) {
-    std::vector<T> reordered(values.size());
+    std::vector<T> sorted_values(values.size());
     for (std::size_t i = 0; i < order.size(); ++i)
-      reordered[i] = values[static_cast<std::size_t>(order[i])];
-    values.swap(reordered);
+      sorted_values[i] = values[static_cast<std::size_t>(order[i])];
+    values.swap(sorted_values);
   }
 
   // Sorts particles by grid cells, and lists neighbours and colliders until the lists are stale.
@@ -600,7 +600,7 @@ fluid::FluidConstants read_constants(double spacing, double density, double visc
 FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                             In<double, 2> bodies, In<double, 3> state, In<double, 2> accelerations,
                             double spacing, double density, double viscosity, double tension,
-                            double sound, double step, std::int64_t substeps) {
+                            double sound_speed, double step, std::int64_t substeps) {
   const std::size_t count = state.shape(1), body_count = bodies.shape(0);
   std::vector<collide::Collider> shapes = read_colliders(colliders);
   check::shape("owners", owners, {shapes.size()});
@@ -610,7 +610,7 @@ FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners
   check::shape("state", state, {2, check::ANY, 3});
   check::shape("accelerations", accelerations, {count, 3});
   check::at_most("state", count, check::MAX_ROWS);
-  check::positive("sound", sound);
+  check::positive("sound", sound_speed);
   check::positive("step", step);
   check::between("substeps", substeps, 1, 1 << 24);
   const fluid::FluidConstants constants = read_constants(spacing, density, viscosity, tension);
@@ -626,7 +626,7 @@ FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners
   double compression = 0;
   fluid::FluidStepper stepper(constants, std::move(shapes),
                               {owners.data(), owners.data() + owners.size()},
-                              std::move(fluid_bodies), step, sound);
+                              std::move(fluid_bodies), step, sound_speed);
   stepper.reset(state.data(), accelerations.data(), count);
   stepper.run(static_cast<std::size_t>(substeps));
   stepper.store_state(result.get(), pressures.get());

@@ -101,15 +101,16 @@ void Walls::integrate(double distance, double unscaled_curvature, double& value,
   const double scale_factor = std::max(1 + curvature * scaled_distance, 1e-3);
   for (int i = 0; i < SHELL_COUNT; ++i) {
     const double r = inner_radius + thickness * radii_[i];
-    const double shell = 4 * r * r * Kernel::weight(r) * weights_[i] * thickness * normalisation;
+    const double shell_integral =
+        4 * r * r * Kernel::weight(r) * weights_[i] * thickness * normalisation;
     const double numerator =
                      2 * scaled_distance + curvature * (scaled_distance * scaled_distance + r * r),
                  denominator = 2 * r * scale_factor;
     const double cosine = numerator / denominator;
     if (cosine >= 1) continue;
-    value += shell * (1 - std::max(cosine, -1.0)) / 2;
+    value += shell_integral * (1 - std::max(cosine, -1.0)) / 2;
     if (cosine > -1)
-      derivative -= shell *
+      derivative -= shell_integral *
                     ((2 + 2 * curvature * scaled_distance) / denominator -
                      cosine * curvature / scale_factor) /
                     2;

@@ -41,7 +41,7 @@ Triple plus(const Triple& a, const Triple& b) { return {a[0] + b[0], a[1] + b[1]
 
 Triple times(double scale, const Triple& a) { return {scale * a[0], scale * a[1], scale * a[2]}; }
 
-double inner(const Triple& a, const Triple& b) { return dot(a.data(), b.data()); }
+double dot_product(const Triple& a, const Triple& b) { return dot(a.data(), b.data()); }
 
 Triple cross_product(const Triple& a, const Triple& b) {
   Triple c;
@@ -54,7 +54,7 @@ double norm(const Triple& a) { return length(a.data()); }
 // Rotates a vector about a unit axis.
 Triple rotate_about(const Triple& axis, double angle, const Triple& v) {
   const double cosine = std::cos(angle), sine = std::sin(angle),
-               axial = (1 - cosine) * inner(axis, v);
+               axial = (1 - cosine) * dot_product(axis, v);
   const Triple perpendicular = cross_product(axis, v);
   Triple out;
   for (int i = 0; i < 3; ++i) out[i] = cosine * v[i] + sine * perpendicular[i] + axial * axis[i];
@@ -72,16 +72,16 @@ struct AngleSolutions {
 double angle_between(const Triple& axis, const Triple& p, const Triple& q, double free_angle) {
   const Triple p_side = cross_product(axis, p), q_side = cross_product(axis, q);
   if (std::min(norm(p_side), norm(q_side)) < ARM_MIN_LENGTH) return free_angle;
-  return std::atan2(inner(axis, cross_product(p_side, q_side)), inner(p_side, q_side));
+  return std::atan2(dot_product(axis, cross_product(p_side, q_side)), dot_product(p_side, q_side));
 }
 
 // Subproblem 4: angles of rotations of p about an axis after which its component along h is d. If d
 // is out of range by up to `range_tolerance`, it is clamped.
 AngleSolutions angles_to_component(const Triple& axis, const Triple& p, const Triple& h, double d,
                                    double range_tolerance, double free_angle) {
-  const double constant_part = inner(h, axis) * inner(axis, p);
-  const double cosine_part = inner(h, p) - constant_part,
-               sine_part = inner(h, cross_product(axis, p)), remainder = d - constant_part;
+  const double constant_part = dot_product(h, axis) * dot_product(axis, p);
+  const double cosine_part = dot_product(h, p) - constant_part,
+               sine_part = dot_product(h, cross_product(axis, p)), remainder = d - constant_part;
   const double amplitude = std::hypot(cosine_part, sine_part);
   if (amplitude < ARM_MIN_LENGTH)
     return std::fabs(remainder) < ARM_MIN_LENGTH + range_tolerance ? AngleSolutions{1, {free_angle}}
@@ -98,7 +98,8 @@ AngleSolutions angles_to_component(const Triple& axis, const Triple& p, const Tr
 // Subproblem 3: angles of rotations of p about an axis after which it has a given distance from q.
 AngleSolutions angles_to_distance(const Triple& axis, const Triple& p, const Triple& q,
                                   double distance, double range_tolerance, double free_angle) {
-  return angles_to_component(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2,
+  return angles_to_component(axis, p, q,
+                             (dot_product(p, p) + dot_product(q, q) - distance * distance) / 2,
                              range_tolerance, free_angle);
 }
 
@@ -107,13 +108,14 @@ template <class Function>
 void angles_to_common_vector(const Triple& first_axis, const Triple& p, const Triple& second_axis,
                              const Triple& q, double range_tolerance, double first_free_angle,
                              double second_free_angle, Function&& function) {
-  const double axis_dot = inner(first_axis, second_axis), squared_sine = 1 - axis_dot * axis_dot;
-  const double p_component = inner(first_axis, p), q_component = inner(second_axis, q);
+  const double axis_dot = dot_product(first_axis, second_axis),
+               squared_sine = 1 - axis_dot * axis_dot;
+  const double p_component = dot_product(first_axis, p), q_component = dot_product(second_axis, q);
   const double a = (p_component - axis_dot * q_component) / squared_sine,
                b = (q_component - axis_dot * p_component) / squared_sine;
   const Triple normal = cross_product(first_axis, second_axis);
   const Triple in_axis_plane = plus(times(a, first_axis), times(b, second_axis));
-  const double remainder = inner(p, p) - inner(in_axis_plane, in_axis_plane);
+  const double remainder = dot_product(p, p) - dot_product(in_axis_plane, in_axis_plane);
   if (remainder < -range_tolerance) return;
   const double height = std::sqrt(std::max(remainder, 0.0) / squared_sine);
   for (const double sign : {1.0, -1.0}) {
@@ -134,18 +136,19 @@ double sine_between(const Line& a, const Line& b) { return norm(cross_product(a.
 // Computes the point of line a nearest to line b; returns their distance.
 double nearest_point(const Line& a, const Line& b, Triple& point) {
   const Triple offset = minus(b.point, a.point);
-  const double axis_dot = inner(a.axis, b.axis), squared_sine = 1 - axis_dot * axis_dot;
+  const double axis_dot = dot_product(a.axis, b.axis), squared_sine = 1 - axis_dot * axis_dot;
   if (squared_sine < ARM_TOLERANCE) return HUGE_VAL;
-  const double distance = (inner(offset, a.axis) - axis_dot * inner(offset, b.axis)) / squared_sine;
+  const double distance =
+      (dot_product(offset, a.axis) - axis_dot * dot_product(offset, b.axis)) / squared_sine;
   point = plus(a.point, times(distance, a.axis));
   const Triple difference = minus(point, b.point);
-  return norm(minus(difference, times(inner(difference, b.axis), b.axis)));
+  return norm(minus(difference, times(dot_product(difference, b.axis), b.axis)));
 }
 
 // Whether a point is on a line, within the tolerance.
 bool is_on_line(const Triple& point, const Line& line) {
   const Triple offset = minus(point, line.point);
-  return norm(minus(offset, times(inner(offset, line.axis), line.axis))) < ARM_TOLERANCE;
+  return norm(minus(offset, times(dot_product(offset, line.axis), line.axis))) < ARM_TOLERANCE;
 }
 
 // Methods that position the wrist by the first three axes: two neighbouring axes, 1 and 2 or 2 and
@@ -348,7 +351,7 @@ class SixPins : public Arm {
 
   // Axes 2 and 3 are parallel: the component along them determines the first angle.
   void solve_parallel_23() {
-    const double component = inner(axis(1), minus(arm_.wrist, point_on(0)));
+    const double component = dot_product(axis(1), minus(arm_.wrist, point_on(0)));
     const Triple reversed_axis = times(-1, axis(0));
     for_each_solution(angles_to_component(reversed_axis, minus(wrist_target_, point_on(0)), axis(1),
                                           component, RANGE_TOLERANCE, start_[0]),
@@ -364,8 +367,8 @@ class SixPins : public Arm {
         angles_to_distance(axis(2), minus(point, point_on(2)), minus(point_on(1), point_on(2)),
                            distance, RANGE_TOLERANCE, start_[2]),
         [&](double third_angle) {
-          const Triple rotated = rotate_point(2, third_angle, point);
-          const double second_angle = angle_between(axis(1), minus(rotated, point_on(1)),
+          const Triple rotated_point = rotate_point(2, third_angle, point);
+          const double second_angle = angle_between(axis(1), minus(rotated_point, point_on(1)),
                                                     minus(goal, point_on(1)), start_[1]);
           solve_wrist(first_angle, second_angle, third_angle);
         });
@@ -397,9 +400,9 @@ class SixPins : public Arm {
         angles_to_distance(axis(2), minus(arm_.wrist, point_on(2)),
                            minus(intersection, point_on(2)), distance, RANGE_TOLERANCE, start_[2]),
         [&](double third_angle) {
-          const Triple rotated = rotate_point(2, third_angle, arm_.wrist);
+          const Triple rotated_point = rotate_point(2, third_angle, arm_.wrist);
           angles_to_common_vector(times(-1, axis(0)), minus(wrist_target_, intersection), axis(1),
-                                  minus(rotated, intersection), RANGE_TOLERANCE, start_[0],
+                                  minus(rotated_point, intersection), RANGE_TOLERANCE, start_[0],
                                   start_[1], [&](double first_angle, double second_angle) {
                                     solve_wrist(first_angle, second_angle, third_angle);
                                   });
@@ -408,23 +411,24 @@ class SixPins : public Arm {
 
   // Axes 1 and 2 are parallel.
   void solve_parallel_12() {
-    const double component = inner(axis(0), minus(wrist_target_, point_on(2)));
+    const double component = dot_product(axis(0), minus(wrist_target_, point_on(2)));
     for_each_solution(angles_to_component(axis(2), minus(arm_.wrist, point_on(2)), axis(0),
                                           component, RANGE_TOLERANCE, start_[2]),
                       [&](double third_angle) {
-                        const Triple rotated = rotate_point(2, third_angle, arm_.wrist);
+                        const Triple rotated_point = rotate_point(2, third_angle, arm_.wrist);
                         const double distance = norm(minus(wrist_target_, point_on(0)));
-                        for_each_solution(angles_to_distance(axis(1), minus(rotated, point_on(1)),
-                                                             minus(point_on(0), point_on(1)),
-                                                             distance, RANGE_TOLERANCE, start_[1]),
-                                          [&](double second_angle) {
-                                            const Triple rotated_twice =
-                                                rotate_point(1, second_angle, rotated);
-                                            const double first_angle = angle_between(
-                                                axis(0), minus(rotated_twice, point_on(0)),
+                        for_each_solution(
+                            angles_to_distance(axis(1), minus(rotated_point, point_on(1)),
+                                               minus(point_on(0), point_on(1)), distance,
+                                               RANGE_TOLERANCE, start_[1]),
+                            [&](double second_angle) {
+                              const Triple rotated_twice =
+                                  rotate_point(1, second_angle, rotated_point);
+                              const double first_angle =
+                                  angle_between(axis(0), minus(rotated_twice, point_on(0)),
                                                 minus(wrist_target_, point_on(0)), start_[0]);
-                                            solve_wrist(first_angle, second_angle, third_angle);
-                                          });
+                              solve_wrist(first_angle, second_angle, third_angle);
+                            });
                       });
   }
 
@@ -437,8 +441,8 @@ class SixPins : public Arm {
     };
     const Triple last_axis = undo_first_three(rotate_by_goal(axis(5)));
     for_each_solution(
-        angles_to_component(axis(4), axis(5), axis(3), inner(axis(3), last_axis), RANGE_TOLERANCE,
-                            start_[4]),
+        angles_to_component(axis(4), axis(5), axis(3), dot_product(axis(3), last_axis),
+                            RANGE_TOLERANCE, start_[4]),
         [&](double fifth_angle) {
           const Triple rotated_axis = rotate_about(axis(4), fifth_angle, axis(5));
           const double fourth_angle = angle_between(axis(3), rotated_axis, last_axis, start_[3]);
@@ -466,7 +470,7 @@ class SixPins : public Arm {
   void solve_parallel() {
     const Triple& normal = axis(1);
     const Triple reversed_axis = times(-1, axis(0));
-    const double component = inner(normal, minus(arm_.wrist, point_on(0)));
+    const double component = dot_product(normal, minus(arm_.wrist, point_on(0)));
     const Triple last_axis = rotate_by_goal(axis(5));
     for_each_solution(
         angles_to_component(reversed_axis, minus(wrist_target_, point_on(0)), normal, component,
@@ -474,7 +478,7 @@ class SixPins : public Arm {
         [&](double first_angle) {
           const Triple goal = undo_first_rotation(first_angle);
           const double axis_component =
-              inner(normal, rotate_about(axis(0), -first_angle, last_axis));
+              dot_product(normal, rotate_about(axis(0), -first_angle, last_axis));
           for_each_solution(
               angles_to_component(axis(4), axis(5), normal, axis_component, RANGE_TOLERANCE,
                                   start_[4]),
@@ -500,8 +504,8 @@ class SixPins : public Arm {
         angles_to_distance(axis(2), minus(point_on(3), point_on(2)),
                            minus(point_on(1), point_on(2)), distance, RANGE_TOLERANCE, start_[2]),
         [&](double third_angle) {
-          const Triple rotated = rotate_point(2, third_angle, point_on(3));
-          const double second_angle = angle_between(normal, minus(rotated, point_on(1)),
+          const Triple rotated_point = rotate_point(2, third_angle, point_on(3));
+          const double second_angle = angle_between(normal, minus(rotated_point, point_on(1)),
                                                     minus(wrist_start, point_on(1)), start_[1]);
           add_branch({first_angle, second_angle, third_angle,
                       parallel_angle_sum - second_angle - third_angle, fifth_angle, sixth_angle});

@@ -16,7 +16,7 @@ bool SolverState::begin_problem(const double* start, const double* targets, cons
 }
 
 Descent::DescentEnd Descent::descend(double damping, bool is_thorough) {
-  ++outcome_.descents;
+  ++outcome_.descent_count;
   bool is_accepted = true;
   double damping_growth = 2, checkpoint_cost = current_.cost, trust_radius = MAX_ROTATION;
   int slow_steps = 0;

@@ -87,7 +87,7 @@ enum class Status {
 struct Outcome {
   Status status = Status::BUDGET;
   int iterations = 0;
-  int descents = 0;
+  int descent_count = 0;
 };
 
 // A solver of consecutive problems.

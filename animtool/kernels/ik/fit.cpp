@@ -263,12 +263,12 @@ class PathFit : public Descent {
   // Solves a frame, starting from earlier frames; returns 1 if it used its start pose.
   std::int64_t solve_from_previous(int t) {
     std::vector<double> start(coordinate_count_), preferred_pose(coordinate_count_);
-    const double* problem_start = starts_ + static_cast<std::size_t>(t) * coordinate_count_;
+    const double* frame_start = starts_ + static_cast<std::size_t>(t) * coordinate_count_;
     const bool has_previous = t > 0;
     if (has_previous)
       predict(t, start.data());
     else
-      std::copy(problem_start, problem_start + coordinate_count_, start.begin());
+      std::copy(frame_start, frame_start + coordinate_count_, start.begin());
     preferred_pose = start;
     if (has_previous) relax_to_rest(preferred_pose.data());
     if (has_previous && std::isfinite(fit_.robust_scale)) reassign_targets(t, start.data());
@@ -289,7 +289,7 @@ class PathFit : public Descent {
     }
     if (cost_fraction(t, state_) > LOST_COST_FRACTION) {
       for (int i = 0; i < MAX_RESTARTS; ++i) {
-        std::copy(problem_start, problem_start + coordinate_count_, start.begin());
+        std::copy(frame_start, frame_start + coordinate_count_, start.begin());
         if (i > 0) randomize_joints(start);
         const double other_cost = solve_frame(t, start.data(), start.data(), true);
         if (!(other_cost < IMPROVEMENT_RATIO * cost)) continue;

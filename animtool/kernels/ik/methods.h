@@ -18,7 +18,7 @@ class Method : public Solver, public SolverState {
       outcome_.status = Status::NOT_FINITE;
       return outcome_;
     }
-    outcome_.descents = 1;
+    outcome_.descent_count = 1;
     set_current(best_);
     prepare();
     outcome_.status = iterate();

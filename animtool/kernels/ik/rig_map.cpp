@@ -49,10 +49,10 @@ void RigMap::to_chain(const double* rig, double* q) const {
     q[c] = rig[coordinates_[c].column] / coordinates_[c].scale;
   for (const Ball& ball : balls_) {
     double* values = q + ball.first_coordinate;
-    double rotated[3];
+    double rotated_values[3];
     make_unit(values);
-    rotate_vector(ball.frame, values, rotated);
-    std::copy(rotated, rotated + 3, values);
+    rotate_vector(ball.frame, values, rotated_values);
+    std::copy(rotated_values, rotated_values + 3, values);
   }
 }
 
@@ -68,11 +68,11 @@ void RigMap::to_rig(const double* q, double* rig) const {
   }
   for (const Ball& ball : balls_) {
     const double* values = q + ball.first_coordinate;
-    double rotated[3];
-    rotate_vector(ball.inverse_frame, values, rotated);
+    double rotated_values[3];
+    rotate_vector(ball.inverse_frame, values, rotated_values);
     for (int i = 0; i < 3; ++i)
       rig[coordinates_[ball.first_coordinate + i].column] =
-          rotated[i] * coordinates_[ball.first_coordinate + i].scale;
+          rotated_values[i] * coordinates_[ball.first_coordinate + i].scale;
   }
   for (const Mimic& mimic : mimics_)
     rig[mimic.column] = mimic.gain * rig[mimic.leader] + mimic.offset;

@@ -252,7 +252,7 @@ RigSolveResult RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
       seconds.get()[b] = run.seconds;
       report[0] = static_cast<std::int64_t>(run.outcome.status);
       report[1] = run.outcome.iterations;
-      report[2] = run.outcome.descents;
+      report[2] = run.outcome.descent_count;
       const State& best = problem.solver->best();
       std::copy_n(run.outcome.status == Status::NOT_FINITE ? from : best.q.data(), chain_width,
                   solution.data());

@@ -119,7 +119,7 @@ IkSolveResult solve_ik(const IkProblems& problems) {
     std::int64_t* report = reports.get() + 3 * b;
     report[0] = static_cast<std::int64_t>(outcome.status);
     report[1] = outcome.iterations;
-    report[2] = outcome.descents;
+    report[2] = outcome.descent_count;
   }
   return {std::move(solutions), std::move(errors), std::move(reports), std::move(run_times)};
 }

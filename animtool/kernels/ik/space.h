@@ -27,10 +27,11 @@ class GoalSpace {
   std::vector<double> step;
 
   // Computes the null space from the goals' Jacobian by columns (D, M), which is modified.
-  void update_null_space(int row_count, int width, std::vector<double>& jacobian, Buffers& work) {
+  void update_null_space(int row_count, int width, std::vector<double>& jacobian,
+                         Buffers& buffers) {
     const int m = row_count_ = row_count;
-    work.gram_matrix.assign(static_cast<std::size_t>(m) * m, 0.0);
-    work.residual.assign(m, 0.0);
+    buffers.gram_matrix.assign(static_cast<std::size_t>(m) * m, 0.0);
+    buffers.residual.assign(m, 0.0);
     step.assign(width, 0.0);
     for (const FixedDirection& fixed_direction : fixed_directions) {
       double* columns = jacobian.data() + static_cast<std::size_t>(fixed_direction.dof) * m;
@@ -40,7 +41,7 @@ class GoalSpace {
           component += columns[k * m + i] * fixed_direction.direction[k];
         for (int k = 0; k < fixed_direction.width; ++k)
           columns[k * m + i] -= component * fixed_direction.direction[k];
-        work.residual[i] -= component * fixed_direction.value;
+        buffers.residual[i] -= component * fixed_direction.value;
       }
       for (int k = 0; k < fixed_direction.width; ++k)
         step[fixed_direction.dof + k] += fixed_direction.value * fixed_direction.direction[k];
@@ -49,7 +50,7 @@ class GoalSpace {
     for (const Block& block : blocks_) {
       const float* block_row = values_.data() + block.begin;
       const auto gram_entry = [&](int i, int j) -> double& {
-        return work.gram_matrix[static_cast<std::size_t>(block.row + i) * m + block.row + j];
+        return buffers.gram_matrix[static_cast<std::size_t>(block.row + i) * m + block.row + j];
       };
       if (block.is_tall())
         for (int d = 0; d < block.columns; ++d, block_row += block.rows)
@@ -61,18 +62,18 @@ class GoalSpace {
             gram_entry(i, j) +=
                 inner(block_row + i * block.columns, block_row + j * block.columns, block.columns);
     }
-    for (int i = 0; i < m; ++i) work.gram_matrix[i * m + i] += DAMPING;
-    work.product.resize(m);
+    for (int i = 0; i < m; ++i) buffers.gram_matrix[i * m + i] += DAMPING;
+    buffers.product.resize(m);
     cholesky::factor<cholesky::Inverses, cholesky::SmallPivot::IGNORE>(
-        work.gram_matrix.data(), m, m, work.product.data(),
+        buffers.gram_matrix.data(), m, m, buffers.product.data(),
         [](std::size_t) { return DAMPING / 2; });
-    invert(work);
-    solve(work.residual, work);
-    add_transposed(work.residual, 1, step.data());
+    invert(buffers);
+    solve(buffers.residual, buffers);
+    add_transposed(buffers.residual, 1, step.data());
   }
 
   // Projects x (D,) onto the null space of goals and limits.
-  void project(double* x, Buffers& work) const {
+  void project(double* x, Buffers& buffers) const {
     for (const FixedDirection& fixed_direction : fixed_directions) {
       double component = 0;
       for (int k = 0; k < fixed_direction.width; ++k)
@@ -80,9 +81,9 @@ class GoalSpace {
       for (int k = 0; k < fixed_direction.width; ++k)
         x[fixed_direction.dof + k] -= component * fixed_direction.direction[k];
     }
-    work.product.assign(row_count_, 0.0);
+    buffers.product.assign(row_count_, 0.0);
     for (const Block& block : blocks_) {
-      double* block_product = work.product.data() + block.row;
+      double* block_product = buffers.product.data() + block.row;
       const double* block_x = x + block.dof;
       const float* block_row = values_.data() + block.begin;
       if (block.is_tall())
@@ -92,8 +93,8 @@ class GoalSpace {
         for (int i = 0; i < block.rows; ++i, block_row += block.columns)
           block_product[i] += inner(block_row, block_x, block.columns);
     }
-    solve(work.product, work);
-    add_transposed(work.product, -1, x);
+    solve(buffers.product, buffers);
+    add_transposed(buffers.product, -1, x);
   }
 
  private:
@@ -152,12 +153,12 @@ class GoalSpace {
   }
 
   // Computes inverse_, L^-1 of the factor in work.gram, row by row; 0 for rows that are ignored.
-  void invert(Buffers& work) {
+  void invert(Buffers& buffers) {
     const int m = row_count_;
     inverse_.resize(static_cast<std::size_t>(m) * (m + 1) / 2);
     double* row = inverse_.data();
     for (int i = 0; i < m; row += ++i) {
-      const double* factor = &work.gram_matrix[static_cast<std::size_t>(i) * m];
+      const double* factor = &buffers.gram_matrix[static_cast<std::size_t>(i) * m];
       std::fill(row, row + i, 0.0);
       row[i] = 1;
       const double* other_row = inverse_.data();
@@ -168,14 +169,14 @@ class GoalSpace {
   }
 
   // y (M,) <- (L L^T)^-1 y.
-  void solve(std::vector<double>& y, Buffers& work) const {
-    work.solution.assign(row_count_, 0.0);
+  void solve(std::vector<double>& y, Buffers& buffers) const {
+    buffers.solution.assign(row_count_, 0.0);
     const double* row = inverse_.data();
     for (int i = 0; i < row_count_; row += ++i) {
       const double value = ik::inner(row, y.data(), 0, i + 1);
-      for (int j = 0; j <= i; ++j) work.solution[j] += value * row[j];
+      for (int j = 0; j <= i; ++j) buffers.solution[j] += value * row[j];
     }
-    y.swap(work.solution);
+    y.swap(buffers.solution);
   }
 
   // Adds `scale` J^T y to x (D,).

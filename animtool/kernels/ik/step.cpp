@@ -75,12 +75,13 @@ void Stepper::multiply_hessian(const State& state, const Linearized& linear, boo
 
 void Stepper::move(const Node& node, const double* current, const double* step, double* next) {
   if (node.kind == Kind::BALL) {
-    double rotation[4], rotated[4];
+    double rotation[4], rotated_quaternion[4];
     exponential(step, rotation);
-    product(rotation, current, rotated);
-    normalize(rotated);
-    if (has_limit(node) && !is_well_inside(node, rotated)) clamp_ball(rotated, node.limit);
-    std::copy(rotated, rotated + 4, next);
+    product(rotation, current, rotated_quaternion);
+    normalize(rotated_quaternion);
+    if (has_limit(node) && !is_well_inside(node, rotated_quaternion))
+      clamp_ball(rotated_quaternion, node.limit);
+    std::copy(rotated_quaternion, rotated_quaternion + 4, next);
   } else {
     next[0] = std::clamp(current[0] + step[0], node.limit[0], node.limit[1]);
   }

@@ -188,13 +188,13 @@ class TwoBone : public ClosedForm {
   // Computes the position of the tip in the shoulder's frame.
   void find_tip(const double* q, const double* lower_bone, double* tip) const {
     const double z[3] = {0, 0, 1};
-    double motion[4], rotated[3];
+    double motion[4], rotated_bone[3];
     if (elbow_.kind == Kind::PIN)
       axis_angle_quaternion(z, q[4], motion);
     else
       std::copy(q + 4, q + 8, motion);
-    rotate_vector(motion, lower_bone, rotated);
-    for (int i = 0; i < 3; ++i) tip[i] = upper_bone_[i] + dot(rotated, elbow_.rest + 3 * i);
+    rotate_vector(motion, lower_bone, rotated_bone);
+    for (int i = 0; i < 3; ++i) tip[i] = upper_bone_[i] + dot(rotated_bone, elbow_.rest + 3 * i);
   }
 
   void set_world_rotation(double* q, const double* world) const {

@@ -72,13 +72,13 @@ class CorePoser {
     buffer_.resize(points + faces);
     for (std::size_t i = 0; i < points; ++i) buffer_[i] = pose.to_world(core.points[i]);
     for (std::size_t i = 0; i < faces; ++i) buffer_[points + i] = pose.rotate(core.normals[i]);
-    posed_ = {&core, buffer_.data(), buffer_.data() + points, pose.to_world(core.centre)};
+    posed_core_ = {&core, buffer_.data(), buffer_.data() + points, pose.to_world(core.centre)};
   }
-  const PosedCore& get() const { return posed_; }
+  const PosedCore& get() const { return posed_core_; }
 
  private:
   std::vector<Vec> buffer_;
-  PosedCore posed_;
+  PosedCore posed_core_;
 };
 
 // A contact point, halfway between both surfaces, and the gap between them.

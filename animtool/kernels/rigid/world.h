@@ -86,13 +86,14 @@ struct Report {
   }
 
   // Merges the report of a later substep.
-  void add(const Report& later) {
-    if (later.max_depth > max_depth)
-      max_depth = later.max_depth, first = later.first, second = later.second;
-    if (later.drive >= 0) record_drive(later.drive_step, static_cast<std::size_t>(later.drive));
-    residual = std::max(residual, later.residual);
-    contact_count = later.contact_count, awake_count = later.awake_count;
-    iteration_count += later.iteration_count, unsolved_count += later.unsolved_count;
+  void add(const Report& later_report) {
+    if (later_report.max_depth > max_depth)
+      max_depth = later_report.max_depth, first = later_report.first, second = later_report.second;
+    if (later_report.drive >= 0)
+      record_drive(later_report.drive_step, static_cast<std::size_t>(later_report.drive));
+    residual = std::max(residual, later_report.residual);
+    contact_count = later_report.contact_count, awake_count = later_report.awake_count;
+    iteration_count += later_report.iteration_count, unsolved_count += later_report.unsolved_count;
   }
 };
 

@@ -307,10 +307,10 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
       RESTING_SPEED_FACTOR * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
   std::int64_t moved_count = 0, inside_count = 0;
   const double search_distance = faces_.search_distance();
-  nearby_.clear();
+  particles_near_colliders_.clear();
   for (std::size_t n = 0; n < network_.particle_count(); ++n) {
     if (network_.inverse_masses[n] == 0) {
-      if (faces_.has_features()) nearby_.push_back(static_cast<std::int32_t>(n));
+      if (faces_.has_features()) particles_near_colliders_.push_back(static_cast<std::int32_t>(n));
       continue;
     }
     if (particle_marks && !(*particle_marks)[n]) continue;
@@ -319,7 +319,8 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
     double* from = before.data() + PARTICLE_STRIDE * n;
     for (std::size_t k = 0; k < 3; ++k) motion_bound += std::abs(position[k] - from[k]);
     clearances_[n] -= motion_bound;
-    if (clearances_[n] <= search_distance) nearby_.push_back(static_cast<std::int32_t>(n));
+    if (clearances_[n] <= search_distance)
+      particles_near_colliders_.push_back(static_cast<std::int32_t>(n));
     if (clearances_[n] > 0) continue;
     const double mass = 1 / network_.inverse_masses[n];
     moved_count +=
@@ -335,9 +336,11 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
   touched_count = std::max(touched_count, moved_count);
   if (!particle_marks && last_interval_ + 1 == interval_count_ && step + 1 == substeps_)
     unresolved_count = inside_count;
-  const bool has_moved_faces = !nearby_.empty() && resolve_faces({before, x, v}, particle_marks);
+  const bool has_moved_faces =
+      !particles_near_colliders_.empty() && resolve_faces({before, x, v}, particle_marks);
   if (has_moved_faces && particle_marks)
-    for (const std::int32_t n : nearby_) (*particle_marks)[static_cast<std::size_t>(n)] = 1;
+    for (const std::int32_t n : particles_near_colliders_)
+      (*particle_marks)[static_cast<std::size_t>(n)] = 1;
   return moved_count > 0 || has_moved_faces;
 }
 
@@ -391,7 +394,7 @@ double SpringContacts::depth(std::size_t c, std::size_t n) const {
 bool SpringContacts::resolve_faces(StepState state, std::vector<std::uint8_t>* particle_marks) {
   bool has_moved = false;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
-    if (!faces_.resolve(c, step_colliders_[c], h_, nearby_, state)) continue;
+    if (!faces_.resolve(c, step_colliders_[c], h_, particles_near_colliders_, state)) continue;
     has_moved = true;
     for (const FaceContacts::MovedParticle& moved_particle : faces_.moved_particles) {
       const auto n = static_cast<std::size_t>(moved_particle.particle);

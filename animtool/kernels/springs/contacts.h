@@ -151,7 +151,8 @@ class SpringContacts {
   const SpringNetwork& network_;
   MovingColliders colliders_;
   FaceContacts faces_;
-  std::vector<std::int32_t> nearby_;  // particles whose edges may touch colliders in this step
+  std::vector<std::int32_t>
+      particles_near_colliders_;  // particles whose edges may touch colliders in this step
   std::vector<MovingSurface> surfaces_;
   std::size_t collider_count_;
   std::int64_t interval_count_;

@@ -63,9 +63,9 @@ Drift RelativeMotion::measure_relative_to(const std::vector<double>& from,
   for (std::size_t n = 0; n < cell_of_particle_.size(); ++n) {
     Range& range = cell_ranges_[cell_of_particle_[n]];
     const collide::Vec transformed = transform(collide::load(&from[PARTICLE_STRIDE * n]));
-    const double expected[3] = {transformed.x, transformed.y, transformed.z};
+    const double expected_position[3] = {transformed.x, transformed.y, transformed.z};
     for (std::size_t k = 0; k < 3; ++k) {
-      const double difference = to[PARTICLE_STRIDE * n + k] - expected[k];
+      const double difference = to[PARTICLE_STRIDE * n + k] - expected_position[k];
       range.low[k] = std::min(range.low[k], difference);
       range.high[k] = std::max(range.high[k], difference);
     }

@@ -145,7 +145,7 @@ class ExplicitStepper {
       positions_before_ = run_.x;
       return;
     }
-    for (const std::int32_t particle : run_.network.pinned) {
+    for (const std::int32_t particle : run_.network.pinned_particles) {
       const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(particle);
       std::copy_n(run_.x.data() + row, PARTICLE_STRIDE, positions_before_.data() + row);
     }

@@ -285,11 +285,13 @@ void FaceContacts::add_element(const std::int32_t* corners, int count, const Ste
 
 // Number of axes along which an element is near a face of a box: two at edges, three at corners.
 static int count_near_axes(const double* half_extents, Vec low, Vec high, double distance) {
-  const double lows[3] = {low.x, low.y, low.z}, highs[3] = {high.x, high.y, high.z};
+  const double low_corner[3] = {low.x, low.y, low.z}, high_corner[3] = {high.x, high.y, high.z};
   int count = 0;
   for (int k = 0; k < 3; ++k)
-    count += (lows[k] <= half_extents[k] + distance && highs[k] >= half_extents[k] - distance) ||
-             (lows[k] <= -half_extents[k] + distance && highs[k] >= -half_extents[k] - distance);
+    count += (low_corner[k] <= half_extents[k] + distance &&
+              high_corner[k] >= half_extents[k] - distance) ||
+             (low_corner[k] <= -half_extents[k] + distance &&
+              high_corner[k] >= -half_extents[k] - distance);
   return count;
 }
 

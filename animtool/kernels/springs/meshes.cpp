@@ -106,7 +106,7 @@ MeshPatches::PatchHit MeshPatches::fill_cache(Patch& patch, const Mesh& mesh, st
 
 Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
                             const KnotBoxes* boxes, double contact_distance) {
-  nearby_.clear();
+  nearby_triangles_.clear();
   Nearest best_hit;
   double squared_limit = collide::INF;
   const auto update_limit = [&] {
@@ -166,11 +166,11 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
         relative_shift = std::max(relative_shift, length(load(mesh.displacements + 3 * corner[k]) -
                                                          patch.triangle_shift));
     }
-    nearby_.push_back({distance, distance - max_fraction * relative_shift, t});
+    nearby_triangles_.push_back({distance, distance - max_fraction * relative_shift, t});
     return squared_limit;
   });
   min_distance_ = std::sqrt(squared_limit);
-  for (const NearbyTriangle& triangle : nearby_)
+  for (const NearbyTriangle& triangle : nearby_triangles_)
     min_distance_ = std::min(min_distance_, triangle.min_distance);
   return best_hit;
 }
@@ -182,7 +182,7 @@ bool MeshPatches::store_candidates(Patch& patch, double max_distance, bool is_in
   }
   Candidates& candidates = candidates_[static_cast<std::size_t>(patch.candidates_index)];
   int count = 0;
-  for (const NearbyTriangle& nearby : nearby_) {
+  for (const NearbyTriangle& nearby : nearby_triangles_) {
     const double distance = is_in_knot ? nearby.min_distance : nearby.distance;
     if (!(distance <= max_distance)) continue;
     if (count == MAX_CANDIDATES) return false;

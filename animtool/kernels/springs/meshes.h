@@ -99,7 +99,7 @@ class MeshPatches {
   // Cached triangles of particles that have any.
   std::vector<Candidates> candidates_;
   // Results of the last search: nearby triangles, and the smallest distance in the knot interval.
-  std::vector<NearbyTriangle> nearby_;
+  std::vector<NearbyTriangle> nearby_triangles_;
   double min_distance_ = 0;
   std::int32_t last_triangle_ = -1;  // the nearest triangle of the last search
 };

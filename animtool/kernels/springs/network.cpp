@@ -96,8 +96,8 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
   spring_set.prepare(count);
   triangles = read_particle_indices("triangles", faces.data(), faces.size(), count);
   std::copy_n(gravity_vector.data(), 3, gravity);
-  pinned = read_particle_indices("pinned", pins.data(), pins.size(), count);
-  pinned_track = read_track("pinned_path", pinned_path, pinned.size(), knot_times.size());
+  pinned_particles = read_particle_indices("pinned", pins.data(), pins.size(), count);
+  pinned_track = read_track("pinned_path", pinned_path, pinned_particles.size(), knot_times.size());
   anchors =
       read_particle_indices("anchors", anchor_particles.data(), anchor_particles.size(), count);
   anchor_track = read_track("anchor_path", anchor_path, anchors.size(), knot_times.size());
@@ -130,7 +130,8 @@ void SpringNetwork::collect_edges() {
 }
 
 void SpringNetwork::set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path) {
-  Track new_pinned_track = read_track("pinned_path", pinned_path, pinned.size(), knot_times.size());
+  Track new_pinned_track =
+      read_track("pinned_path", pinned_path, pinned_particles.size(), knot_times.size());
   anchor_track = read_track("anchor_path", anchor_path, anchors.size(), knot_times.size());
   pinned_track = std::move(new_pinned_track);
 }
@@ -195,16 +196,16 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
 
 void SpringNetwork::set_pinned(double t, double h, const double* before, double* x, double* v,
                                const Strides& strides) const {
-  if (pinned.empty()) return;
+  if (pinned_particles.empty()) return;
   const KnotPosition knot = knot_at(t);
-  const std::size_t width = 3 * pinned.size();
+  const std::size_t width = 3 * pinned_particles.size();
   const double* a =
       pinned_track.positions.data() + (pinned_track.is_constant ? 0 : knot.knot_index * width);
   const bool is_interpolated = !pinned_track.is_constant && knot.fraction != 0;
-  for (std::size_t p = 0; p < pinned.size(); ++p)
+  for (std::size_t p = 0; p < pinned_particles.size(); ++p)
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t index =
-          strides.particle * static_cast<std::size_t>(pinned[p]) + strides.component * k;
+          strides.particle * static_cast<std::size_t>(pinned_particles[p]) + strides.component * k;
       double coordinate = a[3 * p + k];
       if (is_interpolated) coordinate += (a[width + 3 * p + k] - coordinate) * knot.fraction;
       v[index] = (coordinate - before[index]) / h;

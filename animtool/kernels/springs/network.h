@@ -105,7 +105,7 @@ class SpringNetwork : public SpringElements {
   double gravity[3];
   double air_drag, air_lift;
   std::vector<double> knot_times;
-  std::vector<std::int32_t> pinned;
+  std::vector<std::int32_t> pinned_particles;
   Track pinned_track;
   std::vector<std::int32_t> anchors;
   std::vector<double> anchor_stiffness, anchor_damping;

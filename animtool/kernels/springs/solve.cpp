@@ -242,7 +242,7 @@ class ImplicitSolver {
   }
 
   void zero_pinned(std::vector<double>& values) const {
-    for (const std::int32_t n : run_.network.pinned)
+    for (const std::int32_t n : run_.network.pinned_particles)
       std::fill_n(values.data() + PARTICLE_STRIDE * static_cast<std::size_t>(n), 3, 0.0);
   }
 
@@ -307,12 +307,12 @@ struct State {
 class PinImpulses {
  public:
   PinImpulses(const SpringRun& run, const std::optional<In<double, 2>>& last_impulses)
-      : is_enabled(last_impulses), run_(run), pinned_(run.network.pinned) {
+      : is_enabled(last_impulses), run_(run), pinned_particles_(run.network.pinned_particles) {
     if (!is_enabled) return;
     pin_indices_.resize(run.network.particle_count(), -1);
-    for (std::size_t p = 0; p < pinned_.size(); ++p)
-      pin_indices_[static_cast<std::size_t>(pinned_[p])] = static_cast<std::int32_t>(p);
-    check::numbers("pulls", *last_impulses, {pinned_.size(), IMPULSE_SIZE});
+    for (std::size_t p = 0; p < pinned_particles_.size(); ++p)
+      pin_indices_[static_cast<std::size_t>(pinned_particles_[p])] = static_cast<std::int32_t>(p);
+    check::numbers("pulls", *last_impulses, {pinned_particles_.size(), IMPULSE_SIZE});
     last_impulses_.assign(last_impulses->data(), last_impulses->data() + last_impulses->size());
     total_impulses_.resize(last_impulses_.size());
     forces_.resize(run.size);
@@ -328,8 +328,8 @@ class PinImpulses {
           pin_indices_[static_cast<std::size_t>(spring.j)] >= 0)
         add_spring_force(spring, x, v);
     run_.network.add_air_forces(run_.wind, x, v, forces_.data());
-    for (std::size_t p = 0; p < pinned_.size(); ++p) {
-      const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(pinned_[p]);
+    for (std::size_t p = 0; p < pinned_particles_.size(); ++p) {
+      const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(pinned_particles_[p]);
       const double *r = x + row, *f = forces_.data() + row;
       const double force_and_moment[IMPULSE_SIZE] = {f[0],
                                                      f[1],
@@ -383,7 +383,7 @@ class PinImpulses {
   }
 
   const SpringRun& run_;
-  const std::vector<std::int32_t>& pinned_;
+  const std::vector<std::int32_t>& pinned_particles_;
   std::vector<std::int32_t> pin_indices_;  // index of each particle among the pinned ones, or -1
   std::vector<double> last_impulses_, total_impulses_, forces_;
 };
