@@ -12,10 +12,11 @@ namespace {
 // Whether all elements pass a test. Works without branches, with integers of the same width as the
 // elements, so that the loop vectorises.
 template <class T, class Test>
-bool all_pass(const T* values, std::size_t begin, std::size_t end, Test passes) {
+bool all_pass(const T* values, std::size_t begin, std::size_t end, Test passes_test) {
   using Count = std::conditional_t<sizeof(T) == 4, std::uint32_t, std::uint64_t>;
   Count has_failure = 0;
-  for (std::size_t i = begin; i < end; ++i) has_failure |= static_cast<Count>(!passes(values + i));
+  for (std::size_t i = begin; i < end; ++i)
+    has_failure |= static_cast<Count>(!passes_test(values + i));
   return !has_failure;
 }
 
@@ -33,17 +34,17 @@ std::string number_text(double value) {
 std::string number_text(std::int64_t value) { return std::to_string(value); }
 std::string number_text(std::uint64_t value) { return std::to_string(value); }
 
-void shape(const char* name, const std::size_t* actual, std::size_t axes, const void* data,
+void shape(const char* name, const std::size_t* actual_sizes, std::size_t axes, const void* data,
            std::size_t alignment, std::initializer_list<std::size_t> sizes) {
   bool is_match = axes == sizes.size();
-  const std::size_t* actual_size = actual;
+  const std::size_t* actual_size = actual_sizes;
   for (const std::size_t size : sizes) {
     is_match = is_match && (size == ANY || *actual_size == size);
     ++actual_size;
   }
   if (!is_match) {
     std::string actual_text, expected_text;
-    for (std::size_t i = 0; i < axes; ++i) actual_text += (i ? ", " : "") + text(actual[i]);
+    for (std::size_t i = 0; i < axes; ++i) actual_text += (i ? ", " : "") + text(actual_sizes[i]);
     for (const std::size_t size : sizes)
       expected_text += (expected_text.empty() ? "" : ", ") + (size == ANY ? "any" : text(size));
     refuse(name, "shape (" + actual_text + ") is not (" + expected_text + ")");

@@ -39,7 +39,7 @@ std::string text(T value) {
 }
 
 // Checks the shape (ANY matches every size), and that the data is aligned.
-void shape(const char* name, const std::size_t* actual, std::size_t axes, const void* data,
+void shape(const char* name, const std::size_t* actual_sizes, std::size_t axes, const void* data,
            std::size_t alignment, std::initializer_list<std::size_t> sizes);
 
 template <class Array>

@@ -12,16 +12,16 @@
 namespace animtool::cholesky {
 
 // How a factor stores its diagonal: the square root of a pivot, or its reciprocal, which makes
-// solves faster. IGNORED is stored for a pivot that is ignored.
+// solves faster. IGNORED_PIVOT is stored for a pivot that is ignored.
 struct Roots {
-  static constexpr double IGNORED = HUGE_VAL;
+  static constexpr double IGNORED_PIVOT = HUGE_VAL;
   static double from_pivot(double pivot) { return std::sqrt(pivot); }
-  static double divide(double value, double stored) { return value / stored; }
+  static double divide(double value, double stored_pivot) { return value / stored_pivot; }
 };
 struct Inverses {
-  static constexpr double IGNORED = 0;
+  static constexpr double IGNORED_PIVOT = 0;
   static double from_pivot(double pivot) { return 1 / std::sqrt(pivot); }
-  static double divide(double value, double stored) { return value * stored; }
+  static double divide(double value, double stored_pivot) { return value * stored_pivot; }
 };
 
 // What happens at a pivot that is too small: the factorisation fails, or ignores it.
@@ -33,15 +33,15 @@ enum class SmallPivot { FAIL, IGNORE };
 template <class Diagonal, SmallPivot SMALL_PIVOT, class MinPivot>
 bool factor(double* a, std::size_t n, std::size_t stride, double* column, MinPivot min_pivot) {
   for (std::size_t j = 0; j < n; ++j) {
-    double stored = Diagonal::IGNORED;
+    double stored_pivot = Diagonal::IGNORED_PIVOT;
     const double pivot = a[j * stride + j];
     if (pivot > min_pivot(j))
-      stored = Diagonal::from_pivot(pivot);
+      stored_pivot = Diagonal::from_pivot(pivot);
     else if (SMALL_PIVOT == SmallPivot::FAIL)
       return false;
-    a[j * stride + j] = stored;
+    a[j * stride + j] = stored_pivot;
     for (std::size_t i = j + 1; i < n; ++i)
-      column[i] = a[i * stride + j] = Diagonal::divide(a[i * stride + j], stored);
+      column[i] = a[i * stride + j] = Diagonal::divide(a[i * stride + j], stored_pivot);
     for (std::size_t i = j + 1; i < n; ++i) {
       const double multiplier = column[i];
       double* row = a + i * stride;

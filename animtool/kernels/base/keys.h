@@ -21,15 +21,15 @@ struct SortedKeys {
 // Sorts by key: a stable radix sort, lowest bits first. Static, because sources that are built for
 // different processors must not share it.
 [[maybe_unused]] static void sort_keys(SortedKeys& sorted, std::size_t count) {
-  constexpr unsigned BITS = 11;
+  constexpr unsigned DIGIT_BITS = 11;
   std::uint64_t max_key = 0;
   for (std::size_t i = 0; i < count; ++i) max_key = std::max(max_key, sorted.keys[i]);
   SortedKeys scratch(count);
-  for (unsigned shift = 0; shift < 64 && max_key >> shift; shift += BITS) {
-    std::size_t starts[(1 << BITS) + 1] = {};
-    const auto digit = [&](std::uint64_t key) { return key >> shift & ((1 << BITS) - 1); };
+  for (unsigned shift = 0; shift < 64 && max_key >> shift; shift += DIGIT_BITS) {
+    std::size_t starts[(1 << DIGIT_BITS) + 1] = {};
+    const auto digit = [&](std::uint64_t key) { return key >> shift & ((1 << DIGIT_BITS) - 1); };
     for (std::size_t i = 0; i < count; ++i) ++starts[digit(sorted.keys[i]) + 1];
-    for (std::size_t i = 1; i <= 1 << BITS; ++i) starts[i] += starts[i - 1];
+    for (std::size_t i = 1; i <= 1 << DIGIT_BITS; ++i) starts[i] += starts[i - 1];
     for (std::size_t i = 0; i < count; ++i) {
       const std::size_t target = starts[digit(sorted.keys[i])]++;
       scratch.keys[target] = sorted.keys[i];

@@ -29,9 +29,9 @@ Block<T> block(std::size_t count) {
   const std::size_t bytes = std::max<std::size_t>(count, 1) * sizeof(T);
   void* memory = nullptr;
 #if defined(__linux__)
-  constexpr std::size_t PAGE = std::size_t{1} << 21;
-  if (bytes >= 2 * PAGE && !posix_memalign(&memory, PAGE, bytes))
-    madvise(memory, bytes / PAGE * PAGE, MADV_HUGEPAGE);
+  constexpr std::size_t HUGE_PAGE_SIZE = std::size_t{1} << 21;
+  if (bytes >= 2 * HUGE_PAGE_SIZE && !posix_memalign(&memory, HUGE_PAGE_SIZE, bytes))
+    madvise(memory, bytes / HUGE_PAGE_SIZE * HUGE_PAGE_SIZE, MADV_HUGEPAGE);
 #endif
   if (!memory) memory = std::malloc(bytes);
   if (!memory) throw std::bad_alloc();

@@ -51,13 +51,13 @@ class Motion {
 
   // A pose is an origin and a quaternion x y z w, of any length above 0.
   Motion(const double* start, const double* end) {
-    double start_rotation[4], end_rotation[4], inverse[4], relative[4], rotation[3];
+    double start_rotation[4], end_rotation[4], inverse[4], relative_rotation[4], rotation[3];
     for (int i = 0; i < 4; ++i) start_rotation[i] = start[3 + i], end_rotation[i] = end[3 + i];
     ik::normalize(start_rotation);
     ik::normalize(end_rotation);
     for (int i = 0; i < 4; ++i) inverse[i] = i < 3 ? -start_rotation[i] : start_rotation[i];
-    ik::product(end_rotation, inverse, relative);
-    ik::logarithm(relative, rotation);
+    ik::product(end_rotation, inverse, relative_rotation);
+    ik::logarithm(relative_rotation, rotation);
     for (int i = 0; i < 4; ++i) start_rotation_[i] = start_rotation[i];
     rotation_ = load(rotation);
     origin_ = load(start);
@@ -81,9 +81,9 @@ class Motion {
     if (is_rotating_) {
       const double vector[3] = {rotation_.x * fraction, rotation_.y * fraction,
                                 rotation_.z * fraction};
-      double delta[4], rotation[4];
-      ik::exponential(vector, delta);
-      ik::product(delta, start_rotation_, rotation);
+      double partial_rotation[4], rotation[4];
+      ik::exponential(vector, partial_rotation);
+      ik::product(partial_rotation, start_rotation_, rotation);
       ik::normalize(rotation);
       ik::to_matrix(rotation, pose.rotation);
     }
@@ -101,9 +101,9 @@ class Motion {
     Motion result = *this;
     const Pose pose = pose_at(from);
     const double vector[3] = {rotation_.x * from, rotation_.y * from, rotation_.z * from};
-    double delta[4];
-    ik::exponential(vector, delta);
-    ik::product(delta, start_rotation_, result.start_rotation_);
+    double partial_rotation[4];
+    ik::exponential(vector, partial_rotation);
+    ik::product(partial_rotation, start_rotation_, result.start_rotation_);
     result.origin_ = pose.origin;
     result.translation_ = translation_ * (to - from);
     result.rotation_ = rotation_ * (to - from);

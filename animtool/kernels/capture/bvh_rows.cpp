@@ -16,7 +16,7 @@ namespace animtool {
 namespace {
 
 // Why a row could not be read.
-enum RowFault { kNone = 0, kCount = 1, kNotANumber = 2 };
+enum RowFault { kNoFault = 0, kWrongCount = 1, kNotANumber = 2 };
 
 bool is_blank(char c) { return c == ' ' || c == '\t'; }
 bool is_line_end(char c) { return c == '\n' || c == '\r'; }
@@ -30,13 +30,13 @@ const char* after_line_end(const char* p, const char* end) {
 
 }  // namespace
 
-BvhRows parse_bvh_rows(Text source, std::size_t columns, std::size_t limit, bool final) {
+BvhRows parse_bvh_rows(Text source, std::size_t columns, std::size_t limit, bool is_final) {
   const std::string_view text = source.bytes;
   const char* const begin = text.data();
   const char* const end = begin + text.size();
   const char* p = begin;
-  std::size_t rows = 0, lines = 0, count = 0;
-  int fault = kNone;
+  std::size_t row_count = 0, line_count = 0, token_count = 0;
+  int fault = kNoFault;
   std::string bad_token;
 
   check::between("columns", columns, 0, std::numeric_limits<std::int32_t>::max());
@@ -47,10 +47,10 @@ BvhRows parse_bvh_rows(Text source, std::size_t columns, std::size_t limit, bool
   const std::size_t capacity = limit < max_rows ? limit : max_rows;
   Out<double, 2> values(capacity, row_capacity);
   Out<std::int64_t, 1> row_lines(capacity);
-  while (rows < capacity && p != end) {
+  while (row_count < capacity && p != end) {
     const char* const line = p;
-    double* row = values.get() + rows * row_capacity;
-    count = 0;
+    double* row = values.get() + row_count * row_capacity;
+    token_count = 0;
     while (true) {
       while (is_blank(*p)) ++p;
       if (p == end || is_line_end(*p)) break;
@@ -58,38 +58,38 @@ BvhRows parse_bvh_rows(Text source, std::size_t columns, std::size_t limit, bool
       double value = 0;
       const NumberKind kind = read_number(p, end, value);
       if (kind == NumberKind::malformed) {
-        if (p == end && !final) break;
+        if (p == end && !is_final) break;
         fault = kNotANumber;
         bad_token.assign(token, static_cast<std::size_t>(p - token < 40 ? p - token : 40));
         break;
       }
-      if (count < row_capacity) row[count] = value;
-      ++count;
+      if (token_count < row_capacity) row[token_count] = value;
+      ++token_count;
     }
     // An incomplete last line is read again with the text that follows; so is one whose carriage
     // return may be half of a CR LF.
-    if (!final && (p == end || (*p == '\r' && p + 1 == end))) {
+    if (!is_final && (p == end || (*p == '\r' && p + 1 == end))) {
       p = line;
-      fault = kNone;
+      fault = kNoFault;
       break;
     }
-    if (fault == kNone && count != 0 && count != columns) fault = kCount;
-    if (fault != kNone) {
+    if (fault == kNoFault && token_count != 0 && token_count != columns) fault = kWrongCount;
+    if (fault != kNoFault) {
       p = line;
       break;
     }
-    if (count) row_lines.get()[rows++] = static_cast<std::int64_t>(lines);
+    if (token_count) row_lines.get()[row_count++] = static_cast<std::int64_t>(line_count);
     p = after_line_end(p, end);
-    ++lines;
+    ++line_count;
   }
-  values.truncate(rows, columns);
-  row_lines.truncate(rows);
+  values.truncate(row_count, columns);
+  row_lines.truncate(row_count);
   return {std::move(values),
           std::move(row_lines),
           static_cast<std::size_t>(p - begin),
-          lines,
+          line_count,
           fault,
-          count,
+          token_count,
           Bytes{std::move(bad_token)}};
 }
 

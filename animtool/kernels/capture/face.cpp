@@ -22,11 +22,11 @@ namespace {
 // Degrees of freedom of a pose.
 constexpr std::size_t POSE_DOFS = 6;
 // Sweeps of coordinate descent before a Newton step, and largest number of such steps.
-constexpr int DESCENT_SWEEPS = 2, MAX_STEPS = 30;
+constexpr int SWEEPS_PER_STEP = 2, MAX_NEWTON_STEPS = 30;
 // Halvings of a Newton step before it is skipped.
 constexpr int MAX_HALVINGS = 4;
 // Pose directions with less than this fraction of the largest information are unobservable.
-constexpr double MIN_INFORMATION = 1e-9;
+constexpr double MIN_INFORMATION_RATIO = 1e-9;
 
 using Mat3 = std::array<double, 9>;
 
@@ -65,66 +65,66 @@ void solve_forward(const double* l, std::size_t n, std::size_t stride, double* x
 // The cost of all frames' weights in [0, 1]: half of w' H w - g' w per frame, and squared
 // differences.
 struct WeightProblem {
-  std::size_t frames, shapes;
-  double smooth;             // weight of the squared differences
-  std::vector<double> h, g;  // (F, S, S), (F, S)
+  std::size_t frame_count, shape_count;
+  double smoothness;                           // weight of the squared differences
+  std::vector<double> hessians, linear_terms;  // (F, S, S), (F, S)
   std::vector<double> low, top;
 
   WeightProblem(std::size_t f, std::size_t s, double smoothing)
-      : frames(f),
-        shapes(s),
-        smooth(smoothing),
-        h(f * s * s),
-        g(f * s),
+      : frame_count(f),
+        shape_count(s),
+        smoothness(smoothing),
+        hessians(f * s * s),
+        linear_terms(f * s),
         factors_(f * s * s),
         step_(f * s),
-        free_(f * s),
-        counts_(f),
+        free_shapes_(f * s),
+        free_counts_(f),
         solutions_(f * s),
-        columns_(s * s) {}
+        coupling_columns_(s * s) {}
 
   // Diagonal of the coupling with neighbouring frames.
   double coupling_weight(std::size_t f) const {
-    return smooth * static_cast<double>((f > 0) + (f + 1 < frames));
+    return smoothness * static_cast<double>((f > 0) + (f + 1 < frame_count));
   }
 
   // Weighted sum of the same weight in neighbouring frames.
   double neighbour_sum(const double* w, std::size_t f, std::size_t s) const {
-    return smooth * ((f > 0 ? w[(f - 1) * shapes + s] : 0.0) +
-                     (f + 1 < frames ? w[(f + 1) * shapes + s] : 0.0));
+    return smoothness * ((f > 0 ? w[(f - 1) * shape_count + s] : 0.0) +
+                         (f + 1 < frame_count ? w[(f + 1) * shape_count + s] : 0.0));
   }
 
   // Gradient of the cost by a frame's weights.
   void compute_gradient(const double* w, std::size_t f, double* out) const {
-    const double* hf = h.data() + f * shapes * shapes;
-    const double* wf = w + f * shapes;
+    const double* hf = hessians.data() + f * shape_count * shape_count;
+    const double* wf = w + f * shape_count;
     const double weight = coupling_weight(f);
-    for (std::size_t s = 0; s < shapes; ++s)
-      out[s] = weight * wf[s] - g[f * shapes + s] - neighbour_sum(w, f, s);
-    for (std::size_t k = 0; k < shapes; ++k) {
+    for (std::size_t s = 0; s < shape_count; ++s)
+      out[s] = weight * wf[s] - linear_terms[f * shape_count + s] - neighbour_sum(w, f, s);
+    for (std::size_t k = 0; k < shape_count; ++k) {
       if (wf[k] == 0) continue;
       const double weight_k = wf[k];
-      const double* row = hf + k * shapes;
-      for (std::size_t s = 0; s < shapes; ++s) out[s] += weight_k * row[s];
+      const double* row = hf + k * shape_count;
+      for (std::size_t s = 0; s < shape_count; ++s) out[s] += weight_k * row[s];
     }
   }
 
   // Cost of all frames.
   double total_cost(const double* w) {
     double sum = 0;
-    std::vector<double>& hw = columns_;
-    for (std::size_t f = 0; f < frames; ++f) {
-      const double* wf = w + f * shapes;
-      const double* hf = h.data() + f * shapes * shapes;
-      std::fill(hw.begin(), hw.begin() + static_cast<std::ptrdiff_t>(shapes), 0.0);
-      for (std::size_t k = 0; k < shapes; ++k)
+    std::vector<double>& hw = coupling_columns_;
+    for (std::size_t f = 0; f < frame_count; ++f) {
+      const double* wf = w + f * shape_count;
+      const double* hf = hessians.data() + f * shape_count * shape_count;
+      std::fill(hw.begin(), hw.begin() + static_cast<std::ptrdiff_t>(shape_count), 0.0);
+      for (std::size_t k = 0; k < shape_count; ++k)
         if (wf[k] != 0)
-          for (std::size_t s = 0; s < shapes; ++s) hw[s] += wf[k] * hf[k * shapes + s];
-      for (std::size_t s = 0; s < shapes; ++s) {
-        sum += wf[s] * (0.5 * hw[s] - g[f * shapes + s]);
+          for (std::size_t s = 0; s < shape_count; ++s) hw[s] += wf[k] * hf[k * shape_count + s];
+      for (std::size_t s = 0; s < shape_count; ++s) {
+        sum += wf[s] * (0.5 * hw[s] - linear_terms[f * shape_count + s]);
         if (f > 0) {
-          const double d = wf[s] - wf[s - shapes];
-          sum += 0.5 * smooth * d * d;
+          const double d = wf[s] - wf[s - shape_count];
+          sum += 0.5 * smoothness * d * d;
         }
       }
     }
@@ -133,24 +133,25 @@ struct WeightProblem {
 
   // One sweep of coordinate descent over the frames, forwards or backwards; returns the largest
   // change.
-  double sweep(double* w, bool backwards) {
+  double sweep(double* w, bool is_backwards) {
     double max_change = 0;
-    std::vector<double> gradient(shapes);
-    for (std::size_t i = 0; i < frames; ++i) {
-      const std::size_t f = backwards ? frames - 1 - i : i;
-      double* wf = w + f * shapes;
-      const double* hf = h.data() + f * shapes * shapes;
+    std::vector<double> gradient(shape_count);
+    for (std::size_t i = 0; i < frame_count; ++i) {
+      const std::size_t f = is_backwards ? frame_count - 1 - i : i;
+      double* wf = w + f * shape_count;
+      const double* hf = hessians.data() + f * shape_count * shape_count;
       const double coupling = coupling_weight(f);
       compute_gradient(w, f, gradient.data());
-      for (std::size_t s = 0; s < shapes; ++s) {
-        const double curvature = hf[s * shapes + s] + coupling;
+      for (std::size_t s = 0; s < shape_count; ++s) {
+        const double curvature = hf[s * shape_count + s] + coupling;
         if (!(curvature > 0)) continue;
         const double weight = std::clamp(wf[s] - gradient[s] / curvature, 0.0, 1.0);
         const double change = weight - wf[s];
         if (change == 0) continue;
         wf[s] = weight;
         max_change = std::max(max_change, std::fabs(change));
-        for (std::size_t k = 0; k < shapes; ++k) gradient[k] += change * hf[s * shapes + k];
+        for (std::size_t k = 0; k < shape_count; ++k)
+          gradient[k] += change * hf[s * shape_count + k];
         gradient[s] += change * coupling;
       }
     }
@@ -160,89 +161,91 @@ struct WeightProblem {
   // Computes `step_`, after which the gradient is zero at free weights; weights at their bounds are
   // fixed.
   void compute_newton_step(const double* w) {
-    std::vector<double> gradient(shapes), right_hand_side(shapes), pivots(shapes);
-    std::vector<std::size_t> slots(shapes, shapes), previous_index(shapes, shapes);
-    for (std::size_t f = 0; f < frames; ++f) {
-      const double* hf = h.data() + f * shapes * shapes;
-      std::size_t* free_shapes = free_.data() + f * shapes;
-      double* l = factors_.data() + f * shapes * shapes;
+    std::vector<double> gradient(shape_count), right_hand_side(shape_count), pivots(shape_count);
+    std::vector<std::size_t> slots(shape_count, shape_count),
+        previous_index(shape_count, shape_count);
+    for (std::size_t f = 0; f < frame_count; ++f) {
+      const double* hf = hessians.data() + f * shape_count * shape_count;
+      std::size_t* free_shapes = free_shapes_.data() + f * shape_count;
+      double* l = factors_.data() + f * shape_count * shape_count;
       compute_gradient(w, f, gradient.data());
       std::size_t n = 0;
-      for (std::size_t s = 0; s < shapes; ++s) {
-        const double weight = w[f * shapes + s];
+      for (std::size_t s = 0; s < shape_count; ++s) {
+        const double weight = w[f * shape_count + s];
         const bool is_bound =
             (weight <= 0 && gradient[s] >= 0) || (weight >= 1 && gradient[s] <= 0);
-        if (!is_bound && hf[s * shapes + s] + coupling_weight(f) > 0) free_shapes[n++] = s;
+        if (!is_bound && hf[s * shape_count + s] + coupling_weight(f) > 0) free_shapes[n++] = s;
       }
-      counts_[f] = n;
+      free_counts_[f] = n;
       double trace = 0;
       for (std::size_t i = 0; i < n; ++i) {
         for (std::size_t j = 0; j <= i; ++j)
-          l[i * shapes + j] = hf[free_shapes[i] * shapes + free_shapes[j]];
-        l[i * shapes + i] += coupling_weight(f);
-        trace = std::max(trace, l[i * shapes + i]);
+          l[i * shape_count + j] = hf[free_shapes[i] * shape_count + free_shapes[j]];
+        l[i * shape_count + i] += coupling_weight(f);
+        trace = std::max(trace, l[i * shape_count + i]);
         right_hand_side[i] = -gradient[free_shapes[i]];
       }
-      if (f > 0 && smooth > 0) {
-        const std::size_t m = counts_[f - 1];
-        const double* previous_factor = factors_.data() + (f - 1) * shapes * shapes;
-        const double* previous = solutions_.data() + (f - 1) * shapes;
-        std::fill(previous_index.begin(), previous_index.end(), shapes);
-        for (std::size_t i = 0; i < m; ++i) previous_index[free_[(f - 1) * shapes + i]] = i;
+      if (f > 0 && smoothness > 0) {
+        const std::size_t m = free_counts_[f - 1];
+        const double* previous_factor = factors_.data() + (f - 1) * shape_count * shape_count;
+        const double* previous_solution = solutions_.data() + (f - 1) * shape_count;
+        std::fill(previous_index.begin(), previous_index.end(), shape_count);
+        for (std::size_t i = 0; i < m; ++i)
+          previous_index[free_shapes_[(f - 1) * shape_count + i]] = i;
         for (std::size_t i = 0; i < n; ++i) {
-          const std::size_t weight = previous_index[free_shapes[i]];
-          double* column = columns_.data() + i * shapes;
-          if (weight == shapes) continue;
+          const std::size_t previous_slot = previous_index[free_shapes[i]];
+          double* column = coupling_columns_.data() + i * shape_count;
+          if (previous_slot == shape_count) continue;
           std::fill(column, column + m, 0.0);
-          column[weight] = smooth;
-          solve_forward(previous_factor, m, shapes, column, weight);
+          column[previous_slot] = smoothness;
+          solve_forward(previous_factor, m, shape_count, column, previous_slot);
           double sum = 0;
-          for (std::size_t k = weight; k < m; ++k) sum += column[k] * previous[k];
+          for (std::size_t k = previous_slot; k < m; ++k) sum += column[k] * previous_solution[k];
           right_hand_side[i] += sum;
           for (std::size_t j = 0; j <= i; ++j) {
             const std::size_t other_start = previous_index[free_shapes[j]];
-            if (other_start == shapes) continue;
-            const double* other_column = columns_.data() + j * shapes;
+            if (other_start == shape_count) continue;
+            const double* other_column = coupling_columns_.data() + j * shape_count;
             double dot = 0;
-            for (std::size_t k = std::max(weight, other_start); k < m; ++k)
+            for (std::size_t k = std::max(previous_slot, other_start); k < m; ++k)
               dot += column[k] * other_column[k];
-            l[i * shapes + j] -= dot;
+            l[i * shape_count + j] -= dot;
           }
         }
       }
-      factor_block(l, n, shapes, 1e-14 * trace, pivots.data());
-      solve_forward(l, n, shapes, right_hand_side.data());
+      factor_block(l, n, shape_count, 1e-14 * trace, pivots.data());
+      solve_forward(l, n, shape_count, right_hand_side.data());
       std::copy(right_hand_side.begin(), right_hand_side.begin() + static_cast<std::ptrdiff_t>(n),
-                solutions_.begin() + static_cast<std::ptrdiff_t>(f * shapes));
+                solutions_.begin() + static_cast<std::ptrdiff_t>(f * shape_count));
     }
     std::fill(step_.begin(), step_.end(), 0.0);
-    for (std::size_t f = frames; f-- > 0;) {
-      const std::size_t n = counts_[f];
-      const std::size_t* free_shapes = free_.data() + f * shapes;
-      const double* l = factors_.data() + f * shapes * shapes;
-      double* x = solutions_.data() + f * shapes;
-      if (f + 1 < frames && smooth > 0) {
+    for (std::size_t f = frame_count; f-- > 0;) {
+      const std::size_t n = free_counts_[f];
+      const std::size_t* free_shapes = free_shapes_.data() + f * shape_count;
+      const double* l = factors_.data() + f * shape_count * shape_count;
+      double* x = solutions_.data() + f * shape_count;
+      if (f + 1 < frame_count && smoothness > 0) {
         std::fill(right_hand_side.begin(), right_hand_side.end(), 0.0);
         for (std::size_t i = 0; i < n; ++i)
-          right_hand_side[i] = smooth * step_[(f + 1) * shapes + free_shapes[i]];
-        solve_forward(l, n, shapes, right_hand_side.data());
+          right_hand_side[i] = smoothness * step_[(f + 1) * shape_count + free_shapes[i]];
+        solve_forward(l, n, shape_count, right_hand_side.data());
         for (std::size_t i = 0; i < n; ++i) x[i] += right_hand_side[i];
       }
-      cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{l, shapes}, n, x);
-      for (std::size_t i = 0; i < n; ++i) step_[f * shapes + free_shapes[i]] = x[i];
+      cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{l, shape_count}, n, x);
+      for (std::size_t i = 0; i < n; ++i) step_[f * shape_count + free_shapes[i]] = x[i];
     }
   }
 
   // Cost of a frame's weights, with those of neighbouring frames fixed.
   double frame_cost(const double* w, const double* frame_weights, std::size_t f) const {
-    const double* hf = h.data() + f * shapes * shapes;
+    const double* hf = hessians.data() + f * shape_count * shape_count;
     double sum = 0;
-    for (std::size_t s = 0; s < shapes; ++s) {
+    for (std::size_t s = 0; s < shape_count; ++s) {
       if (frame_weights[s] == 0) continue;
-      double row =
-          0.5 * coupling_weight(f) * frame_weights[s] - g[f * shapes + s] - neighbour_sum(w, f, s);
-      const double* hs = hf + s * shapes;
-      for (std::size_t k = 0; k < shapes; ++k) row += 0.5 * hs[k] * frame_weights[k];
+      double row = 0.5 * coupling_weight(f) * frame_weights[s] - linear_terms[f * shape_count + s] -
+                   neighbour_sum(w, f, s);
+      const double* hs = hf + s * shape_count;
+      for (std::size_t k = 0; k < shape_count; ++k) row += 0.5 * hs[k] * frame_weights[k];
       sum += frame_weights[s] * row;
     }
     return sum;
@@ -250,14 +253,14 @@ struct WeightProblem {
 
   // Moves a frame along its step, shortened until the cost falls.
   void apply_frame_step(double* w, std::size_t f, double* candidate) const {
-    double *weights = w + f * shapes, fraction = 1;
-    const double* step = step_.data() + f * shapes;
+    double *weights = w + f * shape_count, fraction = 1;
+    const double* step = step_.data() + f * shape_count;
     const double start_cost = frame_cost(w, weights, f);
     for (int halving = 0; halving < MAX_HALVINGS; ++halving, fraction /= 2) {
-      for (std::size_t s = 0; s < shapes; ++s)
+      for (std::size_t s = 0; s < shape_count; ++s)
         candidate[s] = std::clamp(weights[s] + fraction * step[s], 0.0, 1.0);
       if (frame_cost(w, candidate, f) < start_cost) {
-        std::copy(candidate, candidate + shapes, weights);
+        std::copy(candidate, candidate + shape_count, weights);
         return;
       }
     }
@@ -266,11 +269,11 @@ struct WeightProblem {
   // Minimises the cost over the weights, until a descent sweep changes them by less than
   // `tolerance`; returns the last change.
   double solve(double* w, double tolerance) {
-    std::vector<double> candidate(frames * shapes);
+    std::vector<double> candidate(frame_count * shape_count);
     double change = 0;
-    for (int step = 0; step < MAX_STEPS; ++step) {
+    for (int step = 0; step < MAX_NEWTON_STEPS; ++step) {
       change = 0;
-      for (int i = 0; i < DESCENT_SWEEPS; ++i) change = sweep(w, i % 2);
+      for (int i = 0; i < SWEEPS_PER_STEP; ++i) change = sweep(w, i % 2);
       if (change < tolerance) break;
       const double start_cost = total_cost(w);
       compute_newton_step(w);
@@ -279,52 +282,53 @@ struct WeightProblem {
       if (total_cost(candidate.data()) < start_cost)
         std::copy(candidate.begin(), candidate.end(), w);
       else
-        for (std::size_t f = 0; f < frames; ++f) apply_frame_step(w, f, candidate.data());
+        for (std::size_t f = 0; f < frame_count; ++f) apply_frame_step(w, f, candidate.data());
     }
     return change;
   }
 
  private:
   std::vector<double> factors_, step_;
-  std::vector<std::size_t> free_;
-  std::vector<std::size_t> counts_;
-  std::vector<double> solutions_, columns_;
+  std::vector<std::size_t> free_shapes_;
+  std::vector<std::size_t> free_counts_;
+  std::vector<double> solutions_, coupling_columns_;
 };
 
 // The blend shapes of a face.
 struct Face {
-  std::size_t landmarks, shapes;
+  std::size_t landmark_count, shape_count;
   const double *neutral, *deltas;      // (N, 3), (S, N, 3)
   const double* camera;                // fx, fy, cx, cy; null for landmarks in three dimensions
   std::vector<double> rows_of_deltas;  // (N, 3, S): the three rows of each landmark
-  std::vector<double> gram;            // (S, S): sum over all rows, with weights of 1
+  std::vector<double> gram_matrix;     // (S, S): sum over all rows, with weights of 1
 
   void prepare() {
-    rows_of_deltas.resize(landmarks * 3 * shapes);
-    for (std::size_t s = 0; s < shapes; ++s)
-      for (std::size_t i = 0; i < 3 * landmarks; ++i)
-        rows_of_deltas[i * shapes + s] = deltas[s * 3 * landmarks + i];
-    gram.assign(shapes * shapes, 0.0);
-    for (std::size_t i = 0; i < 3 * landmarks; ++i)
-      add_outer_product(gram.data(), 1, &rows_of_deltas[i * shapes], &rows_of_deltas[i * shapes]);
+    rows_of_deltas.resize(landmark_count * 3 * shape_count);
+    for (std::size_t s = 0; s < shape_count; ++s)
+      for (std::size_t i = 0; i < 3 * landmark_count; ++i)
+        rows_of_deltas[i * shape_count + s] = deltas[s * 3 * landmark_count + i];
+    gram_matrix.assign(shape_count * shape_count, 0.0);
+    for (std::size_t i = 0; i < 3 * landmark_count; ++i)
+      add_outer_product(gram_matrix.data(), 1, &rows_of_deltas[i * shape_count],
+                        &rows_of_deltas[i * shape_count]);
   }
 
   // Adds a scaled outer product to a matrix (S, S).
   void add_outer_product(double* h, double scale, const double* a, const double* b) const {
-    for (std::size_t s = 0; s < shapes; ++s) {
-      const double scaled = scale * a[s];
-      if (scaled == 0) continue;
-      for (std::size_t k = 0; k < shapes; ++k) h[s * shapes + k] += scaled * b[k];
+    for (std::size_t s = 0; s < shape_count; ++s) {
+      const double scaled_entry = scale * a[s];
+      if (scaled_entry == 0) continue;
+      for (std::size_t k = 0; k < shape_count; ++k) h[s * shape_count + k] += scaled_entry * b[k];
     }
   }
 
   // Computes landmarks with weights, in the frame of the face (N, 3).
   void deform(const double* w, double* out) const {
-    std::copy(neutral, neutral + 3 * landmarks, out);
-    for (std::size_t s = 0; s < shapes; ++s) {
+    std::copy(neutral, neutral + 3 * landmark_count, out);
+    for (std::size_t s = 0; s < shape_count; ++s) {
       if (w[s] == 0) continue;
-      const double* d = deltas + s * 3 * landmarks;
-      for (std::size_t i = 0; i < 3 * landmarks; ++i) out[i] += w[s] * d[i];
+      const double* d = deltas + s * 3 * landmark_count;
+      for (std::size_t i = 0; i < 3 * landmark_count; ++i) out[i] += w[s] * d[i];
     }
   }
 };
@@ -333,7 +337,9 @@ struct Face {
 class LinearizedFrame {
  public:
   explicit LinearizedFrame(const Face& face)
-      : face_(face), points_(3 * face.landmarks), cross_(face.shapes * POSE_DOFS) {}
+      : face_(face),
+        points_(3 * face.landmark_count),
+        pose_shape_hessian_(face.shape_count * POSE_DOFS) {}
 
   // Computes the lengths of residuals (N,) and robust weights of observed landmarks; returns the
   // loss.
@@ -344,7 +350,7 @@ class LinearizedFrame {
     const Mat3 r = rotation_matrix(pose);
     const std::size_t width = face_.camera ? 2 : 3;
     double loss = 0;
-    for (std::size_t n = 0; n < face_.landmarks; ++n) {
+    for (std::size_t n = 0; n < face_.landmark_count; ++n) {
       const double* pixel = observed + n * width;
       double residual[3];
       if (!compute_residual(pixel, &points_[3 * n], r, pose + 4, residual)) {
@@ -363,24 +369,25 @@ class LinearizedFrame {
   // Computes the quadratic of the weights, with the pose eliminated.
   void linearize(const double* observed, const double* w, const double* pose,
                  const double* robust_weights, double* h, double* g) {
-    const std::size_t shapes = face_.shapes, landmarks = face_.landmarks;
+    const std::size_t shape_count = face_.shape_count, landmark_count = face_.landmark_count;
     const Mat3 r = rotation_matrix(pose);
     face_.deform(w, points_.data());
-    std::fill(g, g + shapes, 0.0);
-    std::fill(cross_.begin(), cross_.end(), 0.0);
+    std::fill(g, g + shape_count, 0.0);
+    std::fill(pose_shape_hessian_.begin(), pose_shape_hessian_.end(), 0.0);
     std::fill(pose_hessian_, pose_hessian_ + POSE_DOFS * POSE_DOFS, 0.0);
     std::fill(pose_gradient_, pose_gradient_ + POSE_DOFS, 0.0);
     if (face_.camera)
-      std::fill(h, h + shapes * shapes, 0.0);
+      std::fill(h, h + shape_count * shape_count, 0.0);
     else
-      std::copy(face_.gram.begin(), face_.gram.end(), h);
-    for (std::size_t n = 0; n < landmarks; ++n) {
+      std::copy(face_.gram_matrix.begin(), face_.gram_matrix.end(), h);
+    for (std::size_t n = 0; n < landmark_count; ++n) {
       const double* p = &points_[3 * n];
-      const double* rows = &face_.rows_of_deltas[3 * n * shapes];
+      const double* rows = &face_.rows_of_deltas[3 * n * shape_count];
       const double robust_weight = robust_weights[n];
       if (!face_.camera && robust_weight != 1)
         for (int k = 0; k < 3; ++k)
-          face_.add_outer_product(h, robust_weight - 1, rows + k * shapes, rows + k * shapes);
+          face_.add_outer_product(h, robust_weight - 1, rows + k * shape_count,
+                                  rows + k * shape_count);
       if (robust_weight == 0) continue;
       if (!face_.camera) {
         const double* x = observed + 3 * n;
@@ -406,25 +413,26 @@ class LinearizedFrame {
       largest = std::max(largest, pose_hessian_[i * POSE_DOFS + i]);
     std::copy(pose_hessian_, pose_hessian_ + POSE_DOFS * POSE_DOFS, factor_);
     double pivots[POSE_DOFS];
-    factor_block(factor_, POSE_DOFS, POSE_DOFS, MIN_INFORMATION * largest, pivots);
+    factor_block(factor_, POSE_DOFS, POSE_DOFS, MIN_INFORMATION_RATIO * largest, pivots);
     if (largest == 0) return;
     // H - C P^-1 C' by the rows of L^-1 C'.
     std::vector<double>& coupling = coupling_;
-    coupling.resize(POSE_DOFS * shapes);
+    coupling.resize(POSE_DOFS * shape_count);
     double right_hand_side[POSE_DOFS];
     std::copy(pose_gradient_, pose_gradient_ + POSE_DOFS, right_hand_side);
     solve_forward(factor_, POSE_DOFS, POSE_DOFS, right_hand_side);
-    for (std::size_t s = 0; s < shapes; ++s) {
+    for (std::size_t s = 0; s < shape_count; ++s) {
       double column[POSE_DOFS];
-      for (std::size_t i = 0; i < POSE_DOFS; ++i) column[i] = cross_[i * shapes + s];
+      for (std::size_t i = 0; i < POSE_DOFS; ++i)
+        column[i] = pose_shape_hessian_[i * shape_count + s];
       solve_forward(factor_, POSE_DOFS, POSE_DOFS, column);
       for (std::size_t i = 0; i < POSE_DOFS; ++i) {
-        coupling[i * shapes + s] = column[i];
+        coupling[i * shape_count + s] = column[i];
         g[s] -= column[i] * right_hand_side[i];
       }
     }
     for (std::size_t i = 0; i < POSE_DOFS; ++i)
-      face_.add_outer_product(h, -1, &coupling[i * shapes], &coupling[i * shapes]);
+      face_.add_outer_product(h, -1, &coupling[i * shape_count], &coupling[i * shape_count]);
     std::copy(right_hand_side, right_hand_side + POSE_DOFS, right_hand_side_);
   }
 
@@ -433,7 +441,8 @@ class LinearizedFrame {
     double step[POSE_DOFS];
     for (std::size_t i = 0; i < POSE_DOFS; ++i) {
       double sum = right_hand_side_[i];
-      for (std::size_t s = 0; s < face_.shapes; ++s) sum -= coupling_[i * face_.shapes + s] * w[s];
+      for (std::size_t s = 0; s < face_.shape_count; ++s)
+        sum -= coupling_[i * face_.shape_count + s] * w[s];
       step[i] = sum;
     }
     cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{factor_, POSE_DOFS}, POSE_DOFS, step);
@@ -441,19 +450,19 @@ class LinearizedFrame {
   }
 
   // Stores and restores the data of a frame that `update_pose` needs.
-  static std::size_t stored_size(std::size_t shapes) {
-    return POSE_DOFS * shapes + POSE_DOFS + POSE_DOFS * POSE_DOFS;
+  static std::size_t stored_size(std::size_t shape_count) {
+    return POSE_DOFS * shape_count + POSE_DOFS + POSE_DOFS * POSE_DOFS;
   }
   void store(double* out) {
-    coupling_.resize(POSE_DOFS * face_.shapes);
+    coupling_.resize(POSE_DOFS * face_.shape_count);
     out = std::copy(coupling_.begin(), coupling_.end(), out);
     out = std::copy(right_hand_side_, right_hand_side_ + POSE_DOFS, out);
     std::copy(factor_, factor_ + POSE_DOFS * POSE_DOFS, out);
   }
   void restore(const double* in) {
-    coupling_.resize(POSE_DOFS * face_.shapes);
-    std::copy(in, in + POSE_DOFS * face_.shapes, coupling_.begin());
-    in += POSE_DOFS * face_.shapes;
+    coupling_.resize(POSE_DOFS * face_.shape_count);
+    std::copy(in, in + POSE_DOFS * face_.shape_count, coupling_.begin());
+    in += POSE_DOFS * face_.shape_count;
     std::copy(in, in + POSE_DOFS, right_hand_side_);
     std::copy(in + POSE_DOFS, in + POSE_DOFS + POSE_DOFS * POSE_DOFS, factor_);
   }
@@ -491,7 +500,7 @@ class LinearizedFrame {
   // Adds one row: the residual along a direction in the frame of the face.
   void add_row(double scale, double z, const double* axis, const double* p, const double* rows,
                double* h, double* g) {
-    const std::size_t shapes = face_.shapes;
+    const std::size_t shape_count = face_.shape_count;
     // axis · (rotate × p) = rotate · (p × axis)
     const double pose_row[POSE_DOFS] = {p[1] * axis[2] - p[2] * axis[1],
                                         p[2] * axis[0] - p[0] * axis[2],
@@ -499,24 +508,25 @@ class LinearizedFrame {
                                         axis[0],
                                         axis[1],
                                         axis[2]};
-    shape_row_.resize(shapes);
-    for (std::size_t s = 0; s < shapes; ++s)
+    shape_row_.resize(shape_count);
+    for (std::size_t s = 0; s < shape_count; ++s)
       shape_row_[s] =
-          axis[0] * rows[s] + axis[1] * rows[shapes + s] + axis[2] * rows[2 * shapes + s];
+          axis[0] * rows[s] + axis[1] * rows[shape_count + s] + axis[2] * rows[2 * shape_count + s];
     if (h) face_.add_outer_product(h, scale, shape_row_.data(), shape_row_.data());
-    for (std::size_t s = 0; s < shapes; ++s) g[s] += scale * z * shape_row_[s];
+    for (std::size_t s = 0; s < shape_count; ++s) g[s] += scale * z * shape_row_[s];
     for (std::size_t i = 0; i < POSE_DOFS; ++i) {
-      const double scaled = scale * pose_row[i];
-      if (scaled == 0) continue;
-      for (std::size_t s = 0; s < shapes; ++s) cross_[i * shapes + s] += scaled * shape_row_[s];
+      const double scaled_entry = scale * pose_row[i];
+      if (scaled_entry == 0) continue;
+      for (std::size_t s = 0; s < shape_count; ++s)
+        pose_shape_hessian_[i * shape_count + s] += scaled_entry * shape_row_[s];
       for (std::size_t k = 0; k < POSE_DOFS; ++k)
-        pose_hessian_[i * POSE_DOFS + k] += scaled * pose_row[k];
-      pose_gradient_[i] += scaled * z;
+        pose_hessian_[i * POSE_DOFS + k] += scaled_entry * pose_row[k];
+      pose_gradient_[i] += scaled_entry * z;
     }
   }
 
   const Face& face_;
-  std::vector<double> points_, cross_, shape_row_, coupling_;
+  std::vector<double> points_, pose_shape_hessian_, shape_row_, coupling_;
   double pose_hessian_[POSE_DOFS * POSE_DOFS]{}, pose_gradient_[POSE_DOFS]{},
       factor_[POSE_DOFS * POSE_DOFS]{}, right_hand_side_[POSE_DOFS]{};
 };
@@ -526,18 +536,19 @@ class LinearizedFrame {
 FaceFit fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
                  std::optional<In<double, 1>> camera, In<double, 2> poses, In<double, 2> weights,
                  double threshold, double smooth, double rest, double tolerance, int max_iterations,
-                 bool warm) {
-  const std::size_t landmarks = neutral.shape(1), shapes = deltas.shape(0),
-                    frames = observed.shape(0);
+                 bool is_warm_start) {
+  const std::size_t landmark_count = neutral.shape(1), shape_count = deltas.shape(0),
+                    frame_count = observed.shape(0);
   const std::size_t width = camera ? 2 : 3;
-  check::at_most("observed", frames * landmarks, check::MAX_ROWS);
-  check::at_most("deltas", shapes * landmarks, check::MAX_ROWS);
-  check::at_most("weights", frames * shapes * std::max<std::size_t>(shapes, 1), check::MAX_ROWS);
-  check::shape("neutral", neutral, {neutral.shape(0) == 1 ? 1 : frames, landmarks, 3});
-  check::shape("deltas", deltas, {shapes, landmarks, 3});
-  check::shape("observed", observed, {frames, landmarks, width});
-  check::shape("poses", poses, {frames, 7});
-  check::shape("weights", weights, {frames, shapes});
+  check::at_most("observed", frame_count * landmark_count, check::MAX_ROWS);
+  check::at_most("deltas", shape_count * landmark_count, check::MAX_ROWS);
+  check::at_most("weights", frame_count * shape_count * std::max<std::size_t>(shape_count, 1),
+                 check::MAX_ROWS);
+  check::shape("neutral", neutral, {neutral.shape(0) == 1 ? 1 : frame_count, landmark_count, 3});
+  check::shape("deltas", deltas, {shape_count, landmark_count, 3});
+  check::shape("observed", observed, {frame_count, landmark_count, width});
+  check::shape("poses", poses, {frame_count, 7});
+  check::shape("weights", weights, {frame_count, shape_count});
   check::finite("neutral", neutral);
   check::finite("deltas", deltas);
   check::finite("poses", poses);
@@ -552,57 +563,63 @@ FaceFit fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> obse
     check::positive("camera", camera->data()[0]);
     check::positive("camera", camera->data()[1]);
   }
-  Out<double, 2> result(frames, shapes), fitted_poses(frames, 7), lengths(frames, landmarks),
-      robust_weights(frames, landmarks);
+  Out<double, 2> result(frame_count, shape_count), fitted_poses(frame_count, 7),
+      lengths(frame_count, landmark_count), robust_weights(frame_count, landmark_count);
   int iteration = 0;
   double change = 0;
-  Face face{landmarks, shapes, neutral.data(), deltas.data(), camera ? camera->data() : nullptr,
-            {},        {}};
+  Face face{landmark_count,
+            shape_count,
+            neutral.data(),
+            deltas.data(),
+            camera ? camera->data() : nullptr,
+            {},
+            {}};
   face.prepare();
   LinearizedFrame linear(face);
-  WeightProblem problem(frames, shapes, smooth);
-  std::copy(weights.data(), weights.data() + frames * shapes, result.get());
-  std::copy(poses.data(), poses.data() + frames * 7, fitted_poses.get());
-  std::vector<double> previous_weights(frames * shapes),
-      frame_data(frames * LinearizedFrame::stored_size(shapes));
+  WeightProblem problem(frame_count, shape_count, smooth);
+  std::copy(weights.data(), weights.data() + frame_count * shape_count, result.get());
+  std::copy(poses.data(), poses.data() + frame_count * 7, fitted_poses.get());
+  std::vector<double> previous_weights(frame_count * shape_count),
+      frame_data(frame_count * LinearizedFrame::stored_size(shape_count));
   double* w = result.get();
-  for (std::size_t i = 0; i < frames * shapes; ++i) w[i] = std::clamp(w[i], 0.0, 1.0);
-  const std::size_t neutral_stride = neutral.shape(0) == 1 ? 0 : 3 * landmarks;
+  for (std::size_t i = 0; i < frame_count * shape_count; ++i) w[i] = std::clamp(w[i], 0.0, 1.0);
+  const std::size_t neutral_stride = neutral.shape(0) == 1 ? 0 : 3 * landmark_count;
   const auto update_residuals = [&](std::size_t f, double limit, double power) {
     face.neutral = neutral.data() + f * neutral_stride;
-    linear.compute_residuals(observed.data() + f * landmarks * width, w + f * shapes,
+    linear.compute_residuals(observed.data() + f * landmark_count * width, w + f * shape_count,
                              fitted_poses.get() + 7 * f, limit, power,
-                             lengths.get() + f * landmarks, robust_weights.get() + f * landmarks);
+                             lengths.get() + f * landmark_count,
+                             robust_weights.get() + f * landmark_count);
   };
   for (; iteration < max_iterations; ++iteration) {
-    std::copy(w, w + frames * shapes, previous_weights.begin());
+    std::copy(w, w + frame_count * shape_count, previous_weights.begin());
     // Starts with Huber's loss, which has one minimum; then uses a redescending one.
-    const bool is_early = !warm && iteration < 3;
+    const bool is_early = !is_warm_start && iteration < 3;
     const double power = is_early ? 1 : 2;
     const double limit = is_early && iteration == 0 ? HUGE_VAL : threshold;
-    for (std::size_t f = 0; f < frames; ++f) {
+    for (std::size_t f = 0; f < frame_count; ++f) {
       update_residuals(f, limit, power);
-      double* h = problem.h.data() + f * shapes * shapes;
-      linear.linearize(observed.data() + f * landmarks * width, w + f * shapes,
-                       fitted_poses.get() + 7 * f, robust_weights.get() + f * landmarks, h,
-                       problem.g.data() + f * shapes);
-      linear.store(frame_data.data() + f * LinearizedFrame::stored_size(shapes));
-      for (std::size_t s = 0; s < shapes; ++s) h[s * shapes + s] += rest;
+      double* h = problem.hessians.data() + f * shape_count * shape_count;
+      linear.linearize(observed.data() + f * landmark_count * width, w + f * shape_count,
+                       fitted_poses.get() + 7 * f, robust_weights.get() + f * landmark_count, h,
+                       problem.linear_terms.data() + f * shape_count);
+      linear.store(frame_data.data() + f * LinearizedFrame::stored_size(shape_count));
+      for (std::size_t s = 0; s < shape_count; ++s) h[s * shape_count + s] += rest;
     }
     problem.solve(w, is_early ? std::max(tolerance, 1e-3) : tolerance);
-    for (std::size_t f = 0; f < frames; ++f) {
-      linear.restore(frame_data.data() + f * LinearizedFrame::stored_size(shapes));
-      linear.update_pose(w + f * shapes, fitted_poses.get() + 7 * f);
+    for (std::size_t f = 0; f < frame_count; ++f) {
+      linear.restore(frame_data.data() + f * LinearizedFrame::stored_size(shape_count));
+      linear.update_pose(w + f * shape_count, fitted_poses.get() + 7 * f);
     }
     change = 0;
-    for (std::size_t i = 0; i < frames * shapes; ++i)
+    for (std::size_t i = 0; i < frame_count * shape_count; ++i)
       change = std::max(change, std::fabs(w[i] - previous_weights[i]));
-    if (iteration >= (warm ? 1 : 4) && change < 10 * tolerance) {
+    if (iteration >= (is_warm_start ? 1 : 4) && change < 10 * tolerance) {
       ++iteration;
       break;
     }
   }
-  for (std::size_t f = 0; f < frames; ++f) update_residuals(f, threshold, 2);
+  for (std::size_t f = 0; f < frame_count; ++f) update_residuals(f, threshold, 2);
   return {std::move(result),  std::move(fitted_poses),
           std::move(lengths), std::move(robust_weights),
           iteration,          change};

@@ -51,19 +51,19 @@ inline NumberKind read_general_number(const char* p, const char* end, double& va
   if (result.ec == std::errc()) return NumberKind::finite;
   // from_chars does not set the value if it is out of range, on either side: the position of the
   // first nonzero digit and the exponent tell on which side it is.
-  const bool negative = *p == '-';
+  const bool is_negative = *p == '-';
   std::int64_t position = 0, exponent = 0;
-  bool nonzero = false, after_point = false;
-  const char* d = p + negative;
+  bool has_nonzero_digit = false, is_after_point = false;
+  const char* d = p + is_negative;
   for (; d != end && (*d | 0x20) != 'e'; ++d) {
     if (*d == '.') {
-      after_point = true;
-    } else if (after_point) {
-      if (!nonzero) --position;
-      nonzero |= *d != '0';
+      is_after_point = true;
+    } else if (is_after_point) {
+      if (!has_nonzero_digit) --position;
+      has_nonzero_digit |= *d != '0';
     } else {
-      nonzero |= *d != '0';
-      position += nonzero;
+      has_nonzero_digit |= *d != '0';
+      position += has_nonzero_digit;
     }
   }
   if (d != end) {
@@ -82,15 +82,15 @@ inline NumberKind read_general_number(const char* p, const char* end, double& va
   value = strtod_l(std::string(p, end).c_str(), nullptr, c_locale);
 #endif
   if (std::isfinite(value)) return NumberKind::finite;
-  const bool negative = *p == '-';
+  const bool is_negative = *p == '-';
   const bool is_underflow = false;
 #endif
   if (is_underflow) {
-    value = negative ? -0.0 : 0.0;
+    value = is_negative ? -0.0 : 0.0;
     return NumberKind::finite;
   }
-  value =
-      negative ? -std::numeric_limits<double>::infinity() : std::numeric_limits<double>::infinity();
+  value = is_negative ? -std::numeric_limits<double>::infinity()
+                      : std::numeric_limits<double>::infinity();
   return NumberKind::overflow;
 }
 
@@ -133,37 +133,37 @@ inline NumberKind read_number(const char*& p, const char* end, double& value) {
                                             1e8,  1e9,  1e10, 1e11, 1e12, 1e13, 1e14, 1e15,
                                             1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22};
   const char* const start = p;
-  const bool negative = *p == '-';
-  p += negative | (*p == '+');
+  const bool is_negative = *p == '-';
+  p += is_negative | (*p == '+');
 
   std::uint64_t mantissa = 0;
   const char* const digits = p;
   read_digits(p, end, mantissa);
-  std::ptrdiff_t count = p - digits;
-  std::ptrdiff_t fraction = 0;
+  std::ptrdiff_t digit_count = p - digits;
+  std::ptrdiff_t fraction_digit_count = 0;
   if (*p == '.') {
     const char* const first = ++p;
     read_digits(p, end, mantissa);
-    fraction = p - first;
-    count += fraction;
+    fraction_digit_count = p - first;
+    digit_count += fraction_digit_count;
   }
-  bool well_formed = count > 0;
+  bool is_well_formed = digit_count > 0;
   std::int64_t exponent = 0;
-  if (well_formed && (*p | 0x20) == 'e') {
+  if (is_well_formed && (*p | 0x20) == 'e') {
     ++p;
-    bool negative_exponent = false;
-    if (*p == '-' || *p == '+') negative_exponent = *p++ == '-';
-    well_formed = is_digit(*p);
+    bool is_negative_exponent = false;
+    if (*p == '-' || *p == '+') is_negative_exponent = *p++ == '-';
+    is_well_formed = is_digit(*p);
     while (is_digit(*p)) {
       if (exponent < 100000) exponent = exponent * 10 + (*p - '0');
       ++p;
     }
-    if (negative_exponent) exponent = -exponent;
+    if (is_negative_exponent) exponent = -exponent;
   }
   const auto is_at_end = [&] {
     return *p == ' ' || *p == '\n' || *p == '\t' || *p == '\r' || p == end;
   };
-  if (!well_formed || !is_at_end()) {
+  if (!is_well_formed || !is_at_end()) {
     while (!is_at_end()) ++p;
     if (!is_not_finite(start, p)) return NumberKind::malformed;
     value = std::numeric_limits<double>::quiet_NaN();
@@ -172,11 +172,13 @@ inline NumberKind read_number(const char*& p, const char* end, double& value) {
 
   // 19 digits cannot overflow 64 bits, so this comparison uses all of them.
   constexpr std::uint64_t kExactMantissa = std::uint64_t{1} << 53;
-  const std::int64_t scale = exponent - fraction;
-  if (count <= 19 && mantissa <= kExactMantissa && scale >= -22 && scale <= 22) {
+  const std::int64_t decimal_exponent = exponent - fraction_digit_count;
+  if (digit_count <= 19 && mantissa <= kExactMantissa && decimal_exponent >= -22 &&
+      decimal_exponent <= 22) {
     double v = static_cast<double>(mantissa);
-    v = scale <= 0 ? v / kPowersOfTen[-scale] : v * kPowersOfTen[scale];
-    value = std::copysign(v, negative ? -1.0 : 1.0);
+    v = decimal_exponent <= 0 ? v / kPowersOfTen[-decimal_exponent]
+                              : v * kPowersOfTen[decimal_exponent];
+    value = std::copysign(v, is_negative ? -1.0 : 1.0);
     return NumberKind::finite;
   }
   return read_general_number(start, p, value);

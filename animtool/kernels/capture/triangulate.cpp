@@ -22,17 +22,17 @@ namespace {
 constexpr double NAN_VALUE = std::numeric_limits<double>::quiet_NaN();
 // Numbers of a camera: fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, rotation, translation, width and
 // height of the image; 0 if unknown.
-constexpr std::size_t CAMERA_NUMBERS = 27;
+constexpr std::size_t CAMERA_NUMBER_COUNT = 27;
 // Tallies of a camera in a frame, and numbers of a point.
-constexpr std::size_t TALLIES = 8, POINT_NUMBERS = 5;
+constexpr std::size_t TALLY_COUNT = 8, POINT_NUMBER_COUNT = 5;
 // Largest number of cameras of a point that are compared in pairs; 24 cameras have 276 pairs.
 constexpr std::size_t MAX_PAIRED_CAMERAS = 24;
-constexpr int MAX_STEPS = 12, MAX_INLIER_PASSES = 8, UNDISTORT_STEPS = 20;
+constexpr int MAX_NEWTON_STEPS = 12, MAX_INLIER_PASSES = 8, MAX_UNDISTORT_STEPS = 20;
 // The search stops after a step with this squared length, relative to the variance: the next step
 // would be about a thousand times shorter.
-constexpr double SMALL_STEP = 1e-6;
+constexpr double MIN_SQUARED_STEP = 1e-6;
 // Fraction of the squared gate below which residuals pass at any leverage of up to five cameras.
-constexpr double SAFE_RESIDUAL = 0.7;
+constexpr double SAFE_RESIDUAL_FRACTION = 0.7;
 // Smallest pivot of a matrix relative to its diagonal, for rays at an angle of 1e-5.
 constexpr double MIN_PIVOT = 1e-10;
 // States of an observation.
@@ -94,7 +94,7 @@ struct Factor {
 
 // A distorted position (x, y), and its derivatives by the undistorted one.
 struct Distortion {
-  double x, y, xx, xy, yx, yy;  // a distorted place, and its slopes by the place
+  double x, y, xx, xy, yx, yy;
 };
 
 struct Camera {
@@ -147,7 +147,7 @@ struct Camera {
     const double b = (v - cy) / fy, a = (u - cx - skew * b) / fx;
     x = a, y = b;
     if (is_undistorted) return true;
-    for (int step = 0; step < UNDISTORT_STEPS; ++step) {
+    for (int step = 0; step < MAX_UNDISTORT_STEPS; ++step) {
       const Distortion distortion = distort(x, y);
       const double residual_x = distortion.x - a, residual_y = distortion.y - b,
                    determinant = distortion.xx * distortion.yy - distortion.xy * distortion.yx;
@@ -225,7 +225,9 @@ struct Solution {
   bool has_converged = false;
 };
 
-bool finite(const Vec& p) { return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z); }
+bool is_finite(const Vec& p) {
+  return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
+}
 
 // Solves a point from the cameras that observe it.
 class PointSolver {
@@ -248,13 +250,13 @@ class PointSolver {
     Factor factor;
     if (!factor.factorize(equations)) return false;
     p = factor.solve(equations.x, equations.y, equations.z);
-    return finite(p);
+    return is_finite(p);
   }
 
   // Weighted least squares of the reprojection, from a start.
   Solution refine(Vec p) {
     Solution solution;
-    for (int step = 0; step < MAX_STEPS; ++step) {
+    for (int step = 0; step < MAX_NEWTON_STEPS; ++step) {
       NormalEquations equations;
       for (std::size_t i = 0; i < count; ++i) {
         CameraView& view = views[i];
@@ -267,14 +269,14 @@ class PointSolver {
       const Vec correction = solution.factor.solve(equations.x, equations.y, equations.z);
       p.x -= correction.x, p.y -= correction.y, p.z -= correction.z;
       if (!(equations.x * correction.x + equations.y * correction.y + equations.z * correction.z >
-            SMALL_STEP)) {
+            MIN_SQUARED_STEP)) {
         for (std::size_t i = 0; i < count; ++i) {
           CameraView& view = views[i];
           view.ru -= view.au * correction.x + view.bu * correction.y + view.cu * correction.z;
           view.rv -= view.av * correction.x + view.bv * correction.y + view.cv * correction.z;
         }
         solution.trace = equations.xx + equations.yy + equations.zz;
-        solution.point = p, solution.has_converged = finite(p);
+        solution.point = p, solution.has_converged = is_finite(p);
         return solution;
       }
     }
@@ -311,7 +313,7 @@ class PointSolver {
   // Whether all residuals are well below the gate.
   bool is_consistent() const {
     for (std::size_t i = 0; i < count; ++i)
-      if (!(views[i].squared_residual() <= SAFE_RESIDUAL * squared_gate)) return false;
+      if (!(views[i].squared_residual() <= SAFE_RESIDUAL_FRACTION * squared_gate)) return false;
     return true;
   }
 
@@ -345,27 +347,27 @@ class PointSolver {
           views[i].ru = views[i].rv = std::numeric_limits<double>::max();
       bool has_changed = false;
       std::size_t used_count = 0;
-      std::array<bool, 256> passes{};
+      std::array<bool, 256> is_passing{};
       for (std::size_t i = 0; i < count; ++i) {
-        passes[i] = studentised_residual(views[i], solution) <= squared_gate;
-        has_changed = has_changed || passes[i] != views[i].is_used;
-        used_count += passes[i];
+        is_passing[i] = studentised_residual(views[i], solution) <= squared_gate;
+        has_changed = has_changed || is_passing[i] != views[i].is_used;
+        used_count += is_passing[i];
       }
       if (!has_changed || used_count < 2) return used_count < 2 ? Solution{} : solution;
-      for (std::size_t i = 0; i < count; ++i) views[i].is_used = passes[i];
+      for (std::size_t i = 0; i < count; ++i) views[i].is_used = is_passing[i];
       solution = refine(solution.point);
     }
     return solution;
   }
 
   // Cost of a point: residuals truncated at the gate; counts the cameras that agree.
-  double cost(const Vec& p, std::size_t& agree_count) {
+  double cost(const Vec& p, std::size_t& agreeing_count) {
     double sum = 0;
-    agree_count = 0;
+    agreeing_count = 0;
     for (std::size_t i = 0; i < count; ++i) {
       const double residual = views[i].project(p) ? views[i].squared_residual() : squared_gate;
       if (residual < squared_gate)
-        sum += residual, ++agree_count;
+        sum += residual, ++agreeing_count;
       else
         sum += squared_gate;
     }
@@ -379,12 +381,12 @@ class PointSolver {
     Factor factor;
     if (!factor.factorize(equations)) return false;
     p = factor.solve(equations.x, equations.y, equations.z);
-    return finite(p);
+    return is_finite(p);
   }
 
   // The point on which most cameras agree, of those from all pairs. Fails if several points have
   // two cameras, and none has more.
-  Solution consensus() {
+  Solution find_consensus() {
     const std::size_t compared_count = std::min(count, MAX_PAIRED_CAMERAS);
     double min_cost = std::numeric_limits<double>::max();
     std::size_t best_count = 0, tie_count = 0;
@@ -392,11 +394,12 @@ class PointSolver {
     for (std::size_t i = 0; i + 1 < compared_count; ++i)
       for (std::size_t j = i + 1; j < compared_count; ++j) {
         Vec p{};
-        std::size_t agree_count = 0;
+        std::size_t agreeing_count = 0;
         if (!intersect_pair(i, j, p)) continue;
-        const double point_cost = cost(p, agree_count);
-        if (agree_count == 2 && count > 2) ++tie_count;
-        if (point_cost < min_cost) min_cost = point_cost, best_count = agree_count, best_point = p;
+        const double point_cost = cost(p, agreeing_count);
+        if (agreeing_count == 2 && count > 2) ++tie_count;
+        if (point_cost < min_cost)
+          min_cost = point_cost, best_count = agreeing_count, best_point = p;
       }
     if (best_count < 2 || (best_count == 2 && tie_count > 1)) return Solution{};
     project_all(best_point);
@@ -419,11 +422,11 @@ class PointSolver {
       if (solution.has_converged && count_used() + 1 >= count && count_used() >= 4) return solution;
     }
     for (std::size_t i = 0; i < count; ++i) views[i].is_used = true;
-    return consensus();
+    return find_consensus();
   }
 
   // The smallest median of squared residuals [px^2], over the points of all pairs.
-  double least_median() {
+  double find_least_median() {
     const std::size_t compared_count = std::min(count, MAX_PAIRED_CAMERAS);
     double min_median = NAN_VALUE;
     std::vector<double> residuals(count);
@@ -445,126 +448,128 @@ class PointSolver {
 std::vector<Camera> read_cameras(In<double, 2> numbers, const double* noise) {
   std::vector<Camera> cameras(numbers.shape(0));
   for (std::size_t c = 0; c < cameras.size(); ++c)
-    cameras[c].read(numbers.data() + c * CAMERA_NUMBERS, noise ? noise[c] : 1);
+    cameras[c].read(numbers.data() + c * CAMERA_NUMBER_COUNT, noise ? noise[c] : 1);
   return cameras;
 }
 
 void check_views(const In<double, 4>& pixels, const In<double, 2>& cameras) {
   check::shape("pixels", pixels, {check::ANY, check::ANY, check::ANY, 2});
   check::between("cameras", pixels.shape(1), std::size_t{0}, std::size_t{256});
-  check::numbers("cameras", cameras, {pixels.shape(1), CAMERA_NUMBERS});
+  check::numbers("cameras", cameras, {pixels.shape(1), CAMERA_NUMBER_COUNT});
   for (std::size_t c = 0; c < cameras.shape(0); ++c) {
-    check::positive("cameras", cameras.data()[c * CAMERA_NUMBERS]);
-    check::positive("cameras", cameras.data()[c * CAMERA_NUMBERS + 1]);
+    check::positive("cameras", cameras.data()[c * CAMERA_NUMBER_COUNT]);
+    check::positive("cameras", cameras.data()[c * CAMERA_NUMBER_COUNT + 1]);
   }
 }
 
 }  // namespace
 
 Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
-                                 In<double, 2> cameras, In<bool, 2> active, In<double, 1> noise,
-                                 double gate, double condition, bool detailed) {
+                                 In<double, 2> cameras, In<bool, 2> is_active, In<double, 1> noise,
+                                 double outlier_gate, double max_condition, bool has_details) {
   check_views(pixels, cameras);
   const std::size_t F = pixels.shape(0), C = pixels.shape(1), M = pixels.shape(2);
   if (confidences) check::shape("confidences", *confidences, {F, C, M});
-  check::shape("active", active, {F, C});
+  check::shape("active", is_active, {F, C});
   check::shape("noise", noise, {C});
   for (std::size_t c = 0; c < C; ++c) check::positive("noise", noise.data()[c]);
-  check::positive("gate", gate);
-  check::positive("condition", condition);
+  check::positive("gate", outlier_gate);
+  check::positive("condition", max_condition);
   const double* confidence_data = confidences ? confidences->data() : nullptr;
 
-  const std::size_t detail_frames = detailed ? F : 0;
-  Out<double, 3> points(F, M, 3), numbers(F, M, POINT_NUMBERS), tallies(F, C, TALLIES);
+  const std::size_t detail_frames = has_details ? F : 0;
+  Out<double, 3> points(F, M, 3), numbers(F, M, POINT_NUMBER_COUNT), tallies(F, C, TALLY_COUNT);
   Out<float, 4> residuals(detail_frames, C, M, 2);
   Out<std::uint8_t, 3> states(detail_frames, C, M);
-  const std::vector<Camera> views = read_cameras(cameras, noise.data());
+  const std::vector<Camera> camera_models = read_cameras(cameras, noise.data());
   std::fill_n(residuals.get(), detail_frames * C * M * 2, std::numeric_limits<float>::quiet_NaN());
-  std::fill_n(tallies.get(), F * C * TALLIES, 0.0);
-  PointSolver point;
-  point.squared_gate = gate * gate;
-  std::array<std::uint8_t, 256> state;
+  std::fill_n(tallies.get(), F * C * TALLY_COUNT, 0.0);
+  PointSolver point_solver;
+  point_solver.squared_gate = outlier_gate * outlier_gate;
+  std::array<std::uint8_t, 256> view_states;
   for (std::size_t f = 0; f < F; ++f)
     for (std::size_t m = 0; m < M; ++m) {
-      double* const frame_tallies = tallies.get() + f * C * TALLIES;
+      double* const frame_tallies = tallies.get() + f * C * TALLY_COUNT;
       const auto pixel = [&](std::size_t c) { return pixels.data() + 2 * ((f * C + c) * M + m); };
-      point.count = 0;
-      std::size_t visible = 0;
+      point_solver.count = 0;
+      std::size_t visible_count = 0;
       for (std::size_t c = 0; c < C; ++c) {
         const double u = pixel(c)[0], v = pixel(c)[1];
         const double confidence = confidence_data ? confidence_data[(f * C + c) * M + m] : 1;
-        state[c] = UNSEEN;
+        view_states[c] = UNSEEN;
         if (!(std::isfinite(u) && std::isfinite(v) && confidence > 0 && std::isfinite(confidence)))
           continue;
-        CameraView& view = point.views[point.count];
-        frame_tallies[c * TALLIES] += 1,
-            frame_tallies[c * TALLIES + 7] += views[c].is_outside(u, v);
-        if (!views[c].compute_ray(u, v, view.x, view.y)) {
-          state[c] = NO_RAY, frame_tallies[c * TALLIES + 4] += 1;
+        CameraView& view = point_solver.views[point_solver.count];
+        frame_tallies[c * TALLY_COUNT] += 1,
+            frame_tallies[c * TALLY_COUNT + 7] += camera_models[c].is_outside(u, v);
+        if (!camera_models[c].compute_ray(u, v, view.x, view.y)) {
+          view_states[c] = NO_RAY, frame_tallies[c * TALLY_COUNT + 4] += 1;
           continue;
         }
-        ++visible;
-        if (!active.data()[f * C + c]) {
-          state[c] = INACTIVE;
+        ++visible_count;
+        if (!is_active.data()[f * C + c]) {
+          view_states[c] = INACTIVE;
           continue;
         }
-        state[c] = UNRESOLVED;
-        view.camera = &views[c], view.camera_index = c, view.u = u, view.v = v, view.is_used = true;
-        view.weight = views[c].information * confidence;
-        ++point.count;
+        view_states[c] = UNRESOLVED;
+        view.camera = &camera_models[c], view.camera_index = c, view.u = u, view.v = v,
+        view.is_used = true;
+        view.weight = camera_models[c].information * confidence;
+        ++point_solver.count;
       }
-      Solution solution = point.count < 2 ? Solution{} : point.solve_robust();
-      const std::size_t used_count = solution.has_converged ? point.count_used() : 0;
+      Solution solution = point_solver.count < 2 ? Solution{} : point_solver.solve_robust();
+      const std::size_t used_count = solution.has_converged ? point_solver.count_used() : 0;
       const double trace = solution.has_converged ? solution.factor.trace() : 0;
       // Nearly parallel rays do not determine the depth.
-      if (used_count < 2 || !(trace * solution.trace <= condition)) solution = Solution{};
+      if (used_count < 2 || !(trace * solution.trace <= max_condition)) solution = Solution{};
 
       double* position = points.get() + (f * M + m) * 3;
-      double* point_numbers = numbers.get() + (f * M + m) * POINT_NUMBERS;
+      double* point_numbers = numbers.get() + (f * M + m) * POINT_NUMBER_COUNT;
       position[0] = solution.point.x, position[1] = solution.point.y,
       position[2] = solution.point.z;
       point_numbers[0] = point_numbers[1] = point_numbers[2] = NAN_VALUE;
       point_numbers[3] = solution.has_converged ? static_cast<double>(used_count) : 0,
-      point_numbers[4] = static_cast<double>(visible);
+      point_numbers[4] = static_cast<double>(visible_count);
       if (solution.has_converged) {
         double pixel_squares = 0, metric_squares = 0;
         const auto tally_view = [&](CameraView& view, bool has_residual, std::uint8_t view_state) {
-          double* const tally = frame_tallies + view.camera_index * TALLIES;
-          state[view.camera_index] = view_state, tally[2] += 1;
-          if (detailed && has_residual) {
+          double* const tally = frame_tallies + view.camera_index * TALLY_COUNT;
+          view_states[view.camera_index] = view_state, tally[2] += 1;
+          if (has_details && has_residual) {
             float* residual_row = residuals.get() + 2 * ((f * C + view.camera_index) * M + m);
             residual_row[0] = static_cast<float>(view.ru),
             residual_row[1] = static_cast<float>(view.rv);
           }
           if (view_state != USED) {
             tally[3] += view_state == REJECTED || !has_residual ||
-                        view.squared_residual() > point.squared_gate;
+                        view.squared_residual() > point_solver.squared_gate;
             return;
           }
           const double scale = 2 * view.depth / (view.camera->fx + view.camera->fy);
           const double square = view.ru * view.ru + view.rv * view.rv,
-                       metric = square * scale * scale;
-          tally[1] += 1, tally[5] += square, tally[6] += metric;
-          pixel_squares += square, metric_squares += metric;
+                       metric_square = square * scale * scale;
+          tally[1] += 1, tally[5] += square, tally[6] += metric_square;
+          pixel_squares += square, metric_squares += metric_square;
         };
-        for (std::size_t i = 0; i < point.count; ++i) {
-          CameraView& view = point.views[i];
+        for (std::size_t i = 0; i < point_solver.count; ++i) {
+          CameraView& view = point_solver.views[i];
           const bool has_residual = view.is_used || view.project(solution.point);
           tally_view(view, has_residual, view.is_used ? USED : REJECTED);
         }
-        for (std::size_t c = 0; visible > point.count && c < C; ++c) {
-          if (state[c] != INACTIVE) continue;
+        for (std::size_t c = 0; visible_count > point_solver.count && c < C; ++c) {
+          if (view_states[c] != INACTIVE) continue;
           CameraView view{};
-          view.camera = &views[c], view.camera_index = c, view.u = pixel(c)[0],
+          view.camera = &camera_models[c], view.camera_index = c, view.u = pixel(c)[0],
           view.v = pixel(c)[1];
-          view.weight = views[c].information;
+          view.weight = camera_models[c].information;
           tally_view(view, view.project(solution.point), INACTIVE);
         }
         point_numbers[0] = std::sqrt(pixel_squares / point_numbers[3]),
         point_numbers[1] = std::sqrt(metric_squares / point_numbers[3]);
         point_numbers[2] = std::sqrt(trace);
       }
-      for (std::size_t c = 0; detailed && c < C; ++c) states.get()[(f * C + c) * M + m] = state[c];
+      for (std::size_t c = 0; has_details && c < C; ++c)
+        states.get()[(f * C + c) * M + m] = view_states[c];
     }
   return {std::move(points), std::move(numbers), std::move(tallies), std::move(residuals),
           std::move(states)};
@@ -574,21 +579,22 @@ Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> camera
   check_views(pixels, cameras);
   const std::size_t F = pixels.shape(0), C = pixels.shape(1), M = pixels.shape(2);
   Out<double, 2> medians(F, M);
-  const std::vector<Camera> views = read_cameras(cameras, nullptr);
-  PointSolver point;
+  const std::vector<Camera> camera_models = read_cameras(cameras, nullptr);
+  PointSolver point_solver;
   for (std::size_t f = 0; f < F; ++f)
     for (std::size_t m = 0; m < M; ++m) {
-      point.count = 0;
+      point_solver.count = 0;
       for (std::size_t c = 0; c < C; ++c) {
         const double* pixel = pixels.data() + 2 * ((f * C + c) * M + m);
-        CameraView& view = point.views[point.count];
+        CameraView& view = point_solver.views[point_solver.count];
         if (!(std::isfinite(pixel[0]) && std::isfinite(pixel[1]))) continue;
-        if (!views[c].compute_ray(pixel[0], pixel[1], view.x, view.y)) continue;
-        view.camera = &views[c], view.u = pixel[0], view.v = pixel[1], view.weight = 1,
+        if (!camera_models[c].compute_ray(pixel[0], pixel[1], view.x, view.y)) continue;
+        view.camera = &camera_models[c], view.u = pixel[0], view.v = pixel[1], view.weight = 1,
         view.is_used = true;
-        ++point.count;
+        ++point_solver.count;
       }
-      medians.get()[f * M + m] = point.count < 2 ? NAN_VALUE : std::sqrt(point.least_median());
+      medians.get()[f * M + m] =
+          point_solver.count < 2 ? NAN_VALUE : std::sqrt(point_solver.find_least_median());
     }
   return medians;
 }

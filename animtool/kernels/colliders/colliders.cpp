@@ -149,15 +149,16 @@ ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
   Out<double, 2> distances(world_colliders.size(), count);
   Out<double, 3> normals(world_colliders.size(), count, 3),
       velocities(world_colliders.size(), count, 3);
-  const double rate = step > 0 ? 1 / step : 0.0;
+  const double inverse_step = step > 0 ? 1 / step : 0.0;
   for (std::size_t c = 0, row = 0; c < world_colliders.size(); ++c) {
     const collide::Pose pose = world_colliders[c].motion.pose_at(fraction);
     for (std::size_t i = 0; i < count; ++i, ++row) {
       const Vec point = load(points.data() + 3 * i);
-      const auto hit = collide::sample(world_colliders[c], pose, point, 0, collide::FAR);
+      const auto hit = collide::sample(world_colliders[c], pose, point, 0, collide::INF);
       distances.get()[row] = hit.distance;
       store(hit.normal, normals.get() + 3 * row);
-      store(world_colliders[c].motion.displacement(point, pose) * rate, velocities.get() + 3 * row);
+      store(world_colliders[c].motion.displacement(point, pose) * inverse_step,
+            velocities.get() + 3 * row);
     }
   }
   return {std::move(distances), std::move(normals), std::move(velocities)};

@@ -45,22 +45,22 @@ struct Particle {
 };
 
 // Largest number of contacts of one particle in one step.
-constexpr int MAX_CONTACTS = 8;
+constexpr int MAX_CONTACTS_PER_STEP = 8;
 // Advancements along a path, after which it is stepped through in fixed fractions.
 constexpr int MAX_ADVANCES = 64;
 // Bisections to find the time at which a path crosses a surface.
-constexpr int BISECTIONS = 24;
+constexpr int CROSSING_BISECTIONS = 24;
 // Largest number of colliders that can be marked as impossible to hit.
-constexpr std::size_t MAX_CULLED = 64;
+constexpr std::size_t MAX_CULLED_COLLIDERS = 64;
 // Passes over all colliders that push a particle out.
 constexpr int DEPENETRATION_PASSES = 4;
 
-constexpr double FAR = std::numeric_limits<double>::infinity();
+constexpr double INF = std::numeric_limits<double>::infinity();
 
 // Distance that a particle's centre keeps from the surface of a collider [m].
 inline double contact_distance(const Collider& c, double radius) {
   const double distance = c.margin + radius;
-  return c.is_two_sided ? std::max(distance, SHELL) : distance;
+  return c.is_two_sided ? std::max(distance, MIN_TWO_SIDED_DISTANCE) : distance;
 }
 
 // Distance from a collider, minus its margin and the particle's radius, and the outward direction.
@@ -86,7 +86,7 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
     case Shape::MESH:
       // Farther away it is unknown whether the particle is inside.
       nearest_hit = sample_mesh(c.mesh, c.root, p,
-                                c.is_container ? FAR : max_distance + contact_distance(c, radius));
+                                c.is_container ? INF : max_distance + contact_distance(c, radius));
       if (c.is_two_sided) nearest_hit = unsigned_sample(nearest_hit);
       break;
   }
@@ -98,11 +98,11 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
 
 // Like `sample`, for a particle with a known earlier position in the collider's frame: if it has
 // crossed a two-sided mesh in between, it is inside.
-inline Sample sample_after_crossing(const Collider& c, Vec earlier, const Pose& pose, Vec point,
-                                    double radius, double max_distance) {
-  if (!c.is_two_sided || !changes_side(c.mesh, c.root, earlier, pose.to_local(point)))
+inline Sample sample_after_crossing(const Collider& c, Vec earlier_point, const Pose& pose,
+                                    Vec point, double radius, double max_distance) {
+  if (!c.is_two_sided || !changes_side(c.mesh, c.root, earlier_point, pose.to_local(point)))
     return sample(c, pose, point, radius, max_distance);
-  const Sample nearest_hit = sample(c, pose, point, radius, FAR);
+  const Sample nearest_hit = sample(c, pose, point, radius, INF);
   const double clearance = contact_distance(c, radius);
   return {-(nearest_hit.distance + clearance) - clearance, -nearest_hit.normal};
 }
@@ -126,7 +126,7 @@ class ParticleContacts {
   ParticleContacts(const Collider* colliders, std::size_t count, double step, double radius,
                    double spawn_time = 0)
       : colliders_(colliders),
-        count_(count),
+        collider_count_(count),
         step_(step),
         spawn_time_(spawn_time),
         radius_(radius) {}
@@ -137,15 +137,15 @@ class ParticleContacts {
     contact_ = {};
     if (!(step_ > spawn_time_)) return contact_;
     path_ = remaining_path(before, after);
-    resting_on_ = -1;
+    resting_collider_ = -1;
     culled_bits_ = 0;
-    for (std::size_t i = 0; i < std::min(count_, MAX_CULLED); ++i)
+    for (std::size_t i = 0; i < std::min(collider_count_, MAX_CULLED_COLLIDERS); ++i)
       if (cannot_hit(colliders_[i])) culled_bits_ |= std::uint64_t{1} << i;
-    for (int i = 0; i < MAX_CONTACTS; ++i) {
+    for (int i = 0; i < MAX_CONTACTS_PER_STEP; ++i) {
       double time = path_.remaining;
-      const std::int64_t hit = first_hit(time);
+      const std::int64_t hit = find_first_hit(time);
       if (hit < 0) break;
-      bounce_or_rest(hit, time, i + 1 == MAX_CONTACTS);
+      bounce_or_rest(hit, time, i + 1 == MAX_CONTACTS_PER_STEP);
       culled_bits_ = 0;
       after = {path_.position_at(path_.remaining), path_.velocity_at(path_.remaining)};
     }
@@ -154,15 +154,17 @@ class ParticleContacts {
   }
 
  private:
-  bool is_culled(std::size_t i) const { return i < MAX_CULLED && (culled_bits_ >> i & 1); }
+  bool is_culled(std::size_t i) const {
+    return i < MAX_CULLED_COLLIDERS && (culled_bits_ >> i & 1);
+  }
 
   // Whether the current path cannot hit a collider.
   bool cannot_hit(const Collider& c) const {
     const Pose pose = pose_at(c, 0);
-    const double max_distance = approach_bound(c, pose) * path_.remaining + 2 * TOUCH;
+    const double max_distance = approach_bound(c, pose) * path_.remaining + 2 * TOUCH_DISTANCE;
     if (c.shape == Shape::MESH && !c.is_container && is_beyond_box(c, pose, max_distance))
       return true;
-    return sample(c, pose, path_.position, radius_, FAR).distance >= max_distance;
+    return sample(c, pose, path_.position, radius_, INF).distance >= max_distance;
   }
 
   bool is_beyond_box(const Collider& c, const Pose& pose, double max_distance) const {
@@ -190,10 +192,10 @@ class ParticleContacts {
   }
 
   // Returns the collider that is hit first before a time, and that time; -1 for none.
-  std::int64_t first_hit(double& time) const {
+  std::int64_t find_first_hit(double& time) const {
     std::int64_t hit = -1;
-    for (std::size_t i = 0; i < count_; ++i) {
-      if (static_cast<std::int64_t>(i) == resting_on_ || is_culled(i)) continue;
+    for (std::size_t i = 0; i < collider_count_; ++i) {
+      if (static_cast<std::int64_t>(i) == resting_collider_ || is_culled(i)) continue;
       const double s = hit_time(colliders_[i], time);
       if (s >= 0 && (s < time || (hit < 0 && s <= time))) hit = i, time = s;
     }
@@ -215,14 +217,16 @@ class ParticleContacts {
   // it does not. Uses conservative advancement.
   double hit_time(const Collider& c, double time_limit) const {
     Pose pose = pose_at(c, 0);
-    const double speed = approach_bound(c, pose), max_distance = speed * time_limit + 2 * TOUCH;
+    const double speed = approach_bound(c, pose),
+                 max_distance = speed * time_limit + 2 * TOUCH_DISTANCE;
     Sample nearest_hit = sample(c, pose, path_.position, radius_, max_distance);
-    if (nearest_hit.distance > speed * time_limit + TOUCH || nearest_hit.distance < -INSIDE)
+    if (nearest_hit.distance > speed * time_limit + TOUCH_DISTANCE ||
+        nearest_hit.distance < -INSIDE_DEPTH)
       return -1;
     double s = 0;
-    if (nearest_hit.distance <= TOUCH) {
-      const Vec relative = path_.heading - surface_velocity(c, path_.position, pose);
-      const double normal_speed = dot(relative, nearest_hit.normal);
+    if (nearest_hit.distance <= TOUCH_DISTANCE) {
+      const Vec relative_velocity = path_.heading - surface_velocity(c, path_.position, pose);
+      const double normal_speed = dot(relative_velocity, nearest_hit.normal);
       const double normal_acceleration = dot(path_.acceleration, nearest_hit.normal);
       if (normal_speed < 0 || (normal_speed == 0 && normal_acceleration < 0)) return 0;
       // Receding: it can come back only after the apex of its path; but it may hit a two-sided
@@ -234,10 +238,11 @@ class ParticleContacts {
       pose = pose_at(c, s);
       const Vec point = path_.position_at(s);
       nearest_hit = sample(c, pose, point, radius_, max_distance);
-      if (nearest_hit.distance <= TOUCH && is_approaching(c, point, pose, nearest_hit.normal, s))
+      if (nearest_hit.distance <= TOUCH_DISTANCE &&
+          is_approaching(c, point, pose, nearest_hit.normal, s))
         return s;
       const double min_advance =
-          advance < MAX_ADVANCES ? TOUCH / 2 / speed : path_.remaining / MAX_ADVANCES;
+          advance < MAX_ADVANCES ? TOUCH_DISTANCE / 2 / speed : path_.remaining / MAX_ADVANCES;
       const double safe_advance = nearest_hit.distance / speed;
       if (c.is_two_sided && min_advance > safe_advance &&
           crosses_between(c, s, std::min(s + min_advance, time_limit)))
@@ -257,7 +262,7 @@ class ParticleContacts {
 
   // The last time before the path crosses a mesh, in an interval in which it does.
   double time_before_crossing(const Collider& c, double from, double to) const {
-    for (int k = 0; k < BISECTIONS; ++k) {
+    for (int k = 0; k < CROSSING_BISECTIONS; ++k) {
       const double middle = (from + to) / 2;
       (crosses_between(c, from, middle) ? to : from) = middle;
     }
@@ -273,7 +278,7 @@ class ParticleContacts {
   bool is_entering(const Collider& c, double s) const {
     const Pose pose = pose_at(c, s);
     const Vec point = path_.position_at(s);
-    const Sample nearest_hit = sample(c, pose, point, radius_, 2 * TOUCH);
+    const Sample nearest_hit = sample(c, pose, point, radius_, 2 * TOUCH_DISTANCE);
     return nearest_hit.distance < 0 && is_approaching(c, point, pose, nearest_hit.normal, s);
   }
 
@@ -283,24 +288,24 @@ class ParticleContacts {
     const Collider& c = colliders_[index];
     const Pose pose = pose_at(c, s);
     Vec point = path_.position_at(s);
-    const Sample nearest_hit = sample(c, pose, point, radius_, FAR);
+    const Sample nearest_hit = sample(c, pose, point, radius_, INF);
     if (nearest_hit.distance < 0) point = point - nearest_hit.normal * nearest_hit.distance;
-    const Vec surface = surface_velocity(c, point, pose);
-    const Vec relative = path_.velocity_at(s) - surface;
-    const double normal_speed = dot(relative, nearest_hit.normal);
+    const Vec collider_velocity = surface_velocity(c, point, pose);
+    const Vec relative_velocity = path_.velocity_at(s) - collider_velocity;
+    const double normal_speed = dot(relative_velocity, nearest_hit.normal);
     const double normal_acceleration = dot(path_.acceleration, nearest_hit.normal),
                  remaining = path_.remaining - s;
     const double exit_speed = normal_speed < 0 ? -c.restitution * normal_speed : normal_speed;
     const bool is_bouncing = !is_last && exit_speed > -normal_acceleration * remaining / 2;
     const double normal_impulse =
         normal_speed < 0 ? (is_bouncing ? exit_speed - normal_speed : -normal_speed) : 0.0;
-    const Vec slip_velocity =
-        with_friction(relative - nearest_hit.normal * normal_speed, c.friction * normal_impulse);
+    const Vec slip_velocity = with_friction(relative_velocity - nearest_hit.normal * normal_speed,
+                                            c.friction * normal_impulse);
     contact_ = {index, Touch::BOUNCED, nearest_hit.normal};
     if (is_bouncing) {
-      const Vec velocity = surface + slip_velocity + nearest_hit.normal * exit_speed;
+      const Vec velocity = collider_velocity + slip_velocity + nearest_hit.normal * exit_speed;
       path_ = {point, velocity, velocity, path_.acceleration, path_.elapsed + s, remaining};
-      resting_on_ = -1;
+      resting_collider_ = -1;
       return;
     }
     slide(index, pose, point, slip_velocity, nearest_hit.normal, s);
@@ -329,12 +334,12 @@ class ParticleContacts {
                                 : 1.0;
     const Pose end = pose_at(c, path_.remaining);
     const Vec transported = end.to_world(pose.to_local(point));
-    const Vec goal = transported + (slip_velocity + end_slip) * (remaining * fraction / 2);
+    const Vec end_position = transported + (slip_velocity + end_slip) * (remaining * fraction / 2);
     const Vec velocity = surface_velocity(c, transported, end) + end_slip;
-    const Vec heading = remaining > 0 ? (goal - point) * (1 / remaining) : Vec{};
+    const Vec heading = remaining > 0 ? (end_position - point) * (1 / remaining) : Vec{};
     path_ = {point, heading, velocity, {}, path_.elapsed + s, remaining};
     contact_ = {index, Touch::RESTING, normal};
-    resting_on_ = index;
+    resting_collider_ = index;
   }
 
   // Moves a particle out of the colliders that it is inside at the end of a step: at once if it
@@ -343,7 +348,7 @@ class ParticleContacts {
   void depenetrate(const Particle& before, Particle& after) {
     for (int pass = 0; pass < DEPENETRATION_PASSES; ++pass) {
       bool has_moved = false;
-      for (std::size_t i = 0; i < count_; ++i)
+      for (std::size_t i = 0; i < collider_count_; ++i)
         has_moved |= !is_culled(i) && depenetrate_from(i, before, after);
       if (!has_moved) return;
       culled_bits_ = 0;
@@ -357,47 +362,47 @@ class ParticleContacts {
     const Pose end = c.motion.pose_at(1);
     const Sample nearest_hit = sample_after_crossing(c, tested_position(i), end, after.position,
                                                      radius_, search_distance(c));
-    if (nearest_hit.distance >= -TOUCH) return false;
+    if (nearest_hit.distance >= -TOUCH_DISTANCE) return false;
     const Sample start = sample(c, c.motion.pose_at(spawn_time_ / step_), before.position, radius_,
                                 search_distance(c));
-    const double goal =
-        start.distance < -INSIDE
+    const double target_distance =
+        start.distance < -INSIDE_DEPTH
             ? std::min(start.distance + c.depenetration * (step_ - spawn_time_), 0.0)
             : 0.0;
-    const bool is_resolved = goal >= 0;
+    const bool is_resolved = target_distance >= 0;
     contact_ = {static_cast<std::int64_t>(i), is_resolved ? Touch::RESTING : Touch::UNRESOLVED,
                 nearest_hit.normal};
     const double normal_speed =
         dot(after.velocity - surface_velocity(c, after.position, end), nearest_hit.normal);
     if (normal_speed < 0) after.velocity = after.velocity - nearest_hit.normal * normal_speed;
-    if (goal <= nearest_hit.distance) return false;
-    after.position = after.position + nearest_hit.normal * (goal - nearest_hit.distance);
+    if (target_distance <= nearest_hit.distance) return false;
+    after.position = after.position + nearest_hit.normal * (target_distance - nearest_hit.distance);
     return is_resolved;
   }
 
   // Last tested position of the particle on its path, in the frame of a collider.
   Vec tested_position(std::size_t i) const {
-    const bool is_resting = static_cast<std::int64_t>(i) == resting_on_;
+    const bool is_resting = static_cast<std::int64_t>(i) == resting_collider_;
     return local_at(colliders_[i], is_resting ? 0 : path_.remaining);
   }
 
   // Only meshes use the search distance; inside a mesh every depth counts.
   static double search_distance(const Collider& c) {
-    return c.shape == Shape::MESH ? FAR : 2 * TOUCH;
+    return c.shape == Shape::MESH ? INF : 2 * TOUCH_DISTANCE;
   }
 
   // Gives a particle that touches colliders from several sides their mean velocity.
   void move_with_colliders(Particle& after) {
     Vec sum;
     int touching_count = 0;
-    for (std::size_t i = 0; i < count_; ++i) {
+    for (std::size_t i = 0; i < collider_count_; ++i) {
       const Collider& c = colliders_[i];
       const Pose end = c.motion.pose_at(1);
-      if (sample(c, end, after.position, radius_, search_distance(c)).distance < INSIDE) {
+      if (sample(c, end, after.position, radius_, search_distance(c)).distance < INSIDE_DEPTH) {
         sum = sum + surface_velocity(c, after.position, end);
         ++touching_count;
       }
-      if (sample(c, end, after.position, radius_, search_distance(c)).distance < -INSIDE)
+      if (sample(c, end, after.position, radius_, search_distance(c)).distance < -INSIDE_DEPTH)
         contact_.touch = Touch::UNRESOLVED;
     }
     if (contact_.touch == Touch::UNRESOLVED && touching_count > 0)
@@ -405,12 +410,12 @@ class ParticleContacts {
   }
 
   const Collider* colliders_;
-  std::size_t count_;
+  std::size_t collider_count_;
   double step_, spawn_time_, radius_;
   Path path_{};
   // Bit i is set if the path cannot hit collider i.
   std::uint64_t culled_bits_ = 0;
-  std::int64_t resting_on_ = -1;
+  std::int64_t resting_collider_ = -1;
   Contact contact_;
 };
 

@@ -4,11 +4,11 @@
 namespace animtool::collide {
 
 // Distance below which a particle touches a surface [m].
-constexpr double TOUCH = 1e-9;
+constexpr double TOUCH_DISTANCE = 1e-9;
 // Depth above which a particle starts a step inside [m].
-constexpr double INSIDE = 1e-6;
+constexpr double INSIDE_DEPTH = 1e-6;
 // Smallest distance that a particle without a radius keeps from a two-sided surface [m], so that
 // its position tells on which side it is.
-constexpr double SHELL = 1e-7;
+constexpr double MIN_TWO_SIDED_DISTANCE = 1e-7;
 
 }  // namespace animtool::collide

@@ -127,7 +127,8 @@ void number_edges(const std::int32_t* corners, std::int32_t count, MeshAdjacency
       adjacency.edges[3 * triangle_sides[end].triangle + triangle_sides[end].side] = number;
       adjacency.edge_triangles.push_back(triangle_sides[end].triangle);
     }
-    if (end - i == 1) adjacency.boundary[first.low] = adjacency.boundary[first.high] = true;
+    if (end - i == 1)
+      adjacency.is_boundary_point[first.low] = adjacency.is_boundary_point[first.high] = true;
   }
   adjacency.edge_starts.push_back(static_cast<std::int32_t>(triangle_sides.size()));
 }
@@ -144,7 +145,7 @@ void list_corner_sides(const std::int32_t* corners, std::int32_t count, MeshAdja
 
 MeshAdjacency build_adjacency(const std::int32_t* corners, std::int32_t count, std::size_t points) {
   MeshAdjacency adjacency;
-  adjacency.boundary.assign(points, false);
+  adjacency.is_boundary_point.assign(points, false);
   adjacency.corner_starts.assign(points + 1, 0);
   number_edges(corners, count, adjacency);
   list_corner_sides(corners, count, adjacency);
@@ -165,14 +166,14 @@ void check_triangles(const In<double, 2>& points, const In<std::int32_t, 2>& tri
 }  // namespace
 
 MeshSurface::MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles)
-    : points_(points.shape(0)), triangles_(3 * triangles.shape(0)) {
+    : point_count_(points.shape(0)), triangles_(3 * triangles.shape(0)) {
   check_triangles(points, triangles);
   const auto count = static_cast<std::int32_t>(triangles.shape(0));
   BoxTree tree(points.data(), triangles.data(), count);
   for (std::int32_t k = 0; k < count; ++k)
     std::copy_n(triangles.data() + 3 * tree.order()[k], 3, triangles_.data() + 3 * k);
   nodes_ = std::move(tree.nodes);
-  adjacency_ = build_adjacency(triangles_.data(), count, points_);
+  adjacency_ = build_adjacency(triangles_.data(), count, point_count_);
 }
 
 collide::Mesh MeshSurface::mesh(const double* points, const double* displacements,
@@ -208,15 +209,15 @@ void MeshSurface::fit_boxes(const double* begin, const double* end,
 }
 
 Out<double, 1> MeshSurface::distances(In<double, 2> positions, In<double, 2> points) const {
-  check::numbers("positions", positions, {points_, 3});
+  check::numbers("positions", positions, {point_count_, 3});
   check::numbers("points", points, {check::ANY, 3});
   std::vector<double> bounds;
   fit_boxes(positions.data(), positions.data(), bounds);
-  const collide::Mesh posed = mesh(positions.data(), nullptr, bounds.data());
+  const collide::Mesh posed_mesh = mesh(positions.data(), nullptr, bounds.data());
   Out<double, 1> signed_distances(points.shape(0));
   for (std::size_t n = 0; n < points.shape(0); ++n) {
     const collide::Vec point = collide::load(points.data() + 3 * n);
-    signed_distances.get()[n] = collide::sample_mesh(posed, 0, point, HUGE_VAL).distance;
+    signed_distances.get()[n] = collide::sample_mesh(posed_mesh, 0, point, HUGE_VAL).distance;
   }
   return signed_distances;
 }
@@ -227,18 +228,19 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
   Out<std::int32_t, 2> sorted_triangles(count, 3);
   Out<double, 2> corner_normals(point_count, 3);
   Out<double, 3> edge_normals(count, 3, 3);
-  const std::int32_t rows = static_cast<std::int32_t>(count);
+  const std::int32_t triangle_count = static_cast<std::int32_t>(count);
   const auto tree = [&] {
-    BoxTree box_tree(points.data(), triangles.data(), rows);
-    for (std::int32_t k = 0; k < rows; ++k)
+    BoxTree box_tree(points.data(), triangles.data(), triangle_count);
+    for (std::int32_t k = 0; k < triangle_count; ++k)
       std::copy_n(triangles.data() + 3 * box_tree.order()[k], 3, sorted_triangles.get() + 3 * k);
-    const MeshAdjacency adjacency = build_adjacency(sorted_triangles.get(), rows, point_count);
+    const MeshAdjacency adjacency =
+        build_adjacency(sorted_triangles.get(), triangle_count, point_count);
     const collide::Mesh mesh{points.data(), sorted_triangles.get(), nullptr, nullptr, nullptr,
                              nullptr};
     for (std::size_t p = 0; p < point_count; ++p)
       store(corner_normal(mesh, adjacency, static_cast<std::int32_t>(p)),
             corner_normals.get() + 3 * p);
-    for (std::int32_t t = 0; t < rows; ++t)
+    for (std::int32_t t = 0; t < triangle_count; ++t)
       for (int side = 0; side < 3; ++side)
         store(edge_normal(mesh, adjacency, t, side), edge_normals.get() + 9 * t + 3 * side);
     return box_tree;

@@ -22,7 +22,7 @@ struct MeshAdjacency {
       corner_starts;  // index of the first side of each point in `corner_sides` (P + 1,)
   std::vector<std::int32_t>
       corner_sides;  // triangle sides that start at each point: 3 * triangle + corner (3 T,)
-  std::vector<bool> boundary;  // whether a point is on the boundary (P,)
+  std::vector<bool> is_boundary_point;  // whether a point is on the boundary (P,)
 };
 
 // Arrays that `build_mesh_tree` returns. A row of `nodes` has two children, or is a leaf: -1 minus
@@ -156,9 +156,9 @@ void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, BoxDistance 
       continue;
     }
     const QueuedNode left_node{left, box_distance(left)}, right_node{right, box_distance(right)};
-    const bool left_first = left_node.box_distance <= right_node.box_distance;
-    stack[depth++] = left_first ? right_node : left_node;
-    stack[depth++] = left_first ? left_node : right_node;
+    const bool is_left_nearer = left_node.box_distance <= right_node.box_distance;
+    stack[depth++] = is_left_nearer ? right_node : left_node;
+    stack[depth++] = is_left_nearer ? left_node : right_node;
   }
 }
 
@@ -204,7 +204,7 @@ inline Vec edge_normal(const Mesh& mesh, const MeshAdjacency& adjacency, std::in
 // The pseudonormal of a corner, weighted by the angles of its faces; zero on the boundary.
 inline Vec corner_normal(const Mesh& mesh, const MeshAdjacency& adjacency, std::int32_t point) {
   Vec sum;
-  if (adjacency.boundary[point]) return sum;
+  if (adjacency.is_boundary_point[point]) return sum;
   const Vec corner_point = mesh.point(point);
   for (std::int32_t k = adjacency.corner_starts[point]; k < adjacency.corner_starts[point + 1];
        ++k) {
@@ -220,34 +220,34 @@ inline Vec corner_normal(const Mesh& mesh, const MeshAdjacency& adjacency, std::
 }
 
 // The pseudonormal at the nearest point, which gives the sign of the distance.
-inline Vec pseudonormal(const Mesh& mesh, const Nearest& near) {
-  const std::int32_t t = near.triangle;
-  if (near.feature < 3) {
-    const std::int32_t point = mesh.triangles[3 * t + near.feature];
+inline Vec pseudonormal(const Mesh& mesh, const Nearest& nearest) {
+  const std::int32_t t = nearest.triangle;
+  if (nearest.feature < 3) {
+    const std::int32_t point = mesh.triangles[3 * t + nearest.feature];
     return mesh.adjacency ? corner_normal(mesh, *mesh.adjacency, point)
                           : load(mesh.corner_normals + 3 * point);
   }
-  return mesh.adjacency ? edge_normal(mesh, *mesh.adjacency, t, near.feature - 3)
-                        : load(mesh.edge_normals + 9 * t + 3 * (near.feature - 3));
+  return mesh.adjacency ? edge_normal(mesh, *mesh.adjacency, t, nearest.feature - 3)
+                        : load(mesh.edge_normals + 9 * t + 3 * (nearest.feature - 3));
 }
 
 // Distance and normal at a point, from its nearest point.
-inline Sample sample_nearest(const Mesh& mesh, const Nearest& near, Vec p) {
-  const Vec triangle_normal = face_normal(mesh, near.triangle, {0, 1, 0});
-  const Vec sign_normal = near.feature < 6 ? pseudonormal(mesh, near) : triangle_normal;
-  const Vec offset = p - near.point;
-  const double distance = std::sqrt(near.squared_distance);
+inline Sample sample_nearest(const Mesh& mesh, const Nearest& nearest, Vec p) {
+  const Vec triangle_normal = face_normal(mesh, nearest.triangle, {0, 1, 0});
+  const Vec sign_normal = nearest.feature < 6 ? pseudonormal(mesh, nearest) : triangle_normal;
+  const Vec offset = p - nearest.point;
+  const double distance = std::sqrt(nearest.squared_distance);
   const double sign = dot(offset, sign_normal) < 0 ? -1 : 1;
   const Vec surface_normal = direction(sign_normal, triangle_normal);
-  return {sign * distance, distance > TOUCH ? offset * (sign / distance) : surface_normal};
+  return {sign * distance, distance > TOUCH_DISTANCE ? offset * (sign / distance) : surface_normal};
 }
 
 // Distance and normal at a point; `max_distance` and an arbitrary normal if it is farther away.
 inline Sample sample_mesh(const Mesh& mesh, std::int32_t root, Vec p, double max_distance) {
   // Points behind a face are at the same distance as points in front of it.
-  const Nearest near = nearest_on_mesh(mesh, root, p, max_distance * max_distance);
-  if (near.triangle < 0) return {max_distance, {0, 1, 0}};
-  return sample_nearest(mesh, near, p);
+  const Nearest nearest = nearest_on_mesh(mesh, root, p, max_distance * max_distance);
+  if (nearest.triangle < 0) return {max_distance, {0, 1, 0}};
+  return sample_nearest(mesh, nearest, p);
 }
 
 // Unsigned distance, and the normal that points to the side of the point.

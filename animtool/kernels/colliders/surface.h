@@ -16,7 +16,7 @@ class MeshSurface {
  public:
   MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles);
 
-  std::size_t points() const { return points_; }
+  std::size_t point_count() const { return point_count_; }
   // The mesh with points that move by these displacements, with boxes from `fit_boxes`.
   collide::Mesh mesh(const double* points, const double* displacements, const double* bounds) const;
   // Computes boxes that contain the triangles along their motion between two sets of positions.
@@ -25,7 +25,7 @@ class MeshSurface {
   Out<double, 1> distances(In<double, 2> positions, In<double, 2> points) const;
 
  private:
-  std::size_t points_;
+  std::size_t point_count_;
   std::vector<std::int32_t> triangles_, nodes_;
   collide::MeshAdjacency adjacency_;
 };

@@ -63,10 +63,10 @@ unsigned push_out(const MovingCapsule& capsule, const WideSample<N>& hit, const 
                   const N& depth, const Vector3<N>& from, Vector3<N>& to, Vector3<N>& reference) {
   using V = Vector3<N>;
   const N slow_distance = min(start_distance + capsule.max_push, depth);
-  const auto started_deep = less(start_distance, depth - INSIDE);
-  const N target_distance = select(started_deep, slow_distance, depth);
+  const auto is_deep_at_start = less(start_distance, depth - INSIDE_DEPTH);
+  const N target_distance = select(is_deep_at_start, slow_distance, depth);
   const N correction = target_distance - hit.distance;
-  const N is_pushed = less(N(TOUCH), correction);
+  const N is_pushed = less(N(TOUCH_DISTANCE), correction);
   const V transported = V::broadcast(capsule.translation) +
                         cross(V::broadcast(capsule.rotation), to - V::broadcast(capsule.origin));
   const V location = to + hit.normal * correction, relative_shift = location - from - transported;
@@ -79,7 +79,7 @@ unsigned push_out(const MovingCapsule& capsule, const WideSample<N>& hit, const 
   const N outward_gain = dot(to - reference - transported, hit.normal);
   const V shifted_reference =
       select(less(N(0.0), outward_gain), reference + hit.normal * outward_gain, reference);
-  reference = select(is_pushed, select(started_deep, shifted_reference, reference), reference);
+  reference = select(is_pushed, select(is_deep_at_start, shifted_reference, reference), reference);
   return mask_bits(is_pushed);
 }
 

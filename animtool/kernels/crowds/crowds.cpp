@@ -17,37 +17,38 @@ namespace animtool {
 
 namespace {
 
-constexpr double TINY = 1e-12;
+constexpr double EPSILON = 1e-12;
 // Two half-planes whose normals are this parallel do not bound each other's line.
-constexpr double PARALLEL = 1e-9;
+constexpr double PARALLEL_TOLERANCE = 1e-9;
 // Two agents walk in the same direction if the cosine of the angle between their preferred
 // directions exceeds this.
-constexpr double SAME_DIRECTION = 0.7;
+constexpr double SAME_DIRECTION_COSINE = 0.7;
 // An agent walks with another if its speed along that direction exceeds this fraction of its whole
 // speed. Otherwise it is oncoming or crossing.
 constexpr double MIN_ALONG_FRACTION = 0.5;
-// An agent that is slower than STUCK_SPEED, as a fraction of its preferred speed, is stuck. Then it
-// pushes with PUSH_FRACTION of the missing velocity. The second pair applies among many oncoming
-// agents.
-constexpr double STUCK_SPEED = 0.3, PUSH_FRACTION = 0.5, CROWDED_STUCK_SPEED = 0.8,
-                 CROWDED_PUSH_FRACTION = 1.0;
+// An agent that is slower than STUCK_SPEED_FRACTION, as a fraction of its preferred speed, is
+// stuck. Then it pushes with PUSH_FRACTION of the missing velocity. The second pair applies among
+// many oncoming agents.
+constexpr double STUCK_SPEED_FRACTION = 0.3, PUSH_FRACTION = 0.5,
+                 CROWDED_STUCK_SPEED_FRACTION = 0.8, CROWDED_PUSH_FRACTION = 1.0;
 // Among many oncoming agents an agent follows at this fraction of its headway, and looks ahead for
 // at least this fraction of its horizon.
-constexpr double CROWDED_HEADWAY = 0.6, MIN_HORIZON_FRACTION = 0.25;
+constexpr double CROWDED_HEADWAY_FACTOR = 0.6, MIN_HORIZON_FRACTION = 0.25;
 // The number of lanes on each side of the current one, each one agent wide. The cost of each lane
 // farther away. The cost of crossing a lane, as a fraction of the cost of walking in it.
-constexpr int LANES = 3;
-constexpr double DETOUR_COST = 0.3, CROSSING_COST = 0.3;
+constexpr int WIDTHS_PER_SIDE = 3;
+constexpr double DETOUR_COST_PER_WIDTH = 0.3, CROSSING_COST = 0.3;
 // Costs that differ by less are equal, so that rounding does not choose a lane.
-constexpr double SAME_COST = 1e-9;
+constexpr double COST_TOLERANCE = 1e-9;
 // The sideways speed of an agent that changes lanes, over its speed: for each width, and at most.
 constexpr double SLANT_PER_WIDTH = 0.44, MAX_SLANT = 0.7;
 // An agent that oncoming agents block turns its shoulders. It turns them fully if the gap to one of
-// them is zero, and not at all if the gap exceeds SHOULDER_GAP, as a fraction of the width. Below
-// BLOCKED_SPEED, as a fraction of its preferred speed, it turns them more the slower it is.
-constexpr double SHOULDER_GAP = 0.6, BLOCKED_SPEED = 0.7;
+// them is zero, and not at all if the gap exceeds MAX_SHOULDER_GAP_RATIO, as a fraction of the
+// width. Below BLOCKED_SPEED_FRACTION, as a fraction of its preferred speed, it turns them more the
+// slower it is.
+constexpr double MAX_SHOULDER_GAP_RATIO = 0.6, BLOCKED_SPEED_FRACTION = 0.7;
 // The largest depth of a lane inside a wall, over the agent's width.
-constexpr double MAX_WALL_DEPTH = 0.23;
+constexpr double MAX_WALL_DEPTH_RATIO = 0.23;
 
 // The mode of an agent: it walks, or it stands and others walk around it, or others do not see it.
 enum AgentMode : std::uint8_t { WALKING = 0, STANDING = 1, INVISIBLE = 2 };
@@ -85,7 +86,7 @@ class VelocityProgram {
     velocity = desired;
     const double desired_speed = desired.length();
     if (is_direction || desired_speed > max_speed_)
-      velocity = desired * (desired_speed > TINY ? max_speed_ / desired_speed : 0.0);
+      velocity = desired * (desired_speed > EPSILON ? max_speed_ / desired_speed : 0.0);
     for (std::size_t i = 0; i < count; ++i) {
       if (planes[i].normal.dot(velocity) >= planes[i].limit) continue;
       if (!solve_on_line(planes, i, desired, is_direction, velocity)) return i;
@@ -96,15 +97,15 @@ class VelocityProgram {
  private:
   bool solve_on_line(const HalfPlane* planes, std::size_t i, const Vec2& desired, bool is_direction,
                      Vec2& velocity) const {
-    const Vec2 normal = planes[i].normal, along{-normal.y, normal.x};
+    const Vec2 normal = planes[i].normal, line_direction{-normal.y, normal.x};
     const double squared_half_chord = max_speed_ * max_speed_ - planes[i].limit * planes[i].limit;
     if (squared_half_chord < 0) return false;
     double high = std::sqrt(squared_half_chord), low = -high;
     for (std::size_t j = 0; j < i; ++j) {
-      const double slope = planes[j].normal.dot(along);
+      const double slope = planes[j].normal.dot(line_direction);
       const double deficit = planes[j].limit - planes[j].normal.dot(normal) * planes[i].limit;
-      if (std::fabs(slope) < PARALLEL) {
-        if (deficit > PARALLEL) return false;
+      if (std::fabs(slope) < PARALLEL_TOLERANCE) {
+        if (deficit > PARALLEL_TOLERANCE) return false;
       } else if (slope > 0) {
         low = std::max(low, deficit / slope);
       } else {
@@ -112,10 +113,10 @@ class VelocityProgram {
       }
     }
     if (low > high) return false;
-    const double desired_position = desired.dot(along);
-    velocity =
-        normal * planes[i].limit + along * (is_direction ? (desired_position > 0 ? high : low)
-                                                         : std::clamp(desired_position, low, high));
+    const double desired_position = desired.dot(line_direction);
+    velocity = normal * planes[i].limit +
+               line_direction * (is_direction ? (desired_position > 0 ? high : low)
+                                              : std::clamp(desired_position, low, high));
     return true;
   }
 
@@ -134,27 +135,28 @@ void minimize_violation(const VelocityProgram& program, const std::vector<HalfPl
     for (std::size_t j = hard_count; j < i; ++j) {
       const Vec2 normal = planes[j].normal - planes[i].normal;
       const double length = normal.length();
-      if (length < PARALLEL) continue;
+      if (length < PARALLEL_TOLERANCE) continue;
       bisectors.push_back({normal * (1 / length), (planes[j].limit - planes[i].limit) / length});
     }
-    Vec2 relaxed;
-    if (program.solve(bisectors.data(), bisectors.size(), planes[i].normal, true, relaxed) ==
-        bisectors.size())
-      velocity = relaxed;
+    Vec2 relaxed_velocity;
+    if (program.solve(bisectors.data(), bisectors.size(), planes[i].normal, true,
+                      relaxed_velocity) == bisectors.size())
+      velocity = relaxed_velocity;
     violation = planes[i].limit - planes[i].normal.dot(velocity);
   }
 }
 
-struct Rules {
-  double sight, horizon, space, push, headway, side, step;
-  std::size_t nearest;
+struct CrowdRules {
+  double sight, horizon, personal_space, separation_speed, headway, preferred_side, time_step;
+  std::size_t max_neighbours;
 };
 
 struct Agents {
   const Neighbours& grid;
-  const double *points, *velocities, *preferred, *radii, *max_speeds, *yielding, *shoulders;
+  const double *points, *velocities, *preferred_velocities, *radii, *max_speeds, *yielding,
+      *shoulders;
   double depth;
-  const std::int32_t *groups, *starts;
+  const std::int32_t *groups, *wall_starts;
   const double* walls;
   const std::uint8_t* modes;
 
@@ -163,9 +165,9 @@ struct Agents {
   double half_width(std::size_t i, const Vec2& direction) const {
     const Vec2 shoulder_line = vec2(shoulders + 2 * i);
     const double yaw = shoulder_line.length();
-    if (yaw < TINY) return radii[i];
-    const double along = shoulder_line.dot(direction) / yaw,
-                 squared_cosine = std::min(along * along, 1.0);
+    if (yaw < EPSILON) return radii[i];
+    const double cosine = shoulder_line.dot(direction) / yaw,
+                 squared_cosine = std::min(cosine * cosine, 1.0);
     return radii[i] *
            (1 - std::min(yaw, 1.0) *
                     (1 - std::sqrt(squared_cosine + depth * depth * (1 - squared_cosine))));
@@ -187,12 +189,12 @@ struct Agents {
 
 class Walker {
  public:
-  Walker(const Rules& rules, const Agents& agents) : rules_(rules), agents_(agents) {}
+  Walker(const CrowdRules& rules, const Agents& agents) : rules_(rules), agents_(agents) {}
 
   Vec2 velocity(std::size_t agent, const std::int32_t* hit, const std::int32_t* end) {
     find_neighbours(agent, hit, end);
     planes_.clear();
-    for (std::int32_t k = agents_.starts[agent]; k < agents_.starts[agent + 1]; ++k) {
+    for (std::int32_t k = agents_.wall_starts[agent]; k < agents_.wall_starts[agent + 1]; ++k) {
       const double* wall = agents_.walls + 4 * static_cast<std::size_t>(k);
       planes_.push_back({vec2(wall), wall[2]});
     }
@@ -200,11 +202,12 @@ class Walker {
     const Vec2 velocity = vec2(agents_.velocities + 2 * agent);
     // Blocked agents look less far into the future. Otherwise all would stop, because each would
     // avoid the others.
-    const double preferred_speed = std::max(vec2(agents_.preferred + 2 * agent).length(), TINY);
+    const double preferred_speed =
+        std::max(vec2(agents_.preferred_velocities + 2 * agent).length(), EPSILON);
     const double min_fraction = blend(1, MIN_HORIZON_FRACTION);
     horizon_ = std::max(
         rules_.horizon * std::clamp(velocity.length() / preferred_speed, min_fraction, 1.0),
-        rules_.step);
+        rules_.time_step);
     for (const Neighbour& neighbour : neighbours_) add_avoidance(agent, velocity, neighbour);
     const VelocityProgram program(agents_.max_speeds[agent]);
     Vec2 new_velocity;
@@ -215,7 +218,8 @@ class Walker {
       minimize_violation(program, planes_, hard_count, satisfied_count, bisectors_, new_velocity);
     shoulder_yaw_ = find_shoulder_yaw(agent, velocity);
     const double speed = new_velocity.length();
-    const double min_speed = blend(STUCK_SPEED, CROWDED_STUCK_SPEED) * desired.length();
+    const double min_speed =
+        blend(STUCK_SPEED_FRACTION, CROWDED_STUCK_SPEED_FRACTION) * desired.length();
     if (speed < min_speed)
       new_velocity += (desired - new_velocity) *
                       (blend(PUSH_FRACTION, CROWDED_PUSH_FRACTION) * (1 - speed / min_speed));
@@ -236,22 +240,23 @@ class Walker {
   // The nearest oncoming or crossing agent decides. Shoulders stay turned if another agent is so
   // close that only turned shoulders fit.
   double find_shoulder_yaw(std::size_t agent, const Vec2& velocity) const {
-    const Vec2 desired = vec2(agents_.preferred + 2 * agent);
+    const Vec2 desired = vec2(agents_.preferred_velocities + 2 * agent);
     const double preferred_speed = desired.length(),
                  current_yaw = vec2(agents_.shoulders + 2 * agent).length();
-    if (preferred_speed < TINY && current_yaw < TINY) return 0;
-    const Vec2 forward = desired * (preferred_speed > TINY ? 1 / preferred_speed : 0.0);
+    if (preferred_speed < EPSILON && current_yaw < EPSILON) return 0;
+    const Vec2 forward = desired * (preferred_speed > EPSILON ? 1 / preferred_speed : 0.0);
     const double slowness =
-        1 - velocity.dot(forward) / (BLOCKED_SPEED * std::max(preferred_speed, TINY));
-    const double blocked_fraction = preferred_speed > TINY ? std::clamp(slowness, 0.0, 1.0) : 0.0;
+        1 - velocity.dot(forward) / (BLOCKED_SPEED_FRACTION * std::max(preferred_speed, EPSILON));
+    const double blocked_fraction =
+        preferred_speed > EPSILON ? std::clamp(slowness, 0.0, 1.0) : 0.0;
     double max_strength = 0, side = 1;
     for (const Neighbour& neighbour : neighbours_) {
       const double width = agents_.radii[agent] + agents_.radii[neighbour.index];
       const double gap = std::sqrt(neighbour.squared_distance) - width;
-      const Vec2 other_velocity = vec2(agents_.preferred + 2 * neighbour.index);
+      const Vec2 other_velocity = vec2(agents_.preferred_velocities + 2 * neighbour.index);
       const bool is_opposed =
           other_velocity.dot(forward) < MIN_ALONG_FRACTION * other_velocity.length();
-      const double proximity = std::clamp(1 - gap / (SHOULDER_GAP * width), 0.0, 1.0);
+      const double proximity = std::clamp(1 - gap / (MAX_SHOULDER_GAP_RATIO * width), 0.0, 1.0);
       double strength = is_opposed ? blocked_fraction * proximity : 0.0;
       if (gap < 0) strength = std::max(strength, current_yaw);
       if (strength > max_strength)
@@ -261,34 +266,35 @@ class Walker {
   }
 
   // Interpolates between a value without oncoming agents and one with many.
-  double blend(double uncrowded, double crowded) const {
-    return uncrowded + (crowded - uncrowded) * crossing_;
+  double blend(double uncrowded_value, double crowded_value) const {
+    return uncrowded_value + (crowded_value - uncrowded_value) * oncoming_strength_;
   }
 
   void find_neighbours(std::size_t agent, const std::int32_t* hit, const std::int32_t* end) {
     neighbours_.clear();
     costs_.fill(0);
-    crossing_ = 0;
+    oncoming_strength_ = 0;
     const Vec2 position = vec2(agents_.points + 2 * agent);
-    const Vec2 desired = vec2(agents_.preferred + 2 * agent);
+    const Vec2 desired = vec2(agents_.preferred_velocities + 2 * agent);
     const double speed = desired.length(), width = 2 * agents_.radii[agent];
     // The scales convert offsets along to fractions of the sight, offsets sideways to widths, and
     // velocities to fractions of the speed.
-    const bool has_direction = speed > TINY && width > 0;
+    const bool has_direction = speed > EPSILON && width > 0;
     const Vec2 forward = desired * (has_direction ? 1 / speed : 0.0);
     const Vec2 sight_scale = forward * (1 / rules_.sight),
                speed_scale = forward * (has_direction ? 1 / speed : 0.0);
     const Vec2 sideways = left_of(forward) * (has_direction ? 1 / width : 0.0);
     for (; hit < end; ++hit) {
       const std::size_t other =
-          static_cast<std::size_t>(agents_.grid.index()[static_cast<std::size_t>(*hit)]);
+          static_cast<std::size_t>(agents_.grid.point_indices()[static_cast<std::size_t>(*hit)]);
       if (other == agent || agents_.modes[other] == INVISIBLE) continue;
       const Vec2 offset = vec2(agents_.points + 2 * other) - position;
       insert_sorted({offset, offset.dot(offset), other});
-      const double along = offset.dot(sight_scale);
-      if (along > 0) add_cost(offset.dot(sideways), 1 - along, other, speed_scale);
+      const double sight_fraction = offset.dot(sight_scale);
+      if (sight_fraction > 0)
+        add_cost(offset.dot(sideways), 1 - sight_fraction, other, speed_scale);
     }
-    crossing_ = std::min(crossing_, 1.0);
+    oncoming_strength_ = std::min(oncoming_strength_, 1.0);
   }
 
   // Keeps the nearest agents in order. Of two at equal distance, the one with the lower index comes
@@ -298,7 +304,7 @@ class Walker {
       return a.squared_distance != b.squared_distance ? a.squared_distance < b.squared_distance
                                                       : a.index < b.index;
     };
-    if (neighbours_.size() < rules_.nearest) {
+    if (neighbours_.size() < rules_.max_neighbours) {
       neighbours_.push_back(neighbour);
     } else if (neighbours_.empty() || !nearer(neighbour, neighbours_.back())) {
       return;
@@ -315,46 +321,49 @@ class Walker {
   // slower in the same direction, or faster in the opposite direction.
   void add_cost(double sideways, double proximity, std::size_t other, const Vec2& speed_scale) {
     // One extra lane on each side, so that both lanes that an agent covers exist.
-    const double slot = sideways + (LANES + 1);
-    if (!(slot >= 0 && slot < 2 * LANES + 2)) return;
-    const double preferred_speed = vec2(agents_.preferred + 2 * other).dot(speed_scale);
+    const double position_in_costs = sideways + (WIDTHS_PER_SIDE + 1);
+    if (!(position_in_costs >= 0 && position_in_costs < 2 * WIDTHS_PER_SIDE + 2)) return;
+    const double preferred_speed = vec2(agents_.preferred_velocities + 2 * other).dot(speed_scale);
     const double mean_speed =
         0.5 * (preferred_speed + vec2(agents_.velocities + 2 * other).dot(speed_scale));
     const double cost = proximity * std::clamp(1 - mean_speed, 0.0, 2.0);
     // A standing agent is not a stream of agents.
-    if (preferred_speed < MIN_ALONG_FRACTION && vec2(agents_.preferred + 2 * other).length() > TINY)
-      crossing_ += proximity;
-    const int lane = static_cast<int>(slot);
-    const double upper_cost = cost * (slot - lane);
+    if (preferred_speed < MIN_ALONG_FRACTION &&
+        vec2(agents_.preferred_velocities + 2 * other).length() > EPSILON)
+      oncoming_strength_ += proximity;
+    const int lane = static_cast<int>(position_in_costs);
+    const double upper_cost = cost * (position_in_costs - lane);
     costs_[static_cast<std::size_t>(lane)] += cost - upper_cost;
     costs_[static_cast<std::size_t>(lane) + 1] += upper_cost;
   }
 
   // The offset to the left of the cheapest lane, in widths. The lane is not inside a wall. Lanes on
   // the preferred side cost less.
-  double lane(std::size_t agent, const Vec2& forward) const {
+  double find_cheapest_offset(std::size_t agent, const Vec2& forward) const {
     const Vec2 position = vec2(agents_.points + 2 * agent), left = left_of(forward);
     const double width = 2 * agents_.radii[agent];
-    double least_cost = costs_[LANES + 1], best_offset = 0;
+    double least_cost = costs_[WIDTHS_PER_SIDE + 1], best_offset = 0;
     for (const int direction : {-1, 1}) {
       double crossing_cost = 0;
-      for (int k = 1; k <= LANES; ++k) {
+      for (int k = 1; k <= WIDTHS_PER_SIDE; ++k) {
         const double offset = direction * k,
-                     lane_cost = costs_[static_cast<std::size_t>(LANES + 1 + direction * k)];
-        if (!is_open(agent, position + left * (offset * width))) break;
-        const double cost =
-            lane_cost + DETOUR_COST * k + crossing_cost - rules_.side * crossing_ * offset;
-        if (cost < least_cost - SAME_COST) least_cost = cost, best_offset = offset;
+                     lane_cost =
+                         costs_[static_cast<std::size_t>(WIDTHS_PER_SIDE + 1 + direction * k)];
+        if (!is_clear_of_walls(agent, position + left * (offset * width))) break;
+        const double cost = lane_cost + DETOUR_COST_PER_WIDTH * k + crossing_cost -
+                            rules_.preferred_side * oncoming_strength_ * offset;
+        if (cost < least_cost - COST_TOLERANCE) least_cost = cost, best_offset = offset;
         crossing_cost += CROSSING_COST * lane_cost;
       }
     }
     return best_offset;
   }
 
-  bool is_open(std::size_t agent, const Vec2& point) const {
-    for (std::int32_t k = agents_.starts[agent]; k < agents_.starts[agent + 1]; ++k) {
+  bool is_clear_of_walls(std::size_t agent, const Vec2& point) const {
+    for (std::int32_t k = agents_.wall_starts[agent]; k < agents_.wall_starts[agent + 1]; ++k) {
       const double* wall = agents_.walls + 4 * static_cast<std::size_t>(k);
-      if (vec2(wall).dot(point) < wall[3] - MAX_WALL_DEPTH * 2 * agents_.radii[agent]) return false;
+      if (vec2(wall).dot(point) < wall[3] - MAX_WALL_DEPTH_RATIO * 2 * agents_.radii[agent])
+        return false;
     }
     return true;
   }
@@ -362,31 +371,34 @@ class Walker {
   // The preferred velocity: slower behind agents that walk in the same direction, away from near
   // agents, and in the cheapest lane against oncoming agents.
   Vec2 steer(std::size_t agent) const {
-    Vec2 desired = vec2(agents_.preferred + 2 * agent);
+    Vec2 desired = vec2(agents_.preferred_velocities + 2 * agent);
     const double speed = desired.length(), radius = agents_.radii[agent];
-    const Vec2 forward = desired * (speed > TINY ? 1 / speed : 0.0);
-    const double headway = rules_.headway * blend(1, CROWDED_HEADWAY);
+    const Vec2 forward = desired * (speed > EPSILON ? 1 / speed : 0.0);
+    const double headway = rules_.headway * blend(1, CROWDED_HEADWAY_FACTOR);
     double max_speed = speed;
     Vec2 separation;
     for (const Neighbour& neighbour : neighbours_) {
       const double distance = std::sqrt(neighbour.squared_distance),
                    width = radius + agents_.radii[neighbour.index];
       const double gap = std::max(distance - width, 0.0);
-      const double along = neighbour.offset.dot(forward);
-      if (headway > 0 && along > 0 && neighbour.squared_distance - along * along < width * width) {
-        const Vec2 other_velocity = vec2(agents_.preferred + 2 * neighbour.index);
+      const double forward_distance = neighbour.offset.dot(forward);
+      if (headway > 0 && forward_distance > 0 &&
+          neighbour.squared_distance - forward_distance * forward_distance < width * width) {
+        const Vec2 other_velocity = vec2(agents_.preferred_velocities + 2 * neighbour.index);
         // Does not slow down if the other agent also sees this one in front of itself.
-        if (other_velocity.dot(forward) > SAME_DIRECTION * other_velocity.length() &&
+        if (other_velocity.dot(forward) > SAME_DIRECTION_COSINE * other_velocity.length() &&
             neighbour.offset.dot(other_velocity) >= 0)
           max_speed = std::min(max_speed, gap / headway);
       }
       const bool is_same_group =
           agents_.groups[agent] >= 0 && agents_.groups[agent] == agents_.groups[neighbour.index];
-      if (gap < rules_.space && distance > TINY && !is_same_group)
-        separation -= neighbour.offset * (rules_.push * (1 - gap / rules_.space) / distance);
+      if (gap < rules_.personal_space && distance > EPSILON && !is_same_group)
+        separation -= neighbour.offset *
+                      (rules_.separation_speed * (1 - gap / rules_.personal_space) / distance);
     }
-    if (crossing_ == 0) return forward * max_speed + separation;
-    const double slant = std::clamp(SLANT_PER_WIDTH * lane(agent, forward), -MAX_SLANT, MAX_SLANT);
+    if (oncoming_strength_ == 0) return forward * max_speed + separation;
+    const double slant =
+        std::clamp(SLANT_PER_WIDTH * find_cheapest_offset(agent, forward), -MAX_SLANT, MAX_SLANT);
     return forward * max_speed + left_of(forward) * (slant * speed) + separation;
   }
 
@@ -394,16 +406,16 @@ class Walker {
   void add_avoidance(std::size_t agent, const Vec2& velocity, const Neighbour& neighbour) {
     const double width =
         agents_.min_distance(agent, neighbour.index, neighbour.offset, neighbour.squared_distance);
-    const Vec2 relative = velocity - vec2(agents_.velocities + 2 * neighbour.index);
+    const Vec2 relative_velocity = velocity - vec2(agents_.velocities + 2 * neighbour.index);
     const bool is_separate = neighbour.squared_distance > width * width;
-    const double time = is_separate ? horizon_ : rules_.step;
+    const double time = is_separate ? horizon_ : rules_.time_step;
     // The offset from the centre of the disc that truncates the collision cone.
-    const Vec2 from_disc_centre = relative - neighbour.offset * (1 / time);
+    const Vec2 from_disc_centre = relative_velocity - neighbour.offset * (1 / time);
     const double forward = from_disc_centre.dot(neighbour.offset),
                  length = from_disc_centre.length();
     Vec2 normal, change;
     if (!is_separate || (forward < 0 && forward * forward > width * width * length * length)) {
-      if (length > TINY) {
+      if (length > EPSILON) {
         normal = from_disc_centre * (1 / length);
       } else {
         // Two agents are at the same position with equal velocities. The direction depends only on
@@ -421,17 +433,18 @@ class Walker {
           (neighbour.offset.x * tangent_length - neighbour.offset.y * side) * inverse_squared,
           (neighbour.offset.x * side + neighbour.offset.y * tangent_length) * inverse_squared};
       normal = cross > 0 ? Vec2{-edge.y, edge.x} : Vec2{edge.y, -edge.x};
-      change = edge * relative.dot(edge) - relative;
+      change = edge * relative_velocity.dot(edge) - relative_velocity;
     }
     const double fraction = agents_.modes[neighbour.index] == WALKING ? 0.5 : 1.0;
     planes_.push_back({normal, normal.dot(velocity + change * fraction)});
   }
 
-  const Rules& rules_;
+  const CrowdRules& rules_;
   const Agents& agents_;
   std::vector<Neighbour> neighbours_;
-  std::array<double, 2 * LANES + 3> costs_;
-  double crossing_ = 0;  // number of oncoming or crossing agents, weighted by proximity, at most 1
+  std::array<double, 2 * WIDTHS_PER_SIDE + 3> costs_;
+  double oncoming_strength_ =
+      0;  // number of oncoming or crossing agents, weighted by proximity, at most 1
   double horizon_ = 0, shoulder_yaw_ = 0;
   std::vector<HalfPlane> planes_, bisectors_;
 };
@@ -460,12 +473,12 @@ double separate(const Agents& agents, Vec2* positions, const std::vector<Pair>& 
       const double first_yielding = agents.yielding[i] * (agents.modes[i] == WALKING);
       const double second_yielding = agents.yielding[j] * (agents.modes[j] == WALKING);
       if (is_last || first_yielding + second_yielding == 0) continue;
-      const Vec2 direction = distance > TINY ? offset * (1 / distance) : Vec2{1, 0};
+      const Vec2 direction = distance > EPSILON ? offset * (1 / distance) : Vec2{1, 0};
       positions[i] -= direction * (deficit * first_yielding / (first_yielding + second_yielding));
       positions[j] += direction * (deficit * second_yielding / (first_yielding + second_yielding));
     }
     for (std::size_t i = 0; i < count; ++i)
-      for (std::int32_t k = agents.starts[i]; k < agents.starts[i + 1]; ++k) {
+      for (std::int32_t k = agents.wall_starts[i]; k < agents.wall_starts[i + 1]; ++k) {
         const double* wall = agents.walls + 4 * static_cast<std::size_t>(k);
         const double deficit = wall[3] - vec2(wall).dot(positions[i]);
         if (deficit <= 0 || agents.modes[i] != WALKING) continue;
@@ -527,8 +540,8 @@ CrowdStepResult crowd_step(const CrowdStep& options) {
   }
   const double no_limit = std::numeric_limits<double>::infinity();
   const Block<Vec2> new_points = block<Vec2>(count);
-  const Rules rules{sight,   horizon, space, push,
-                    headway, side,    step,  static_cast<std::size_t>(nearest)};
+  const CrowdRules rules{sight,   horizon, space, push,
+                         headway, side,    step,  static_cast<std::size_t>(nearest)};
   const Neighbours grid(flat_points.get(), nullptr, count, sight, no_period, no_period);
   const Agents agents{grid,         points.data(),     velocities.data(), preferred.data(),
                       radii.data(), max_speeds.data(), yielding.data(),   shoulders.data(),
@@ -537,7 +550,7 @@ CrowdStepResult crowd_step(const CrowdStep& options) {
   Walker walker(rules, agents);
   grid.visit_all<false>(no_limit, [&](std::size_t i, const double*, const std::int32_t* hit,
                                       const std::int32_t* end) {
-    const std::size_t agent = static_cast<std::size_t>(grid.index()[i]);
+    const std::size_t agent = static_cast<std::size_t>(grid.point_indices()[i]);
     const bool is_walking = agents.modes[agent] == WALKING;
     const Vec2 velocity = is_walking ? walker.velocity(agent, hit, end) : Vec2();
     shoulder_yaws.get()[agent] = is_walking ? walker.shoulder_yaw() : 0.0;
@@ -553,7 +566,7 @@ CrowdStepResult crowd_step(const CrowdStep& options) {
                                no_period);
     near_grid.visit_all<true>(no_limit, [&](std::size_t i, const double*, const std::int32_t* hit,
                                             const std::int32_t* end) {
-      const std::int32_t* index = near_grid.index();
+      const std::int32_t* index = near_grid.point_indices();
       if (modes.data()[index[i]] == INVISIBLE) return;
       for (; hit < end; ++hit)
         if (modes.data()[index[*hit]] != INVISIBLE) pairs.push_back({index[i], index[*hit]});
@@ -584,21 +597,22 @@ struct QueuedNode {
 
 // The fast marching method (J. A. Sethian, A fast marching level set method for monotonically
 // advancing fronts, 1996).
-Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
+Out<double, 2> travel_distances(In<bool, 2> is_free, double cell_size, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts) {
-  const std::size_t rows = free.shape(0), columns = free.shape(1), count = rows * columns;
+  const std::size_t row_count = is_free.shape(0), column_count = is_free.shape(1),
+                    count = row_count * column_count;
   check::at_most("free", count, check::MAX_ROWS);
-  check::positive("cell", cell);
+  check::positive("cell", cell_size);
   check::indices("seeds", seeds, 0, static_cast<std::int64_t>(count));
   check::numbers("starts", starts, {seeds.shape(0)});
-  Out<double, 2> out(rows, columns);
-  constexpr double unreachable = std::numeric_limits<double>::infinity();
+  Out<double, 2> out(row_count, column_count);
+  constexpr double INF = std::numeric_limits<double>::infinity();
   double* distances = out.get();
-  std::fill_n(distances, count, unreachable);
+  std::fill_n(distances, count, INF);
   std::vector<std::uint8_t> is_done(count, 0);
   std::vector<QueuedNode> heap;
   const auto relax = [&](std::size_t node, double distance) {
-    if (!free.data()[node] || is_done[node] || distance >= distances[node]) return;
+    if (!is_free.data()[node] || is_done[node] || distance >= distances[node]) return;
     distances[node] = distance;
     heap.push_back({distance, static_cast<std::int64_t>(node)});
     std::push_heap(heap.begin(), heap.end(), std::greater<>());
@@ -608,9 +622,10 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
   const auto find_distance = [&](std::size_t row, std::size_t column, int down, int right) {
     const std::size_t other_row = row + static_cast<std::size_t>(down),
                       other_column = column + static_cast<std::size_t>(right);
-    return other_row < rows && other_column < columns && is_done[other_row * columns + other_column]
-               ? distances[other_row * columns + other_column]
-               : unreachable;
+    return other_row < row_count && other_column < column_count &&
+                   is_done[other_row * column_count + other_column]
+               ? distances[other_row * column_count + other_column]
+               : INF;
   };
   // The distance is computed from the nearer neighbour along each axis, so that its gradient has
   // length 1.
@@ -619,11 +634,11 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
         std::min(find_distance(row, column, -1, 0), find_distance(row, column, 1, 0));
     const double column_distance =
         std::min(find_distance(row, column, 0, -1), find_distance(row, column, 0, 1));
-    if (std::fabs(row_distance - column_distance) >= cell || row_distance == unreachable ||
-        column_distance == unreachable)
-      return std::min(row_distance, column_distance) + cell;
+    if (std::fabs(row_distance - column_distance) >= cell_size || row_distance == INF ||
+        column_distance == INF)
+      return std::min(row_distance, column_distance) + cell_size;
     return (row_distance + column_distance +
-            std::sqrt(2 * cell * cell -
+            std::sqrt(2 * cell_size * cell_size -
                       (row_distance - column_distance) * (row_distance - column_distance))) /
            2;
   };
@@ -633,11 +648,11 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
     heap.pop_back();
     if (is_done[node]) continue;
     is_done[node] = 1;
-    const std::size_t row = node / columns, column = node % columns;
-    if (row > 0) relax(node - columns, solve(row - 1, column));
-    if (row + 1 < rows) relax(node + columns, solve(row + 1, column));
+    const std::size_t row = node / column_count, column = node % column_count;
+    if (row > 0) relax(node - column_count, solve(row - 1, column));
+    if (row + 1 < row_count) relax(node + column_count, solve(row + 1, column));
     if (column > 0) relax(node - 1, solve(row, column - 1));
-    if (column + 1 < columns) relax(node + 1, solve(row, column + 1));
+    if (column + 1 < column_count) relax(node + 1, solve(row, column + 1));
   }
   return out;
 }

@@ -29,7 +29,7 @@ struct CrowdStep {
 using CrowdStepResult = std::tuple<Out<double, 2>, Out<double, 2>, double, Out<double, 1>>;
 CrowdStepResult crowd_step(const CrowdStep& options);
 
-Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
+Out<double, 2> travel_distances(In<bool, 2> is_free, double cell_size, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts);
 
 std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(

@@ -16,13 +16,14 @@ struct Interaction {
 
 struct FlockRule {
   double radius, cosine;
-  std::size_t nearest;  // 0 means all
+  std::size_t max_neighbours;  // 0 means all
   Interaction attraction, alignment, repulsion;
   double softening;
 
   // Whether all pairs in sight interact symmetrically.
   bool is_mutual() const {
-    return !(cosine > -1) && !nearest && attraction.radius >= radius && alignment.radius >= radius;
+    return !(cosine > -1) && !max_neighbours && attraction.radius >= radius &&
+           alignment.radius >= radius;
   }
 };
 
@@ -34,8 +35,8 @@ Vec find_repulsion(const FlockRule& rule, const Vec& offset, double squared_dist
 }
 
 // Adds the forces of symmetric interactions. Each pair is visited once.
-double add_mutual(const FlockRule& rule, const Neighbours& grid, const Vec* velocities,
-                  double max_tests, double* out, std::int32_t* counts) {
+double add_mutual_forces(const FlockRule& rule, const Neighbours& grid, const Vec* velocities,
+                         double max_tests, double* out, std::int32_t* counts) {
   struct Sums {
     Vec pull, repulsion;
   };
@@ -66,7 +67,7 @@ double add_mutual(const FlockRule& rule, const Neighbours& grid, const Vec* velo
         sums[i].repulsion += point_sums.repulsion;
       });
   for (std::size_t i = 0; i < grid.size(); ++i) {
-    const std::size_t member = static_cast<std::size_t>(grid.index()[i]);
+    const std::size_t member = static_cast<std::size_t>(grid.point_indices()[i]);
     Vec sum = sums[i].pull * (sight_counts[i] ? 1.0 / sight_counts[i] : 0.0);
     sum -= sums[i].repulsion * rule.repulsion.weight;
     out[3 * member] = sum.x, out[3 * member + 1] = sum.y, out[3 * member + 2] = sum.z;
@@ -113,7 +114,7 @@ class NeighbourForces {
   void find_visible(std::size_t member, const Vec& position, const Vec& velocity,
                     const std::int32_t* hit, const std::int32_t* end) {
     const double min_projection = rule_.cosine * std::sqrt(dot(velocity, velocity));
-    const std::int32_t* index = grid_.index();
+    const std::int32_t* index = grid_.point_indices();
     neighbours_.clear();
     for (; hit < end; ++hit) {
       const std::size_t j = static_cast<std::size_t>(*hit);
@@ -124,14 +125,15 @@ class NeighbourForces {
         continue;
       neighbours_.push_back({offset, squared_distance, j});
     }
-    if (!rule_.nearest || neighbours_.size() <= rule_.nearest) return;
+    if (!rule_.max_neighbours || neighbours_.size() <= rule_.max_neighbours) return;
     // Of two at equal distance the one with the lower index is first, so that the order of the grid
     // does not matter.
     const auto nearer = [&](const Neighbour& a, const Neighbour& b) {
       return a.squared_distance != b.squared_distance ? a.squared_distance < b.squared_distance
                                                       : index[a.index] < index[b.index];
     };
-    const auto end_of_nearest = neighbours_.begin() + static_cast<std::ptrdiff_t>(rule_.nearest);
+    const auto end_of_nearest =
+        neighbours_.begin() + static_cast<std::ptrdiff_t>(rule_.max_neighbours);
     std::nth_element(neighbours_.begin(), end_of_nearest - 1, neighbours_.end(), nearer);
     neighbours_.erase(end_of_nearest, neighbours_.end());
     std::sort(neighbours_.begin(), neighbours_.end(), nearer);
@@ -179,17 +181,18 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
                        read_interaction("alignment", alignment),
                        read_interaction("repulsion", repulsion),
                        softening};
-  const std::size_t size = members ? members->shape(0) : count;
-  Out<double, 2> result(size, 3);
-  Out<std::int32_t, 1> counts(size);
+  const std::size_t member_count = members ? members->shape(0) : count;
+  Out<double, 2> result(member_count, 3);
+  Out<std::int32_t, 1> counts(member_count);
   double test_count = 0;
-  std::fill_n(result.get(), 3 * size, 0.0);
-  std::fill_n(counts.get(), size, 0);
+  std::fill_n(result.get(), 3 * member_count, 0.0);
+  std::fill_n(counts.get(), member_count, 0);
   const Neighbours grid(points.data(), others ? others->data() : nullptr,
                         others ? others->shape(0) : count, radius, period.data(), periods);
   const Block<Vec> sorted_velocities = block<Vec>(grid.size());
   for (std::size_t i = 0; i < grid.size(); ++i)
-    sorted_velocities[i] = load(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
+    sorted_velocities[i] =
+        load(velocities.data() + 3 * static_cast<std::size_t>(grid.point_indices()[i]));
   const bool has_no_period = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
   const bool visits_all = has_no_period && !members && !others;
   NeighbourForces forces(rule, grid, sorted_velocities.get());
@@ -199,18 +202,18 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
     counts.get()[row] = static_cast<std::int32_t>(count);
   };
   if (visits_all && rule.is_mutual())
-    test_count =
-        add_mutual(rule, grid, sorted_velocities.get(), max_tests, result.get(), counts.get());
+    test_count = add_mutual_forces(rule, grid, sorted_velocities.get(), max_tests, result.get(),
+                                   counts.get());
   else if (visits_all)
     test_count = grid.visit_all<false>(
         max_tests,
         [&](std::size_t i, const double* point, const std::int32_t* hit, const std::int32_t* end) {
-          const std::size_t member = static_cast<std::size_t>(grid.index()[i]);
+          const std::size_t member = static_cast<std::size_t>(grid.point_indices()[i]);
           add(member, member, load(point), sorted_velocities[i], hit, end);
         });
   else
     test_count =
-        grid.visit(points.data(), members ? members->data() : nullptr, size, max_tests,
+        grid.visit(points.data(), members ? members->data() : nullptr, member_count, max_tests,
                    [&](std::size_t row, std::size_t member, const double* point,
                        const std::int32_t* hit, const std::int32_t* end) {
                      add(row, member, load(point), load(velocities.data() + 3 * member), hit, end);

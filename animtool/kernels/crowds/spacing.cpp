@@ -11,7 +11,7 @@ namespace animtool {
 
 namespace {
 
-constexpr double TINY = 1e-300;
+constexpr double MIN_NORM = 1e-300;
 
 // Members that have minimum distances, and the periods of periodic axes.
 class SpacedMembers {
@@ -30,24 +30,24 @@ class SpacedMembers {
   // Visits each pair within a multiple of the largest minimum distance. Returns the number of
   // tested pairs, and stops above `max_tests`.
   template <class Function>
-  double visit_pairs(const double* points, double multiple, double max_tests,
+  double visit_pairs(const double* points, double radius_factor, double max_tests,
                      Function function) const {
     if (members_.size() < 2) return 0;
-    double radius = multiple * max_distance_;
+    double radius = radius_factor * max_distance_;
     for (std::size_t k = 0; k < 3; ++k)
       if (period_[k] > 0) radius = std::min(radius, period_[k] / 2);
     const Neighbours grid(points, members_.data(), members_.size(), radius, low_, period_);
     const auto visit_later = [&](std::size_t member, const std::int32_t* hit,
                                  const std::int32_t* end) {
       for (; hit < end; ++hit) {
-        const std::size_t other = static_cast<std::size_t>(grid.index()[*hit]);
+        const std::size_t other = static_cast<std::size_t>(grid.point_indices()[*hit]);
         if (has_no_period_ || other > member) function(member, other);
       }
     };
     if (has_no_period_)
       return grid.visit_all<true>(max_tests, [&](std::size_t i, const double*,
                                                  const std::int32_t* hit, const std::int32_t* end) {
-        visit_later(static_cast<std::size_t>(grid.index()[i]), hit, end);
+        visit_later(static_cast<std::size_t>(grid.point_indices()[i]), hit, end);
       });
     return grid.visit(points, members_.data(), members_.size(), max_tests,
                       [&](std::size_t, std::size_t member, const double*, const std::int32_t* hit,
@@ -68,7 +68,7 @@ class SpacedMembers {
       squared_distance += offset * offset;
     }
     gap.distance = std::sqrt(squared_distance);
-    for (double& direction : gap.direction) direction /= std::max(gap.distance, TINY);
+    for (double& direction : gap.direction) direction /= std::max(gap.distance, MIN_NORM);
     return gap;
   }
 
@@ -89,10 +89,11 @@ void check_spacing(const In<double, 1>& min_distances, std::size_t count,
   check::numbers("period", period, {2, 3});
 }
 
-void add_along_gap(double* values, const Pair& pair, const SpacedMembers::Gap& gap, double size) {
+void add_along_gap(double* values, const Pair& pair, const SpacedMembers::Gap& gap,
+                   double magnitude) {
   for (std::size_t k = 0; k < 3; ++k) {
-    values[3 * pair.first + k] -= size * gap.direction[k];
-    values[3 * pair.second + k] += size * gap.direction[k];
+    values[3 * pair.first + k] -= magnitude * gap.direction[k];
+    values[3 * pair.second + k] += magnitude * gap.direction[k];
   }
 }
 
@@ -122,9 +123,9 @@ std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double
     const double remaining = std::max(gap.distance - gap.min_distance, min_gap * gap.min_distance);
     const double proximity =
         1 - (gap.distance - gap.min_distance) / ((sight - 1) * gap.min_distance);
-    const double size =
+    const double magnitude =
         std::clamp(proximity, 0.0, 1.0) * closing_speed * closing_speed / (4 * remaining);
-    add_along_gap(result.get(), {i, j}, gap, size);
+    add_along_gap(result.get(), {i, j}, gap, magnitude);
   });
   return {std::move(result), test_count};
 }
@@ -149,7 +150,7 @@ std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points,
   std::copy_n(points.data(), 3 * count, positions);
   const SpacedMembers members(min_distances.data(), count, period.data(), period.data() + 3);
   std::vector<Pair> pairs;
-  std::vector<double> moves;
+  std::vector<double> displacements;
   for (std::int64_t pass = 0; pass <= max_passes; ++pass) {
     if (pass % SEARCH_INTERVAL == 0) {
       pairs.clear();
@@ -159,17 +160,17 @@ std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points,
       if (test_count > max_tests) break;
     }
     overlap = 0;
-    moves.assign(3 * count, 0.0);
+    displacements.assign(3 * count, 0.0);
     for (const Pair& pair : pairs) {
       const SpacedMembers::Gap gap = members.gap(positions, pair.first, pair.second);
       const double deficit = gap.min_distance - gap.distance;
       if (!(deficit > 0)) continue;
       overlap = std::max(overlap, deficit);
-      add_along_gap(moves.data(), pair, gap,
+      add_along_gap(displacements.data(), pair, gap,
                     relaxation / 2 * (deficit + clearance * gap.min_distance));
     }
     if (pass == max_passes || !(overlap > 0)) break;
-    for (std::size_t i = 0; i < 3 * count; ++i) positions[i] += moves[i];
+    for (std::size_t i = 0; i < 3 * count; ++i) positions[i] += displacements[i];
   }
   return {std::move(result), overlap, test_count};
 }

@@ -26,9 +26,9 @@ struct Cubic {
 struct HalfSegment {
   double key_time, span;  // time of the key; signed time to the other one
   double value;
-  bool needs_solve;  // whether u has to be solved for, or is the time itself
-  Cubic time;        // fraction of the span, as a function of u
-  Cubic rise;        // value relative to that at the key
+  bool needs_solve;    // whether u has to be solved for, or is the time itself
+  Cubic time;          // fraction of the span, as a function of u
+  Cubic value_change;  // value relative to that at the key
 };
 
 // The Bezier polynomial from 0 to `end`, with two inner control values.
@@ -57,25 +57,25 @@ struct Segment {
 
 Segment make_segment(const double* times, const double* values, std::int64_t kind,
                      const double* out, const double* in) {
-  const double span = times[1] - times[0], rise = values[1] - values[0];
+  const double span = times[1] - times[0], value_change = values[1] - values[0];
   HalfSegment first{times[0], span, values[0], false, {}, {}};
   HalfSegment second{times[1], -span, values[1], false, {}, {}};
   double middle = times[0] + 0.5 * span;
   if (kind == kHold) {
     second.value = values[0];
   } else if (kind == kLinear) {
-    first.rise = {rise, 0, 0};
-    second.rise = {-rise, 0, 0};
+    first.value_change = {value_change, 0, 0};
+    second.value_change = {-value_change, 0, 0};
   } else if (kind == kCubic) {
-    first.rise = bezier(out[1], rise + in[1], rise);
-    second.rise = bezier(in[1], out[1] - rise, -rise);
+    first.value_change = bezier(out[1], value_change + in[1], value_change);
+    second.value_change = bezier(in[1], out[1] - value_change, -value_change);
   } else {
     const Handle a(out, span), b(in, span);
     first.needs_solve = second.needs_solve = true;
     first.time = bezier(a.length_ratio, 1 - b.length_ratio, 1);
     second.time = bezier(b.length_ratio, 1 - a.length_ratio, 1);
-    first.rise = bezier(a.value_offset, rise + b.value_offset, rise);
-    second.rise = bezier(b.value_offset, a.value_offset - rise, -rise);
+    first.value_change = bezier(a.value_offset, value_change + b.value_offset, value_change);
+    second.value_change = bezier(b.value_offset, a.value_offset - value_change, -value_change);
     middle = times[0] + span * first.time.value(0.5);
   }
   return {{first, second}, times[0], middle, times[1]};
@@ -112,7 +112,7 @@ double solve_guarded(const Cubic& time, double x) {
 }
 
 // Number of times that are solved together.
-constexpr std::size_t kChunkSize = 64;
+constexpr std::size_t kTimesPerChunk = 64;
 
 // The u of each x where Halley's method converges in a few steps; NaN elsewhere. Has no branches,
 // so that the processor works on several at a time. Starts from the parabola with the cubic's slope
@@ -144,16 +144,16 @@ void solve_quickly(const Cubic& time, const double* x, double* u, std::size_t n)
 // Values at times given as fractions from the key of the half segment.
 void evaluate_half(const HalfSegment& half, const double* fractions, double* out, std::size_t n) {
   if (!half.needs_solve) {
-    for (std::size_t i = 0; i < n; ++i) out[i] = half.value + half.rise.value(fractions[i]);
+    for (std::size_t i = 0; i < n; ++i) out[i] = half.value + half.value_change.value(fractions[i]);
     return;
   }
-  double u[kChunkSize];
-  for (; n; fractions += kChunkSize, out += kChunkSize) {
-    const std::size_t count = std::min(n, kChunkSize);
+  double u[kTimesPerChunk];
+  for (; n; fractions += kTimesPerChunk, out += kTimesPerChunk) {
+    const std::size_t count = std::min(n, kTimesPerChunk);
     solve_quickly(half.time, fractions, u, count);
     for (std::size_t i = 0; i < count; ++i)
       if (!(u[i] >= 0)) u[i] = solve_guarded(half.time, fractions[i]);
-    for (std::size_t i = 0; i < count; ++i) out[i] = half.value + half.rise.value(u[i]);
+    for (std::size_t i = 0; i < count; ++i) out[i] = half.value + half.value_change.value(u[i]);
     n -= count;
   }
 }
@@ -183,41 +183,43 @@ struct Keys {
   }
 };
 
-constexpr std::size_t OUTSIDE = static_cast<std::size_t>(-1);
+constexpr std::size_t OUTSIDE_KEYS = static_cast<std::size_t>(-1);
 
 // Consecutive times in one half of a segment, or outside of the keys.
 struct Run {
   std::size_t begin, end;
-  std::size_t segment;      // index of its first key, or OUTSIDE
+  std::size_t segment;      // index of its first key, or OUTSIDE_KEYS
   std::size_t nearest_key;  // index of the nearer key
 };
 
 // Finds the segments of times. Curves with keys at the same times share it.
 class SegmentFinder {
  public:
-  static constexpr std::size_t MAX_TIMES = 1024;
+  static constexpr std::size_t MAX_TIMES_PER_CALL = 1024;
 
-  explicit SegmentFinder(const Keys& keys) : times_(keys.times), last_(keys.count - 1) {}
+  explicit SegmentFinder(const Keys& keys) : times_(keys.times), last_key_(keys.count - 1) {}
 
-  // Finds the segments of at most MAX_TIMES times, which mostly ascend.
+  // Finds the segments of at most MAX_TIMES_PER_CALL times, which mostly ascend.
   void find(const double* times, std::size_t n) {
     run_count_ = 0, key_count_ = 0;
     for (std::size_t f = 0; f < n;) {
       const double t = times[f];
-      if (!(t >= times_[0] && t < times_[last_])) {
+      if (!(t >= times_[0] && t < times_[last_key_])) {
         const bool is_before_start = t < times_[0];
         const std::size_t begin = f++;
-        while (f < n && (is_before_start ? times[f] < times_[0] : !(times[f] < times_[last_]))) ++f;
-        runs_[run_count_++] = {begin, f, OUTSIDE, is_before_start ? 0 : last_};
+        while (f < n && (is_before_start ? times[f] < times_[0] : !(times[f] < times_[last_key_])))
+          ++f;
+        runs_[run_count_++] = {begin, f, OUTSIDE_KEYS, is_before_start ? 0 : last_key_};
         continue;
       }
       // Mostly it is the same segment or the next one.
       if (!(t >= times_[segment_] && t < times_[segment_ + 1])) {
-        if (segment_ + 1 < last_ && t >= times_[segment_ + 1] && t < times_[segment_ + 2])
+        if (segment_ + 1 < last_key_ && t >= times_[segment_ + 1] && t < times_[segment_ + 2])
           ++segment_;
         else
           segment_ =
-              static_cast<std::size_t>(std::upper_bound(times_, times_ + last_, t) - times_) - 1;
+              static_cast<std::size_t>(std::upper_bound(times_, times_ + last_key_, t) - times_) -
+              1;
       }
       const double start = times_[segment_], end = times_[segment_ + 1], span = end - start;
       const double middle = start + 0.5 * span;
@@ -253,7 +255,7 @@ class SegmentFinder {
   // Stores the nearer and the farther key of each time.
   void find_keys() {
     for (const Run& run : *this) {
-      const bool is_outside = run.segment == OUTSIDE;
+      const bool is_outside = run.segment == OUTSIDE_KEYS;
       const std::size_t farther_key =
           is_outside ? run.nearest_key : 2 * run.segment + 1 - run.nearest_key;
       // The product is then -0, which keeps the sign of zero.
@@ -267,16 +269,17 @@ class SegmentFinder {
   }
 
   const double* times_;
-  std::size_t last_, segment_ = 0, run_count_ = 0;
+  std::size_t last_key_, segment_ = 0, run_count_ = 0;
   std::size_t key_count_ = 0;  // number of times whose keys are stored
-  Run runs_[MAX_TIMES];
-  std::uint32_t nearest_keys_[MAX_TIMES], farther_keys_[MAX_TIMES];  // no curve has as many keys
-  double fractions_[MAX_TIMES];
+  Run runs_[MAX_TIMES_PER_CALL];
+  std::uint32_t nearest_keys_[MAX_TIMES_PER_CALL],
+      farther_keys_[MAX_TIMES_PER_CALL];  // no curve has as many keys
+  double fractions_[MAX_TIMES_PER_CALL];
 };
 
 // Evaluates times in a Bezier segment, whose middle depends on its handles.
 void evaluate_bezier(const Segment& segment, const double* times, double* out, std::size_t n) {
-  double fractions[SegmentFinder::MAX_TIMES];
+  double fractions[SegmentFinder::MAX_TIMES_PER_CALL];
   for (std::size_t f = 0; f < n;) {
     const bool is_second_half = times[f] >= segment.middle;
     const HalfSegment& half = segment.halves[is_second_half];
@@ -299,7 +302,7 @@ void evaluate_curve(const Keys& keys, bool is_linear, SegmentFinder& finder, con
   for (const Run* run = finder.begin(); run < finder.end(); ++run) {
     const std::size_t f = run->begin, k = run->segment, n = run->end - f;
     const double value = keys.values[run->nearest_key];
-    if (k == OUTSIDE) {
+    if (k == OUTSIDE_KEYS) {
       std::fill_n(out + f, n, value);
       continue;
     }
@@ -307,9 +310,10 @@ void evaluate_curve(const Keys& keys, bool is_linear, SegmentFinder& finder, con
     if (kind == kHold) {
       std::fill_n(out + f, n, keys.values[k]);
     } else if (kind == kLinear) {
-      const double rise = keys.values[k + 1] - keys.values[k];
-      const double signed_rise = run->nearest_key == k ? rise : -rise;
-      for (std::size_t i = f; i < f + n; ++i) out[i] = value + finder.fractions()[i] * signed_rise;
+      const double value_change = keys.values[k + 1] - keys.values[k];
+      const double signed_change = run->nearest_key == k ? value_change : -value_change;
+      for (std::size_t i = f; i < f + n; ++i)
+        out[i] = value + finder.fractions()[i] * signed_change;
     } else {
       const Segment segment = make_segment(keys.times + k, keys.values + k, kind, keys.outs + 2 * k,
                                            keys.ins + 2 * (k + 1));
@@ -330,26 +334,27 @@ void evaluate_curve(const Keys& keys, bool is_linear, SegmentFinder& finder, con
 // Checks the keys of a curve. The last key starts no segment. Handles are checked only where a
 // segment uses them. Returns whether all segments are linear.
 bool check_curve(const Keys& keys, std::size_t curve, bool are_times_checked) {
-  const std::size_t segments = keys.count - 1;
+  const std::size_t segment_count = keys.count - 1;
   if (!are_times_checked) {
     // Times in between are finite if the ends are, and no segment is longer than the curve.
-    if (!std::isfinite(keys.times[segments] - keys.times[0]))
+    if (!std::isfinite(keys.times[segment_count] - keys.times[0]))
       refuse_curve("times", curve, "not finite");
-    std::uint64_t has_disorder = 0;
-    for (std::size_t k = 0; k < segments; ++k) has_disorder |= !(keys.times[k] < keys.times[k + 1]);
-    if (has_disorder) refuse_curve("times", curve, "not ascending");
+    std::uint64_t has_unordered_times = 0;
+    for (std::size_t k = 0; k < segment_count; ++k)
+      has_unordered_times |= !(keys.times[k] < keys.times[k + 1]);
+    if (has_unordered_times) refuse_curve("times", curve, "not ascending");
   }
   check::finite("values", keys.values, keys.count);
-  std::uint64_t kind_bits = 0, common_bits = kLinear;
-  for (std::size_t k = 0; k < segments; ++k) {
+  std::uint64_t kind_bits = 0, shared_kind_bits = kLinear;
+  for (std::size_t k = 0; k < segment_count; ++k) {
     const auto kind = static_cast<std::uint64_t>(keys.kinds[k]);
-    kind_bits |= kind, common_bits &= kind;
+    kind_bits |= kind, shared_kind_bits &= kind;
   }
-  if (kind_bits <= kLinear) return common_bits == kLinear;
-  if (kind_bits > kBezier) check::indices("kinds", keys.kinds, segments, kHold, kBezier + 1);
+  if (kind_bits <= kLinear) return shared_kind_bits == kLinear;
+  if (kind_bits > kBezier) check::indices("kinds", keys.kinds, segment_count, kHold, kBezier + 1);
   double out_sum = 0, in_sum = 0;  // NaN if a handle is not finite
   bool has_reversed_out = false, has_reversed_in = false;
-  for (std::size_t k = 0; k < segments; ++k) {
+  for (std::size_t k = 0; k < segment_count; ++k) {
     if (keys.kinds[k] <= kLinear) continue;
     const double *out = keys.outs + 2 * k, *in = keys.ins + 2 * (k + 1);
     out_sum += out[0] * 0 + out[1] * 0, in_sum += in[0] * 0 + in[1] * 0;
@@ -368,7 +373,7 @@ bool are_equal(const double* a, const double* b, std::size_t count) {
 }
 
 // Largest number of curves that are evaluated together: their keys stay in the processor's cache.
-constexpr std::size_t MAX_GROUP = 8;
+constexpr std::size_t MAX_GROUP_CURVES = 8;
 
 }  // namespace
 
@@ -377,33 +382,36 @@ std::optional<Out<double, 2>> evaluate_curves(In<std::int64_t, 1> first, In<doub
                                               In<double, 2> ins, In<double, 2> outs,
                                               In<double, 2> at,
                                               std::optional<Filled<double, 2>> out) {
-  const std::size_t count = times.shape(0), rows = at.shape(0), frames = at.shape(1);
+  const std::size_t count = times.shape(0), time_row_count = at.shape(0), frames = at.shape(1);
   check::shape("first", first, {check::ANY});
   check::shape("times", times, {check::ANY});
   check::starts("first", first, count);
-  const std::size_t curves = first.shape(0) - 1;
+  const std::size_t curve_count = first.shape(0) - 1;
   check::shape("values", values, {count});
   check::shape("kinds", kinds, {count});
   check::shape("ins", ins, {count, 2});
   check::shape("outs", outs, {count, 2});
-  check::shape("at", at, {rows == 1 ? 1 : curves, check::ANY});
-  if (out) check::shape("out", *out, {curves, frames});
-  const Keys all_keys{times.data(), values.data(), kinds.data(), ins.data(), outs.data(), count};
+  check::shape("at", at, {time_row_count == 1 ? 1 : curve_count, check::ANY});
+  if (out) check::shape("out", *out, {curve_count, frames});
+  const Keys keys_of_all_curves{times.data(), values.data(), kinds.data(),
+                                ins.data(),   outs.data(),   count};
   const auto keys_of = [&](std::size_t c) {
-    return all_keys.slice(static_cast<std::size_t>(first.data()[c]),
-                          static_cast<std::size_t>(first.data()[c + 1]));
+    return keys_of_all_curves.slice(static_cast<std::size_t>(first.data()[c]),
+                                    static_cast<std::size_t>(first.data()[c + 1]));
   };
-  const auto times_of = [&](std::size_t c) { return at.data() + (rows == 1 ? 0 : c * frames); };
-  for (std::size_t c = 0; c < curves; ++c)
+  const auto times_of = [&](std::size_t c) {
+    return at.data() + (time_row_count == 1 ? 0 : c * frames);
+  };
+  for (std::size_t c = 0; c < curve_count; ++c)
     if (!keys_of(c).count) refuse_curve("first", c, "it has no key");
-  std::optional<Out<double, 2>> allocated;
-  if (!out) allocated.emplace(curves, frames);
-  double* const result = out ? out->data() : allocated->get();
-  for (std::size_t c = 0, next; c < curves; c = next) {
+  std::optional<Out<double, 2>> new_values;
+  if (!out) new_values.emplace(curve_count, frames);
+  double* const result = out ? out->data() : new_values->get();
+  for (std::size_t c = 0, next; c < curve_count; c = next) {
     const Keys keys = keys_of(c);
-    bool is_linear[MAX_GROUP];
+    bool is_linear[MAX_GROUP_CURVES];
     is_linear[0] = check_curve(keys, c, false);
-    for (next = c + 1; next < curves && next < c + MAX_GROUP; ++next) {
+    for (next = c + 1; next < curve_count && next < c + MAX_GROUP_CURVES; ++next) {
       const Keys other = keys_of(next);
       if (other.count != keys.count || !are_equal(other.times, keys.times, keys.count) ||
           !are_equal(times_of(next), times_of(c), frames))
@@ -411,14 +419,14 @@ std::optional<Out<double, 2>> evaluate_curves(In<std::int64_t, 1> first, In<doub
       is_linear[next - c] = check_curve(other, next, true);
     }
     SegmentFinder finder(keys);
-    for (std::size_t f = 0; f < frames; f += SegmentFinder::MAX_TIMES) {
-      finder.find(times_of(c) + f, std::min(SegmentFinder::MAX_TIMES, frames - f));
+    for (std::size_t f = 0; f < frames; f += SegmentFinder::MAX_TIMES_PER_CALL) {
+      finder.find(times_of(c) + f, std::min(SegmentFinder::MAX_TIMES_PER_CALL, frames - f));
       for (std::size_t i = c; i < next; ++i)
         evaluate_curve(keys_of(i), is_linear[i - c], finder, times_of(c) + f,
                        result + i * frames + f);
     }
   }
-  return allocated;
+  return new_values;
 }
 
 }  // namespace animtool

@@ -11,10 +11,10 @@ namespace animtool {
 
 namespace {
 
-// A segment is a cubic in Bernstein form over the samples a to b. Its ends are samples; its inner
-// control values are stored as offsets from the first sample.
+// A segment is a cubic in Bernstein form over the samples from `start` to `end`. Its ends are
+// samples; its inner control values are stored as offsets from the first sample.
 struct Segment {
-  std::size_t a, b;
+  std::size_t start, end;
   std::vector<double> first, second;
 };
 
@@ -29,18 +29,18 @@ struct NormalEquations {
 class Fitter {
  public:
   // `low` and `high` (D,) limit each component of a segment, except at samples beyond them.
-  // `straight` (F,) counts the frames before each frame from which a straight segment leads to the
-  // next frame.
+  // `straight_counts` (F,) counts the frames before each frame from which a straight segment leads
+  // to the next frame.
   Fitter(const double* values, const double* bounds, const double* low, const double* high,
-         const std::vector<std::size_t>& straight, std::size_t width)
+         const std::vector<std::size_t>& straight_counts, std::size_t width)
       : values_(values),
         bounds_(bounds),
         low_(low),
         high_(high),
-        straight_(straight),
+        straight_counts_(straight_counts),
         width_(width) {
-    normal_.right_first.resize(width);
-    normal_.right_second.resize(width);
+    normal_equations_.right_first.resize(width);
+    normal_equations_.right_second.resize(width);
   }
 
   // Fits a segment by least squares, weighted by the bounds; returns whether it is within the
@@ -50,8 +50,8 @@ class Fitter {
     init_linear(a, b, s);
     if (b - a == 1) return true;
     if (is_straight(s)) return false;
-    accumulate(s, normal_);
-    solve(s, normal_);
+    accumulate(s, normal_equations_);
+    solve(s, normal_equations_);
     clamp_to_range(s);
     double max_error = compute_max_error(s);
     if (max_error <= kMaxError) return true;
@@ -59,58 +59,60 @@ class Fitter {
     error_weights_.assign(b - a + 1, 1.0);
     for (int iteration = 0; iteration < kMaxReweights; ++iteration) {
       reweight(s);
-      accumulate(s, normal_, error_weights_.data());
-      solve(s, normal_);
+      accumulate(s, normal_equations_, error_weights_.data());
+      solve(s, normal_equations_);
       clamp_to_range(s);
       const double new_error = compute_max_error(s);
       if (new_error <= kMaxError) return true;
       // Convergence is linear: a small gain will not reach the bound.
-      if (new_error > max_error * kMinGain && iteration > 0) return false;
+      if (new_error > max_error * kMaxImprovingRatio && iteration > 0) return false;
       max_error = std::min(max_error, new_error);
     }
     return false;
   }
 
   // Fits the longest segment from a, at most to b, that galloping and bisection find.
-  void fit_longest(std::size_t a, std::size_t b, Segment& best) {
-    Segment trial;
-    std::size_t fitting = 1, failing = b - a + 1;
-    fit(a, a + 1, best);
-    for (std::size_t n = kExactLength; fitting < b - a && failing > b - a; n *= 2) {
+  void fit_longest(std::size_t a, std::size_t b, Segment& best_segment) {
+    Segment trial_segment;
+    std::size_t fitting_length = 1, failing_length = b - a + 1;
+    fit(a, a + 1, best_segment);
+    for (std::size_t n = kExactLength; fitting_length < b - a && failing_length > b - a; n *= 2) {
       const std::size_t length = std::min(n, b - a);
-      if (!fit(a, a + length, trial)) {
-        failing = length;
+      if (!fit(a, a + length, trial_segment)) {
+        failing_length = length;
       } else {
-        fitting = length;
-        std::swap(best, trial);
+        fitting_length = length;
+        std::swap(best_segment, trial_segment);
       }
     }
-    while (failing - fitting > 1) {
-      const std::size_t length = fitting + (failing - fitting) / 2;
-      if (!fit(a, a + length, trial)) {
-        failing = length;
+    while (failing_length - fitting_length > 1) {
+      const std::size_t length = fitting_length + (failing_length - fitting_length) / 2;
+      if (!fit(a, a + length, trial_segment)) {
+        failing_length = length;
       } else {
-        fitting = length;
-        std::swap(best, trial);
+        fitting_length = length;
+        std::swap(best_segment, trial_segment);
       }
     }
   }
 
   // Gives the key between two segments the same slope on both sides, if the bounds allow; returns
-  // whether they do. With `keep_end`, the slope at the start of the left segment stays.
-  bool smooth_key(Segment& left, bool keep_end, Segment& right) {
+  // whether they do. With `keeps_start_slope`, the slope at the start of the left segment stays.
+  bool smooth_key(Segment& left, bool keeps_start_slope, Segment& right) {
     if (is_straight(left) || is_straight(right)) return false;
-    const double left_third = static_cast<double>(left.b - left.a) / 3;
-    const double right_third = static_cast<double>(right.b - right.a) / 3;
-    const double* key = row(left.b);
-    const double *left_start = row(left.a), *right_end = row(right.b);
-    NormalEquations l = normal_, r = normal_;
-    accumulate(left, l);
-    accumulate(right, r);
-    const double left_stiffness =
-        stiffness(l.second, l.mixed, keep_end ? 0.0 : l.first) * left_third * left_third;
+    const double left_third = static_cast<double>(left.end - left.start) / 3;
+    const double right_third = static_cast<double>(right.end - right.start) / 3;
+    const double* key = row(left.end);
+    const double *left_start = row(left.start), *right_end = row(right.end);
+    NormalEquations left_equations = normal_equations_, right_equations = normal_equations_;
+    accumulate(left, left_equations);
+    accumulate(right, right_equations);
+    const double left_stiffness = stiffness(left_equations.second, left_equations.mixed,
+                                            keeps_start_slope ? 0.0 : left_equations.first) *
+                                  left_third * left_third;
     const double right_stiffness =
-        stiffness(r.first, r.mixed, r.second) * right_third * right_third;
+        stiffness(right_equations.first, right_equations.mixed, right_equations.second) *
+        right_third * right_third;
     const double fraction = left_stiffness + right_stiffness > 0
                                 ? left_stiffness / (left_stiffness + right_stiffness)
                                 : 0.5;
@@ -123,12 +125,17 @@ class Fitter {
         const double slope = weight * in + (1 - weight) * out;
         new_left.second[d] = chord - slope * left_third;
         new_right.first[d] = slope * right_third;
-        if (!keep_end)
+        if (!keeps_start_slope)
           new_left.first[d] =
-              l.first > 0 ? (l.right_first[d] - l.mixed * new_left.second[d]) / l.first : chord / 3;
-        new_right.second[d] = r.second > 0
-                                  ? (r.right_second[d] - r.mixed * new_right.first[d]) / r.second
-                                  : (right_end[d] - key[d]) * (2.0 / 3);
+              left_equations.first > 0
+                  ? (left_equations.right_first[d] - left_equations.mixed * new_left.second[d]) /
+                        left_equations.first
+                  : chord / 3;
+        new_right.second[d] =
+            right_equations.second > 0
+                ? (right_equations.right_second[d] - right_equations.mixed * new_right.first[d]) /
+                      right_equations.second
+                : (right_end[d] - key[d]) * (2.0 / 3);
       }
       if (compute_max_error(new_left) <= kMaxError && compute_max_error(new_right) <= kMaxError &&
           is_in_range(new_left) && is_in_range(new_right)) {
@@ -158,12 +165,14 @@ class Fitter {
   // Largest error over its bound: not quite 1, because handles are rounded when they are stored.
   static constexpr double kMaxError = 1 - 1e-9;
   static constexpr double kHopelessError = 1.6;
-  static constexpr double kMinGain = 0.97;
+  static constexpr double kMaxImprovingRatio = 0.97;
   static constexpr int kMaxReweights = 4;
 
   const double* row(std::size_t i) const { return values_ + i * width_; }
 
-  bool is_straight(const Segment& s) const { return straight_[s.b] > straight_[s.a]; }
+  bool is_straight(const Segment& s) const {
+    return straight_counts_[s.end] > straight_counts_[s.start];
+  }
 
   // Range of a component of a segment, relative to its first sample.
   struct ValueRange {
@@ -172,7 +181,7 @@ class Fitter {
   };
 
   ValueRange allowed_range(const Segment& s, std::size_t d) const {
-    const double from = row(s.a)[d], to = row(s.b)[d];
+    const double from = row(s.start)[d], to = row(s.end)[d];
     return {std::min({low_[d] - from, 0.0, to - from}),
             std::max({high_[d] - from, 0.0, to - from})};
   }
@@ -180,7 +189,7 @@ class Fitter {
   // Whether a component stays in its range: tests its control values, else its extrema.
   bool is_in_range(const Segment& s, std::size_t d) const {
     const ValueRange range = this->allowed_range(s, d);
-    const double f = s.first[d], g = s.second[d], w = row(s.b)[d] - row(s.a)[d];
+    const double f = s.first[d], g = s.second[d], w = row(s.end)[d] - row(s.start)[d];
     if (range.contains(f) && range.contains(g)) return true;
     // f (1 - u)^2 + 2 (g - f) u (1 - u) + (w - g) u^2 = 0
     const double a = w - 3 * g + 3 * f, b = 2 * g - 4 * f, c = f;
@@ -213,8 +222,8 @@ class Fitter {
 
   // Starts with a straight segment.
   void init_linear(std::size_t a, std::size_t b, Segment& s) {
-    s.a = a;
-    s.b = b;
+    s.start = a;
+    s.end = b;
     s.first.resize(width_);
     s.second.resize(width_);
     for (std::size_t d = 0; d < width_; ++d) {
@@ -227,16 +236,16 @@ class Fitter {
   // Accumulates the normal equations of a segment.
   void accumulate(const Segment& s, NormalEquations& sums,
                   const double* extra_weights = nullptr) const {
-    const double step = 1.0 / static_cast<double>(s.b - s.a);
-    const double *from = row(s.a), *to = row(s.b);
+    const double step = 1.0 / static_cast<double>(s.end - s.start);
+    const double *from = row(s.start), *to = row(s.end);
     double first = 0, mixed = 0, second = 0;
     std::fill(sums.right_first.begin(), sums.right_first.end(), 0.0);
     std::fill(sums.right_second.begin(), sums.right_second.end(), 0.0);
-    for (std::size_t i = s.a + 1; i < s.b; ++i) {
-      const double u = static_cast<double>(i - s.a) * step, v = 1 - u;
+    for (std::size_t i = s.start + 1; i < s.end; ++i) {
+      const double u = static_cast<double>(i - s.start) * step, v = 1 - u;
       const double b1 = 3 * u * v * v, b2 = 3 * u * u * v, b3 = u * u * u;
       double weight = 1 / (bounds_[i] * bounds_[i]);
-      if (extra_weights) weight *= extra_weights[i - s.a];
+      if (extra_weights) weight *= extra_weights[i - s.start];
       const double w1 = weight * b1, w2 = weight * b2;
       first += w1 * b1;
       mixed += w1 * b2;
@@ -253,11 +262,11 @@ class Fitter {
   }
 
   void solve(Segment& s, const NormalEquations& n) const {
-    if (s.b - s.a == 2) {
+    if (s.end - s.start == 2) {
       // One inner sample: the parabola through it; both control values move equally.
       for (std::size_t d = 0; d < width_; ++d) {
-        const double chord = row(s.b)[d] - row(s.a)[d];
-        const double difference = (row(s.a + 1)[d] - row(s.a)[d]) - chord / 2;
+        const double chord = row(s.end)[d] - row(s.start)[d];
+        const double difference = (row(s.start + 1)[d] - row(s.start)[d]) - chord / 2;
         s.first[d] = chord / 3 + difference * (4.0 / 3);
         s.second[d] = chord * (2.0 / 3) + difference * (4.0 / 3);
       }
@@ -272,9 +281,9 @@ class Fitter {
 
   // The squared error at a sample, over its bound.
   double squared_error(const Segment& s, std::size_t i, double step) const {
-    const double u = static_cast<double>(i - s.a) * step, v = 1 - u;
+    const double u = static_cast<double>(i - s.start) * step, v = 1 - u;
     const double b1 = 3 * u * v * v, b2 = 3 * u * u * v, b3 = u * u * u;
-    const double *from = row(s.a), *to = row(s.b), *sample = row(i);
+    const double *from = row(s.start), *to = row(s.end), *sample = row(i);
     double sum = 0;
     for (std::size_t d = 0; d < width_; ++d) {
       const double e =
@@ -286,9 +295,9 @@ class Fitter {
 
   // The largest error over its bound; a larger value once the error is hopeless.
   double compute_max_error(const Segment& s) const {
-    const double step = 1.0 / static_cast<double>(s.b - s.a);
+    const double step = 1.0 / static_cast<double>(s.end - s.start);
     double max_squared = 0;
-    for (std::size_t i = s.a + 1; i < s.b; ++i) {
+    for (std::size_t i = s.start + 1; i < s.end; ++i) {
       const double error = squared_error(s, i, step);
       if (!(error <= max_squared)) max_squared = error;
       if (!(max_squared <= kHopelessError * kHopelessError)) return 2 * kHopelessError;
@@ -298,14 +307,14 @@ class Fitter {
 
   // Multiplies weights by the errors.
   void reweight(const Segment& s) {
-    const double step = 1.0 / static_cast<double>(s.b - s.a);
+    const double step = 1.0 / static_cast<double>(s.end - s.start);
     double sum = 0;
-    for (std::size_t i = s.a + 1; i < s.b; ++i) {
-      double& weight = error_weights_[i - s.a];
+    for (std::size_t i = s.start + 1; i < s.end; ++i) {
+      double& weight = error_weights_[i - s.start];
       weight *= std::sqrt(squared_error(s, i, step)) + 1e-3;
       sum += weight;
     }
-    const double scale = static_cast<double>(s.b - s.a) / sum;
+    const double scale = static_cast<double>(s.end - s.start) / sum;
     for (double& weight : error_weights_) weight *= scale;
   }
 
@@ -319,16 +328,16 @@ class Fitter {
   const double* bounds_;
   const double* low_;
   const double* high_;
-  const std::vector<std::size_t>& straight_;
+  const std::vector<std::size_t>& straight_counts_;
   std::size_t width_;
   std::vector<double> error_weights_;
-  NormalEquations normal_;
+  NormalEquations normal_equations_;
 };
 
 }  // namespace
 
 CubicFit fit_cubics(In<double, 2> values, In<double, 1> bounds, In<std::int64_t, 1> anchors,
-                    In<double, 1> low, In<double, 1> high, In<std::int64_t, 1> straight) {
+                    In<double, 1> low, In<double, 1> high, In<std::int64_t, 1> straight_frames) {
   const std::size_t frames = values.shape(0), width = values.shape(1);
   check::shape("values", values, {check::ANY, check::ANY});
   check::shape("bounds", bounds, {frames});
@@ -346,45 +355,46 @@ CubicFit fit_cubics(In<double, 2> values, In<double, 1> bounds, In<std::int64_t,
   for (std::size_t k = 1; k < anchors.shape(0); ++k)
     if (anchor[k] <= anchor[k - 1])
       check::refuse("anchors", "it does not ascend at index " + check::text(k));
-  check::indices("straight", straight, 0, static_cast<std::int64_t>(frames));
-  std::vector<std::size_t> counts(frames + 1, 0);
-  for (std::size_t k = 0; k < straight.shape(0); ++k) counts[straight.data()[k] + 1] = 1;
-  std::partial_sum(counts.begin(), counts.end(), counts.begin());
+  check::indices("straight", straight_frames, 0, static_cast<std::int64_t>(frames));
+  std::vector<std::size_t> straight_counts(frames + 1, 0);
+  for (std::size_t k = 0; k < straight_frames.shape(0); ++k)
+    straight_counts[straight_frames.data()[k] + 1] = 1;
+  std::partial_sum(straight_counts.begin(), straight_counts.end(), straight_counts.begin());
   std::vector<Segment> segments;
-  std::vector<char> smooth;
+  std::vector<char> is_smooth;
   bool is_constant;
-  Fitter fitter(values.data(), bounds.data(), low.data(), high.data(), counts, width);
+  Fitter fitter(values.data(), bounds.data(), low.data(), high.data(), straight_counts, width);
   is_constant = fitter.is_constant(frames);
   if (!is_constant) {
     std::size_t a = 0;
     for (std::size_t k = 0; k <= anchors.shape(0); ++k) {
       const std::size_t end =
           k < anchors.shape(0) ? static_cast<std::size_t>(anchor[k]) : frames - 1;
-      Segment chord;
-      if (fitter.fit(a, end, chord)) {
-        segments.push_back(std::move(chord));
+      Segment single_segment;
+      if (fitter.fit(a, end, single_segment)) {
+        segments.push_back(std::move(single_segment));
         a = end;
       }
       while (a < end) {
         segments.emplace_back();
         fitter.fit_longest(a, end, segments.back());
-        a = segments.back().b;
+        a = segments.back().end;
       }
     }
-    smooth.assign(segments.size() + 1, 0);
+    is_smooth.assign(segments.size() + 1, 0);
     for (std::size_t k = 1; k < segments.size(); ++k)
-      smooth[k] = fitter.smooth_key(segments[k - 1], smooth[k - 1], segments[k]);
+      is_smooth[k] = fitter.smooth_key(segments[k - 1], is_smooth[k - 1], segments[k]);
   }
-  const std::size_t keys = is_constant ? 1 : segments.size() + 1;
-  Out<std::int64_t, 1> key_frames(keys);
-  Out<double, 2> ins(keys, width), outs(keys, width);
-  std::fill_n(ins.get(), keys * width, 0.0);
-  std::fill_n(outs.get(), keys * width, 0.0);
+  const std::size_t key_count = is_constant ? 1 : segments.size() + 1;
+  Out<std::int64_t, 1> key_frames(key_count);
+  Out<double, 2> ins(key_count, width), outs(key_count, width);
+  std::fill_n(ins.get(), key_count * width, 0.0);
+  std::fill_n(outs.get(), key_count * width, 0.0);
   key_frames.get()[0] = 0;
-  for (std::size_t k = 0; k + 1 < keys; ++k) {
+  for (std::size_t k = 0; k + 1 < key_count; ++k) {
     const Segment& s = segments[k];
-    key_frames.get()[k + 1] = static_cast<std::int64_t>(s.b);
-    const double *from = values.data() + s.a * width, *to = values.data() + s.b * width;
+    key_frames.get()[k + 1] = static_cast<std::int64_t>(s.end);
+    const double *from = values.data() + s.start * width, *to = values.data() + s.end * width;
     for (std::size_t d = 0; d < width; ++d) {
       outs.get()[k * width + d] = s.first[d];
       ins.get()[(k + 1) * width + d] = s.second[d] - (to[d] - from[d]);

@@ -31,16 +31,18 @@ double slerp_weight(double a, double t) {
 }
 
 // A hierarchy of joints, and their rest transforms.
-struct Chain {
+struct JointHierarchy {
   std::size_t count, moving_count;
-  const std::int64_t *parents, *numbers;  // index of each joint in a pose, -1 for a joint at rest
+  const std::int64_t* parents;
+  const std::int64_t* pose_indices;  // index of each joint in a pose, -1 for a joint at rest
   const Vec* offsets;
-  const Quaternion *before, *rest;
+  const Quaternion *pre_rotations, *rest_rotations;
 
   // Computes the positions and world rotations of all joints in a pose.
   void compute_positions(const Quaternion* pose, Quaternion* world, Vec* positions) const {
     for (std::size_t j = 0; j < count; ++j) {
-      const Quaternion rotation = before[j] * (numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
+      const Quaternion rotation =
+          pre_rotations[j] * (pose_indices[j] < 0 ? rest_rotations[j] : pose[pose_indices[j]]);
       if (parents[j] < 0) {
         world[j] = rotation, positions[j] = offsets[j];
         continue;
@@ -91,78 +93,85 @@ class PoseInterpolation {
 }  // namespace
 
 std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
-    In<double, 3> rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
-    In<double, 2> offsets, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
-    In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near, double standing,
-    double hips) {
-  const std::size_t frames = rotations.shape(0), moving = rotations.shape(1),
+    In<double, 3> rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> pose_indices,
+    In<double, 2> offsets, In<double, 2> pre_rotations, In<double, 2> rest_rotations,
+    In<std::int64_t, 1> feet, In<bool, 2> foot_stands, In<std::int64_t, 1> span_starts,
+    std::int64_t span_width, double max_joint_error, double max_foot_error, double max_root_shift) {
+  const std::size_t frames = rotations.shape(0), moving_count = rotations.shape(1),
                     count = parents.shape(0);
-  check::at_most("turns", frames * moving, check::MAX_ROWS);
+  check::at_most("turns", frames * moving_count, check::MAX_ROWS);
   check::numbers("turns", rotations, {check::ANY, check::ANY, 4});
-  check::shape("numbers", numbers, {count});
+  check::shape("numbers", pose_indices, {count});
   check::numbers("places", offsets, {count, 3});
-  check::numbers("before", before, {count, 4});
-  check::numbers("rest", rest, {count, 4});
+  check::numbers("before", pre_rotations, {count, 4});
+  check::numbers("rest", rest_rotations, {count, 4});
   check::shape("feet", feet, {2});
-  check::shape("stands", stands, {frames, 2});
-  check::indices("numbers", numbers, -1, static_cast<std::int64_t>(moving));
+  check::shape("stands", foot_stands, {frames, 2});
+  check::indices("numbers", pose_indices, -1, static_cast<std::int64_t>(moving_count));
   check::indices("feet", feet, 0, static_cast<std::int64_t>(count));
   for (std::size_t j = 0; j < count; ++j)
     check::between("parents", parents.data()[j], -1, static_cast<std::int64_t>(j) - 1);
-  check::between("wide", wide, 2, static_cast<std::int64_t>(std::max<std::size_t>(frames, 3)) - 1);
-  check::indices("begins", begins, 0, static_cast<std::int64_t>(frames) - wide);
-  const std::size_t spans = begins.shape(0), inside = static_cast<std::size_t>(wide) - 1;
-  Out<bool, 1> fits(spans);
-  Out<double, 3> root_shifts(spans, inside, 3);
-  const Chain chain{count,
-                    moving,
-                    parents.data(),
-                    numbers.data(),
-                    reinterpret_cast<const Vec*>(offsets.data()),
-                    reinterpret_cast<const Quaternion*>(before.data()),
-                    reinterpret_cast<const Quaternion*>(rest.data())};
+  check::between("wide", span_width, 2,
+                 static_cast<std::int64_t>(std::max<std::size_t>(frames, 3)) - 1);
+  check::indices("begins", span_starts, 0, static_cast<std::int64_t>(frames) - span_width);
+  const std::size_t span_count = span_starts.shape(0),
+                    inner_count = static_cast<std::size_t>(span_width) - 1;
+  Out<bool, 1> span_fits(span_count);
+  Out<double, 3> root_shifts(span_count, inner_count, 3);
+  const JointHierarchy hierarchy{count,
+                                 moving_count,
+                                 parents.data(),
+                                 pose_indices.data(),
+                                 reinterpret_cast<const Vec*>(offsets.data()),
+                                 reinterpret_cast<const Quaternion*>(pre_rotations.data()),
+                                 reinterpret_cast<const Quaternion*>(rest_rotations.data())};
   const Quaternion* poses = reinterpret_cast<const Quaternion*>(rotations.data());
-  std::vector<Quaternion> world(count), pose(moving);
+  std::vector<Quaternion> world(count), pose(moving_count);
   std::vector<Vec> exact_positions(frames * count), positions(count);
   for (std::size_t f = 0; f < frames; ++f)
-    chain.compute_positions(poses + f * moving, world.data(), exact_positions.data() + f * count);
-  const std::size_t foot[2] = {static_cast<std::size_t>(feet.data()[0]),
-                               static_cast<std::size_t>(feet.data()[1])};
+    hierarchy.compute_positions(poses + f * moving_count, world.data(),
+                                exact_positions.data() + f * count);
+  const std::size_t foot_joints[2] = {static_cast<std::size_t>(feet.data()[0]),
+                                      static_cast<std::size_t>(feet.data()[1])};
   PoseInterpolation interpolation;
-  for (std::size_t s = 0; s < spans; ++s) {
-    const std::size_t first = static_cast<std::size_t>(begins.data()[s]);
-    interpolation.compute(poses + first * moving, poses + (first + inside + 1) * moving, moving);
+  for (std::size_t s = 0; s < span_count; ++s) {
+    const std::size_t first = static_cast<std::size_t>(span_starts.data()[s]);
+    interpolation.compute(poses + first * moving_count,
+                          poses + (first + inner_count + 1) * moving_count, moving_count);
     bool fits_span = true;
     // The middle differs most: most spans that do not fit are found there.
-    for (std::size_t k = 0; fits_span && k < inside; ++k) {
-      const std::size_t middle = inside / 2;
-      const std::size_t index = k == 0 ? middle : k <= middle ? k - 1 : k;
+    for (std::size_t k = 0; fits_span && k < inner_count; ++k) {
+      const std::size_t middle_index = inner_count / 2;
+      const std::size_t index = k == 0 ? middle_index : k <= middle_index ? k - 1 : k;
       const std::size_t frame = first + 1 + index;
-      const double fraction = static_cast<double>(index + 1) / static_cast<double>(inside + 1);
+      const double fraction = static_cast<double>(index + 1) / static_cast<double>(inner_count + 1);
       interpolation.evaluate(fraction, pose.data());
-      chain.compute_positions(pose.data(), world.data(), positions.data());
-      const Vec* expected = exact_positions.data() + frame * count;
-      const bool* is_standing = stands.data() + 2 * frame;
+      hierarchy.compute_positions(pose.data(), world.data(), positions.data());
+      const Vec* expected_positions = exact_positions.data() + frame * count;
+      const bool* is_standing = foot_stands.data() + 2 * frame;
       Vec root_shift{0, 0, 0};
       for (std::size_t side = 0; side < 2; ++side)
         if (is_standing[side])
-          root_shift = root_shift + (expected[foot[side]] - positions[foot[side]]);
+          root_shift =
+              root_shift + (expected_positions[foot_joints[side]] - positions[foot_joints[side]]);
       if (is_standing[0] && is_standing[1])
         root_shift = {root_shift.x / 2, root_shift.y / 2, root_shift.z / 2};
-      double* shift_row = root_shifts.get() + 3 * (s * inside + index);
+      double* shift_row = root_shifts.get() + 3 * (s * inner_count + index);
       shift_row[0] = root_shift.x, shift_row[1] = root_shift.y, shift_row[2] = root_shift.z;
-      fits_span = squared_length(root_shift) <= hips * hips;
+      fits_span = squared_length(root_shift) <= max_root_shift * max_root_shift;
       for (std::size_t side = 0; fits_span && side < 2; ++side)
-        fits_span = !is_standing[side] ||
-                    squared_length(expected[foot[side]] - positions[foot[side]] - root_shift) <=
-                        standing * standing;
+        fits_span =
+            !is_standing[side] ||
+            squared_length(expected_positions[foot_joints[side]] - positions[foot_joints[side]] -
+                           root_shift) <= max_foot_error * max_foot_error;
       for (std::size_t j = 0; fits_span && j < count; ++j)
-        fits_span = squared_length(expected[j] - positions[j] - root_shift) <= near * near;
+        fits_span = squared_length(expected_positions[j] - positions[j] - root_shift) <=
+                    max_joint_error * max_joint_error;
     }
-    fits.get()[s] = fits_span;
-    if (!fits_span) std::fill_n(root_shifts.get() + 3 * s * inside, 3 * inside, 0.0);
+    span_fits.get()[s] = fits_span;
+    if (!fits_span) std::fill_n(root_shifts.get() + 3 * s * inner_count, 3 * inner_count, 0.0);
   }
-  return {std::move(fits), std::move(root_shifts)};
+  return {std::move(span_fits), std::move(root_shifts)};
 }
 
 }  // namespace animtool

@@ -13,12 +13,12 @@ using collide::Vec;
 namespace {
 
 // Cell size, in spacings: particles at rest are uniform on it, within a thousandth.
-constexpr double CELL_SIZE = 1.25;
+constexpr double CELL_SIZE_RATIO = 1.25;
 // Colour gradients that count as zero, over a spacing: they have no area, and would otherwise blow
 // up thin fluid.
-constexpr double MIN_GRADIENT = 1e-3;
+constexpr double MIN_COLOUR_GRADIENT = 1e-3;
 // Coordinates beyond this are in no cell [cells].
-constexpr double MAX_COORDINATE = 1e9;
+constexpr double MAX_CELL_COORDINATE = 1e9;
 // Cells that a particle may cross before blocks are rebuilt.
 constexpr std::int64_t MARGIN_CELLS = 1;
 // Regularisation of the moments of inertia, over their sum.
@@ -40,14 +40,14 @@ std::size_t hash_key(std::int64_t x, std::int64_t y, std::int64_t z) {
 }  // namespace
 
 FreeSurface::FreeSurface(double spacing)
-    : cell_(CELL_SIZE * spacing),
-      inverse_volume_(1 / (CELL_SIZE * CELL_SIZE * CELL_SIZE)),
-      min_gradient_(MIN_GRADIENT / spacing) {}
+    : cell_size_(CELL_SIZE_RATIO * spacing),
+      inverse_volume_(1 / (CELL_SIZE_RATIO * CELL_SIZE_RATIO * CELL_SIZE_RATIO)),
+      min_gradient_(MIN_COLOUR_GRADIENT / spacing) {}
 
 std::int32_t FreeSurface::block_at(std::int64_t x, std::int64_t y, std::int64_t z) const {
-  const std::size_t mask = table_.size() - 1;
+  const std::size_t mask = block_table_.size() - 1;
   for (std::size_t k = hash_key(x, y, z) & mask;; k = (k + 1) & mask) {
-    const std::int32_t block = table_[k];
+    const std::int32_t block = block_table_[k];
     if (block <= 0) return 0;
     const auto& key = blocks_[static_cast<std::size_t>(block)];
     if (key[0] == x && key[1] == y && key[2] == z) return block;
@@ -57,46 +57,47 @@ std::int32_t FreeSurface::block_at(std::int64_t x, std::int64_t y, std::int64_t 
 void FreeSurface::add_block(std::int64_t x, std::int64_t y, std::int64_t z) {
   if (block_at(x, y, z)) return;
   blocks_.push_back({x, y, z});
-  if (4 * blocks_.size() > table_.size()) return grow_table();
-  const std::size_t mask = table_.size() - 1;
+  if (4 * blocks_.size() > block_table_.size()) return grow_table();
+  const std::size_t mask = block_table_.size() - 1;
   std::size_t k = hash_key(x, y, z) & mask;
-  while (table_[k]) k = (k + 1) & mask;
-  table_[k] = static_cast<std::int32_t>(blocks_.size() - 1);
+  while (block_table_[k]) k = (k + 1) & mask;
+  block_table_[k] = static_cast<std::int32_t>(blocks_.size() - 1);
 }
 
 void FreeSurface::grow_table() {
-  table_.assign(std::max<std::size_t>(8 * table_.size(), 1024), 0);
-  const std::size_t mask = table_.size() - 1;
+  block_table_.assign(std::max<std::size_t>(8 * block_table_.size(), 1024), 0);
+  const std::size_t mask = block_table_.size() - 1;
   for (std::size_t b = 1; b < blocks_.size(); ++b) {
     std::size_t k = hash_key(blocks_[b][0], blocks_[b][1], blocks_[b][2]) & mask;
-    while (table_[k]) k = (k + 1) & mask;
-    table_[k] = static_cast<std::int32_t>(b);
+    while (block_table_[k]) k = (k + 1) & mask;
+    block_table_[k] = static_cast<std::int32_t>(b);
   }
 }
 
 void FreeSurface::list_blocks(const double* rows, std::size_t count) {
   blocks_.assign(1, {0, 0, 0});
-  std::fill(table_.begin(), table_.end(), 0);
-  if (table_.empty()) grow_table();
+  std::fill(block_table_.begin(), block_table_.end(), 0);
+  if (block_table_.empty()) grow_table();
   std::int64_t previous[6] = {1, 0, 1, 0, 1, 0};
   for (std::size_t i = 0; i < count; ++i) {
-    std::int64_t ends[6];
-    bool is_same = true, is_finite = true;
+    std::int64_t block_range[6];
+    bool is_same_block_range = true, is_finite = true;
     for (int k = 0; k < 3; ++k) {
-      const double coordinate = rows[4 * i + static_cast<std::size_t>(k)] / cell_;
-      is_finite = is_finite && std::fabs(coordinate) < MAX_COORDINATE;
+      const double coordinate = rows[4 * i + static_cast<std::size_t>(k)] / cell_size_;
+      is_finite = is_finite && std::fabs(coordinate) < MAX_CELL_COORDINATE;
       if (!is_finite) break;
       // Its nodes, and those of the adjacent cells.
       const std::int64_t first = static_cast<std::int64_t>(std::floor(coordinate)) - 1;
-      ends[2 * k] = floor_divide(first - 1 - MARGIN_CELLS, SIDE);
-      ends[2 * k + 1] = floor_divide(first + 4 + MARGIN_CELLS, SIDE);
-      is_same = is_same && ends[2 * k] == previous[2 * k] && ends[2 * k + 1] == previous[2 * k + 1];
+      block_range[2 * k] = floor_divide(first - 1 - MARGIN_CELLS, BLOCK_SIDE);
+      block_range[2 * k + 1] = floor_divide(first + 4 + MARGIN_CELLS, BLOCK_SIDE);
+      is_same_block_range = is_same_block_range && block_range[2 * k] == previous[2 * k] &&
+                            block_range[2 * k + 1] == previous[2 * k + 1];
     }
-    if (!is_finite || is_same) continue;
-    std::copy_n(ends, 6, previous);
-    for (std::int64_t x = ends[0]; x <= ends[1]; ++x)
-      for (std::int64_t y = ends[2]; y <= ends[3]; ++y)
-        for (std::int64_t z = ends[4]; z <= ends[5]; ++z) add_block(x, y, z);
+    if (!is_finite || is_same_block_range) continue;
+    std::copy_n(block_range, 6, previous);
+    for (std::int64_t x = block_range[0]; x <= block_range[1]; ++x)
+      for (std::int64_t y = block_range[2]; y <= block_range[3]; ++y)
+        for (std::int64_t z = block_range[4]; z <= block_range[5]; ++z) add_block(x, y, z);
   }
   const std::size_t size = blocks_.size();
   neighbour_blocks_.assign(8 * size, 0);
@@ -105,18 +106,19 @@ void FreeSurface::list_blocks(const double* rows, std::size_t count) {
       neighbour_blocks_[8 * b + static_cast<std::size_t>(k)] =
           block_at(blocks_[b][0] + (k >> 2), blocks_[b][1] + (k >> 1 & 1), blocks_[b][2] + (k & 1));
   find_drops();
-  colour_.resize(NODES * size), colour_rates_.resize(NODES * size), gradient_.resize(NODES * size);
+  colour_.resize(BLOCK_NODES * size), colour_rates_.resize(BLOCK_NODES * size),
+      gradient_.resize(BLOCK_NODES * size);
 }
 
 bool FreeSurface::locate(const double* row, GridCell& cell) const {
   std::int64_t block_key[3];
   for (int k = 0; k < 3; ++k) {
-    const double coordinate = row[k] / cell_;
-    if (!(std::fabs(coordinate) < MAX_COORDINATE)) return false;
+    const double coordinate = row[k] / cell_size_;
+    if (!(std::fabs(coordinate) < MAX_CELL_COORDINATE)) return false;
     const double floor = std::floor(coordinate), u = coordinate - floor, v = 1 - u;
     const std::int64_t first = static_cast<std::int64_t>(floor) - 1;
-    block_key[k] = floor_divide(first, SIDE);
-    cell.node[k] = static_cast<int>(first - SIDE * block_key[k]);
+    block_key[k] = floor_divide(first, BLOCK_SIDE);
+    cell.node[k] = static_cast<int>(first - BLOCK_SIDE * block_key[k]);
     double *w = cell.weights[k], *slopes = cell.slopes[k];
     w[0] = v * v * v / 6, w[1] = (4 - 6 * u * u + 3 * u * u * u) / 6;
     w[2] = (4 - 6 * v * v + 3 * v * v * v) / 6, w[3] = u * u * u / 6;
@@ -164,45 +166,45 @@ double FreeSurface::compute_area(const double* rows, std::size_t count) {
   }
   // The colour of sparse fluid rises at twice the rate, that of dense fluid not at all.
   for (std::size_t n = 0; n < colour_.size(); ++n) {
-    const double emptiness = std::max(1 - colour_[n], 0.0);
-    colour_rates_[n] = 2 * emptiness;
-    colour_[n] = 1 - emptiness * emptiness;
+    const double empty_fraction = std::max(1 - colour_[n], 0.0);
+    colour_rates_[n] = 2 * empty_fraction;
+    colour_[n] = 1 - empty_fraction * empty_fraction;
   }
   double sum = 0;
   for (std::size_t b = 1; b < blocks_.size(); ++b) sum += add_block_area(b);
   for (std::size_t n = 0; n < gradient_.size(); ++n) gradient_[n] *= colour_rates_[n];
-  return sum * cell_ * cell_ * cell_;
+  return sum * cell_size_ * cell_size_ * cell_size_;
 }
 
 // Returns the area in a block over a cell's volume; adds its gradient by the colours of the nodes.
 double FreeSurface::add_block_area(std::size_t block) {
-  constexpr int X = WIDE_SIDE * WIDE_SIDE, Y = WIDE_SIDE;
-  double colours[X * WIDE_SIDE], block_gradient[X * WIDE_SIDE] = {};
-  std::size_t node_indices[X * WIDE_SIDE];
+  constexpr int X_STRIDE = PADDED_SIDE * PADDED_SIDE, Y_STRIDE = PADDED_SIDE;
+  double colours[X_STRIDE * PADDED_SIDE], block_gradient[X_STRIDE * PADDED_SIDE] = {};
+  std::size_t node_indices[X_STRIDE * PADDED_SIDE];
   double largest = 0, smallest = 2;
   int n = 0;
-  for (int x = 0; x < WIDE_SIDE; ++x)
-    for (int y = 0; y < WIDE_SIDE; ++y)
-      for (int z = 0; z < WIDE_SIDE; ++z, ++n) {
+  for (int x = 0; x < PADDED_SIDE; ++x)
+    for (int y = 0; y < PADDED_SIDE; ++y)
+      for (int z = 0; z < PADDED_SIDE; ++z, ++n) {
         const std::size_t neighbour =
             static_cast<std::size_t>((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2));
         const std::size_t node = static_cast<std::size_t>(((x & 3) * 4 + (y & 3)) * 4 + (z & 3));
         node_indices[n] =
-            NODES * static_cast<std::size_t>(neighbour_blocks_[8 * block + neighbour]) + node;
+            BLOCK_NODES * static_cast<std::size_t>(neighbour_blocks_[8 * block + neighbour]) + node;
         colours[n] = colour_[node_indices[n]];
         largest = std::max(largest, colours[n]), smallest = std::min(smallest, colours[n]);
       }
   if (largest == smallest) return 0;
-  const double quarter = 0.25 / cell_;
+  const double quarter = 0.25 / cell_size_;
   double sum = 0;
-  for (int x = 0; x < SIDE; ++x)
-    for (int y = 0; y < SIDE; ++y)
-      for (int z = 0; z < SIDE; ++z) {
-        const int offset = x * X + y * Y + z;
+  for (int x = 0; x < BLOCK_SIDE; ++x)
+    for (int y = 0; y < BLOCK_SIDE; ++y)
+      for (int z = 0; z < BLOCK_SIDE; ++z) {
+        const int offset = x * X_STRIDE + y * Y_STRIDE + z;
         const double* c = colours + offset;
         // Along the four diagonals of the cell.
-        const double p = c[X + Y + 1] - c[0], q = c[X + Y] - c[1], r = c[X + 1] - c[Y],
-                     s = c[X] - c[Y + 1];
+        const double p = c[X_STRIDE + Y_STRIDE + 1] - c[0], q = c[X_STRIDE + Y_STRIDE] - c[1],
+                     r = c[X_STRIDE + 1] - c[Y_STRIDE], s = c[X_STRIDE] - c[Y_STRIDE + 1];
         const double gx = quarter * (p + q + r + s), gy = quarter * (p + q - r - s),
                      gz = quarter * (p - q + r - s);
         const double squared_gradient = gx * gx + gy * gy + gz * gz;
@@ -213,10 +215,10 @@ double FreeSurface::add_block_area(std::size_t block) {
         const double ux = gx * scale, uy = gy * scale, uz = gz * scale;
         const double dp = ux + uy + uz, dq = ux + uy - uz, dr = ux - uy + uz, ds = ux - uy - uz;
         double* d = block_gradient + offset;
-        d[X + Y + 1] += dp, d[0] -= dp, d[X + Y] += dq, d[1] -= dq;
-        d[X + 1] += dr, d[Y] -= dr, d[X] += ds, d[Y + 1] -= ds;
+        d[X_STRIDE + Y_STRIDE + 1] += dp, d[0] -= dp, d[X_STRIDE + Y_STRIDE] += dq, d[1] -= dq;
+        d[X_STRIDE + 1] += dr, d[Y_STRIDE] -= dr, d[X_STRIDE] += ds, d[Y_STRIDE + 1] -= ds;
       }
-  for (int k = 0; k < X * WIDE_SIDE; ++k) gradient_[node_indices[k]] += block_gradient[k];
+  for (int k = 0; k < X_STRIDE * PADDED_SIDE; ++k) gradient_[node_indices[k]] += block_gradient[k];
   return sum;
 }
 
@@ -242,7 +244,7 @@ void FreeSurface::add_tension(const double* rows, std::size_t count, double scal
                               double* displacements) {
   GridCell cell;
   // The volume of a cell, over its size and the contribution of a particle.
-  const double particle_scale = scale * cell_ * cell_ * inverse_volume_;
+  const double particle_scale = scale * cell_size_ * cell_size_ * inverse_volume_;
   tensions_.assign(count, {}), drop_of_particle_.assign(count, 0);
   for (std::size_t i = 0; i < count; ++i) {
     if (!locate(rows + 4 * i, cell)) continue;
@@ -265,12 +267,12 @@ void FreeSurface::find_drops() {
       if (const std::int32_t neighbour = neighbour_blocks_[8 * b + k])
         groups.merge(b, static_cast<std::size_t>(neighbour));
   drop_of_block_.assign(size, 0);
-  std::int32_t drops = 0;
+  std::int32_t drop_count = 0;
   for (std::size_t b = 1; b < size; ++b) {
     const std::size_t root = groups.find_root(b);
-    drop_of_block_[b] = root == b ? ++drops : drop_of_block_[root];
+    drop_of_block_[b] = root == b ? ++drop_count : drop_of_block_[root];
   }
-  drops_.resize(static_cast<std::size_t>(drops) + 1);
+  drops_.resize(static_cast<std::size_t>(drop_count) + 1);
 }
 
 // Removes the net force and torque of the grid from each drop.
@@ -294,7 +296,7 @@ void FreeSurface::remove_net_forces(const double* rows) {
     Drop& drop = drop_of(i);
     if (!drop_of_particle_[i]) continue;
     const Vec offset = collide::load(rows + 4 * i) - drop.centre;
-    drop.angular = drop.angular + cross(offset, tensions_[i]);
+    drop.angular_correction = drop.angular_correction + cross(offset, tensions_[i]);
     double* m = drop.inertia;
     m[0] += offset.y * offset.y + offset.z * offset.z,
         m[1] += offset.x * offset.x + offset.z * offset.z;
@@ -310,16 +312,16 @@ void FreeSurface::remove_net_forces(const double* rows) {
     const double aa = b * c - f * f, bb = a * c - e * e, cc = a * b - d * d;
     const double ab = e * f - d * c, ac = d * f - e * b, bc = d * e - a * f;
     const double determinant = a * aa + d * ab + e * ac;
-    const Vec scaled_moment = drop.angular * (determinant > 0 ? 1 / determinant : 0.0);
-    drop.angular = {aa * scaled_moment.x + ab * scaled_moment.y + ac * scaled_moment.z,
-                    ab * scaled_moment.x + bb * scaled_moment.y + bc * scaled_moment.z,
-                    ac * scaled_moment.x + bc * scaled_moment.y + cc * scaled_moment.z};
+    const Vec scaled_moment = drop.angular_correction * (determinant > 0 ? 1 / determinant : 0.0);
+    drop.angular_correction = {aa * scaled_moment.x + ab * scaled_moment.y + ac * scaled_moment.z,
+                               ab * scaled_moment.x + bb * scaled_moment.y + bc * scaled_moment.z,
+                               ac * scaled_moment.x + bc * scaled_moment.y + cc * scaled_moment.z};
   }
   for (std::size_t i = 0; i < tensions_.size(); ++i) {
     const Drop& drop = drop_of(i);
     if (!drop_of_particle_[i]) continue;
     const Vec offset = collide::load(rows + 4 * i) - drop.centre;
-    tensions_[i] = tensions_[i] - drop.mean_force - cross(drop.angular, offset);
+    tensions_[i] = tensions_[i] - drop.mean_force - cross(drop.angular_correction, offset);
   }
 }
 

@@ -21,7 +21,7 @@ class FreeSurface {
   explicit FreeSurface(double spacing);
 
   // Lists the blocks of the grid that contain particles (rows of four numbers). The list is valid
-  // until a particle moves by more than `SKIN` times the interaction radius.
+  // until a particle moves by more than `LIST_MARGIN_RATIO` times the interaction radius.
   void list_blocks(const double* rows, std::size_t count);
 
   // Computes the area of the surface of the particles [m²], and its gradient.
@@ -35,7 +35,8 @@ class FreeSurface {
  private:
   // Number of nodes along the side of a block, in a block, and along the side including the next
   // block.
-  static constexpr int SIDE = 4, NODES = SIDE * SIDE * SIDE, WIDE_SIDE = SIDE + 1;
+  static constexpr int BLOCK_SIDE = 4, BLOCK_NODES = BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE,
+                       PADDED_SIDE = BLOCK_SIDE + 1;
 
   // Position of a particle in the grid: eight blocks, the first node in the first of them, and
   // spline weights with their derivatives.
@@ -48,7 +49,7 @@ class FreeSurface {
   // A drop: fluid without other fluid nearby.
   struct Drop {
     double count = 0;
-    collide::Vec centre, mean_force, angular;
+    collide::Vec centre, mean_force, angular_correction;
     double inertia[6] = {};  // moments of inertia: xx, yy, zz, xy, xz, yz
   };
 
@@ -63,11 +64,11 @@ class FreeSurface {
   void grow_table();
   double add_block_area(std::size_t block);
 
-  const double cell_, inverse_volume_, min_gradient_;
+  const double cell_size_, inverse_volume_, min_gradient_;
   // Keys of the blocks, and a hash table of blocks by key. Block 0 is outside of the fluid and
   // stays empty.
   std::vector<std::array<std::int64_t, 3>> blocks_;
-  std::vector<std::int32_t> table_;
+  std::vector<std::int32_t> block_table_;
   std::vector<std::int32_t>
       neighbour_blocks_;  // the eight neighbours of each block in positive directions, with itself
   std::vector<std::int32_t> drop_of_block_, drop_of_particle_;

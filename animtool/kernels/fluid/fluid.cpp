@@ -25,7 +25,7 @@ using collide::store;
 namespace {
 
 // Four numbers of a particle: a vector and a scalar.
-struct alignas(32) Row {
+struct alignas(32) ParticleRow {
   double x = 0, y = 0, z = 0, w = 0;
 
   Vec vector() const { return {x, y, z}; }
@@ -33,13 +33,14 @@ struct alignas(32) Row {
 
 // A body that the fluid pushes, with its displacement from free motion.
 struct Body {
-  double inverse_mass = 0;                  // 1 over its mass
-  double inverse_inertia[6];                // its inverse inertia: xx, yy, zz, xy, xz, yz
-  Vec begin, end;                           // centre of mass at the start and the end of the step
-  Vec shift, rotation;                      // displacement from free motion so far
-  Vec velocity, angular_velocity;           // changes of these by the fluid
-  double impulse[6] = {}, delayed[6] = {};  // impulses and angular impulses about the origin; the
-                                            // same times the remaining time
+  double inverse_mass = 0;         // 1 over its mass
+  double inverse_inertia[6];       // its inverse inertia: xx, yy, zz, xy, xz, yz
+  Vec begin, end;                  // centre of mass at the start and the end of the step
+  Vec shift, rotation;             // displacement from free motion so far
+  Vec velocity, angular_velocity;  // changes of these by the fluid
+  double impulse[6] = {},
+         impulse_times_remaining_time[6] = {};  // impulses and angular impulses about the origin;
+                                                // the same times the remaining time
 
   Vec angular_change(Vec angular_impulse) const {
     return {inverse_inertia[0] * angular_impulse.x + inverse_inertia[3] * angular_impulse.y +
@@ -84,17 +85,17 @@ struct FluidConstants {
 // Advances a fluid by substeps.
 class FluidStepper {
  public:
-  FluidStepper(const FluidConstants& rule, std::vector<Collider> colliders,
+  FluidStepper(const FluidConstants& constants, std::vector<Collider> colliders,
                std::vector<std::int32_t> owners, std::vector<Body> bodies, double step,
-               double sound)
-      : constants_(rule),
-        sound_(sound),
+               double sound_speed)
+      : constants_(constants),
+        sound_speed_(sound_speed),
         colliders_(std::move(colliders)),
-        owners_(std::move(owners)),
+        body_of_collider_(std::move(owners)),
         bodies_(std::move(bodies)),
         step_(step),
-        radius_(rule.radius()),
-        lattice_(Walls::lattice()) {}
+        radius_(constants.radius()),
+        lattice_weight_sum_(Walls::lattice_weight_sum()) {}
 
   // Sets the state of the particles.
   void reset(const double* state, const double* accelerations, std::size_t count) {
@@ -120,14 +121,14 @@ class FluidStepper {
   void run(std::size_t substeps) {
     const double h = step_ / static_cast<double>(substeps);
     // Short substeps are as stiff as long ones, up to the stability limit.
-    const double fraction = std::min(sound_ * h / constants_.spacing, 1.0);
+    const double fraction = std::min(sound_speed_ * h / constants_.spacing, 1.0);
     relaxation_ = RELAXATION * fraction * fraction;
     for (std::size_t k = 0; k < substeps; ++k) {
       const double end_fraction = static_cast<double>(k + 1) / static_cast<double>(substeps);
       predict(h);
       old_poses_ = poses_;
       pose_colliders(end_fraction, poses_);
-      if (!has_list_ || is_list_stale()) build_lists();
+      if (!has_lists_ || is_list_stale()) build_lists();
       measure_density();
       apply_tension(h, k, substeps);
       apply_pressure(h);
@@ -170,9 +171,9 @@ class FluidStepper {
   // Advances particles by their accelerations and velocities.
   void predict(double h) {
     for (std::size_t i = 0; i < count_; ++i) {
-      Row& x = points_[i];
-      Row& v = velocities_[i];
-      const Row& a = accelerations_[i];
+      ParticleRow& x = points_[i];
+      ParticleRow& v = velocities_[i];
+      const ParticleRow& a = accelerations_[i];
       points_before_[i] = x;
       v.x += h * a.x, v.y += h * a.y, v.z += h * a.z;
       x.x += h * v.x, x.y += h * v.y, x.z += h * v.z;
@@ -182,8 +183,8 @@ class FluidStepper {
   void pose_colliders(double fraction, std::vector<Pose>& poses) const {
     for (std::size_t c = 0; c < colliders_.size(); ++c) {
       poses[c] = colliders_[c].motion.pose_at(fraction);
-      if (owners_[c] < 0) continue;
-      const Body& body = bodies_[static_cast<std::size_t>(owners_[c])];
+      if (body_of_collider_[c] < 0) continue;
+      const Body& body = bodies_[static_cast<std::size_t>(body_of_collider_[c])];
       poses[c] = displace_pose(poses[c], body, body.begin + (body.end - body.begin) * fraction);
     }
   }
@@ -196,13 +197,13 @@ class FluidStepper {
                    z = points_[i].z - listed_points_[i].z;
       max_squared = std::max(max_squared, x * x + y * y + z * z);
     }
-    const double margin = SKIN * radius_, max_shift = std::sqrt(max_squared);
+    const double margin = LIST_MARGIN_RATIO * radius_, max_shift = std::sqrt(max_squared);
     if (!(2 * max_shift <= margin)) return true;
     for (std::size_t c = 0; c < colliders_.size(); ++c) {
       const Pose &listed_pose = listed_poses_[c], &pose = poses_[c];
       double rotation = 0;
       for (int k = 0; k < 9; ++k) rotation += std::fabs(pose.rotation[k] - listed_pose.rotation[k]);
-      const double distance = length(pose.origin - centre_) + extent_;
+      const double distance = length(pose.origin - particles_centre_) + particles_extent_;
       if (!(max_shift + length(pose.origin - listed_pose.origin) + rotation * distance <= margin))
         return true;
     }
@@ -212,10 +213,10 @@ class FluidStepper {
   // Reorders values.
   template <class T>
   void reorder(std::vector<T>& values, const std::vector<std::int32_t>& order) {
-    std::vector<T> reordered(values.size());
+    std::vector<T> sorted_values(values.size());
     for (std::size_t i = 0; i < order.size(); ++i)
-      reordered[i] = values[static_cast<std::size_t>(order[i])];
-    values.swap(reordered);
+      sorted_values[i] = values[static_cast<std::size_t>(order[i])];
+    values.swap(sorted_values);
   }
 
   // Sorts particles by grid cells, and lists neighbours and colliders until the lists are stale.
@@ -223,9 +224,9 @@ class FluidStepper {
     std::vector<double> points(3 * count_);
     for (std::size_t i = 0; i < count_; ++i) store(points_[i].vector(), &points[3 * i]);
     const double no_period[3] = {0, 0, 0};
-    const Neighbours grid(points.data(), nullptr, count_, radius_ * (1 + SKIN), no_period,
-                          no_period);
-    std::vector<std::int32_t> order(grid.index(), grid.index() + grid.size());
+    const Neighbours grid(points.data(), nullptr, count_, radius_ * (1 + LIST_MARGIN_RATIO),
+                          no_period, no_period);
+    std::vector<std::int32_t> order(grid.point_indices(), grid.point_indices() + grid.size());
     // Non-finite particles have no neighbours, and are last.
     if (order.size() < count_) {
       std::vector<bool> has_cell(count_);
@@ -250,29 +251,30 @@ class FluidStepper {
     factors_.resize(partners_.size());
     listed_points_ = points_;
     listed_poses_ = poses_;
-    has_list_ = true;
+    has_lists_ = true;
     list_colliders();
-    if (constants_.tension > 0) film_.list_blocks(&points_.data()->x, count_);
+    if (constants_.tension > 0) free_surface_.list_blocks(&points_.data()->x, count_);
     excess_densities_.resize(count_), virial_.resize(count_);
   }
 
   void list_colliders() {
     Vec low{}, high{};
     for (std::size_t i = 0; i < count_; ++i) {
-      const Row& x = points_[i];
+      const ParticleRow& x = points_[i];
       if (!i) low = high = x.vector();
       low = {std::min(low.x, x.x), std::min(low.y, x.y), std::min(low.z, x.z)};
       high = {std::max(high.x, x.x), std::max(high.y, x.y), std::max(high.z, x.z)};
     }
-    centre_ = (low + high) * 0.5;
-    extent_ = length(high - low) / 2 + radius_;
+    particles_centre_ = (low + high) * 0.5;
+    particles_extent_ = length(high - low) / 2 + radius_;
     contacts_.clear();
     contact_starts_.assign(count_ + 1, 0);
-    const double max_distance = radius_ * (1 + SKIN);
+    const double max_distance = radius_ * (1 + LIST_MARGIN_RATIO);
     std::vector<std::size_t> near_colliders;
     for (std::size_t c = 0; c < colliders_.size(); ++c)
-      if (collide::sample(colliders_[c], poses_[c], centre_, 0, extent_ + max_distance).distance <
-          extent_ + max_distance)
+      if (collide::sample(colliders_[c], poses_[c], particles_centre_, 0,
+                          particles_extent_ + max_distance)
+              .distance < particles_extent_ + max_distance)
         near_colliders.push_back(c);
     for (std::size_t i = 0; i < count_; ++i) {
       for (const std::size_t c : near_colliders)
@@ -286,16 +288,16 @@ class FluidStepper {
   FluidPairs pairs() {
     const double inverse_radius = 1 / radius_;
     // Second derivative factor of the weight, over the distance.
-    const double derivative_scale = -3 * inverse_radius * inverse_radius / lattice_;
+    const double derivative_scale = -3 * inverse_radius * inverse_radius / lattice_weight_sum_;
     return {count_,
             neighbour_starts_.data(),
             partners_.data(),
             &points_.data()->x,
             &velocities_.data()->x,
             factors_.data(),
-            &sums_.data()->x,
+            &density_gradients_.data()->x,
             &corrections_.data()->x,
-            squares_.data(),
+            squared_gradients_.data(),
             inverse_radius,
             derivative_scale,
             0,
@@ -304,16 +306,17 @@ class FluidStepper {
 
   // Computes the density of each particle, its gradient, and the pressure multiplier.
   void measure_density() {
-    sums_.assign(count_ + 1, {}), corrections_.assign(count_ + 1, {}),
-        squares_.assign(count_ + 1, 0);
-    loops_.measure_density(pairs());
-    const double scale = 1 / lattice_, min_steepness = Walls::steepness() / (radius_ * radius_);
+    density_gradients_.assign(count_ + 1, {}), corrections_.assign(count_ + 1, {}),
+        squared_gradients_.assign(count_ + 1, 0);
+    functions_.measure_density(pairs());
+    const double scale = 1 / lattice_weight_sum_,
+                 min_steepness = Walls::lattice_steepness() / (radius_ * radius_);
     const double wall_virial = Walls::virial();
     double sum = 0;
     for (std::size_t i = 0; i < count_; ++i) {
-      Row gradient = sums_[i];
+      ParticleRow gradient = density_gradients_[i];
       const double neighbour_excess = (1 + gradient.w) * scale - 1;
-      gradient.w = squares_[i];
+      gradient.w = squared_gradients_[i];
       const double wall_contribution_sum = measure_colliders(i, scale, gradient),
                    density_excess = neighbour_excess + wall_contribution_sum;
       excess_densities_[i] = density_excess;
@@ -335,22 +338,24 @@ class FluidStepper {
     if (!(constants_.tension > 0)) return;
     const double period = std::sqrt(constants_.mass() / constants_.tension);
     const double max_substeps =
-        std::min(CAPILLARY_LIMIT * period / h, static_cast<double>(substeps));
-    const std::size_t combined = std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1);
-    if (substep % combined != 0) return;
-    const double duration = h * static_cast<double>(std::min(combined, substeps - substep));
-    film_.compute_area(&points_.data()->x, count_);
-    film_.add_tension(&points_.data()->x, count_,
-                      -constants_.tension * h * duration / constants_.mass(),
-                      &corrections_.data()->x);
+        std::min(MAX_CAPILLARY_TIME * period / h, static_cast<double>(substeps));
+    const std::size_t combined_substeps =
+        std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1);
+    if (substep % combined_substeps != 0) return;
+    const double duration =
+        h * static_cast<double>(std::min(combined_substeps, substeps - substep));
+    free_surface_.compute_area(&points_.data()->x, count_);
+    free_surface_.add_tension(&points_.data()->x, count_,
+                              -constants_.tension * h * duration / constants_.mass(),
+                              &corrections_.data()->x);
   }
 
   // Damps velocities before the next neighbour update: together with pressure this would overshoot.
   void apply_damping(double h, std::size_t substep, std::size_t substeps) {
-    std::fill(corrections_.begin(), corrections_.end(), Row());
-    const bool is_viscous = apply_viscosity(h, substep, substeps),
-               is_damped = damp_noise(h, substep, substeps);
-    if (!is_viscous && !is_damped) return;
+    std::fill(corrections_.begin(), corrections_.end(), ParticleRow());
+    const bool has_viscosity = apply_viscosity(h, substep, substeps),
+               has_noise_damping = damp_noise(h, substep, substeps);
+    if (!has_viscosity && !has_noise_damping) return;
     for (std::size_t i = 0; i < count_; ++i) {
       velocities_[i].x += corrections_[i].x, velocities_[i].y += corrections_[i].y;
       velocities_[i].z += corrections_[i].z;
@@ -361,16 +366,16 @@ class FluidStepper {
   // together.
   bool apply_viscosity(double h, std::size_t substep, std::size_t substeps) {
     const double max_substeps =
-        VISCOUS_LIMIT * constants_.spacing * constants_.spacing / (constants_.viscosity * h);
-    const std::size_t combined =
+        MAX_VISCOUS_TIME * constants_.spacing * constants_.spacing / (constants_.viscosity * h);
+    const std::size_t combined_substeps =
         max_substeps < static_cast<double>(substeps)
             ? std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1)
             : substeps;
-    if (!(constants_.viscosity > 0) || substep % combined != 0) return false;
-    FluidPairs layout = pairs();
-    layout.damping =
-        -2 * constants_.viscosity * h * static_cast<double>(std::min(combined, substeps - substep));
-    loops_.apply_viscosity(layout);
+    if (!(constants_.viscosity > 0) || substep % combined_substeps != 0) return false;
+    FluidPairs damped_pairs = pairs();
+    damped_pairs.damping = -2 * constants_.viscosity * h *
+                           static_cast<double>(std::min(combined_substeps, substeps - substep));
+    functions_.apply_viscosity(damped_pairs);
     return true;
   }
 
@@ -379,20 +384,20 @@ class FluidStepper {
     // Not what viscosity removes itself. Drops that tension pulls together would solidify.
     if (constants_.tension > 0) return false;
     const double strength =
-        1 - constants_.viscosity / (NOISE_VISCOSITY * sound_ * constants_.spacing);
+        1 - constants_.viscosity / (NOISE_VISCOSITY * sound_speed_ * constants_.spacing);
     if (substep % NOISE_SUBSTEPS != 0 || !(strength > 0)) return false;
-    const double fraction = std::min(sound_ * h / constants_.spacing, 1.0);
-    FluidPairs layout = pairs();
-    layout.noise = NOISE_SPEED * sound_;
-    layout.damping = -NOISE_DECAY * strength * fraction *
-                     static_cast<double>(std::min(NOISE_SUBSTEPS, substeps - substep));
-    loops_.damp_noise(layout);
+    const double fraction = std::min(sound_speed_ * h / constants_.spacing, 1.0);
+    FluidPairs damped_pairs = pairs();
+    damped_pairs.noise_speed = NOISE_SPEED * sound_speed_;
+    damped_pairs.damping = -NOISE_DECAY * strength * fraction *
+                           static_cast<double>(std::min(NOISE_SUBSTEPS, substeps - substep));
+    functions_.damp_noise(damped_pairs);
     return true;
   }
 
   // Adds the contribution of colliders to a particle's density gradient; returns that to its
   // density.
-  double measure_colliders(std::size_t i, double scale, Row& gradient) {
+  double measure_colliders(std::size_t i, double scale, ParticleRow& gradient) {
     const std::size_t first = contact_starts_[i], last = contact_starts_[i + 1];
     if (first == last) return 0;
     double open_fraction = 1;
@@ -409,7 +414,8 @@ class FluidStepper {
         if (m != k) other_density *= 1 - contacts_[m].contribution.fraction;
       Vec& wall_gradient = contacts_[k].contribution.gradient;
       wall_gradient = wall_gradient * other_density;
-      contacts_[k].contribution.pressing = contacts_[k].contribution.pressing * other_density;
+      contacts_[k].contribution.pressing_gradient =
+          contacts_[k].contribution.pressing_gradient * other_density;
       gradient.x += wall_gradient.x, gradient.y += wall_gradient.y, gradient.z += wall_gradient.z;
       gradient.w += dot(wall_gradient, wall_gradient);
     }
@@ -418,14 +424,14 @@ class FluidStepper {
 
   // Moves dense particles apart.
   void apply_pressure(double h) {
-    loops_.apply_pressure(pairs());
+    functions_.apply_pressure(pairs());
     const double pressure_scale = constants_.density / (h * h);
     for (std::size_t i = 0; i < count_; ++i) {
       pressures_[i] += (virial_[i] + corrections_[i].w) * pressure_scale;
       Vec position = points_[i].vector() + corrections_[i].vector();
       for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
         // The wall presses as the fluid in front of it does.
-        const Vec wall_push = contacts_[k].contribution.pressing * points_[i].w;
+        const Vec wall_push = contacts_[k].contribution.pressing_gradient * points_[i].w;
         contacts_[k].correction = wall_push;
         position = position + wall_push;
       }
@@ -447,24 +453,24 @@ class FluidStepper {
 
   // Pushes particles out of colliders, and updates their velocities.
   void resolve_contacts(double h) {
-    const double rate = 1 / h, particle_radius = constants_.spacing / 2;
+    const double inverse_h = 1 / h, particle_radius = constants_.spacing / 2;
     for (std::size_t i = 0; i < count_; ++i) {
       Vec x = points_[i].vector();
-      Vec v = (x - points_before_[i].vector()) * rate;
+      Vec v = (x - points_before_[i].vector()) * inverse_h;
       int touch_count = 0;
       for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
         ColliderContact& contact = contacts_[k];
-        const Vec impulse = contact.correction * rate, old_velocity = v;
-        touch_count +=
-            resolve_contact(contact, points_before_[i].vector(), rate, length(impulse), x, v) > 0;
+        const Vec impulse = contact.correction * inverse_h, old_velocity = v;
+        touch_count += resolve_contact(contact, points_before_[i].vector(), inverse_h,
+                                       length(impulse), x, v) > 0;
         contact.correction = impulse + (v - old_velocity);
       }
       for (int iteration = 0; iteration < MAX_ALTERNATIONS && touch_count > 1; ++iteration) {
         double max_depth = 0;
         for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
           const Vec old_velocity = v;
-          max_depth = std::max(
-              max_depth, resolve_contact(contacts_[k], points_before_[i].vector(), rate, 0, x, v));
+          max_depth = std::max(max_depth, resolve_contact(contacts_[k], points_before_[i].vector(),
+                                                          inverse_h, 0, x, v));
           contacts_[k].correction = contacts_[k].correction + (v - old_velocity);
         }
         if (max_depth <= CONTACT_TOLERANCE * particle_radius) break;
@@ -476,8 +482,8 @@ class FluidStepper {
 
   // Pushes a particle out of a collider, with friction for an impulse; returns the penetration
   // depth.
-  double resolve_contact(ColliderContact& contact, Vec before, double rate, double normal_impulse,
-                         Vec& x, Vec& v) {
+  double resolve_contact(ColliderContact& contact, Vec before, double inverse_h,
+                         double normal_impulse, Vec& x, Vec& v) {
     const double particle_radius = constants_.spacing / 2;
     const std::size_t c = static_cast<std::size_t>(contact.collider);
     const Collider& collider = colliders_[c];
@@ -491,7 +497,7 @@ class FluidStepper {
       const bool is_touching = sample.distance < 0;
       if (!is_touching && (wall || !(collider.friction > 0 && normal_impulse > 0))) break;
       max_depth = std::max(max_depth, -sample.distance);
-      const Vec surface_velocity = surface_displacement(c, x) * rate;
+      const Vec surface_velocity = surface_displacement(c, x) * inverse_h;
       const double normal_velocity = dot(v - surface_velocity, sample.normal);
       if (is_touching) {
         x = x - sample.normal * sample.distance;
@@ -501,8 +507,8 @@ class FluidStepper {
         }
       }
       if (collider.friction > 0 && normal_impulse > 0) {
-        const Vec relative = v - surface_velocity;
-        const Vec slip = relative - sample.normal * dot(relative, sample.normal);
+        const Vec relative_velocity = v - surface_velocity;
+        const Vec slip = relative_velocity - sample.normal * dot(relative_velocity, sample.normal);
         const double speed = length(slip), friction_limit = collider.friction * normal_impulse;
         v = v - slip * (speed > friction_limit ? friction_limit / speed : 1.0);
         normal_impulse = 0;
@@ -519,7 +525,7 @@ class FluidStepper {
     std::vector<Vec> impulses(bodies_.size()), angular_impulses(bodies_.size());
     const double mass = constants_.mass();
     for (const ColliderContact& contact : contacts_) {
-      const std::int32_t owner = owners_[static_cast<std::size_t>(contact.collider)];
+      const std::int32_t owner = body_of_collider_[static_cast<std::size_t>(contact.collider)];
       if (owner < 0) continue;
       const std::size_t b = static_cast<std::size_t>(owner);
       const Vec impulse = contact.correction * -mass;
@@ -532,7 +538,8 @@ class FluidStepper {
                                 impulses[b].z,         angular_impulses[b].x,
                                 angular_impulses[b].y, angular_impulses[b].z};
       for (int k = 0; k < 6; ++k)
-        body.impulse[k] += wrench[k], body.delayed[k] += wrench[k] * remaining_fraction * step_;
+        body.impulse[k] += wrench[k],
+            body.impulse_times_remaining_time[k] += wrench[k] * remaining_fraction * step_;
       const Vec centre = body.begin + (body.end - body.begin) * fraction + body.shift;
       body.velocity = body.velocity + impulses[b] * body.inverse_mass;
       body.angular_velocity = body.angular_velocity +
@@ -545,30 +552,30 @@ class FluidStepper {
   // Position of the padding particle of neighbour lists.
   static constexpr double PADDING_POSITION = 1e30;
   // Largest time of one viscosity evaluation, over squared spacing / viscosity.
-  static constexpr double VISCOUS_LIMIT = 0.1;
+  static constexpr double MAX_VISCOUS_TIME = 0.1;
   // Largest time of one tension evaluation, over the square root of mass / tension.
-  static constexpr double CAPILLARY_LIMIT = 0.5;
+  static constexpr double MAX_CAPILLARY_TIME = 0.5;
 
-  const FluidFunctions& loops_ =
-      fluid_in_quads() ? *fluid_in_quads() : FluidLoops<Portable>::functions;
+  const FluidFunctions& functions_ =
+      fluid_in_quads() ? *fluid_in_quads() : FluidKernels<Portable>::functions;
   const FluidConstants constants_;
-  const double sound_;
+  const double sound_speed_;
   double relaxation_ = 0;
   const std::vector<Collider> colliders_;
-  const std::vector<std::int32_t> owners_;
+  const std::vector<std::int32_t> body_of_collider_;
   std::vector<Body> bodies_;
-  const double step_, radius_, lattice_;
+  const double step_, radius_, lattice_weight_sum_;
   std::size_t count_ = 0;
-  bool has_list_ = false;
-  double compression_ = 0, extent_ = 0;
-  FreeSurface film_{constants_.spacing};
-  Vec centre_;
+  bool has_lists_ = false;
+  double compression_ = 0, particles_extent_ = 0;
+  FreeSurface free_surface_{constants_.spacing};
+  Vec particles_centre_;
   // In grid order; `order_` is the original index of each particle.
   std::vector<std::int32_t> order_, partners_;
   std::vector<std::size_t> neighbour_starts_, contact_starts_;
-  std::vector<double> factors_, squares_, excess_densities_, pressures_, virial_;
-  std::vector<Row> points_, points_before_, velocities_, accelerations_, corrections_, sums_,
-      listed_points_;
+  std::vector<double> factors_, squared_gradients_, excess_densities_, pressures_, virial_;
+  std::vector<ParticleRow> points_, points_before_, velocities_, accelerations_, corrections_,
+      density_gradients_, listed_points_;
   std::vector<ColliderContact> contacts_;
   std::vector<Pose> poses_, old_poses_, listed_poses_;
 };
@@ -593,7 +600,7 @@ fluid::FluidConstants read_constants(double spacing, double density, double visc
 FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                             In<double, 2> bodies, In<double, 3> state, In<double, 2> accelerations,
                             double spacing, double density, double viscosity, double tension,
-                            double sound, double step, std::int64_t substeps) {
+                            double sound_speed, double step, std::int64_t substeps) {
   const std::size_t count = state.shape(1), body_count = bodies.shape(0);
   std::vector<collide::Collider> shapes = read_colliders(colliders);
   check::shape("owners", owners, {shapes.size()});
@@ -603,10 +610,10 @@ FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners
   check::shape("state", state, {2, check::ANY, 3});
   check::shape("accelerations", accelerations, {count, 3});
   check::at_most("state", count, check::MAX_ROWS);
-  check::positive("sound", sound);
+  check::positive("sound", sound_speed);
   check::positive("step", step);
   check::between("substeps", substeps, 1, 1 << 24);
-  const fluid::FluidConstants rule = read_constants(spacing, density, viscosity, tension);
+  const fluid::FluidConstants constants = read_constants(spacing, density, viscosity, tension);
   std::vector<fluid::Body> fluid_bodies(body_count);
   for (std::size_t b = 0; b < body_count; ++b) {
     const double* row = bodies.data() + 13 * b;
@@ -617,16 +624,17 @@ FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners
   Out<double, 3> result(2, count, 3), wrenches(2, body_count, 6);
   Out<double, 1> pressures(count);
   double compression = 0;
-  fluid::FluidStepper stepper(rule, std::move(shapes),
+  fluid::FluidStepper stepper(constants, std::move(shapes),
                               {owners.data(), owners.data() + owners.size()},
-                              std::move(fluid_bodies), step, sound);
+                              std::move(fluid_bodies), step, sound_speed);
   stepper.reset(state.data(), accelerations.data(), count);
   stepper.run(static_cast<std::size_t>(substeps));
   stepper.store_state(result.get(), pressures.get());
   compression = stepper.compression();
   for (std::size_t b = 0; b < body_count; ++b) {
     std::copy_n(stepper.bodies()[b].impulse, 6, wrenches.get() + 6 * b);
-    std::copy_n(stepper.bodies()[b].delayed, 6, wrenches.get() + 6 * (body_count + b));
+    std::copy_n(stepper.bodies()[b].impulse_times_remaining_time, 6,
+                wrenches.get() + 6 * (body_count + b));
   }
   return {std::move(result), std::move(pressures), std::move(wrenches), compression};
 }
@@ -636,10 +644,10 @@ Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, d
   std::vector<collide::Collider> shapes = read_colliders(colliders);
   check::shape("points", points, {check::ANY, 3});
   check::at_most("points", count, check::MAX_ROWS);
-  const fluid::FluidConstants rule = read_constants(spacing, 1, 0, 0);
+  const fluid::FluidConstants constants = read_constants(spacing, 1, 0, 0);
   Out<double, 1> result(count);
   const std::vector<std::int32_t> owners(shapes.size(), -1);
-  fluid::FluidStepper stepper(rule, std::move(shapes), owners, {}, 1, 1);
+  fluid::FluidStepper stepper(constants, std::move(shapes), owners, {}, 1, 1);
   std::vector<double> state(6 * count, 0.0), zero_accelerations(3 * count, 0.0);
   std::copy_n(points.data(), 3 * count, state.data());
   stepper.reset(state.data(), zero_accelerations.data(), count);
@@ -654,9 +662,9 @@ double fluid_area(In<double, 2> points, double spacing) {
   check::positive("spacing", spacing);
   std::vector<double> rows(4 * count);
   for (std::size_t i = 0; i < count; ++i) std::copy_n(points.data() + 3 * i, 3, &rows[4 * i]);
-  fluid::FreeSurface film(spacing);
-  film.list_blocks(rows.data(), count);
-  return film.compute_area(rows.data(), count);
+  fluid::FreeSurface free_surface(spacing);
+  free_surface.list_blocks(rows.data(), count);
+  return free_surface.compute_area(rows.data(), count);
 }
 
 }  // namespace animtool

@@ -17,7 +17,7 @@ using collide::Vec;
 // Interaction radius of particles, in spacings.
 constexpr double RADIUS_RATIO = 2.0;
 // Margin of neighbour lists beyond the radius, over the radius.
-constexpr double SKIN = 0.15;
+constexpr double LIST_MARGIN_RATIO = 0.15;
 // Effective gaps to walls and to bodies, in spacings, calibrated by the volume of displaced fluid.
 constexpr double WALL_GAP = 0.02, BODY_GAP = 0.12;
 // Relaxation of a step to the lattice solution: all particles move simultaneously, and relaxations
@@ -54,7 +54,7 @@ class Walls {
   Walls();
 
   // Sum of the weights of a lattice, including the particle itself.
-  static double lattice();
+  static double lattice_weight_sum();
 
   // Computes the fraction of a particle's ball beyond a surface at a distance, and its derivative
   // over the distance. The curvature is 1 over the radius of a ball, 0 for a plane; lengths are in
@@ -62,7 +62,7 @@ class Walls {
   void fraction(double distance, double curvature, double& value, double& derivative) const;
 
   // Sum of squared density gradients in a lattice, in radii.
-  static double steepness();
+  static double lattice_steepness();
 
   // Pressure of the layers that a wall replaces, times the offset to them, over their density
   // contribution and the multiplier (virial of R. Clausius).
@@ -72,14 +72,14 @@ class Walls {
   double full_density() const { return full_density_; }
 
  private:
-  static constexpr int SHELLS = 16, KNOTS = 257;
+  static constexpr int SHELL_COUNT = 16, TABLE_KNOTS = 257;
   // Integrates over shells around the particle.
   void integrate(double distance, double curvature, double& value, double& derivative) const;
 
-  double radii_[SHELLS], weights_[SHELLS];
+  double radii_[SHELL_COUNT], weights_[SHELL_COUNT];
   double scale_ = 1;  // of distances
   double full_density_ = 1;
-  double plane_table_[KNOTS][2];
+  double plane_table_[TABLE_KNOTS][2];
 };
 
 const Walls& walls();
@@ -87,9 +87,9 @@ const Walls& walls();
 // Contribution of a collider to the density of a particle, as a fraction of the full density.
 struct WallContribution {
   double fraction = 0, distance = 0;
-  Vec gradient;  // gradient of the fraction, in the world [1/m]
-  Vec pressing;  // the part of it that presses, see `box_contribution`
-  Vec normal;    // outward direction of the collider
+  Vec gradient;           // gradient of the fraction, in the world [1/m]
+  Vec pressing_gradient;  // the part of it that presses, see `box_contribution`
+  Vec normal;             // outward direction of the collider
 };
 
 WallContribution wall_contribution(const collide::Collider& c, const collide::Pose& pose, Vec point,

@@ -19,7 +19,7 @@ struct FluidPairs {
   double* squared_gradients;                // of slopes
   double inverse_radius, derivative_scale;  // 1 over the radius; scale of kernel derivatives
   double damping;                           // factor of velocity damping
-  double noise;                             // relative speed that counts as noise
+  double noise_speed;                       // relative speed that counts as noise
 };
 
 struct FluidFunctions {
@@ -32,7 +32,7 @@ struct FluidFunctions {
 const FluidFunctions* fluid_in_quads();  // null if the processor has no such registers
 
 template <class Simd>
-struct FluidLoops {
+struct FluidKernels {
   using D = Four<Simd>;
 
   // Calls `update` for the partners of each particle, four at a time, with the offsets from them to
@@ -99,7 +99,7 @@ struct FluidLoops {
   // Damps relative speeds of pairs that are as slow as particle noise. Momentum and angular
   // momentum are conserved.
   static void damp_noise(const FluidPairs& pairs) {
-    const D scale = pairs.damping, noise = pairs.noise * pairs.noise, tiny = 1e-300;
+    const D scale = pairs.damping, noise = pairs.noise_speed * pairs.noise_speed, tiny = 1e-300;
     for_each_pair(
         pairs, pairs.corrections, [&](std::size_t i, std::size_t k, const D* offsets, D* changes) {
           D partner_velocities[4];

@@ -5,7 +5,7 @@
 namespace animtool {
 
 const FluidFunctions* fluid_in_quads() {
-  return has_quads() ? &FluidLoops<Quads>::functions : nullptr;
+  return has_quads() ? &FluidKernels<Quads>::functions : nullptr;
 }
 
 }  // namespace animtool

@@ -54,9 +54,9 @@ double half_lattice_sum(int coordinates) {
 
 }  // namespace
 
-double Walls::lattice() { return half_lattice_sum(0); }
+double Walls::lattice_weight_sum() { return half_lattice_sum(0); }
 
-double Walls::steepness() {
+double Walls::lattice_steepness() {
   double sum = 0;
   for_each_lattice_point([&](int, int, double q) {
     const double derivative = q < 1 ? Kernel::derivative_over_q(q) : 0.0;
@@ -74,7 +74,7 @@ double Walls::virial() {
 }
 
 Walls::Walls() {
-  compute_gauss_nodes<SHELLS>(radii_, weights_);
+  compute_gauss_nodes<SHELL_COUNT>(radii_, weights_);
   const double wall = half_lattice_sum(1), edge = half_lattice_sum(2);
   // At an edge, both walls overlap in the same corner, whose product counts once.
   full_density_ = wall * wall / edge;
@@ -85,8 +85,8 @@ Walls::Walls() {
     integrate(0.5 / RADIUS_RATIO, 0, value, derivative);
     (value > wall / full_density_ ? low : high) = scale_;
   }
-  for (int i = 0; i < KNOTS; ++i)
-    integrate(2.0 * i / (KNOTS - 1) - 1, 0, plane_table_[i][0], plane_table_[i][1]);
+  for (int i = 0; i < TABLE_KNOTS; ++i)
+    integrate(2.0 * i / (TABLE_KNOTS - 1) - 1, 0, plane_table_[i][0], plane_table_[i][1]);
 }
 
 // Integrates over shells around the particle: the surface cuts each in a circle.
@@ -99,23 +99,24 @@ void Walls::integrate(double distance, double unscaled_curvature, double& value,
   const double normalisation = 210.0 / 23;
   value = derivative = 0;
   const double scale_factor = std::max(1 + curvature * scaled_distance, 1e-3);
-  for (int i = 0; i < SHELLS; ++i) {
+  for (int i = 0; i < SHELL_COUNT; ++i) {
     const double r = inner_radius + thickness * radii_[i];
-    const double shell = 4 * r * r * Kernel::weight(r) * weights_[i] * thickness * normalisation;
+    const double shell_integral =
+        4 * r * r * Kernel::weight(r) * weights_[i] * thickness * normalisation;
     const double numerator =
                      2 * scaled_distance + curvature * (scaled_distance * scaled_distance + r * r),
                  denominator = 2 * r * scale_factor;
     const double cosine = numerator / denominator;
     if (cosine >= 1) continue;
-    value += shell * (1 - std::max(cosine, -1.0)) / 2;
+    value += shell_integral * (1 - std::max(cosine, -1.0)) / 2;
     if (cosine > -1)
-      derivative -= shell *
+      derivative -= shell_integral *
                     ((2 + 2 * curvature * scaled_distance) / denominator -
                      cosine * curvature / scale_factor) /
                     2;
   }
   if (scaled_distance < 0)  // shells that are entirely beyond the surface
-    for (int i = 0; i < SHELLS; ++i) {
+    for (int i = 0; i < SHELL_COUNT; ++i) {
       const double r = inner_radius * radii_[i];
       value += 4 * r * r * Kernel::weight(r) * weights_[i] * inner_radius * normalisation;
     }
@@ -128,8 +129,8 @@ void Walls::fraction(double distance, double curvature, double& value, double& d
     return;
   }
   if (curvature != 0) return integrate(distance, curvature, value, derivative);
-  const double table_position = (std::max(distance, -1.0) + 1) * ((KNOTS - 1) / 2);
-  const int knot = std::min(static_cast<int>(table_position), KNOTS - 2);
+  const double table_position = (std::max(distance, -1.0) + 1) * ((TABLE_KNOTS - 1) / 2);
+  const int knot = std::min(static_cast<int>(table_position), TABLE_KNOTS - 2);
   const double fraction = table_position - knot;
   value = plane_table_[knot][0] * (1 - fraction) + plane_table_[knot + 1][0] * fraction;
   derivative = plane_table_[knot][1] * (1 - fraction) + plane_table_[knot + 1][1] * fraction;
@@ -179,9 +180,9 @@ void box_contribution(const Collider& c, const Pose& pose, Vec point, double rad
   out.fraction = c.is_container ? 1 - product : product;
   out.gradient = pose.rotate(c.is_container ? -gradient : gradient);
   const auto is_outside = [&](int k) { return std::fabs(coordinates[k]) > c.size[k] ? 1.0 : 0.0; };
-  const Vec pressing{gradient.x * is_outside(0), gradient.y * is_outside(1),
-                     gradient.z * is_outside(2)};
-  out.pressing = c.is_container ? out.gradient : pose.rotate(pressing);
+  const Vec pressing_gradient{gradient.x * is_outside(0), gradient.y * is_outside(1),
+                              gradient.z * is_outside(2)};
+  out.pressing_gradient = c.is_container ? out.gradient : pose.rotate(pressing_gradient);
 }
 
 }  // namespace
@@ -199,7 +200,7 @@ WallContribution wall_contribution(const Collider& c, const Pose& pose, Vec poin
   double derivative;
   walls().fraction(sample.distance / radius + layer_gap(c), mean_curvature(c) * radius,
                    out.fraction, derivative);
-  out.gradient = out.pressing = sample.normal * (derivative / radius);
+  out.gradient = out.pressing_gradient = sample.normal * (derivative / radius);
   return out;
 }
 

@@ -41,7 +41,7 @@ Triple plus(const Triple& a, const Triple& b) { return {a[0] + b[0], a[1] + b[1]
 
 Triple times(double scale, const Triple& a) { return {scale * a[0], scale * a[1], scale * a[2]}; }
 
-double inner(const Triple& a, const Triple& b) { return dot(a.data(), b.data()); }
+double dot_product(const Triple& a, const Triple& b) { return dot(a.data(), b.data()); }
 
 Triple cross_product(const Triple& a, const Triple& b) {
   Triple c;
@@ -54,7 +54,7 @@ double norm(const Triple& a) { return length(a.data()); }
 // Rotates a vector about a unit axis.
 Triple rotate_about(const Triple& axis, double angle, const Triple& v) {
   const double cosine = std::cos(angle), sine = std::sin(angle),
-               axial = (1 - cosine) * inner(axis, v);
+               axial = (1 - cosine) * dot_product(axis, v);
   const Triple perpendicular = cross_product(axis, v);
   Triple out;
   for (int i = 0; i < 3; ++i) out[i] = cosine * v[i] + sine * perpendicular[i] + axial * axis[i];
@@ -63,7 +63,7 @@ Triple rotate_about(const Triple& axis, double angle, const Triple& v) {
 
 // Solutions of an equation: none, one or two angles. If all angles are solutions, the free angle of
 // the start is returned.
-struct Angles {
+struct AngleSolutions {
   int count = 0;
   double values[2] = {};
 };
@@ -72,50 +72,56 @@ struct Angles {
 double angle_between(const Triple& axis, const Triple& p, const Triple& q, double free_angle) {
   const Triple p_side = cross_product(axis, p), q_side = cross_product(axis, q);
   if (std::min(norm(p_side), norm(q_side)) < ARM_MIN_LENGTH) return free_angle;
-  return std::atan2(inner(axis, cross_product(p_side, q_side)), inner(p_side, q_side));
+  return std::atan2(dot_product(axis, cross_product(p_side, q_side)), dot_product(p_side, q_side));
 }
 
 // Subproblem 4: angles of rotations of p about an axis after which its component along h is d. If d
-// is out of range by up to `slack`, it is clamped.
-Angles angles_to_component(const Triple& axis, const Triple& p, const Triple& h, double d,
-                           double slack, double free_angle) {
-  const double constant_part = inner(h, axis) * inner(axis, p);
-  const double cosine_part = inner(h, p) - constant_part,
-               sine_part = inner(h, cross_product(axis, p)), remainder = d - constant_part;
+// is out of range by up to `range_tolerance`, it is clamped.
+AngleSolutions angles_to_component(const Triple& axis, const Triple& p, const Triple& h, double d,
+                                   double range_tolerance, double free_angle) {
+  const double constant_part = dot_product(h, axis) * dot_product(axis, p);
+  const double cosine_part = dot_product(h, p) - constant_part,
+               sine_part = dot_product(h, cross_product(axis, p)), remainder = d - constant_part;
   const double amplitude = std::hypot(cosine_part, sine_part);
   if (amplitude < ARM_MIN_LENGTH)
-    return std::fabs(remainder) < ARM_MIN_LENGTH + slack ? Angles{1, {free_angle}} : Angles{};
+    return std::fabs(remainder) < ARM_MIN_LENGTH + range_tolerance ? AngleSolutions{1, {free_angle}}
+                                                                   : AngleSolutions{};
   const double cosine = remainder / amplitude;
-  if (std::fabs(cosine) > 1 + slack / amplitude) return {};
-  const double middle = std::atan2(sine_part, cosine_part), clamped = std::clamp(cosine, -1.0, 1.0);
-  const double half_width = std::atan2(std::sqrt((1 - clamped) * (1 + clamped)), clamped);
+  if (std::fabs(cosine) > 1 + range_tolerance / amplitude) return {};
+  const double middle = std::atan2(sine_part, cosine_part),
+               clamped_cosine = std::clamp(cosine, -1.0, 1.0);
+  const double half_width =
+      std::atan2(std::sqrt((1 - clamped_cosine) * (1 + clamped_cosine)), clamped_cosine);
   return {2, {middle + half_width, middle - half_width}};
 }
 
 // Subproblem 3: angles of rotations of p about an axis after which it has a given distance from q.
-Angles angles_to_distance(const Triple& axis, const Triple& p, const Triple& q, double distance,
-                          double slack, double free_angle) {
-  return angles_to_component(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2,
-                             slack, free_angle);
+AngleSolutions angles_to_distance(const Triple& axis, const Triple& p, const Triple& q,
+                                  double distance, double range_tolerance, double free_angle) {
+  return angles_to_component(axis, p, q,
+                             (dot_product(p, p) + dot_product(q, q) - distance * distance) / 2,
+                             range_tolerance, free_angle);
 }
 
 // Subproblem 2: angles of rotations of p and q about two axes that take them to the same vector.
 template <class Function>
-void angles_to_common(const Triple& first, const Triple& p, const Triple& second, const Triple& q,
-                      double slack, double first_free, double second_free, Function&& function) {
-  const double axis_dot = inner(first, second), squared_sine = 1 - axis_dot * axis_dot;
-  const double p_component = inner(first, p), q_component = inner(second, q);
+void angles_to_common_vector(const Triple& first_axis, const Triple& p, const Triple& second_axis,
+                             const Triple& q, double range_tolerance, double first_free_angle,
+                             double second_free_angle, Function&& function) {
+  const double axis_dot = dot_product(first_axis, second_axis),
+               squared_sine = 1 - axis_dot * axis_dot;
+  const double p_component = dot_product(first_axis, p), q_component = dot_product(second_axis, q);
   const double a = (p_component - axis_dot * q_component) / squared_sine,
                b = (q_component - axis_dot * p_component) / squared_sine;
-  const Triple normal = cross_product(first, second);
-  const Triple in_axis_plane = plus(times(a, first), times(b, second));
-  const double remainder = inner(p, p) - inner(in_axis_plane, in_axis_plane);
-  if (remainder < -slack) return;
+  const Triple normal = cross_product(first_axis, second_axis);
+  const Triple in_axis_plane = plus(times(a, first_axis), times(b, second_axis));
+  const double remainder = dot_product(p, p) - dot_product(in_axis_plane, in_axis_plane);
+  if (remainder < -range_tolerance) return;
   const double height = std::sqrt(std::max(remainder, 0.0) / squared_sine);
   for (const double sign : {1.0, -1.0}) {
-    const Triple common = plus(in_axis_plane, times(sign * height, normal));
-    function(angle_between(first, p, common, first_free),
-             angle_between(second, q, common, second_free));
+    const Triple common_vector = plus(in_axis_plane, times(sign * height, normal));
+    function(angle_between(first_axis, p, common_vector, first_free_angle),
+             angle_between(second_axis, q, common_vector, second_free_angle));
   }
 }
 
@@ -130,18 +136,19 @@ double sine_between(const Line& a, const Line& b) { return norm(cross_product(a.
 // Computes the point of line a nearest to line b; returns their distance.
 double nearest_point(const Line& a, const Line& b, Triple& point) {
   const Triple offset = minus(b.point, a.point);
-  const double axis_dot = inner(a.axis, b.axis), squared_sine = 1 - axis_dot * axis_dot;
+  const double axis_dot = dot_product(a.axis, b.axis), squared_sine = 1 - axis_dot * axis_dot;
   if (squared_sine < ARM_TOLERANCE) return HUGE_VAL;
-  const double distance = (inner(offset, a.axis) - axis_dot * inner(offset, b.axis)) / squared_sine;
+  const double distance =
+      (dot_product(offset, a.axis) - axis_dot * dot_product(offset, b.axis)) / squared_sine;
   point = plus(a.point, times(distance, a.axis));
   const Triple difference = minus(point, b.point);
-  return norm(minus(difference, times(inner(difference, b.axis), b.axis)));
+  return norm(minus(difference, times(dot_product(difference, b.axis), b.axis)));
 }
 
 // Whether a point is on a line, within the tolerance.
 bool is_on_line(const Triple& point, const Line& line) {
   const Triple offset = minus(point, line.point);
-  return norm(minus(offset, times(inner(offset, line.axis), line.axis))) < ARM_TOLERANCE;
+  return norm(minus(offset, times(dot_product(offset, line.axis), line.axis))) < ARM_TOLERANCE;
 }
 
 // Methods that position the wrist by the first three axes: two neighbouring axes, 1 and 2 or 2 and
@@ -171,14 +178,14 @@ bool is_arm(const Task& task) {
   }
   const Goal& goal = task.goals[0];
   constexpr int position = component_of<Position>(), orientation = component_of<Orientation>();
-  for (int component = 0; component < COMPONENTS; ++component)
+  for (int component = 0; component < COMPONENT_COUNT; ++component)
     if ((goal.weights[component] > 0) != (component == position || component == orientation))
       return false;
   return goal.node == static_cast<int>(ARM_PINS) - 1 && !(task.rest_weight > 0);
 }
 
 // The method that positions the wrist.
-WristMethod wrist_method(ArmGeometry& arm) {
+WristMethod find_wrist_method(ArmGeometry& arm) {
   const Line* joint_axes = arm.joint_axes;
   if (sine_between(joint_axes[0], joint_axes[1]) > ARM_TOLERANCE) {
     if (sine_between(joint_axes[1], joint_axes[2]) < ARM_TOLERANCE) return WristMethod::PARALLEL_23;
@@ -197,8 +204,8 @@ ArmGeometry analyze_arm(const Task& task) {
   ArmGeometry arm;
   if (!is_arm(task)) return arm;
   Frames frames(task.chain);
-  const double zero[ARM_PINS] = {};
-  forward(task.chain, zero, frames);
+  const double zero_angles[ARM_PINS] = {};
+  compute_frames(task.chain, zero_angles, frames);
   for (std::size_t n = 0; n < ARM_PINS; ++n) {
     std::copy_n(&frames.axes[9 * n], 3, arm.joint_axes[n].axis.data());
     std::copy_n(&frames.origins[3 * n], 3, arm.joint_axes[n].point.data());
@@ -215,9 +222,9 @@ ArmGeometry analyze_arm(const Task& task) {
     arm.kind = ArmKind::PARALLEL;
     return arm;
   }
-  const bool is_wrist = is_on_line(arm.wrist, joint_axes[3]) &&
-                        sine_between(joint_axes[3], joint_axes[4]) > ARM_TOLERANCE;
-  arm.method = is_wrist ? wrist_method(arm) : WristMethod::NONE;
+  const bool has_spherical_wrist = is_on_line(arm.wrist, joint_axes[3]) &&
+                                   sine_between(joint_axes[3], joint_axes[4]) > ARM_TOLERANCE;
+  arm.method = has_spherical_wrist ? find_wrist_method(arm) : WristMethod::NONE;
   if (arm.method != WristMethod::NONE) arm.kind = ArmKind::WRIST;
   return arm;
 }
@@ -278,16 +285,16 @@ class SixPins : public Arm {
   std::size_t find_branches(const double* start, const double* target) {
     branch_count_ = 0;
     constexpr int position = component_of<Position>(), orientation = component_of<Orientation>();
-    const double* weights = target + WEIGHTS;
+    const double* weights = target + WEIGHTS_OFFSET;
     if (!(weights[position] > 0) || !(weights[orientation] > 0)) return 0;
     start_ = start;
     double goal[9], inverse_zero[9];
-    to_matrix(target + COLUMNS[orientation], goal);
+    to_matrix(target + TARGET_OFFSETS[orientation], goal);
     for (int i = 0; i < 9; ++i) inverse_zero[i] = arm_.zero_rotation[3 * (i % 3) + i / 3];
     multiply(goal, inverse_zero, goal_rotation_);
     const Triple tip_to_wrist = minus(arm_.wrist, arm_.tip);
     rotate(goal_rotation_, tip_to_wrist.data(), wrist_target_.data());
-    for (int i = 0; i < 3; ++i) wrist_target_[i] += target[COLUMNS[position] + i];
+    for (int i = 0; i < 3; ++i) wrist_target_[i] += target[TARGET_OFFSETS[position] + i];
     if (arm_.kind == ArmKind::PARALLEL)
       solve_parallel();
     else
@@ -324,7 +331,7 @@ class SixPins : public Arm {
   }
 
   // The target of the wrist before the first rotation.
-  Triple undo_first(double angle) const { return rotate_point(0, -angle, wrist_target_); }
+  Triple undo_first_rotation(double angle) const { return rotate_point(0, -angle, wrist_target_); }
 
   // Solves the first three angles by the method of the arm.
   void solve_wrist_position() {
@@ -344,24 +351,27 @@ class SixPins : public Arm {
 
   // Axes 2 and 3 are parallel: the component along them determines the first angle.
   void solve_parallel_23() {
-    const double component = inner(axis(1), minus(arm_.wrist, point_on(0)));
+    const double component = dot_product(axis(1), minus(arm_.wrist, point_on(0)));
     const Triple reversed_axis = times(-1, axis(0));
-    for_each(angles_to_component(reversed_axis, minus(wrist_target_, point_on(0)), axis(1),
-                                 component, SLACK, start_[0]),
-             [&](double first) { solve_in_plane(first, undo_first(first), arm_.wrist); });
+    for_each_solution(angles_to_component(reversed_axis, minus(wrist_target_, point_on(0)), axis(1),
+                                          component, RANGE_TOLERANCE, start_[0]),
+                      [&](double first_angle) {
+                        solve_in_plane(first_angle, undo_first_rotation(first_angle), arm_.wrist);
+                      });
   }
 
   // The second and third angle, from the sides of a triangle.
-  void solve_in_plane(double first, const Triple& goal, const Triple& point) {
+  void solve_in_plane(double first_angle, const Triple& goal, const Triple& point) {
     const double distance = norm(minus(goal, point_on(1)));
-    for_each(angles_to_distance(axis(2), minus(point, point_on(2)), minus(point_on(1), point_on(2)),
-                                distance, SLACK, start_[2]),
-             [&](double third) {
-               const Triple rotated = rotate_point(2, third, point);
-               const double second = angle_between(axis(1), minus(rotated, point_on(1)),
-                                                   minus(goal, point_on(1)), start_[1]);
-               solve_wrist(first, second, third);
-             });
+    for_each_solution(
+        angles_to_distance(axis(2), minus(point, point_on(2)), minus(point_on(1), point_on(2)),
+                           distance, RANGE_TOLERANCE, start_[2]),
+        [&](double third_angle) {
+          const Triple rotated_point = rotate_point(2, third_angle, point);
+          const double second_angle = angle_between(axis(1), minus(rotated_point, point_on(1)),
+                                                    minus(goal, point_on(1)), start_[1]);
+          solve_wrist(first_angle, second_angle, third_angle);
+        });
   }
 
   // Axes 2 and 3 intersect.
@@ -369,70 +379,79 @@ class SixPins : public Arm {
     const Triple& intersection = arm_.intersection;
     const Triple reversed_axis = times(-1, axis(0));
     const double distance = norm(minus(arm_.wrist, intersection));
-    for_each(angles_to_distance(reversed_axis, minus(wrist_target_, point_on(0)),
-                                minus(intersection, point_on(0)), distance, SLACK, start_[0]),
-             [&](double first) {
-               angles_to_common(
-                   times(-1, axis(1)), minus(undo_first(first), intersection), axis(2),
-                   minus(arm_.wrist, intersection), SLACK, start_[1], start_[2],
-                   [&](double second, double third) { solve_wrist(first, second, third); });
-             });
+    for_each_solution(
+        angles_to_distance(reversed_axis, minus(wrist_target_, point_on(0)),
+                           minus(intersection, point_on(0)), distance, RANGE_TOLERANCE, start_[0]),
+        [&](double first_angle) {
+          angles_to_common_vector(times(-1, axis(1)),
+                                  minus(undo_first_rotation(first_angle), intersection), axis(2),
+                                  minus(arm_.wrist, intersection), RANGE_TOLERANCE, start_[1],
+                                  start_[2], [&](double second_angle, double third_angle) {
+                                    solve_wrist(first_angle, second_angle, third_angle);
+                                  });
+        });
   }
 
   // Axes 1 and 2 intersect.
   void solve_intersect_12() {
     const Triple& intersection = arm_.intersection;
     const double distance = norm(minus(wrist_target_, intersection));
-    for_each(angles_to_distance(axis(2), minus(arm_.wrist, point_on(2)),
-                                minus(intersection, point_on(2)), distance, SLACK, start_[2]),
-             [&](double third) {
-               const Triple rotated = rotate_point(2, third, arm_.wrist);
-               angles_to_common(
-                   times(-1, axis(0)), minus(wrist_target_, intersection), axis(1),
-                   minus(rotated, intersection), SLACK, start_[0], start_[1],
-                   [&](double first, double second) { solve_wrist(first, second, third); });
-             });
+    for_each_solution(
+        angles_to_distance(axis(2), minus(arm_.wrist, point_on(2)),
+                           minus(intersection, point_on(2)), distance, RANGE_TOLERANCE, start_[2]),
+        [&](double third_angle) {
+          const Triple rotated_point = rotate_point(2, third_angle, arm_.wrist);
+          angles_to_common_vector(times(-1, axis(0)), minus(wrist_target_, intersection), axis(1),
+                                  minus(rotated_point, intersection), RANGE_TOLERANCE, start_[0],
+                                  start_[1], [&](double first_angle, double second_angle) {
+                                    solve_wrist(first_angle, second_angle, third_angle);
+                                  });
+        });
   }
 
   // Axes 1 and 2 are parallel.
   void solve_parallel_12() {
-    const double component = inner(axis(0), minus(wrist_target_, point_on(2)));
-    for_each(angles_to_component(axis(2), minus(arm_.wrist, point_on(2)), axis(0), component, SLACK,
-                                 start_[2]),
-             [&](double third) {
-               const Triple rotated = rotate_point(2, third, arm_.wrist);
-               const double distance = norm(minus(wrist_target_, point_on(0)));
-               for_each(
-                   angles_to_distance(axis(1), minus(rotated, point_on(1)),
-                                      minus(point_on(0), point_on(1)), distance, SLACK, start_[1]),
-                   [&](double second) {
-                     const Triple rotated_twice = rotate_point(1, second, rotated);
-                     const double first =
-                         angle_between(axis(0), minus(rotated_twice, point_on(0)),
-                                       minus(wrist_target_, point_on(0)), start_[0]);
-                     solve_wrist(first, second, third);
-                   });
-             });
+    const double component = dot_product(axis(0), minus(wrist_target_, point_on(2)));
+    for_each_solution(angles_to_component(axis(2), minus(arm_.wrist, point_on(2)), axis(0),
+                                          component, RANGE_TOLERANCE, start_[2]),
+                      [&](double third_angle) {
+                        const Triple rotated_point = rotate_point(2, third_angle, arm_.wrist);
+                        const double distance = norm(minus(wrist_target_, point_on(0)));
+                        for_each_solution(
+                            angles_to_distance(axis(1), minus(rotated_point, point_on(1)),
+                                               minus(point_on(0), point_on(1)), distance,
+                                               RANGE_TOLERANCE, start_[1]),
+                            [&](double second_angle) {
+                              const Triple rotated_twice =
+                                  rotate_point(1, second_angle, rotated_point);
+                              const double first_angle =
+                                  angle_between(axis(0), minus(rotated_twice, point_on(0)),
+                                                minus(wrist_target_, point_on(0)), start_[0]);
+                              solve_wrist(first_angle, second_angle, third_angle);
+                            });
+                      });
   }
 
   // The last three angles, from the remaining rotation.
-  void solve_wrist(double first, double second, double third) {
+  void solve_wrist(double first_angle, double second_angle, double third_angle) {
     const auto undo_first_three = [&](const Triple& v) {
-      return rotate_about(axis(2), -third,
-                          rotate_about(axis(1), -second, rotate_about(axis(0), -first, v)));
+      return rotate_about(
+          axis(2), -third_angle,
+          rotate_about(axis(1), -second_angle, rotate_about(axis(0), -first_angle, v)));
     };
     const Triple last_axis = undo_first_three(rotate_by_goal(axis(5)));
-    for_each(
-        angles_to_component(axis(4), axis(5), axis(3), inner(axis(3), last_axis), SLACK, start_[4]),
-        [&](double fifth) {
-          const Triple rotated_axis = rotate_about(axis(4), fifth, axis(5));
-          const double fourth = angle_between(axis(3), rotated_axis, last_axis, start_[3]);
+    for_each_solution(
+        angles_to_component(axis(4), axis(5), axis(3), dot_product(axis(3), last_axis),
+                            RANGE_TOLERANCE, start_[4]),
+        [&](double fifth_angle) {
+          const Triple rotated_axis = rotate_about(axis(4), fifth_angle, axis(5));
+          const double fourth_angle = angle_between(axis(3), rotated_axis, last_axis, start_[3]);
           // The vector farthest from the last axis compensates the error of the fourth angle.
           const Triple perpendicular = orthogonal(axis(5));
           const Triple goal = undo_first_three(rotate_by_goal(perpendicular));
           const Triple remaining =
-              rotate_about(axis(4), -fifth, rotate_about(axis(3), -fourth, goal));
-          add_branch({first, second, third, fourth, fifth,
+              rotate_about(axis(4), -fifth_angle, rotate_about(axis(3), -fourth_angle, goal));
+          add_branch({first_angle, second_angle, third_angle, fourth_angle, fifth_angle,
                       angle_between(axis(5), perpendicular, remaining, start_[5])});
         });
   }
@@ -451,45 +470,50 @@ class SixPins : public Arm {
   void solve_parallel() {
     const Triple& normal = axis(1);
     const Triple reversed_axis = times(-1, axis(0));
-    const double component = inner(normal, minus(arm_.wrist, point_on(0)));
+    const double component = dot_product(normal, minus(arm_.wrist, point_on(0)));
     const Triple last_axis = rotate_by_goal(axis(5));
-    for_each(
+    for_each_solution(
         angles_to_component(reversed_axis, minus(wrist_target_, point_on(0)), normal, component,
-                            SLACK, start_[0]),
-        [&](double first) {
-          const Triple goal = undo_first(first);
-          const double axis_component = inner(normal, rotate_about(axis(0), -first, last_axis));
-          for_each(angles_to_component(axis(4), axis(5), normal, axis_component, SLACK, start_[4]),
-                   [&](double fifth) { solve_parallel(first, fifth, goal); });
+                            RANGE_TOLERANCE, start_[0]),
+        [&](double first_angle) {
+          const Triple goal = undo_first_rotation(first_angle);
+          const double axis_component =
+              dot_product(normal, rotate_about(axis(0), -first_angle, last_axis));
+          for_each_solution(
+              angles_to_component(axis(4), axis(5), normal, axis_component, RANGE_TOLERANCE,
+                                  start_[4]),
+              [&](double fifth_angle) { solve_parallel(first_angle, fifth_angle, goal); });
         });
   }
 
-  void solve_parallel(double first, double fifth, const Triple& goal) {
+  void solve_parallel(double first_angle, double fifth_angle, const Triple& goal) {
     const Triple& normal = axis(1);
-    const Triple normal_before = unrotate_by_goal(rotate_about(axis(0), first, normal));
-    const double sixth =
-        angle_between(axis(5), normal_before, rotate_about(axis(4), -fifth, normal), start_[5]);
+    const Triple normal_before = unrotate_by_goal(rotate_about(axis(0), first_angle, normal));
+    const double sixth_angle = angle_between(
+        axis(5), normal_before, rotate_about(axis(4), -fifth_angle, normal), start_[5]);
     // The sum of the three parallel rotations.
     const Triple perpendicular = orthogonal(normal);
     const Triple unrotated =
-        rotate_about(axis(5), -sixth, rotate_about(axis(4), -fifth, perpendicular));
-    const Triple rotated_side = rotate_about(axis(0), -first, rotate_by_goal(unrotated));
-    const double sum = angle_between(normal, perpendicular, rotated_side, 0);
+        rotate_about(axis(5), -sixth_angle, rotate_about(axis(4), -fifth_angle, perpendicular));
+    const Triple rotated_side = rotate_about(axis(0), -first_angle, rotate_by_goal(unrotated));
+    const double parallel_angle_sum = angle_between(normal, perpendicular, rotated_side, 0);
     const Triple wrist_start =
-        minus(goal, rotate_about(normal, sum, minus(arm_.wrist, point_on(3))));
+        minus(goal, rotate_about(normal, parallel_angle_sum, minus(arm_.wrist, point_on(3))));
     const double distance = norm(minus(wrist_start, point_on(1)));
-    for_each(angles_to_distance(axis(2), minus(point_on(3), point_on(2)),
-                                minus(point_on(1), point_on(2)), distance, SLACK, start_[2]),
-             [&](double third) {
-               const Triple rotated = rotate_point(2, third, point_on(3));
-               const double second = angle_between(normal, minus(rotated, point_on(1)),
-                                                   minus(wrist_start, point_on(1)), start_[1]);
-               add_branch({first, second, third, sum - second - third, fifth, sixth});
-             });
+    for_each_solution(
+        angles_to_distance(axis(2), minus(point_on(3), point_on(2)),
+                           minus(point_on(1), point_on(2)), distance, RANGE_TOLERANCE, start_[2]),
+        [&](double third_angle) {
+          const Triple rotated_point = rotate_point(2, third_angle, point_on(3));
+          const double second_angle = angle_between(normal, minus(rotated_point, point_on(1)),
+                                                    minus(wrist_start, point_on(1)), start_[1]);
+          add_branch({first_angle, second_angle, third_angle,
+                      parallel_angle_sum - second_angle - third_angle, fifth_angle, sixth_angle});
+        });
   }
 
   template <class Function>
-  static void for_each(const Angles& angles, Function&& function) {
+  static void for_each_solution(const AngleSolutions& angles, Function&& function) {
     for (int i = 0; i < angles.count; ++i) function(angles.values[i]);
   }
 
@@ -502,11 +526,11 @@ class SixPins : public Arm {
     for (std::size_t n = 0; n < ARM_PINS; ++n) {
       const double* limit = task_.chain.nodes[n].limit;
       double angle = angles[n] + REVOLUTION * std::nearbyint((start_[n] - angles[n]) / REVOLUTION);
-      if (angle < limit[0] - SLACK)
-        angle += REVOLUTION * std::ceil((limit[0] - SLACK - angle) / REVOLUTION);
-      if (angle > limit[1] + SLACK)
-        angle -= REVOLUTION * std::ceil((angle - limit[1] - SLACK) / REVOLUTION);
-      if (!(angle >= limit[0] - SLACK)) return;
+      if (angle < limit[0] - RANGE_TOLERANCE)
+        angle += REVOLUTION * std::ceil((limit[0] - RANGE_TOLERANCE - angle) / REVOLUTION);
+      if (angle > limit[1] + RANGE_TOLERANCE)
+        angle -= REVOLUTION * std::ceil((angle - limit[1] - RANGE_TOLERANCE) / REVOLUTION);
+      if (!(angle >= limit[0] - RANGE_TOLERANCE)) return;
       pose.angles[n] = std::clamp(angle, limit[0], limit[1]);
       pose.distance += (angle - start_[n]) * (angle - start_[n]);
     }
@@ -515,40 +539,40 @@ class SixPins : public Arm {
 
   double max_error() const {
     const double* errors = state_.errors.data();
-    return *std::max_element(errors, errors + COMPONENTS);
+    return *std::max_element(errors, errors + COMPONENT_COUNT);
   }
 
   // Sets state_ to a pose.
   void set_pose(const double* q, const double* target) {
     std::copy(q, q + ARM_PINS, state_.q.begin());
-    forward(task_.chain, state_.q.data(), state_.frames);
+    compute_frames(task_.chain, state_.q.data(), state_.frames);
     measure(task_, target, state_);
   }
 
   // Sets state_ to the pose at which Newton's method ends; returns whether it reaches the target
   // within the limits.
   bool refine(const double* angles, const double* target) {
-    double best[ARM_PINS], next[ARM_PINS], step[ARM_PINS];
-    std::copy(angles, angles + ARM_PINS, best);
-    set_pose(best, target);
+    double best_angles[ARM_PINS], next_angles[ARM_PINS], step[ARM_PINS];
+    std::copy(angles, angles + ARM_PINS, best_angles);
+    set_pose(best_angles, target);
     double error = max_error();
     for (int i = 0; i < ARM_NEWTON_STEPS && error > ARM_NEWTON_TOLERANCE; ++i) {
       solve_newton_step(target, step);
       for (std::size_t n = 0; n < ARM_PINS; ++n) {
         const double* limit = task_.chain.nodes[n].limit;
-        next[n] = std::clamp(best[n] + step[n], limit[0], limit[1]);
+        next_angles[n] = std::clamp(best_angles[n] + step[n], limit[0], limit[1]);
       }
-      set_pose(next, target);
+      set_pose(next_angles, target);
       const double next_error = max_error();
       if (!(next_error < error)) break;
-      const bool is_slow = next_error > error / 2;
+      const bool is_converging_slowly = next_error > error / 2;
       error = next_error;
-      std::copy(next, next + ARM_PINS, best);
-      if (is_slow) break;
+      std::copy(next_angles, next_angles + ARM_PINS, best_angles);
+      if (is_converging_slowly) break;
     }
-    set_pose(best, target);
+    set_pose(best_angles, target);
     const double* errors = state_.errors.data();
-    for (int component = 0; component < COMPONENTS; ++component)
+    for (int component = 0; component < COMPONENT_COUNT; ++component)
       if (!(errors[component] <= tolerances_[IS_LENGTH[component] ? 0 : 1])) return false;
     return true;
   }
@@ -593,7 +617,7 @@ class SixPins : public Arm {
 
   // The distance by which a target may be out of range because of rounding and nearly parallel
   // axes, as a fraction of the length.
-  static constexpr double SLACK = 1e-9;
+  static constexpr double RANGE_TOLERANCE = 1e-9;
 
   const Task& task_;
   const ArmGeometry arm_;

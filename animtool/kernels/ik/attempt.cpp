@@ -16,7 +16,7 @@ bool SolverState::begin_problem(const double* start, const double* targets, cons
 }
 
 Descent::DescentEnd Descent::descend(double damping, bool is_thorough) {
-  ++outcome_.descents;
+  ++outcome_.descent_count;
   bool is_accepted = true;
   double damping_growth = 2, checkpoint_cost = current_.cost, trust_radius = MAX_ROTATION;
   int slow_steps = 0;
@@ -25,12 +25,12 @@ Descent::DescentEnd Descent::descend(double damping, bool is_thorough) {
     if (is_budget_spent()) return DescentEnd::BUDGET;
     if (is_accepted) linearize(task_, targets_, rest_, current_, linear_);
     ++outcome_.iterations;
-    const bool use_hessian = is_thorough && (current_.cost > FAR_COST || slow_steps > 1);
-    const double gain = try_step(use_hessian ? MIN_DAMPING : damping, use_hessian, trust_radius);
+    const bool uses_hessian = is_thorough && (current_.cost > FULL_HESSIAN_COST || slow_steps > 1);
+    const double gain = try_step(uses_hessian ? MIN_DAMPING : damping, uses_hessian, trust_radius);
     if (std::fabs(gain) <= min_gain_ * current_.cost) return DescentEnd::STUCK;
     const double ratio = gain > 0 ? (current_.cost - next_.cost) / gain : 0;
-    is_accepted = ratio > MIN_RATIO && next_.cost < current_.cost;
-    if (use_hessian)
+    is_accepted = ratio > MIN_GAIN_RATIO && next_.cost < current_.cost;
+    if (uses_hessian)
       trust_radius = ratio < 0.25  ? 0.3 * stepper_.last_rotation()
                      : ratio > 0.5 ? std::min(2.5 * trust_radius, MAX_ROTATION)
                                    : trust_radius;
@@ -41,7 +41,7 @@ Descent::DescentEnd Descent::descend(double damping, bool is_thorough) {
     else
       damping = std::max(damping, 1e-9) * damping_growth;
     damping_growth = is_accepted ? 2 : damping_growth * 2;
-    if (damping > MAX_DAMPING || trust_radius < MIN_ROTATION) return DescentEnd::STUCK;
+    if (damping > MAX_DAMPING || trust_radius < MIN_STEP_ROTATION) return DescentEnd::STUCK;
     if (is_accepted) {
       slow_steps = next_.cost > 0.5 * current_.cost ? slow_steps + 1 : 0;
       std::swap(current_, next_);
@@ -53,10 +53,10 @@ Descent::DescentEnd Descent::descend(double damping, bool is_thorough) {
   }
 }
 
-double Descent::try_step(double damping, bool use_hessian, double trust_radius) {
-  if (!stepper_.step(current_, linear_, damping, use_hessian, trust_radius, delta_.data()))
+double Descent::try_step(double damping, bool uses_hessian, double trust_radius) {
+  if (!stepper_.step(current_, linear_, damping, uses_hessian, trust_radius, delta_.data()))
     return -1;
-  const double gain = stepper_.predicted_gain(current_, linear_, use_hessian, delta_.data());
+  const double gain = stepper_.predicted_gain(current_, linear_, uses_hessian, delta_.data());
   if (!(gain > 0)) return gain;
   stepper_.move(current_.q.data(), delta_.data(), next_.q.data());
   evaluate(next_);

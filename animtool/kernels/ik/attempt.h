@@ -28,13 +28,14 @@ class Random {
   std::uint64_t state_;
 };
 
-// Samples a random pose; joints without narrow limits are varied around `home`.
-inline void sample_pose(const Chain& chain, const double* home, Random& random, double* q) {
+// Samples a random pose; joints without narrow limits are varied around `reference_pose`.
+inline void sample_pose(const Chain& chain, const double* reference_pose, Random& random,
+                        double* q) {
   for (const Node& node : chain.nodes) {
     if (node.is_driven) continue;
     double* values = q + node.coordinate;
     const double* limit = node.limit;
-    const double middle = home[node.coordinate];
+    const double middle = reference_pose[node.coordinate];
     if (node.kind == Kind::BALL) {
       SwingTwist swing_twist;
       const double radius = std::sqrt(random.uniform(0, 1));
@@ -62,8 +63,8 @@ struct Settings {
   int iterations;           // largest number in all descents of a problem
   int restarts;             // largest number of other starts
   std::uint64_t seed;
-  double seconds;        // time limit; 0 for none
-  bool separate_starts;  // each frame of a clip has its start
+  double seconds;            // time limit; 0 for none
+  bool has_separate_starts;  // each frame of a clip has its start
 
   double tolerance(int component) const {
     return IS_LENGTH[component] ? length_tolerance : angle_tolerance;
@@ -76,7 +77,7 @@ enum class Status {
   REACHED = 0,
   NEAREST = 1,
   BUDGET = 2,
-  BROKEN = 3,
+  NOT_FINITE = 3,
   SOFTENED = 4,
   CONFLICT = 5,
   STALLED = 6
@@ -86,7 +87,7 @@ enum class Status {
 struct Outcome {
   Status status = Status::BUDGET;
   int iterations = 0;
-  int descents = 0;
+  int descent_count = 0;
 };
 
 // A solver of consecutive problems.
@@ -109,18 +110,18 @@ class SolverState {
   const Outcome& outcome() const { return outcome_; }
 
   // Sets the fraction of the budget that may be spent.
-  void set_allowance(double fraction) { allowance_ = fraction; }
+  void set_budget_fraction(double fraction) { budget_fraction_ = fraction; }
 
   bool is_budget_spent() const {
-    if (outcome_.iterations >= allowance_ * settings_.iterations) return true;
+    if (outcome_.iterations >= budget_fraction_ * settings_.iterations) return true;
     if (!(settings_.seconds > 0)) return false;
     const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start_time_;
-    return elapsed.count() > allowance_ * settings_.seconds;
+    return elapsed.count() > budget_fraction_ * settings_.seconds;
   }
 
   // Whether the errors of a goal are within a fraction of the tolerances.
   bool is_within_tolerance(const double* errors, double fraction = 1) const {
-    for (int component = 0; component < COMPONENTS; ++component)
+    for (int component = 0; component < COMPONENT_COUNT; ++component)
       if (errors[component] > fraction * settings_.tolerance(component)) return false;
     return true;
   }
@@ -128,7 +129,7 @@ class SolverState {
   // Whether all goals are within the tolerances.
   bool is_reached(const State& state) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (!is_within_tolerance(&state.errors[COMPONENTS * e])) return false;
+      if (!is_within_tolerance(&state.errors[COMPONENT_COUNT * e])) return false;
     return true;
   }
 
@@ -141,18 +142,18 @@ class SolverState {
         current_(task),
         next_(task),
         best_(task),
-        delta_(task.chain.dofs),
-        rest_downhill_(task.chain.dofs) {}
+        delta_(task.chain.dof_count),
+        negative_rest_gradient_(task.chain.dof_count) {}
 
   // Begins a problem: clamps the start to the limits; returns false if its cost is not finite.
   bool begin_problem(const double* start, const double* targets, const double* rest);
 
   // Computes the residuals, errors and cost of a pose.
   void evaluate(State& state) {
-    forward(task_.chain, state.q.data(), state.frames);
+    compute_frames(task_.chain, state.q.data(), state.frames);
     measure(task_, targets_, state, residual_offsets_);
-    state.rest_cost =
-        evaluate_rest(task_, state.q.data(), rest_, task_.rest_weight, rest_downhill_.data());
+    state.rest_cost = evaluate_rest(task_, state.q.data(), rest_, task_.rest_weight,
+                                    negative_rest_gradient_.data());
     state.cost += state.rest_cost;
   }
 
@@ -171,7 +172,7 @@ class SolverState {
   }
 
   // Keeps the better of the current and the best pose; returns whether that reaches the goals.
-  bool accept() {
+  bool keep_better() {
     if (current_.cost < best_.cost || (is_reached(current_) && !is_reached(best_)))
       std::swap(current_, best_);
     return is_reached(best_);
@@ -185,9 +186,9 @@ class SolverState {
   Linearized linear_;
   Stepper stepper_;
   State current_, next_, best_;
-  std::vector<double> delta_, rest_downhill_;
+  std::vector<double> delta_, negative_rest_gradient_;
   Outcome outcome_;
-  double allowance_ = 1;
+  double budget_fraction_ = 1;
   const double* targets_ = nullptr;
   const double* rest_ = nullptr;
   const double* residual_offsets_ = nullptr;  // (M,), added to the residuals
@@ -208,14 +209,14 @@ class Descent : public SolverState {
   static constexpr int PROGRESS_STEPS = 6;
   static constexpr double PROGRESS_RATIO = 0.3;
   // Above this cost the full Hessian is worth its time: goals are about one chain length away.
-  static constexpr double FAR_COST = 0.5;
+  static constexpr double FULL_HESSIAN_COST = 0.5;
   // A step is accepted if its gain is at least this fraction of the predicted one; a descent ends
   // when steps rotate joints by less than this [rad].
-  static constexpr double MIN_RATIO = 1e-4, MIN_ROTATION = 1e-10;
+  static constexpr double MIN_GAIN_RATIO = 1e-4, MIN_STEP_ROTATION = 1e-10;
   // A descent also ends when the predicted gain is below this fraction of the cost: rounding error,
   // unless the caller asks for less precision.
-  static constexpr double ROUNDING_GAIN = 1e-15;
-  double min_gain_ = ROUNDING_GAIN;
+  static constexpr double ROUNDING_MIN_GAIN = 1e-15;
+  double min_gain_ = ROUNDING_MIN_GAIN;
 
   // Moves the current pose downhill by Levenberg-Marquardt; where goals are far or progress is
   // slow, by a trust-region method with the full Hessian. If not `is_thorough`, it stops there,
@@ -224,7 +225,7 @@ class Descent : public SolverState {
 
   // Computes the step to next_; returns the decrease of the cost that the model predicts, negative
   // without a step.
-  double try_step(double damping, bool use_hessian, double trust_radius);
+  double try_step(double damping, bool uses_hessian, double trust_radius);
 };
 
 }  // namespace animtool::ik

@@ -15,22 +15,22 @@ class BlockBand {
  public:
   explicit BlockBand(int width)
       : width_(width),
-        square_(static_cast<std::size_t>(width) * width),
-        factor_(square_),
-        cross_(square_),
-        lower_(square_),
+        block_size_(static_cast<std::size_t>(width) * width),
+        factor_(block_size_),
+        cross_(block_size_),
+        lower_(block_size_),
         column_(width),
         buffer_(width) {}
 
   // Allocates the blocks of a number of frames; `factor` reads the lower triangle of each diagonal
   // block.
   void resize(int count) {
-    count_ = count;
-    diagonal_.resize(count * square_), inverse_.resize(count * square_),
-        lower_blocks_.resize(count * square_);
+    frame_count_ = count;
+    diagonal_.resize(count * block_size_), inverse_.resize(count * block_size_),
+        lower_blocks_.resize(count * block_size_);
     couplings_.assign(2 * static_cast<std::size_t>(count), 0.0);
   }
-  double* block(int t) { return diagonal_.data() + t * square_; }
+  double* block(int t) { return diagonal_.data() + t * block_size_; }
   // Sets the couplings of a frame with the previous frame, and with the one before that.
   void set_couplings(int t, double previous, double second_previous) {
     couplings_[2 * t] = previous, couplings_[2 * t + 1] = second_previous;
@@ -38,8 +38,8 @@ class BlockBand {
 
   // Factors the matrix; returns false if it is not positive definite.
   bool factor() {
-    for (int t = 0; t < count_; ++t) {
-      std::copy(block(t), block(t) + square_, factor_.begin());
+    for (int t = 0; t < frame_count_; ++t) {
+      std::copy(block(t), block(t) + block_size_, factor_.begin());
       if (t > 1) subtract_square(inverse(t - 2), couplings_[2 * t + 1]);
       if (t > 0) {
         compute_lower_block(t);
@@ -53,17 +53,17 @@ class BlockBand {
 
   // Solves in place for right-hand sides (count, D).
   void solve(double* x) {
-    for (int t = 0; t < count_; ++t) {
+    for (int t = 0; t < frame_count_; ++t) {
       double* row_t = x + static_cast<std::size_t>(t) * width_;
       if (t > 0) subtract(lower_block(t), row_t - width_, row_t);
       if (t > 1) subtract_upper(inverse(t - 2), couplings_[2 * t + 1], row_t - 2 * width_, row_t);
       std::copy(row_t, row_t + width_, buffer_.begin());
       multiply_upper_transposed(inverse(t), 1, buffer_.data(), row_t, true);
     }
-    for (int t = count_; t-- > 0;) {
+    for (int t = frame_count_; t-- > 0;) {
       double* row_t = x + static_cast<std::size_t>(t) * width_;
-      if (t + 1 < count_) subtract_transposed(lower_block(t + 1), row_t + width_, row_t);
-      if (t + 2 < count_)
+      if (t + 1 < frame_count_) subtract_transposed(lower_block(t + 1), row_t + width_, row_t);
+      if (t + 2 < frame_count_)
         multiply_upper_transposed(inverse(t), -couplings_[2 * (t + 2) + 1], row_t + 2 * width_,
                                   row_t, false);
       std::copy(row_t, row_t + width_, buffer_.begin());
@@ -73,8 +73,8 @@ class BlockBand {
   }
 
  private:
-  double* inverse(int t) { return inverse_.data() + t * square_; }
-  double* lower_block(int t) { return lower_blocks_.data() + t * square_; }
+  double* inverse(int t) { return inverse_.data() + t * block_size_; }
+  double* lower_block(int t) { return lower_blocks_.data() + t * block_size_; }
 
   // factor_ -= scale^2 U U^T
   void subtract_square(const double* u, double scale) {
@@ -104,7 +104,7 @@ class BlockBand {
     }
     const double* u = inverse(t - 1);
     double* out = lower_block(t);
-    std::fill(out, out + square_, 0.0);
+    std::fill(out, out + block_size_, 0.0);
     for (int i = 0; i < width_; ++i) {
       double* row = out + i * width_;
       for (int k = 0; k < width_; ++k) {
@@ -149,17 +149,17 @@ class BlockBand {
     for (int i = 0; i < width_; ++i) out[i] -= scale * inner(u + i * width_, v, i, width_);
   }
 
-  // out += scale U^T v, or out = scale U^T v with `overwrite`.
+  // out += scale U^T v, or out = scale U^T v with `overwrites`.
   void multiply_upper_transposed(const double* u, double scale, const double* v, double* out,
-                                 bool overwrite) const {
-    if (overwrite) std::fill(out, out + width_, 0.0);
+                                 bool overwrites) const {
+    if (overwrites) std::fill(out, out + width_, 0.0);
     for (int k = 0; k < width_; ++k)
       for (int j = k; j < width_; ++j) out[j] += scale * v[k] * u[k * width_ + j];
   }
 
   const int width_;
-  const std::size_t square_;
-  int count_ = 0;
+  const std::size_t block_size_;
+  int frame_count_ = 0;
   std::vector<double> diagonal_, inverse_, lower_blocks_, couplings_;
   std::vector<double> factor_, cross_, lower_, column_, buffer_;
 };

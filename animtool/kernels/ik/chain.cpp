@@ -3,8 +3,8 @@
 
 namespace animtool::ik {
 
-void forward(const Chain& chain, const double* q, std::size_t first, std::size_t end,
-             Frames& frames) {
+void compute_frames(const Chain& chain, const double* q, std::size_t first, std::size_t end,
+                    Frames& frames) {
   if (!chain.programs.empty()) Evaluation(chain.programs, q, frames.results).run();
   for (std::size_t n = first; n < end; ++n) {
     const Node& node = chain.nodes[n];
@@ -49,9 +49,9 @@ void difference(const Chain& chain, const double* from, const double* to, double
     const double *a = from + node.coordinate, *b = to + node.coordinate;
     if (node.kind == Kind::BALL) {
       const double inverse[4] = {-a[0], -a[1], -a[2], a[3]};
-      double relative[4];
-      product(b, inverse, relative);
-      logarithm(relative, out + node.dof);
+      double relative_rotation[4];
+      product(b, inverse, relative_rotation);
+      logarithm(relative_rotation, out + node.dof);
     } else {
       out[node.dof] = b[0] - a[0];
     }

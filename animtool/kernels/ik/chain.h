@@ -20,20 +20,20 @@ struct Node {
   double gain, shift;       // of pins and slides
   bool is_driven;           // an earlier node has the coordinate, or a program gives the value
   double limit[4];          // low, high; of a ball swing about x, swing about y, twist low, high
-  double inside_bounds[5];  // precomputed from the limits of a ball, see `prepare`
+  double inside_bounds[5];  // precomputed from the limits of a ball, see `set_inside_bounds`
   int coordinate;           // index of its first coordinate, of 1 or 4
   int dof;                  // index of its first degree of freedom, of 1 or 3
   int program;              // program that gives the value instead of a coordinate, or -1
 
   // Number of degrees of freedom.
-  int width() const { return kind == Kind::BALL ? 3 : 1; }
+  int dof_count() const { return kind == Kind::BALL ? 3 : 1; }
 };
 
 struct Chain {
   std::vector<Node> nodes;
   std::vector<Program> programs;  // each after the programs whose results it reads
-  int coordinates = 0;
-  int dofs = 0;
+  int coordinate_count = 0;
+  int dof_count = 0;
 };
 
 // World frames of the nodes after their motion, and their axes.
@@ -63,7 +63,7 @@ struct Frames {
 template <class Use>
 void for_each_slope(const Chain& chain, const Node& node, const Frames& frames, Use&& use) {
   if (node.program < 0) {
-    for (int k = 0; k < node.width(); ++k) use(k, node.dof + k, node.gain);
+    for (int k = 0; k < node.dof_count(); ++k) use(k, node.dof + k, node.gain);
     return;
   }
   const Program& program = chain.programs[node.program];
@@ -75,7 +75,7 @@ void for_each_slope(const Chain& chain, const Node& node, const Frames& frames, 
 template <class Use>
 void for_each_dof(const Chain& chain, const Node& node, Use&& use) {
   if (node.program < 0)
-    for (int d = node.dof; d < node.dof + node.width(); ++d) use(d);
+    for (int d = node.dof; d < node.dof + node.dof_count(); ++d) use(d);
   else
     for (const int d : chain.programs[node.program].dofs) use(d);
 }
@@ -91,11 +91,11 @@ inline void rotate_about_z(const double* r, double angle, double* out) {
 }
 
 // Computes the frames of the nodes in [first, end); those of earlier nodes must be up to date.
-void forward(const Chain& chain, const double* q, std::size_t first, std::size_t end,
-             Frames& frames);
+void compute_frames(const Chain& chain, const double* q, std::size_t first, std::size_t end,
+                    Frames& frames);
 
-inline void forward(const Chain& chain, const double* q, Frames& frames) {
-  forward(chain, q, 0, chain.nodes.size(), frames);
+inline void compute_frames(const Chain& chain, const double* q, Frames& frames) {
+  compute_frames(chain, q, 0, chain.nodes.size(), frames);
 }
 
 // Velocity of a point and of the frame of a node, per unit motion about or along one of its axes.

@@ -77,36 +77,38 @@ void Evaluation::push_ball(const Instruction& instruction) {
 }
 
 void Evaluation::push_result(const Program& program, const Instruction& instruction) {
-  const Program& other = programs_[instruction.index];
+  const Program& other_program = programs_[instruction.index];
   double* slopes = push(instruction.numbers[0] * results_.values[instruction.index]);
-  for (std::size_t k = 0; k < other.dofs.size(); ++k) {
-    const auto entry = std::lower_bound(program.dofs.begin(), program.dofs.end(), other.dofs[k]);
+  for (std::size_t k = 0; k < other_program.dofs.size(); ++k) {
+    const auto entry =
+        std::lower_bound(program.dofs.begin(), program.dofs.end(), other_program.dofs[k]);
     slopes[entry - program.dofs.begin()] =
-        instruction.numbers[0] * results_.slopes[other.first_slope + k];
+        instruction.numbers[0] * results_.slopes[other_program.first_slope + k];
   }
 }
 
 void Evaluation::apply_curve(const Instruction& instruction, const Instruction* points) {
   const double x = entry(top_ - 1)[0];
   const int count = instruction.index;
-  const double* first = points[0].numbers;
-  const double* last = points[count - 1].numbers;
-  if (!(x > first[0])) return replace_operands(1, x == x ? first[1] : x, 0);
-  if (!(x < last[0])) return replace_operands(1, last[1], 0);
+  const double* first_point = points[0].numbers;
+  const double* last_point = points[count - 1].numbers;
+  if (!(x > first_point[0])) return replace_operands(1, x == x ? first_point[1] : x, 0);
+  if (!(x < last_point[0])) return replace_operands(1, last_point[1], 0);
   int low = 0, high = count - 1;
   while (high - low > 1) {
     const int middle = (low + high) / 2;
     (points[middle].numbers[0] <= x ? low : high) = middle;
   }
   const double *a = points[low].numbers, *b = points[high].numbers;
-  const double interval = b[0] - a[0], u = (x - a[0]) / interval, rise = b[1] - a[1];
-  if (!(instruction.numbers[0] > 0)) return replace_operands(1, a[1] + u * rise, rise / interval);
+  const double interval = b[0] - a[0], u = (x - a[0]) / interval, y_change = b[1] - a[1];
+  if (!(instruction.numbers[0] > 0))
+    return replace_operands(1, a[1] + u * y_change, y_change / interval);
   const double start_slope = a[2] * interval, end_slope = b[2] * interval;
   // Hermite: h(u) = u^2 (3 - 2 u) rise + u (1 - u)^2 start_slope - u^2 (1 - u) end_slope
   const double value =
-      a[1] + u * u * (3 - 2 * u) * rise + u * (1 - u) * ((1 - u) * start_slope - u * end_slope);
-  const double slope =
-      6 * u * (1 - u) * rise + (1 - u) * (1 - 3 * u) * start_slope + u * (3 * u - 2) * end_slope;
+      a[1] + u * u * (3 - 2 * u) * y_change + u * (1 - u) * ((1 - u) * start_slope - u * end_slope);
+  const double slope = 6 * u * (1 - u) * y_change + (1 - u) * (1 - 3 * u) * start_slope +
+                       u * (3 * u - 2) * end_slope;
   replace_operands(1, value, slope / interval);
 }
 
@@ -135,8 +137,9 @@ void Evaluation::apply_function(Op op) {
       return replace_operands(1, std::ceil(x[0]), 0);
     case Op::CLAMP: {
       const double low = std::max(x[0], x[1]);
-      const bool above = low > x[2], below = x[0] < x[1];
-      return replace_operands(3, std::min(low, x[2]), !above && !below, !above && below, above);
+      const bool is_above = low > x[2], is_below = x[0] < x[1];
+      return replace_operands(3, std::min(low, x[2]), !is_above && !is_below, !is_above && is_below,
+                              is_above);
     }
     case Op::COS:
       return replace_operands(1, std::cos(x[0]), -std::sin(x[0]));
@@ -174,8 +177,9 @@ void Evaluation::apply_function(Op op) {
 void Evaluation::apply_smoothstep(const double* x) {
   const double width = x[1] - x[0];
   if (width == 0) return replace_operands(3, x[2] < x[0] ? 0 : 1, 0, 0, 0);
-  const double unclamped = (x[2] - x[0]) / width, u = std::clamp(unclamped, 0.0, 1.0);
-  const double slope = unclamped == u ? 6 * u * (1 - u) / width : 0;
+  const double unclamped_fraction = (x[2] - x[0]) / width,
+               u = std::clamp(unclamped_fraction, 0.0, 1.0);
+  const double slope = unclamped_fraction == u ? 6 * u * (1 - u) / width : 0;
   replace_operands(3, u * u * (3 - 2 * u), slope * (u - 1), -slope * u, slope);
 }
 

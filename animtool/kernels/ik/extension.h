@@ -25,7 +25,7 @@ std::vector<Limb> read_limbs(const In<std::int64_t, 1>& goals, const In<double, 
 // Extends the limbs of one problem with `count` goals. Computes targets that the limbs can reach,
 // factors of their bone lengths (E,), and whether only the soft extension keeps a limb from its
 // target (E,).
-void extend_limbs(const std::vector<Limb>& limbs, std::size_t count, const double* targets,
-                  double* reachable, double* scales, bool* softened);
+void extend_limbs(const std::vector<Limb>& limbs, std::size_t goal_count, const double* targets,
+                  double* reachable, double* scales, bool* is_softened);
 
 }  // namespace animtool::ik

@@ -21,11 +21,12 @@ namespace {
 
 struct FitSettings {
   PathWeights weights;
-  double robust;     // c, in units of weighted residuals; infinite for least squares
-  double homing;     // fraction by which an unconstrained joint returns to its rest pose per frame
-  int first, end;    // range of frames that may change
-  int iterations;    // largest number of Gauss-Newton iterations over all frames
-  bool track_first;  // whether frames are solved one after the other first
+  double robust_scale;          // c, in units of weighted residuals; infinite for least squares
+  double rest_return_fraction;  // fraction by which an unconstrained joint returns to its rest pose
+                                // per frame
+  int first, end;               // range of frames that may change
+  int iterations;               // largest number of Gauss-Newton iterations over all frames
+  bool solves_frames_first;     // whether frames are solved one after the other first
 };
 
 // Number of iterations over all frames, and the cost before and after them.
@@ -38,23 +39,23 @@ class PathFit : public Descent {
  public:
   // `starts` (F, Q) are start poses for frames where extrapolation from earlier frames fails. The
   // task's rest weight is the weight of the extrapolated pose.
-  PathFit(Task& task, const Settings& settings, const FitSettings& fit, int frames,
+  PathFit(Task& task, const Settings& settings, const FitSettings& fit, int frame_count,
           const double* targets, const double* starts)
       : Descent(task, settings),
-        local_task_(task),
+        mutable_task_(task),
         prediction_weight_(task.rest_weight),
         fit_(fit),
-        frames_(frames),
-        width_(task.chain.dofs),
-        coordinates_(task.chain.coordinates),
-        source_targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
+        frame_count_(frame_count),
+        dof_count_(task.chain.dof_count),
+        coordinate_count_(task.chain.coordinate_count),
+        source_targets_(targets, targets + frame_count * task.goals.size() * TARGET_WIDTH),
         weighted_targets_(source_targets_),
         starts_(starts),
-        cost_(task.chain, frames, fit.weights, nullptr),
-        band_(frames, fit.first, fit.end, fit.weights),
-        blocks_(width_),
-        rest_pose_(task.chain.coordinates),
-        difference_(width_),
+        cost_(task.chain, frame_count, fit.weights, nullptr),
+        band_(frame_count, fit.first, fit.end, fit.weights),
+        blocks_(dof_count_),
+        rest_pose_(task.chain.coordinate_count),
+        tangent_(dof_count_),
         state_(task) {
     min_gain_ = FRAME_MIN_GAIN;
     for (const Node& node : task.chain.nodes)
@@ -64,13 +65,14 @@ class PathFit : public Descent {
   // Targets (F, E, W), after they were reassigned between goals.
   const double* targets(int t) const { return source_targets(t); }
 
-  // Improves a path (F, Q) in place. `searched` (F,) is set for frames that used their start pose,
-  // and `target_sources` (F, E) to the goal whose target a goal uses, -1 if it lost its target.
-  FitOutcome run(double* path, std::int64_t* searched, std::int64_t* target_sources) {
+  // Improves a path (F, Q) in place. `used_start_pose` (F,) is set for frames that used their start
+  // pose, and `target_sources` (F, E) to the goal whose target a goal uses, -1 if it lost its
+  // target.
+  FitOutcome run(double* path, std::int64_t* used_start_pose, std::int64_t* target_sources) {
     target_sources_ = target_sources;
-    path_.assign(path, path + static_cast<std::size_t>(frames_) * coordinates_);
-    if (fit_.track_first)
-      for (int t = fit_.first; t < fit_.end; ++t) searched[t] = track(t);
+    path_.assign(path, path + static_cast<std::size_t>(frame_count_) * coordinate_count_);
+    if (fit_.solves_frames_first)
+      for (int t = fit_.first; t < fit_.end; ++t) used_start_pose[t] = solve_from_previous(t);
     anchors_ = path_;
     FitOutcome outcome;
     minimize(outcome);
@@ -82,7 +84,7 @@ class PathFit : public Descent {
   // Smallest relative gain of a step in one frame, and of an iteration over all frames.
   static constexpr double FRAME_MIN_GAIN = 1e-5, PATH_MIN_GAIN = 1e-4;
   // Smallest relative gain of an iteration with fixed weights, which only finds a start.
-  static constexpr double FIXED_MIN_GAIN = 0.01;
+  static constexpr double FIXED_WEIGHTS_MIN_GAIN = 0.01;
   // Largest residual; the squares of larger ones overflow.
   static constexpr double MAX_RESIDUAL = 1e100;
   // Residuals above this multiple of their median at a start are probably outliers. The scale is
@@ -92,15 +94,16 @@ class PathFit : public Descent {
   // If the goals of a frame cost more than this fraction of their largest cost on average, the
   // frame is searched from this many other starts; a result has to cost less than this fraction of
   // the previous cost.
-  static constexpr double LOST_FRACTION = 0.45, IMPROVEMENT_RATIO = 0.8;
+  static constexpr double LOST_COST_FRACTION = 0.45, IMPROVEMENT_RATIO = 0.8;
   static constexpr int MAX_RESTARTS = 4;
   // Weight of the start pose in a search from another start: unconstrained joints keep it.
   static constexpr double START_WEIGHT = 1;
-  // A target is stray if its squared error exceeds this multiple of c^2. It is assigned to another
-  // goal that is within this multiple of c, and nearer by this factor. If more targets than this
-  // are stray, the pose is wrong, not the targets.
-  static constexpr double STRAY_RATIO = 2, CLOSE_RATIO = 2, NEARER_RATIO = 0.25;
-  static constexpr std::size_t MAX_STRAYS = 16;
+  // A target is unmatched if its squared error exceeds this multiple of c^2. It is assigned to
+  // another goal that is within this multiple of c, and nearer by this factor. If more targets than
+  // this are unmatched, the pose is wrong, not the targets.
+  static constexpr double UNMATCHED_ERROR_RATIO = 2, MAX_REASSIGN_DISTANCE_RATIO = 2,
+                          NEARER_DISTANCE_RATIO = 0.25;
+  static constexpr std::size_t MAX_UNMATCHED_GOALS = 16;
   // This many goals outweigh the pose extrapolated from earlier frames.
   static constexpr double PREDICTION_GOALS = 3;
   // Fraction of the velocity that remains per frame without observations.
@@ -115,10 +118,10 @@ class PathFit : public Descent {
 
   // Row of a frame in a path (F, Q), and in tangent vectors (F, D).
   double* pose(std::vector<double>& path, int t) {
-    return path.data() + static_cast<std::size_t>(t) * coordinates_;
+    return path.data() + static_cast<std::size_t>(t) * coordinate_count_;
   }
   double* row(std::vector<double>& rows, int t) {
-    return rows.data() + static_cast<std::size_t>(t) * width_;
+    return rows.data() + static_cast<std::size_t>(t) * dof_count_;
   }
   // Targets of a frame, with robust weights and with their original ones.
   double* weighted_targets(int t) {
@@ -137,11 +140,11 @@ class PathFit : public Descent {
   template <class F>
   void for_each_error(int t, const State& state, F&& f) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      for (int component = 0; component < COMPONENTS; ++component) {
+      for (int component = 0; component < COMPONENT_COUNT; ++component) {
         const double weight =
             weight_of(task_.goals[e], source_targets(t) + TARGET_WIDTH * e, component);
         if (!(weight > 0)) continue;
-        const double error = weight * state.errors[COMPONENTS * e + component];
+        const double error = weight * state.errors[COMPONENT_COUNT * e + component];
         // Poses and targets may contain any numbers: NaN counts as far away.
         f(e, component,
           std::fabs(error) < MAX_RESIDUAL ? error * error : MAX_RESIDUAL * MAX_RESIDUAL);
@@ -161,7 +164,7 @@ class PathFit : public Descent {
   double cost_fraction(int t, const State& state) const {
     double sum = 0;
     int count = 0;
-    const double limit = fit_.robust * fit_.robust;
+    const double limit = fit_.robust_scale * fit_.robust_scale;
     for_each_error(t, state, [&](std::size_t, int, double square) {
       sum += square / (limit + square), ++count;
     });
@@ -172,8 +175,8 @@ class PathFit : public Descent {
   void reweight(int t, const State& state, double scale) {
     double* out = weighted_targets(t);
     for_each_error(t, state, [&](std::size_t e, int component, double square) {
-      out[TARGET_WIDTH * e + WEIGHTS + component] =
-          source_targets(t)[TARGET_WIDTH * e + WEIGHTS + component] /
+      out[TARGET_WIDTH * e + WEIGHTS_OFFSET + component] =
+          source_targets(t)[TARGET_WIDTH * e + WEIGHTS_OFFSET + component] /
           (1 + square / (scale * scale));
     });
   }
@@ -191,8 +194,8 @@ class PathFit : public Descent {
 
   // Evaluates a pose, with the errors of all goals that have targets, even if their weight is 0.
   void evaluate_pose(int t, const double* q, State& state) {
-    std::copy(q, q + coordinates_, state.q.begin());
-    forward(task_.chain, state.q.data(), state.frames);
+    std::copy(q, q + coordinate_count_, state.q.begin());
+    compute_frames(task_.chain, state.q.data(), state.frames);
     measure(task_, source_targets(t), state);
   }
 
@@ -205,100 +208,103 @@ class PathFit : public Descent {
 
   // Cost of a pose's distance from the extrapolated pose; at most that of PREDICTION_GOALS goals.
   double prediction_cost(const double* q, const double* predicted) {
-    difference(task_.chain, predicted, q, difference_.data());
+    difference(task_.chain, predicted, q, tangent_.data());
     double square = 0;
-    for (const double x : difference_) square += x * x;
+    for (const double x : tangent_) square += x * x;
     const double cost = prediction_weight_ * square / 2,
-                 max_cost = PREDICTION_GOALS * fit_.robust * fit_.robust / 2;
+                 max_cost = PREDICTION_GOALS * fit_.robust_scale * fit_.robust_scale / 2;
     return std::isfinite(max_cost) ? cost / (1 + cost / max_cost) : cost;
   }
 
   // Solves a frame from a start; state_ is the pose at the end. Returns the cost of its goals.
   // Errors at the start above a scale count little at first.
-  double solve_frame(int t, const double* start, const double* preferred, bool trust_targets) {
+  double solve_frame(int t, const double* start, const double* preferred_pose,
+                     bool trusts_targets) {
     evaluate_pose(t, start, state_);
-    double scale = trust_targets ? max_error(t, state_) : OUTLIER_RATIO * median_error(t, state_);
-    scale = std::max(fit_.robust, scale);
-    local_task_.rest_weight =
-        trust_targets ? std::min(START_WEIGHT, prediction_weight_) : prediction_weight_;
-    start_.assign(start, start + coordinates_);
+    double scale = trusts_targets ? max_error(t, state_) : OUTLIER_RATIO * median_error(t, state_);
+    scale = std::max(fit_.robust_scale, scale);
+    mutable_task_.rest_weight =
+        trusts_targets ? std::min(START_WEIGHT, prediction_weight_) : prediction_weight_;
+    start_.assign(start, start + coordinate_count_);
     for (int i = 0; i < MAX_HALVINGS; ++i) {
       reweight(t, state_, scale);
-      if (!begin_problem(start_.data(), weighted_targets(t), preferred)) break;
+      if (!begin_problem(start_.data(), weighted_targets(t), preferred_pose)) break;
       set_current(best_);
       descend(settings_.damping, false);
       if (current_.cost < best_.cost) std::swap(current_, best_);
       std::copy(best_.q.begin(), best_.q.end(), start_.data());
       evaluate_pose(t, start_.data(), state_);
-      if (!(scale > fit_.robust)) break;
-      scale = std::max(fit_.robust, std::min(scale / 2, OUTLIER_RATIO * median_error(t, state_)));
+      if (!(scale > fit_.robust_scale)) break;
+      scale =
+          std::max(fit_.robust_scale, std::min(scale / 2, OUTLIER_RATIO * median_error(t, state_)));
     }
-    return robust_cost(t, state_, fit_.robust);
+    return robust_cost(t, state_, fit_.robust_scale);
   }
 
   // Extrapolates a pose from earlier frames.
   void predict(int t, double* out) {
     const double* last = pose(path_, t - 1);
-    std::fill(difference_.begin(), difference_.end(), 0.0);
-    if (t > 1) difference(task_.chain, pose(path_, t - 2), last, difference_.data());
-    for (double& x : difference_) x *= VELOCITY_DECAY;
-    stepper_.move(last, difference_.data(), out);
+    std::fill(tangent_.begin(), tangent_.end(), 0.0);
+    if (t > 1) difference(task_.chain, pose(path_, t - 2), last, tangent_.data());
+    for (double& x : tangent_) x *= VELOCITY_DECAY;
+    stepper_.move(last, tangent_.data(), out);
   }
 
   // Moves unconstrained joints of a pose towards their rest pose.
   void relax_to_rest(double* out) {
-    difference(task_.chain, out, rest_pose_.data(), difference_.data());
+    difference(task_.chain, out, rest_pose_.data(), tangent_.data());
     for (const Node& node : task_.chain.nodes)
-      for (int k = 0; k < (node.program < 0 ? node.width() : 0); ++k)
-        difference_[node.dof + k] *= node.kind == Kind::SLIDE || is_root(node) ? 0 : fit_.homing;
-    stepper_.move(std::vector<double>(out, out + coordinates_).data(), difference_.data(), out);
+      for (int k = 0; k < (node.program < 0 ? node.dof_count() : 0); ++k)
+        tangent_[node.dof + k] *=
+            node.kind == Kind::SLIDE || is_root(node) ? 0 : fit_.rest_return_fraction;
+    stepper_.move(std::vector<double>(out, out + coordinate_count_).data(), tangent_.data(), out);
   }
 
   // Solves a frame, starting from earlier frames; returns 1 if it used its start pose.
-  std::int64_t track(int t) {
-    std::vector<double> start(coordinates_), preferred(coordinates_);
-    const double* restart = starts_ + static_cast<std::size_t>(t) * coordinates_;
+  std::int64_t solve_from_previous(int t) {
+    std::vector<double> start(coordinate_count_), preferred_pose(coordinate_count_);
+    const double* frame_start = starts_ + static_cast<std::size_t>(t) * coordinate_count_;
     const bool has_previous = t > 0;
     if (has_previous)
       predict(t, start.data());
     else
-      std::copy(restart, restart + coordinates_, start.begin());
-    preferred = start;
-    if (has_previous) relax_to_rest(preferred.data());
-    if (has_previous && std::isfinite(fit_.robust)) reassign_targets(t, start.data());
-    double cost = solve_frame(t, start.data(), preferred.data(), !has_previous);
-    std::vector<double> best = state_.q;
-    std::int64_t searched = !has_previous;
-    if (has_previous && max_error(t, state_) > fit_.robust) {
-      const double current_cost = cost + prediction_cost(best.data(), preferred.data());
-      const double other_cost = solve_frame(t, start.data(), preferred.data(), true);
-      if (other_cost + prediction_cost(state_.q.data(), preferred.data()) < current_cost)
-        cost = other_cost, best = state_.q;
-      evaluate_pose(t, best.data(), state_);
+      std::copy(frame_start, frame_start + coordinate_count_, start.begin());
+    preferred_pose = start;
+    if (has_previous) relax_to_rest(preferred_pose.data());
+    if (has_previous && std::isfinite(fit_.robust_scale)) reassign_targets(t, start.data());
+    double cost = solve_frame(t, start.data(), preferred_pose.data(), !has_previous);
+    std::vector<double> best_pose = state_.q;
+    std::int64_t used_start_pose = !has_previous;
+    if (has_previous && max_error(t, state_) > fit_.robust_scale) {
+      const double current_cost = cost + prediction_cost(best_pose.data(), preferred_pose.data());
+      const double other_cost = solve_frame(t, start.data(), preferred_pose.data(), true);
+      if (other_cost + prediction_cost(state_.q.data(), preferred_pose.data()) < current_cost)
+        cost = other_cost, best_pose = state_.q;
+      evaluate_pose(t, best_pose.data(), state_);
     }
-    if (reset_lost_joints(t, best, start)) {
+    if (reset_lost_joints(t, best_pose, start)) {
       const double other_cost = solve_frame(t, start.data(), start.data(), true);
-      if (other_cost < cost) cost = other_cost, best = state_.q;
-      evaluate_pose(t, best.data(), state_);
+      if (other_cost < cost) cost = other_cost, best_pose = state_.q;
+      evaluate_pose(t, best_pose.data(), state_);
     }
-    if (cost_fraction(t, state_) > LOST_FRACTION) {
+    if (cost_fraction(t, state_) > LOST_COST_FRACTION) {
       for (int i = 0; i < MAX_RESTARTS; ++i) {
-        std::copy(restart, restart + coordinates_, start.begin());
+        std::copy(frame_start, frame_start + coordinate_count_, start.begin());
         if (i > 0) randomize_joints(start);
         const double other_cost = solve_frame(t, start.data(), start.data(), true);
         if (!(other_cost < IMPROVEMENT_RATIO * cost)) continue;
-        cost = other_cost, best = state_.q, searched = 1;
+        cost = other_cost, best_pose = state_.q, used_start_pose = 1;
       }
     }
-    std::copy(best.begin(), best.end(), pose(path_, t));
-    return searched;
+    std::copy(best_pose.begin(), best_pose.end(), pose(path_, t));
+    return used_start_pose;
   }
 
   // Sets `out` to a pose in which joints are at rest if all goals that they move are far off, such
   // as those of a neck whose head is lost; returns false if there are no such joints.
   bool reset_lost_joints(int t, const std::vector<double>& pose, std::vector<double>& out) {
     joint_flags_.assign(task_.chain.nodes.size(), 0);
-    const double limit = fit_.robust * fit_.robust;
+    const double limit = fit_.robust_scale * fit_.robust_scale;
     for_each_error(t, state_, [&](std::size_t e, int, double square) {
       for (const int n : task_.goals[e].path) joint_flags_[n] |= square > limit ? 1 : 2;
     });
@@ -320,45 +326,47 @@ class PathFit : public Descent {
   // which has no target or is far from it, is assigned to that goal.
   void reassign_targets(int t, const double* start) {
     evaluate_pose(t, start, state_);
-    stray_goals_.clear();
-    const double limit = fit_.robust * fit_.robust;
+    unmatched_goals_.clear();
+    const double limit = fit_.robust_scale * fit_.robust_scale;
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       if (!(task_.goals[e].weights[0] > 0)) continue;
       const double weight = weight_of(task_.goals[e], source_targets(t) + TARGET_WIDTH * e, 0);
-      const double error = weight * state_.errors[COMPONENTS * e];
-      if (!(weight > 0) || error * error > STRAY_RATIO * limit) stray_goals_.push_back(e);
+      const double error = weight * state_.errors[COMPONENT_COUNT * e];
+      if (!(weight > 0) || error * error > UNMATCHED_ERROR_RATIO * limit)
+        unmatched_goals_.push_back(e);
     }
-    if (stray_goals_.size() < 2 || stray_goals_.size() > MAX_STRAYS) return;
+    if (unmatched_goals_.size() < 2 || unmatched_goals_.size() > MAX_UNMATCHED_GOALS) return;
     std::int64_t* target_sources =
         target_sources_ + static_cast<std::size_t>(t) * task_.goals.size();
-    const std::vector<double> before(source_targets(t),
-                                     source_targets(t) + task_.goals.size() * TARGET_WIDTH);
-    for (const std::size_t from : stray_goals_) {
-      const double* target = before.data() + TARGET_WIDTH * from;
-      if (!(target[WEIGHTS] > 0)) continue;
+    const std::vector<double> targets_before(source_targets(t),
+                                             source_targets(t) + task_.goals.size() * TARGET_WIDTH);
+    for (const std::size_t from : unmatched_goals_) {
+      const double* target = targets_before.data() + TARGET_WIDTH * from;
+      if (!(target[WEIGHTS_OFFSET] > 0)) continue;
       const double max_distance =
-          CLOSE_RATIO * fit_.robust / weight_of(task_.goals[from], target, 0);
-      double min_distance = std::min(max_distance, NEARER_RATIO * distance_to(from, target));
+          MAX_REASSIGN_DISTANCE_RATIO * fit_.robust_scale / weight_of(task_.goals[from], target, 0);
+      double min_distance =
+          std::min(max_distance, NEARER_DISTANCE_RATIO * distance_to(from, target));
       std::size_t nearest = from;
-      for (const std::size_t to : stray_goals_) {
-        const double* current_target = before.data() + TARGET_WIDTH * to;
-        const bool is_free =
+      for (const std::size_t to : unmatched_goals_) {
+        const double* current_target = targets_before.data() + TARGET_WIDTH * to;
+        const bool is_unassigned =
             target_sources[to] < 0 || target_sources[to] == static_cast<std::int64_t>(to);
         const double distance = distance_to(to, target);
-        if (to == from || !is_free || distance > min_distance) continue;
-        if (current_target[WEIGHTS] > 0 &&
-            distance > NEARER_RATIO * distance_to(to, current_target))
+        if (to == from || !is_unassigned || distance > min_distance) continue;
+        if (current_target[WEIGHTS_OFFSET] > 0 &&
+            distance > NEARER_DISTANCE_RATIO * distance_to(to, current_target))
           continue;
         min_distance = distance, nearest = to;
       }
       if (nearest == from) continue;
       double* out = source_targets(t) + TARGET_WIDTH * nearest;
       std::copy(target, target + 3, out);
-      out[WEIGHTS] = target[WEIGHTS];
+      out[WEIGHTS_OFFSET] = target[WEIGHTS_OFFSET];
       target_sources[nearest] = static_cast<std::int64_t>(from);
       if (target_sources[from] != static_cast<std::int64_t>(from)) continue;
       // The goal has no target until another one is assigned.
-      source_targets(t)[TARGET_WIDTH * from + WEIGHTS] = 0;
+      source_targets(t)[TARGET_WIDTH * from + WEIGHTS_OFFSET] = 0;
       target_sources[from] = -1;
     }
     std::copy(source_targets(t), source_targets(t) + task_.goals.size() * TARGET_WIDTH,
@@ -401,26 +409,26 @@ class PathFit : public Descent {
     outcome.start_cost = outcome.end_cost = evaluate(path_, false);
     // Frames that were solved one by one are not smooth. The first smoothing step is long, and
     // would lose goals, whose weight falls with their error. So weights are fixed at first.
-    if (fit_.track_first && std::isfinite(fit_.robust)) {
+    if (fit_.solves_frames_first && std::isfinite(fit_.robust_scale)) {
       for (int t = fit_.first; t < fit_.end; ++t) {
         evaluate_pose(t, pose(path_, t), state_);
-        reweight(t, state_, fit_.robust);
+        reweight(t, state_, fit_.robust_scale);
       }
-      improve(outcome, true);
+      iterate_all_frames(outcome, true);
     }
-    improve(outcome, false);
+    iterate_all_frames(outcome, false);
   }
 
-  // Iterates over all frames at once. With `keep_weights`, goals keep their current weights.
-  void improve(FitOutcome& outcome, bool keep_weights) {
-    double cost = evaluate(path_, keep_weights), damping = 0;
+  // Iterates over all frames at once. With `keeps_weights`, goals keep their current weights.
+  void iterate_all_frames(FitOutcome& outcome, bool keeps_weights) {
+    double cost = evaluate(path_, keeps_weights), damping = 0;
     for (int iteration = 0; iteration < fit_.iterations; ++iteration) {
-      assemble(keep_weights);
+      assemble(keeps_weights);
       const double previous_cost = cost;
       bool is_better = false;
       for (int i = 0; i < MAX_ATTEMPTS && !is_better; ++i) {
         if (try_path_step(damping)) {
-          const double next_cost = evaluate(next_path_, keep_weights);
+          const double next_cost = evaluate(next_path_, keeps_weights);
           is_better = next_cost < cost;
           if (is_better) cost = next_cost, path_.swap(next_path_);
         }
@@ -429,104 +437,109 @@ class PathFit : public Descent {
       }
       if (!is_better) break;
       ++outcome.iterations;
-      if (previous_cost - cost < (keep_weights ? FIXED_MIN_GAIN : PATH_MIN_GAIN) * cost) break;
+      if (previous_cost - cost < (keeps_weights ? FIXED_WEIGHTS_MIN_GAIN : PATH_MIN_GAIN) * cost)
+        break;
     }
-    if (!keep_weights) outcome.end_cost = cost;
+    if (!keeps_weights) outcome.end_cost = cost;
   }
 
   // Evaluates a pose with the current weights of the goals.
   void evaluate_weighted(int t, const double* q) {
-    std::copy(q, q + coordinates_, state_.q.begin());
-    forward(task_.chain, state_.q.data(), state_.frames);
+    std::copy(q, q + coordinate_count_, state_.q.begin());
+    compute_frames(task_.chain, state_.q.data(), state_.frames);
     measure(task_, weighted_targets(t), state_);
   }
 
-  // Cost of a path; with `keep_weights`, with the current weights of the goals.
-  double evaluate(std::vector<double>& path, bool keep_weights) {
+  // Cost of a path; with `keeps_weights`, with the current weights of the goals.
+  double evaluate(std::vector<double>& path, bool keeps_weights) {
     double cost = cost_.evaluate(anchors_.data(), path.data());
     for (int t = fit_.first; t < fit_.end; ++t) {
-      if (keep_weights) {
+      if (keeps_weights) {
         evaluate_weighted(t, pose(path, t));
         double square = 0;
-        for (int m = 0; m < task_.rows; ++m) square += state_.residuals[m] * state_.residuals[m];
+        for (int m = 0; m < task_.row_count; ++m)
+          square += state_.residuals[m] * state_.residuals[m];
         cost += square / 2;
       } else {
         evaluate_pose(t, pose(path, t), state_);
-        cost += robust_cost(t, state_, fit_.robust);
+        cost += robust_cost(t, state_, fit_.robust_scale);
       }
     }
     return cost;
   }
 
   // Computes the normal matrices and the negative gradient at the current path, with robust
-  // weights, or with the current ones if `keep_weights`.
-  void assemble(bool keep_weights) {
+  // weights, or with the current ones if `keeps_weights`.
+  void assemble(bool keeps_weights) {
     const int count = fit_.end - fit_.first;
     cost_.evaluate(anchors_.data(), path_.data(), &path_gradient_);
-    downhill_.assign(static_cast<std::size_t>(count) * width_, 0.0);
-    normals_.resize(static_cast<std::size_t>(count) * width_ * width_);
+    negative_gradients_.assign(static_cast<std::size_t>(count) * dof_count_, 0.0);
+    normals_.resize(static_cast<std::size_t>(count) * dof_count_ * dof_count_);
     fixed_directions_.assign(count, {});
     max_stiffness_ = 0;
     for (int i = 0; i < count; ++i) {
       const int t = fit_.first + i;
-      if (keep_weights) {
+      if (keeps_weights) {
         evaluate_weighted(t, pose(path_, t));
       } else {
         evaluate_pose(t, pose(path_, t), state_);
-        reweight(t, state_, fit_.robust);
+        reweight(t, state_, fit_.robust_scale);
         measure(task_, weighted_targets(t), state_);
       }
       differentiate(task_, weighted_targets(t), state_, linear_.columns);
-      double* normal = normals_.data() + static_cast<std::size_t>(i) * width_ * width_;
+      double* normal = normals_.data() + static_cast<std::size_t>(i) * dof_count_ * dof_count_;
       compute_normal_matrix(task_, linear_, normal);
-      double* frame_downhill = downhill_.data() + static_cast<std::size_t>(i) * width_;
-      for (int d = 0; d < width_; ++d) {
-        const double* column = linear_.columns.data() + static_cast<std::size_t>(d) * task_.rows;
+      double* frame_negative_gradient =
+          negative_gradients_.data() + static_cast<std::size_t>(i) * dof_count_;
+      for (int d = 0; d < dof_count_; ++d) {
+        const double* column =
+            linear_.columns.data() + static_cast<std::size_t>(d) * task_.row_count;
         double sum = -row(path_gradient_, t)[d];
         for (int m = linear_.first_rows[d]; m < linear_.last_rows[d]; ++m)
           sum += column[m] * state_.residuals[m];
-        frame_downhill[d] = sum;
-        double& diagonal = normal[static_cast<std::size_t>(d) * width_ + d];
+        frame_negative_gradient[d] = sum;
+        double& diagonal = normal[static_cast<std::size_t>(d) * dof_count_ + d];
         diagonal += band_.entry(t, 0);
         max_stiffness_ = std::max(max_stiffness_, diagonal);
       }
-      collect_blocked_limits(i, frame_downhill);
+      collect_blocked_limits(i, frame_negative_gradient);
     }
   }
 
   // Collects the limits that a step along the gradient would violate.
-  void collect_blocked_limits(int i, const double* frame_downhill) {
-    std::fill(difference_.begin(), difference_.end(), 0.0);
+  void collect_blocked_limits(int i, const double* frame_negative_gradient) {
+    std::fill(tangent_.begin(), tangent_.end(), 0.0);
     // Each joint separately: a small gradient component can violate a limit too.
     for (const Node& node : task_.chain.nodes) {
       if (node.is_driven) continue;
       double squared_length = 0;
-      for (int k = 0; k < node.width(); ++k)
-        squared_length += frame_downhill[node.dof + k] * frame_downhill[node.dof + k];
-      for (int k = 0; k < node.width() && squared_length > 0; ++k)
-        difference_[node.dof + k] =
-            PROBE_STEP * frame_downhill[node.dof + k] / std::sqrt(squared_length);
+      for (int k = 0; k < node.dof_count(); ++k)
+        squared_length +=
+            frame_negative_gradient[node.dof + k] * frame_negative_gradient[node.dof + k];
+      for (int k = 0; k < node.dof_count() && squared_length > 0; ++k)
+        tangent_[node.dof + k] =
+            PROBE_STEP * frame_negative_gradient[node.dof + k] / std::sqrt(squared_length);
     }
-    std::vector<Stepper::AtLimit> at_limit;
+    std::vector<Stepper::LimitFlags> at_limit;
     stepper_.fix_locked(state_, fixed_directions_[i], at_limit);
-    stepper_.fix_violations(state_, difference_.data(), fixed_directions_[i], at_limit);
+    stepper_.fix_violations(state_, tangent_.data(), fixed_directions_[i], at_limit);
   }
 
   // Computes next_path_, the path after a step; returns false if the step is not finite.
   bool try_path_step(double damping) {
     const int count = fit_.end - fit_.first;
     const double stiffness = LIMIT_STIFFNESS * max_stiffness_;
-    const std::size_t block_size = static_cast<std::size_t>(width_) * width_;
-    step_ = downhill_;
+    const std::size_t block_size = static_cast<std::size_t>(dof_count_) * dof_count_;
+    step_ = negative_gradients_;
     for (int i = 0; i < count; ++i) {
       double* block = blocks_.block(i);
       std::copy(normals_.data() + i * block_size, normals_.data() + (i + 1) * block_size, block);
-      for (int d = 0; d < width_; ++d) block[d * width_ + d] += damping;
+      for (int d = 0; d < dof_count_; ++d) block[d * dof_count_ + d] += damping;
       for (const FixedDirection& fixed : fixed_directions_[i])
         for (int k = 0; k < fixed.width; ++k) {
           const int d = fixed.dof + k;
           for (int n = 0; n <= k; ++n)
-            block[d * width_ + fixed.dof + n] +=
+            block[d * dof_count_ + fixed.dof + n] +=
                 stiffness * fixed.direction[k] * fixed.direction[n];
           row(step_, i)[d] += stiffness * fixed.value * fixed.direction[k];
         }
@@ -537,31 +550,32 @@ class PathFit : public Descent {
     for (int i = 0; i < count; ++i) {
       double* frame_step = row(step_, i);
       double largest = 0;
-      for (int d = 0; d < width_; ++d) largest = std::max(largest, std::fabs(frame_step[d]));
+      for (int d = 0; d < dof_count_; ++d) largest = std::max(largest, std::fabs(frame_step[d]));
       if (!std::isfinite(largest)) return false;
-      for (int d = 0; d < width_ && largest > MAX_ROTATION; ++d)
+      for (int d = 0; d < dof_count_ && largest > MAX_ROTATION; ++d)
         frame_step[d] *= MAX_ROTATION / largest;
       stepper_.move(pose(path_, fit_.first + i), frame_step, pose(next_path_, fit_.first + i));
     }
     return true;
   }
 
-  Task& local_task_;
+  Task& mutable_task_;
   const double prediction_weight_;
   const FitSettings fit_;
-  const int frames_, width_, coordinates_;
+  const int frame_count_, dof_count_, coordinate_count_;
   std::vector<double> source_targets_,
       weighted_targets_;  // targets, and the same with current weights
   const double* starts_;
   PathCost cost_;
   TimeBand band_;
   BlockBand blocks_;
-  std::vector<double> rest_pose_, difference_, start_, squared_errors_;
+  std::vector<double> rest_pose_, tangent_, start_, squared_errors_;
   std::vector<int> joint_flags_;
-  std::vector<std::size_t> stray_goals_;
+  std::vector<std::size_t> unmatched_goals_;
   std::int64_t* target_sources_ = nullptr;
   State state_;
-  std::vector<double> path_, next_path_, anchors_, path_gradient_, downhill_, normals_, step_;
+  std::vector<double> path_, next_path_, anchors_, path_gradient_, negative_gradients_, normals_,
+      step_;
   std::vector<std::vector<FixedDirection>> fixed_directions_;
   double max_stiffness_ = 0;
 };
@@ -577,47 +591,49 @@ using namespace ik;
 
 IkFitResult fit_ik(const IkFitArguments& arguments) {
   const auto& [nodes, numbers, goals, goal_numbers, path, targets, starts, anchor, speed,
-               acceleration, robust, rest_weight, homing, first, end, iterations, rounds, tracked] =
-      arguments;
+               acceleration, robust_scale, rest_weight, rest_return_fraction, first, end,
+               iterations, rounds, solves_frames_first] = arguments;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
-  const std::size_t frames = path.shape(0), width = path.shape(1), goal_count = goals.shape(0);
-  check_poses("path", task, frames, path);
-  check_poses("starts", task, frames, starts);
-  check::at_most("path", frames, check::MAX_ROWS);
-  check_targets("targets", task, frames, targets);
+  const std::size_t frame_count = path.shape(0), width = path.shape(1), goal_count = goals.shape(0);
+  check_poses("path", task, frame_count, path);
+  check_poses("starts", task, frame_count, starts);
+  check::at_most("path", frame_count, check::MAX_ROWS);
+  check_targets("targets", task, frame_count, targets);
   check::positive("anchor", anchor);
   check::not_negative("speed", speed);
   check::not_negative("acceleration", acceleration);
-  check::between("homing", homing, 0, 1);
-  if (!(robust > 0)) check::refuse("robust", check::text(robust) + " is not above 0");
-  check::between("end", end, 0, frames);
+  check::between("homing", rest_return_fraction, 0, 1);
+  if (!(robust_scale > 0)) check::refuse("robust", check::text(robust_scale) + " is not above 0");
+  check::between("end", end, 0, frame_count);
   check::between("first", first, 0, end);
   check::between("iterations", iterations, 0, std::numeric_limits<int>::max());
   check::between("rounds", rounds, 0, std::numeric_limits<int>::max());
   const Settings settings{0, 0, FIT_DAMPING, iterations, 0, 0, 0, false};
   const FitSettings fit_settings{
-      {anchor, speed, acceleration}, robust, homing, static_cast<int>(first),
-      static_cast<int>(end),         rounds, tracked};
-  Out<double, 2> fitted(frames, width);
-  Out<double, 3> errors(frames, goal_count, COMPONENTS);
-  Out<std::int64_t, 1> searched(frames);
-  Out<std::int64_t, 2> target_sources(frames, goal_count);
-  std::copy(path.data(), path.data() + frames * width, fitted.get());
-  std::fill(searched.get(), searched.get() + frames, 0);
-  PathFit fit(task, settings, fit_settings, static_cast<int>(frames), targets.data(),
+      {anchor, speed, acceleration}, robust_scale, rest_return_fraction, static_cast<int>(first),
+      static_cast<int>(end),         rounds,       solves_frames_first};
+  Out<double, 2> fitted(frame_count, width);
+  Out<double, 3> errors(frame_count, goal_count, COMPONENT_COUNT);
+  Out<std::int64_t, 1> used_start_pose(frame_count);
+  Out<std::int64_t, 2> target_sources(frame_count, goal_count);
+  std::copy(path.data(), path.data() + frame_count * width, fitted.get());
+  std::fill(used_start_pose.get(), used_start_pose.get() + frame_count, 0);
+  PathFit fit(task, settings, fit_settings, static_cast<int>(frame_count), targets.data(),
               starts.data());
-  for (std::size_t i = 0; i < frames * goal_count; ++i)
+  for (std::size_t i = 0; i < frame_count * goal_count; ++i)
     target_sources.get()[i] = static_cast<std::int64_t>(i % goal_count);
-  const FitOutcome outcome = fit.run(fitted.get(), searched.get(), target_sources.get());
+  const FitOutcome outcome = fit.run(fitted.get(), used_start_pose.get(), target_sources.get());
   State state(task);
-  for (std::size_t t = 0; t < frames; ++t) {
+  for (std::size_t t = 0; t < frame_count; ++t) {
     std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
-    forward(task.chain, state.q.data(), state.frames);
+    compute_frames(task.chain, state.q.data(), state.frames);
     measure(task, fit.targets(static_cast<int>(t)), state);
-    std::copy(state.errors.begin(), state.errors.end(), errors.get() + t * goal_count * COMPONENTS);
+    std::copy(state.errors.begin(), state.errors.end(),
+              errors.get() + t * goal_count * COMPONENT_COUNT);
   }
-  return {std::move(fitted),  std::move(errors),  std::move(searched), std::move(target_sources),
-          outcome.iterations, outcome.start_cost, outcome.end_cost};
+  return {std::move(fitted),         std::move(errors),  std::move(used_start_pose),
+          std::move(target_sources), outcome.iterations, outcome.start_cost,
+          outcome.end_cost};
 }
 
 }  // namespace animtool

@@ -15,11 +15,11 @@ namespace animtool::ik {
 
 // The pose of the chain as seen by a goal kind.
 struct GoalView {
-  const double* rotation;        // of the goal's node
-  const double* point;           // the goal's point
-  const double* aim_axis;        // in the node's frame
-  int root, middle;              // nodes of the limb, or -1
-  const double *origin, *joint;  // positions of its root and middle; null without a limb
+  const double* rotation;                         // of the goal's node
+  const double* point;                            // the goal's point
+  const double* aim_axis;                         // in the node's frame
+  int root, middle;                               // nodes of the limb, or -1
+  const double *root_position, *middle_position;  // null without a limb
 };
 
 // Velocity of a goal's point and frame per unit motion about an axis of a node.
@@ -39,7 +39,7 @@ struct AxisMotion {
 
 // Target types.
 struct PointTarget {
-  static constexpr int WIDTH = 3;
+  static constexpr int TARGET_SIZE = 3;
 
   // Divides the target by the length of the chain.
   static void convert_target(double* target, const double*, double length) {
@@ -48,7 +48,7 @@ struct PointTarget {
 };
 
 struct RotationTarget {
-  static constexpr int WIDTH = 4;
+  static constexpr int TARGET_SIZE = 4;
 
   // Normalises the target and transforms it to the node's frame; `frame` is node_from_joint. Scales
   // it first, so that neither tiny nor huge numbers under- or overflow.
@@ -78,7 +78,7 @@ struct RotationTarget {
 // at `origin`
 struct Position : PointTarget {
   static constexpr const char* NAME = "position";
-  static constexpr int ROWS = 3;
+  static constexpr int RESIDUAL_COUNT = 3;
   static constexpr bool IS_LENGTH = true, NEEDS_LIMB = false;
 
   static double measure(double weight, const GoalView& view, const double* target, double* r) {
@@ -109,21 +109,21 @@ struct Position : PointTarget {
 
 struct Orientation : RotationTarget {
   static constexpr const char* NAME = "orientation";
-  static constexpr int ROWS = 3;
+  static constexpr int RESIDUAL_COUNT = 3;
   static constexpr bool IS_LENGTH = false, NEEDS_LIMB = false;
 
   // The rotation from the current to the target orientation.
   static void remaining_rotation(const GoalView& view, const double* target, double* out) {
-    double desired[9], inverse[9];
-    to_matrix(target, desired);
+    double desired_rotation[9], inverse[9];
+    to_matrix(target, desired_rotation);
     for (int i = 0; i < 9; ++i) inverse[i] = view.rotation[3 * (i % 3) + i / 3];
-    multiply(desired, inverse, out);
+    multiply(desired_rotation, inverse, out);
   }
 
   static double measure(double weight, const GoalView& view, const double* target, double* r) {
-    double remaining[9];
-    remaining_rotation(view, target, remaining);
-    logarithm_of_matrix(remaining, r);
+    double remaining_matrix[9];
+    remaining_rotation(view, target, remaining_matrix);
+    logarithm_of_matrix(remaining_matrix, r);
     const double error = length(r);
     for (int i = 0; i < 3; ++i) r[i] *= weight;
     return error;
@@ -144,37 +144,37 @@ struct Orientation : RotationTarget {
 
   static void add_alignment(double weight, const GoalView& view, const double* target,
                             const double*, AlignmentSums& sum) {
-    double remaining[9];
-    remaining_rotation(view, target, remaining);
-    sum.add(weight, remaining);
+    double remaining_matrix[9];
+    remaining_rotation(view, target, remaining_matrix);
+    sum.add(weight, remaining_matrix);
   }
 };
 
 struct Aim : PointTarget {
   static constexpr const char* NAME = "aim";
-  static constexpr int ROWS = 2;
+  static constexpr int RESIDUAL_COUNT = 2;
   static constexpr bool IS_LENGTH = false, NEEDS_LIMB = false;
 
   // The rotation that takes the aim axis to its target: its angle and unit axis.
   struct AimRotation {
-    double direction[3], desired[3], axis[3];
+    double direction[3], desired_direction[3], axis[3];
     double distance, angle;
   };
 
   static AimRotation aim_rotation(const GoalView& view, const double* target) {
     AimRotation aim;
     rotate(view.rotation, view.aim_axis, aim.direction);
-    for (int i = 0; i < 3; ++i) aim.desired[i] = target[i] - view.point[i];
-    aim.distance = length(aim.desired);
+    for (int i = 0; i < 3; ++i) aim.desired_direction[i] = target[i] - view.point[i];
+    aim.distance = length(aim.desired_direction);
     if (aim.distance < 1e-12) {
-      std::copy(aim.direction, aim.direction + 3, aim.desired);
+      std::copy(aim.direction, aim.direction + 3, aim.desired_direction);
       aim.distance = 1;
     } else {
-      for (double& x : aim.desired) x /= aim.distance;
+      for (double& x : aim.desired_direction) x /= aim.distance;
     }
-    cross(aim.direction, aim.desired, aim.axis);
+    cross(aim.direction, aim.desired_direction, aim.axis);
     const double sine = length(aim.axis);
-    aim.angle = std::atan2(sine, dot(aim.direction, aim.desired));
+    aim.angle = std::atan2(sine, dot(aim.direction, aim.desired_direction));
     double unused[3];
     if (sine < 1e-12)
       orthogonal_basis(aim.direction, aim.axis, unused);
@@ -208,7 +208,7 @@ struct Aim : PointTarget {
     }
     void add(const AxisMotion& motion, double scale, double* column) const {
       double direction_velocity[3];
-      cross(aim.desired, motion.linear, direction_velocity);
+      cross(aim.desired_direction, motion.linear, direction_velocity);
       for (int i = 0; i < 3; ++i)
         direction_velocity[i] = motion.angular[i] + direction_velocity[i] / aim.distance;
       column[0] += scale * dot(direction_velocity, u);
@@ -219,13 +219,13 @@ struct Aim : PointTarget {
   static void add_alignment(double weight, const GoalView& view, const double* target,
                             const double*, AlignmentSums& sum) {
     const AimRotation aim = aim_rotation(view, target);
-    sum.add(weight, aim.direction, aim.desired);
+    sum.add(weight, aim.direction, aim.desired_direction);
   }
 };
 
 struct Pole : PointTarget {
   static constexpr const char* NAME = "pole";
-  static constexpr int ROWS = 1;
+  static constexpr int RESIDUAL_COUNT = 1;
   static constexpr bool IS_LENGTH = false, NEEDS_LIMB = true;
 
   // The half planes of a limb and of its pole, projected along the limb.
@@ -236,36 +236,36 @@ struct Pole : PointTarget {
   };
 
   static Bend compute_bend(const GoalView& view, const double* target) {
-    Bend limb;
+    Bend bend;
     for (int i = 0; i < 3; ++i) {
-      limb.axis[i] = view.point[i] - view.origin[i];
-      limb.middle[i] = view.joint[i] - view.origin[i];
-      limb.pole[i] = target[i] - view.origin[i];
+      bend.axis[i] = view.point[i] - view.root_position[i];
+      bend.middle[i] = view.middle_position[i] - view.root_position[i];
+      bend.pole[i] = target[i] - view.root_position[i];
     }
-    limb.span = length(limb.axis);
-    limb.is_defined = limb.span > 1e-9;
-    if (!limb.is_defined) return limb;
-    for (double& x : limb.axis) x /= limb.span;
-    limb.middle_distance = dot(limb.axis, limb.middle);
-    limb.pole_distance = dot(limb.axis, limb.pole);
+    bend.span = length(bend.axis);
+    bend.is_defined = bend.span > 1e-9;
+    if (!bend.is_defined) return bend;
+    for (double& x : bend.axis) x /= bend.span;
+    bend.middle_distance = dot(bend.axis, bend.middle);
+    bend.pole_distance = dot(bend.axis, bend.pole);
     for (int i = 0; i < 3; ++i) {
-      limb.middle[i] -= limb.middle_distance * limb.axis[i];
-      limb.pole[i] -= limb.pole_distance * limb.axis[i];
+      bend.middle[i] -= bend.middle_distance * bend.axis[i];
+      bend.pole[i] -= bend.pole_distance * bend.axis[i];
     }
-    limb.is_defined = length(limb.middle) > 1e-9 && length(limb.pole) > 1e-9;
-    limb.angle =
-        std::atan2(triple_product(limb.axis, limb.middle, limb.pole), dot(limb.middle, limb.pole));
-    return limb;
+    bend.is_defined = length(bend.middle) > 1e-9 && length(bend.pole) > 1e-9;
+    bend.angle =
+        std::atan2(triple_product(bend.axis, bend.middle, bend.pole), dot(bend.middle, bend.pole));
+    return bend;
   }
 
   static double measure(double weight, const GoalView& view, const double* target, double* r) {
-    const Bend limb = compute_bend(view, target);
-    r[0] = limb.is_defined ? weight * limb.angle : 0;
-    return limb.is_defined ? std::fabs(limb.angle) : 0;
+    const Bend bend = compute_bend(view, target);
+    r[0] = bend.is_defined ? weight * bend.angle : 0;
+    return bend.is_defined ? std::fabs(bend.angle) : 0;
   }
 
   static void target_from_pose(const GoalView& view, double* target) {
-    std::copy(view.joint, view.joint + 3, target);
+    std::copy(view.middle_position, view.middle_position + 3, target);
   }
 
   // Derivatives of Bend::angle by the points of a limb.
@@ -276,16 +276,16 @@ struct Pole : PointTarget {
 
     void prepare(const GoalView& chain_view, const double* target) {
       view = chain_view;
-      const Bend limb = compute_bend(view, target);
-      is_defined = limb.is_defined;
+      const Bend bend = compute_bend(view, target);
+      is_defined = bend.is_defined;
       if (!is_defined) return;
       double middle_normal[3], pole_normal[3];
-      cross(limb.axis, limb.middle, middle_normal);
-      cross(limb.axis, limb.pole, pole_normal);
-      const double middle_square = dot(limb.middle, limb.middle),
-                   pole_square = dot(limb.pole, limb.pole);
-      const double middle_fraction = limb.middle_distance / limb.span;
-      const double pole_fraction = limb.pole_distance / limb.span;
+      cross(bend.axis, bend.middle, middle_normal);
+      cross(bend.axis, bend.pole, pole_normal);
+      const double middle_square = dot(bend.middle, bend.middle),
+                   pole_square = dot(bend.pole, bend.pole);
+      const double middle_fraction = bend.middle_distance / bend.span;
+      const double pole_fraction = bend.pole_distance / bend.span;
       for (int i = 0; i < 3; ++i) {
         const double a = middle_normal[i] / middle_square, b = pole_normal[i] / pole_square;
         middle[i] = -a;
@@ -296,23 +296,24 @@ struct Pole : PointTarget {
     void add(const AxisMotion& motion, double scale, double* column) const {
       if (!is_defined) return;
       double angle_rate = dot(tip, motion.linear);
-      if (motion.index <= view.middle) angle_rate += motion.velocity_along(middle, view.joint);
-      if (motion.index <= view.root) angle_rate += motion.velocity_along(root, view.origin);
+      if (motion.index <= view.middle)
+        angle_rate += motion.velocity_along(middle, view.middle_position);
+      if (motion.index <= view.root) angle_rate += motion.velocity_along(root, view.root_position);
       column[0] -= scale * angle_rate;
     }
   };
 };
 
 // In the order of rows, weights and errors, as in the table of Python.
-using Kinds = std::tuple<Position, Orientation, Aim, Pole>;
-constexpr int COMPONENTS = std::tuple_size_v<Kinds>;
+using GoalKinds = std::tuple<Position, Orientation, Aim, Pole>;
+constexpr int COMPONENT_COUNT = std::tuple_size_v<GoalKinds>;
 
 // Calls f<Kind>(index) for each kind.
 template <class F>
 constexpr void for_each_kind(F&& f) {
   [&]<std::size_t... K>(std::index_sequence<K...>) {
-    (f.template operator()<std::tuple_element_t<K, Kinds>>(K), ...);
-  }(std::make_index_sequence<COMPONENTS>{});
+    (f.template operator()<std::tuple_element_t<K, GoalKinds>>(K), ...);
+  }(std::make_index_sequence<COMPONENT_COUNT>{});
 }
 
 // Index of a kind.
@@ -327,25 +328,26 @@ constexpr int component_of() {
 
 // Cumulative sums of a number of each kind, starting at 0.
 template <class F>
-constexpr std::array<int, COMPONENTS + 1> cumulative_sums(F&& count) {
-  std::array<int, COMPONENTS + 1> ends{};
+constexpr std::array<int, COMPONENT_COUNT + 1> cumulative_sums(F&& count) {
+  std::array<int, COMPONENT_COUNT + 1> sums{};
   for_each_kind([&]<class Kind>(int component) {
-    ends[component + 1] = ends[component] + count.template operator()<Kind>();
+    sums[component + 1] = sums[component] + count.template operator()<Kind>();
   });
-  return ends;
+  return sums;
 }
 
 // Offset of each kind's target in a row of targets. The targets are followed by factors of the
 // weights: with a factor of 0, the residuals are 0.
-constexpr std::array<int, COMPONENTS + 1> COLUMNS =
-    cumulative_sums([]<class Kind>() { return Kind::WIDTH; });
-constexpr int WEIGHTS = COLUMNS[COMPONENTS];
-constexpr int TARGET_WIDTH = WEIGHTS + COMPONENTS;
+constexpr std::array<int, COMPONENT_COUNT + 1> TARGET_OFFSETS =
+    cumulative_sums([]<class Kind>() { return Kind::TARGET_SIZE; });
+constexpr int WEIGHTS_OFFSET = TARGET_OFFSETS[COMPONENT_COUNT];
+constexpr int TARGET_WIDTH = WEIGHTS_OFFSET + COMPONENT_COUNT;
 // Number of rows of a goal with all kinds.
-constexpr int MAX_GOAL_ROWS = cumulative_sums([]<class Kind>() { return Kind::ROWS; })[COMPONENTS];
+constexpr int MAX_GOAL_ROWS =
+    cumulative_sums([]<class Kind>() { return Kind::RESIDUAL_COUNT; })[COMPONENT_COUNT];
 // Whether the error of each kind is a length, else an angle.
-constexpr std::array<bool, COMPONENTS> IS_LENGTH = [] {
-  std::array<bool, COMPONENTS> is_length{};
+constexpr std::array<bool, COMPONENT_COUNT> IS_LENGTH = [] {
+  std::array<bool, COMPONENT_COUNT> is_length{};
   for_each_kind([&]<class Kind>(int component) { is_length[component] = Kind::IS_LENGTH; });
   return is_length;
 }();

@@ -12,22 +12,23 @@ void measure(const Task& task, const double* targets, State& state,
     const double* target = targets + TARGET_WIDTH * e;
     const double* rotation = &state.frames.rotations[9 * goal.node];
     double* point = &state.points[3 * e];
-    double* error = &state.errors[COMPONENTS * e];
-    double* weights = &state.weights[COMPONENTS * e];
+    double* error = &state.errors[COMPONENT_COUNT * e];
+    double* weights = &state.weights[COMPONENT_COUNT * e];
     double* r = state.residuals.data() + goal.row;
-    for (int component = 0; component < COMPONENTS; ++component)
+    for (int component = 0; component < COMPONENT_COUNT; ++component)
       weights[component] = weight_of(goal, target, component);
     rotate(rotation, goal.offset, point);
     for (int i = 0; i < 3; ++i) point[i] += state.frames.origins[3 * goal.node + i];
     const GoalView view = view_of(goal, state, point);
     for_each_kind([&]<class Kind>(int component) {
       if (weights[component] > 0)
-        error[component] = Kind::measure(weights[component], view, target + COLUMNS[component], r);
-      r += Kind::ROWS * (goal.weights[component] > 0);
+        error[component] =
+            Kind::measure(weights[component], view, target + TARGET_OFFSETS[component], r);
+      r += Kind::RESIDUAL_COUNT * (goal.weights[component] > 0);
     });
   }
   if (residual_offsets)
-    for (int i = 0; i < task.rows; ++i) state.residuals[i] += residual_offsets[i];
+    for (int i = 0; i < task.row_count; ++i) state.residuals[i] += residual_offsets[i];
   state.cost = 0;
   for (const double x : state.residuals) state.cost += x * x;
   state.cost /= 2;
@@ -40,24 +41,25 @@ void differentiate(const Task& task, const double* targets, const State& state,
     const Goal& goal = task.goals[e];
     const double* target = targets + TARGET_WIDTH * e;
     const double* point = &state.points[3 * e];
-    const double* weights = &state.weights[COMPONENTS * e];
-    if (std::all_of(weights, weights + COMPONENTS, [](double w) { return !(w > 0); })) continue;
+    const double* weights = &state.weights[COMPONENT_COUNT * e];
+    if (std::all_of(weights, weights + COMPONENT_COUNT, [](double w) { return !(w > 0); }))
+      continue;
     const GoalView view = view_of(goal, state, point);
     Slopes slopes;
-    double component_weights[COMPONENTS];
-    int rows[COMPONENTS], next = 0;
+    double component_weights[COMPONENT_COUNT];
+    int rows[COMPONENT_COUNT], next = 0;
     for_each_kind([&]<class Kind>(int component) {
       component_weights[component] = weights[component];
       rows[component] = next;
-      next += Kind::ROWS * (goal.weights[component] > 0);
+      next += Kind::RESIDUAL_COUNT * (goal.weights[component] > 0);
       if (weights[component] > 0)
-        std::get<typename Kind::Slopes>(slopes).prepare(view, target + COLUMNS[component]);
+        std::get<typename Kind::Slopes>(slopes).prepare(view, target + TARGET_OFFSETS[component]);
     });
     for (const int n : goal.path) {
       const Node& node = task.chain.nodes[n];
       const double* origin = &state.frames.origins[3 * n];
       for_each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
-        double* column = columns.data() + static_cast<std::size_t>(dof) * task.rows + goal.row;
+        double* column = columns.data() + static_cast<std::size_t>(dof) * task.row_count + goal.row;
         AxisMotion motion{node, n, &state.frames.axes[9 * n + 3 * k], origin, {}, {}};
         velocity(node, motion.axis, origin, point, motion.linear, motion.angular);
         for_each_kind([&]<class Kind>(int component) {
@@ -91,7 +93,7 @@ double cost_lower_bound(const Task& task, const double* targets, const Frames& f
     bool has_slide = false;
     for (const int n : goal.path) has_slide = has_slide || task.chain.nodes[n].kind == Kind::SLIDE;
     const double* row = targets + TARGET_WIDTH * e;
-    const double* target = row + COLUMNS[component_of<Position>()];
+    const double* target = row + TARGET_OFFSETS[component_of<Position>()];
     const double weight = weight_of(goal, row, component_of<Position>());
     if (has_slide || !(weight > 0)) continue;
     const double* root_position = &frames.origins[3 * goal.path[0]];
@@ -115,7 +117,8 @@ void stretch_limbs(const Chain& unstretched, const double* factors, Task& task) 
       for (int i = 0; i < 3; ++i)
         task.chain.nodes[goal.path[k]].offset[i] =
             goal.stretch_factor * unstretched.nodes[goal.path[k]].offset[i];
-    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.stretch_factor * goal.bone[i] + goal.tool[i];
+    for (int i = 0; i < 3; ++i)
+      goal.offset[i] = goal.stretch_factor * goal.stretching_offset[i] + goal.fixed_offset[i];
   }
 }
 
@@ -124,13 +127,13 @@ void Curvature::add(const Task& task, const State& state, std::size_t e, const d
   const Goal& goal = task.goals[e];
   const double* point = &state.points[3 * e];
   const double* residual = state.residuals.data() + goal.row;
-  const double* weights = &state.weights[COMPONENTS * e];
+  const double* weights = &state.weights[COMPONENT_COUNT * e];
   double force[3] = {0, 0, 0}, torque[3] = {0, 0, 0}, angular_stiffness = 0, axis[3] = {0, 0, 0};
   constexpr int position = component_of<Position>(), orientation = component_of<Orientation>();
   static_assert(position == 0 && orientation == 1);
   if (goal.weights[position] > 0) {
     for (int i = 0; i < 3; ++i) force[i] = weights[position] * residual[i];
-    residual += Position::ROWS;
+    residual += Position::RESIDUAL_COUNT;
   }
   if (weights[orientation] > 0) {
     const double w = weights[orientation], angle = length(residual) / w;

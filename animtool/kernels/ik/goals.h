@@ -11,10 +11,11 @@ namespace animtool::ik {
 // A goal of one node, with a weight for each kind.
 struct Goal {
   int node;
-  double offset[3];         // of its point, in the node's frame: stretch_factor * bone + tool
-  double bone[3], tool[3];  // the part that stretches with the limb, and the rest
+  double offset[3];  // of its point, in the node's frame: stretch_factor * bone + tool
+  double stretching_offset[3],
+      fixed_offset[3];  // the part that stretches with the limb, and the rest
   double aim_axis[3];
-  double weights[COMPONENTS];  // 0 for kinds that are not used
+  double weights[COMPONENT_COUNT];  // 0 for kinds that are not used
   double stretch_factor = 1;
   int level = 0;               // priority: 0 is hard; higher levels yield to lower ones
   int root = -1, middle = -1;  // nodes of the limb with a pole
@@ -23,23 +24,24 @@ struct Goal {
 };
 
 inline double weight_of(const Goal& goal, const double* target, int component) {
-  return goal.weights[component] * target[WEIGHTS + component];
+  return goal.weights[component] * target[WEIGHTS_OFFSET + component];
 }
 
 // A chain with its goals.
 struct Task {
   Chain chain;
   std::vector<Goal> goals;
-  int rows = 0;
-  int levels = 1;
+  int row_count = 0;
+  int level_count = 1;
   double rest_weight = 0;
 };
 
 // Number of residuals of a goal.
 inline int count_rows(const Goal& goal) {
   int count = 0;
-  for_each_kind(
-      [&]<class Kind>(int component) { count += Kind::ROWS * (goal.weights[component] > 0); });
+  for_each_kind([&]<class Kind>(int component) {
+    count += Kind::RESIDUAL_COUNT * (goal.weights[component] > 0);
+  });
   return count;
 }
 
@@ -48,7 +50,8 @@ inline int count_active_rows(const Task& task, const double* targets) {
   int count = 0;
   for (std::size_t e = 0; e < task.goals.size(); ++e)
     for_each_kind([&]<class Kind>(int component) {
-      count += Kind::ROWS * (weight_of(task.goals[e], targets + TARGET_WIDTH * e, component) > 0);
+      count += Kind::RESIDUAL_COUNT *
+               (weight_of(task.goals[e], targets + TARGET_WIDTH * e, component) > 0);
     });
   return count;
 }
@@ -65,12 +68,12 @@ struct State {
   double rest_cost = 0;           // cost of the rest preference
 
   explicit State(const Task& task)
-      : q(task.chain.coordinates),
+      : q(task.chain.coordinate_count),
         frames(task.chain),
-        residuals(task.rows),
+        residuals(task.row_count),
         points(3 * task.goals.size()),
-        errors(COMPONENTS * task.goals.size()),
-        weights(COMPONENTS * task.goals.size()) {}
+        errors(COMPONENT_COUNT * task.goals.size()),
+        weights(COMPONENT_COUNT * task.goals.size()) {}
 };
 
 // The view of a goal; its point must be known.
@@ -83,8 +86,8 @@ inline GoalView view_of(const Goal& goal, const State& state, const double* poin
                 nullptr,
                 nullptr};
   if (goal.middle < 0) return view;
-  view.origin = &state.frames.origins[3 * goal.root];
-  view.joint = &state.frames.origins[3 * goal.middle];
+  view.root_position = &state.frames.origins[3 * goal.root];
+  view.middle_position = &state.frames.origins[3 * goal.middle];
   return view;
 }
 
@@ -96,7 +99,7 @@ void measure(const Task& task, const double* targets, State& state,
 // One `Slopes` of each kind.
 template <class... Kind>
 std::tuple<typename Kind::Slopes...> slopes_of(const std::tuple<Kind...>&);
-using Slopes = decltype(slopes_of(Kinds{}));
+using Slopes = decltype(slopes_of(GoalKinds{}));
 
 // Computes the columns of the Jacobian (D, M), each contiguous in memory.
 void differentiate(const Task& task, const double* targets, const State& state,

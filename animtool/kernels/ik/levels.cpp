@@ -8,18 +8,18 @@ Status Search::run(const double* start, const double* targets, const double* res
   was_unreached_ = is_next_frame && outcome_.status == Status::NEAREST;
   // Frames that continue a search start elsewhere each time.
   if (!was_unreached_) random_ = Random(settings_.seed);
-  if (!begin_problem(start, targets, rest)) return outcome_.status = Status::BROKEN;
+  if (!begin_problem(start, targets, rest)) return outcome_.status = Status::NOT_FINITE;
   outcome_.status = search_all();
   previous_cost_ = best_.cost;
-  previous_.q = best_.q;
+  previous_state_.q = best_.q;
   return outcome_.status;
 }
 
 void Search::refine(const double* targets, const double* residual_offsets, double min_gain) {
   set_targets(targets, residual_offsets);
-  min_gain_ = std::max(min_gain, ROUNDING_GAIN);
+  min_gain_ = std::max(min_gain, ROUNDING_MIN_GAIN);
   set_current(best_);
-  descend(WARM_DAMPING, true);
+  descend(NEAR_GOAL_DAMPING, true);
   std::swap(current_, best_);
 }
 
@@ -36,49 +36,53 @@ void Search::search(const double* targets) {
 
 Status Search::search_all() {
   min_cost_ = cost_lower_bound(task_, targets_, best_.frames);
-  const bool has_tradeoffs = task_.rest_weight > 0 || task_.levels > 1;
-  min_gain_ = task_.levels > 1 ? LEVEL_MIN_GAIN : has_tradeoffs ? REST_MIN_GAIN : ROUNDING_GAIN;
+  const bool has_tradeoffs = task_.rest_weight > 0 || task_.level_count > 1;
+  min_gain_ = task_.level_count > 1 ? LEVEL_MIN_GAIN
+              : has_tradeoffs       ? REST_MIN_GAIN
+                                    : ROUNDING_MIN_GAIN;
   const bool is_thorough =
       min_cost_ > 0 || has_tradeoffs ||
-      task_.chain.dofs >= REDUNDANCY_RATIO * count_active_rows(task_, targets_);
+      task_.chain.dof_count >= REDUNDANCY_RATIO * count_active_rows(task_, targets_);
   start_.q = best_.q;
   set_current(best_);
-  const DescentEnd end = descend(settings_.damping, is_thorough || was_unreached_);
-  if (accept()) return Status::REACHED;
-  if (was_unreached_ && settings_.separate_starts && continue_previous(is_thorough))
+  const DescentEnd descent_end = descend(settings_.damping, is_thorough || was_unreached_);
+  if (keep_better()) return Status::REACHED;
+  if (was_unreached_ && settings_.has_separate_starts && continue_previous(is_thorough))
     return Status::REACHED;
-  if (is_same_minimum(end)) {
+  if (is_same_minimum(descent_end)) {
     const double best_cost = best_.cost;
-    const int restarts = task_.levels > 1 ? 0 : std::min(MAX_CONTINUED_STARTS, settings_.restarts);
-    for (int i = 0; i < restarts && !is_budget_spent() && !is_minimal(); ++i) {
+    const int restarts =
+        task_.level_count > 1 ? 0 : std::min(MAX_CONTINUED_STARTS, settings_.restarts);
+    for (int i = 0; i < restarts && !is_budget_spent() && !is_known_minimum(); ++i) {
       sample_start(i % 2 ? best_ : start_);
-      descend(COLD_DAMPING, is_thorough);
-      if (current_.cost > best_cost * BRANCH_RATIO && !is_reached(current_)) continue;
-      if (accept()) return Status::REACHED;
+      descend(NEW_START_DAMPING, is_thorough);
+      if (current_.cost > best_cost * BRANCH_COST_RATIO && !is_reached(current_)) continue;
+      if (keep_better()) return Status::REACHED;
     }
     if (best_.cost == best_cost) return Status::NEAREST;
   }
-  const double exact_gain = min_gain_;
-  const bool is_reached_by_restart = search_restarts(end == DescentEnd::STUCK, is_thorough);
-  min_gain_ = exact_gain;
-  return is_reached_by_restart && !has_tradeoffs ? Status::REACHED : polish();
+  const double exact_min_gain = min_gain_;
+  const bool is_reached_by_restart = search_restarts(descent_end == DescentEnd::STUCK, is_thorough);
+  min_gain_ = exact_min_gain;
+  return is_reached_by_restart && !has_tradeoffs ? Status::REACHED : descend_to_minimum();
 }
 
 bool Search::search_restarts(bool is_stuck, bool is_thorough) {
-  const double exact_gain = min_gain_;
+  const double exact_min_gain = min_gain_;
   int agreeing_count = 0;
-  const int max_agreeing = stepper_.is_redundant() ? REDUNDANT_AGREEING : MAX_AGREEING;
-  for (int i = 0; i < settings_.restarts && !is_budget_spent() && !is_minimal(); ++i) {
+  const int max_agreeing_starts =
+      stepper_.is_redundant() ? MAX_REDUNDANT_AGREEING_STARTS : MAX_AGREEING_STARTS;
+  for (int i = 0; i < settings_.restarts && !is_budget_spent() && !is_known_minimum(); ++i) {
     begin_restart(i, is_stuck);
-    min_gain_ = i == POLISH_START ? exact_gain : std::max(exact_gain, COMPARISON_MIN_GAIN);
-    descend(COLD_DAMPING, is_thorough || i == POLISH_START);
+    min_gain_ = i == POLISH_START ? exact_min_gain : std::max(exact_min_gain, COMPARISON_MIN_GAIN);
+    descend(NEW_START_DAMPING, is_thorough || i == POLISH_START);
     const double best_cost = best_.cost;
     if (current_.cost < best_cost * IMPROVEMENT_RATIO)
       agreeing_count = 0;
     else if (current_.cost < best_cost * (1 + 1e-2))
       ++agreeing_count;
-    if (accept()) return true;
-    if (agreeing_count >= max_agreeing) break;
+    if (keep_better()) return true;
+    if (agreeing_count >= max_agreeing_starts) break;
   }
   return false;
 }
@@ -96,12 +100,12 @@ void Search::begin_restart(int i, bool is_stuck) {
   }
 }
 
-Status Search::polish() {
+Status Search::descend_to_minimum() {
   if (is_budget_spent()) return Status::BUDGET;
   set_current(best_);
-  const DescentEnd end = descend(COLD_DAMPING, true);
-  if (accept()) return Status::REACHED;
-  return end == DescentEnd::BUDGET ? Status::BUDGET : Status::NEAREST;
+  const DescentEnd descent_end = descend(NEW_START_DAMPING, true);
+  if (keep_better()) return Status::REACHED;
+  return descent_end == DescentEnd::BUDGET ? Status::BUDGET : Status::NEAREST;
 }
 
 void Search::start_from_zero() {
@@ -114,10 +118,10 @@ void Search::start_from_zero() {
   perturb();
 }
 
-void Search::sample_start(const State& home) {
+void Search::sample_start(const State& reference_pose) {
   double min_cost = std::numeric_limits<double>::infinity();
   for (int i = 0; i < START_SAMPLES; ++i) {
-    sample_pose(task_.chain, home.q.data(), random_, next_.q.data());
+    sample_pose(task_.chain, reference_pose.q.data(), random_, next_.q.data());
     evaluate(next_);
     if (!(next_.cost < min_cost)) continue;
     min_cost = next_.cost;
@@ -128,11 +132,11 @@ void Search::sample_start(const State& home) {
 Outcome PrioritySolver::run(const double* start, const double* targets, const double* rest,
                             bool is_next_frame) {
   targets_ = targets;
-  const int last_level = task_.levels - 1;
+  const int last_level = task_.level_count - 1;
   set_weights(last_level, SEARCH_RATIO);
-  search_.set_allowance(last_level > 0 ? SEARCH_BUDGET : 1);
+  search_.set_budget_fraction(last_level > 0 ? SEARCH_BUDGET : 1);
   Status status = search_.run(start, scaled_targets_.data(), rest, is_next_frame);
-  search_.set_allowance(1);
+  search_.set_budget_fraction(1);
   if ((status == Status::NEAREST || status == Status::BUDGET) && last_level > 0) {
     const bool is_budget_spent = status == Status::BUDGET;
     status = separate_levels(is_next_frame && was_hard_unreached_);
@@ -148,7 +152,7 @@ Outcome PrioritySolver::run(const double* start, const double* targets, const do
 void PrioritySolver::set_weights(int last_level, double ratio) {
   std::copy(targets_, targets_ + scaled_targets_.size(), scaled_targets_.begin());
   double fraction = 1;
-  for (int level = 1; level < task_.levels; ++level) {
+  for (int level = 1; level < task_.level_count; ++level) {
     fraction *= ratio;
     const double level_weight = largest_weight(level), hard_weight = largest_weight(0);
     scale_level(level, level > last_level ? 0
@@ -156,14 +160,14 @@ void PrioritySolver::set_weights(int last_level, double ratio) {
                                                             ? hard_weight / level_weight
                                                             : 1));
   }
-  task_.rest_weight = last_level == task_.levels - 1 ? rest_weight_ * fraction * fraction : 0;
+  task_.rest_weight = last_level == task_.level_count - 1 ? rest_weight_ * fraction * fraction : 0;
 }
 
 double PrioritySolver::largest_weight(int level) const {
   double largest = 0;
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
     if (task_.goals[e].level == level)
-      for (int component = 0; component < COMPONENTS; ++component)
+      for (int component = 0; component < COMPONENT_COUNT; ++component)
         largest =
             std::max(largest, weight_of(task_.goals[e], targets_ + TARGET_WIDTH * e, component));
   return largest;
@@ -172,9 +176,9 @@ double PrioritySolver::largest_weight(int level) const {
 Status PrioritySolver::separate_levels(bool was_unreached) {
   std::fill(residual_offsets_.begin(), residual_offsets_.end(), 0.0);
   std::fill(is_constrained_.begin(), is_constrained_.end(), false);
-  for (int level = 0; level < task_.levels && !search_.is_budget_spent(); ++level) {
+  for (int level = 0; level < task_.level_count && !search_.is_budget_spent(); ++level) {
     set_weights(level, weight_ratio_);
-    for (int i = 0; i < MAX_SHIFTS; ++i) {
+    for (int i = 0; i < MAX_OFFSET_UPDATES; ++i) {
       search_.refine(scaled_targets_.data(), residual_offsets_.data(),
                      LEVEL_PRECISION * std::pow(weight_ratio_, 2 * level));
       if (search_.is_budget_spent() || !update_offsets()) break;
@@ -191,12 +195,12 @@ Status PrioritySolver::separate_levels(bool was_unreached) {
 }
 
 bool PrioritySolver::update_offsets() {
-  bool has_slack = false;
+  bool has_drifted = false;
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
-    has_slack = has_slack ||
-                (is_constrained_[task_.goals[e].level] &&
-                 !search_.is_within_tolerance(&best().errors[COMPONENTS * e], LEVEL_TOLERANCE));
-  if (!has_slack) return false;
+    has_drifted = has_drifted || (is_constrained_[task_.goals[e].level] &&
+                                  !search_.is_within_tolerance(&best().errors[COMPONENT_COUNT * e],
+                                                               LEVEL_TOLERANCE));
+  if (!has_drifted) return false;
   for (const Goal& goal : task_.goals)
     if (is_constrained_[goal.level])
       for (int i = goal.row; i < goal.row + count_rows(goal); ++i)
@@ -205,14 +209,14 @@ bool PrioritySolver::update_offsets() {
 }
 
 void PrioritySolver::restore_levels() {
-  bool has_slack = false;
-  set_weights(task_.levels - 1, weight_ratio_);
+  bool has_drifted = false;
+  set_weights(task_.level_count - 1, weight_ratio_);
   task_.rest_weight = 0;
-  for (int level = 0; level < task_.levels; ++level) {
-    has_slack = has_slack || (is_constrained_[level] && !is_level_reached(level));
+  for (int level = 0; level < task_.level_count; ++level) {
+    has_drifted = has_drifted || (is_constrained_[level] && !is_level_reached(level));
     if (!is_constrained_[level]) scale_level(level, 0);
   }
-  if (has_slack) search_.refine(scaled_targets_.data(), nullptr, 0);
+  if (has_drifted) search_.refine(scaled_targets_.data(), nullptr, 0);
 }
 
 Status PrioritySolver::diagnose() {
@@ -234,7 +238,7 @@ int PrioritySolver::count_active_goals() const {
   int count = 0;
   for (std::size_t e = 0; e < task_.goals.size(); ++e) {
     bool is_active = false;
-    for (int component = 0; component < COMPONENTS; ++component)
+    for (int component = 0; component < COMPONENT_COUNT; ++component)
       is_active =
           is_active || weight_of(task_.goals[e], targets_ + TARGET_WIDTH * e, component) > 0;
     count += is_active;
@@ -243,16 +247,17 @@ int PrioritySolver::count_active_goals() const {
 }
 
 std::vector<std::size_t> PrioritySolver::find_missed_goals() const {
-  std::vector<std::size_t> missed;
+  std::vector<std::size_t> missed_goals;
   const std::vector<double>& errors = best().errors;
   const auto max_error = [&](std::size_t e) {
-    return *std::max_element(&errors[COMPONENTS * e], &errors[COMPONENTS * e] + COMPONENTS);
+    return *std::max_element(&errors[COMPONENT_COUNT * e],
+                             &errors[COMPONENT_COUNT * e] + COMPONENT_COUNT);
   };
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
-    if (!search_.is_within_tolerance(&errors[COMPONENTS * e])) missed.push_back(e);
-  std::sort(missed.begin(), missed.end(),
+    if (!search_.is_within_tolerance(&errors[COMPONENT_COUNT * e])) missed_goals.push_back(e);
+  std::sort(missed_goals.begin(), missed_goals.end(),
             [&](std::size_t a, std::size_t b) { return max_error(a) > max_error(b); });
-  return missed;
+  return missed_goals;
 }
 
 }  // namespace animtool::ik

@@ -11,7 +11,7 @@ namespace animtool::ik {
 class Search : public Descent {
  public:
   Search(const Task& task, const Settings& settings)
-      : Descent(task, settings), start_(task), previous_(task) {}
+      : Descent(task, settings), start_(task), previous_state_(task) {}
 
   // Finds the best pose; `is_next_frame` if the problem is the frame after the last one.
   Status run(const double* start, const double* targets, const double* rest, bool is_next_frame);
@@ -26,7 +26,7 @@ class Search : public Descent {
   bool can_reach(const double* targets) {
     set_targets(targets, nullptr);
     set_current(best_);
-    descend(COLD_DAMPING, true);
+    descend(NEW_START_DAMPING, true);
     return is_reached(current_);
   }
 
@@ -38,7 +38,7 @@ class Search : public Descent {
 
  private:
   // Damping of the first step from a new start, and from a start near the goals.
-  static constexpr double COLD_DAMPING = 1e-3, WARM_DAMPING = 1e-6;
+  static constexpr double NEW_START_DAMPING = 1e-3, NEAR_GOAL_DAMPING = 1e-6;
   // Number of random poses, the best of which becomes a new start.
   static constexpr int START_SAMPLES = 4;
   // Relative precision of a descent: if more levels follow, and if a rest preference keeps the cost
@@ -50,15 +50,15 @@ class Search : public Descent {
   static constexpr int POLISH_START = 8;
   // Number of other starts that must end at the best pose before it is accepted as the global
   // minimum.
-  static constexpr int MAX_AGREEING = 16;
+  static constexpr int MAX_AGREEING_STARTS = 16;
   // The same if the chain has redundant degrees of freedom.
-  static constexpr int REDUNDANT_AGREEING = 2;
+  static constexpr int MAX_REDUNDANT_AGREEING_STARTS = 2;
   // A start that ends below this fraction of the best cost is better.
   static constexpr double IMPROVEMENT_RATIO = 1 - 1e-3;
   // Number of starts in a frame whose cost is within a factor of that of the previous frame; the
   // frame changes to another branch only if that has less than a fraction of the cost.
   static constexpr int MAX_CONTINUED_STARTS = 2;
-  static constexpr double BRANCH_RATIO = 0.98;
+  static constexpr double BRANCH_COST_RATIO = 0.98;
   static constexpr double SAME_COST_RATIO = 1.25;
   // With this many times more degrees of freedom than rows, slow descents are continued: there are
   // hardly any local minima.
@@ -74,9 +74,10 @@ class Search : public Descent {
   // Descends from the previous frame's pose, if that is nearer to the goals than the result from
   // the start of the frame; returns whether the goals are reached.
   bool continue_previous(bool is_thorough) {
-    set_current(previous_);
-    descend(WARM_DAMPING, is_thorough);
-    return (current_.cost < best_.cost * IMPROVEMENT_RATIO || is_reached(current_)) && accept();
+    set_current(previous_state_);
+    descend(NEAR_GOAL_DAMPING, is_thorough);
+    return (current_.cost < best_.cost * IMPROVEMENT_RATIO || is_reached(current_)) &&
+           keep_better();
   }
 
   // Descends from new starts; returns whether the goals are reached.
@@ -94,10 +95,10 @@ class Search : public Descent {
   void begin_restart(int i, bool is_stuck);
 
   // Descends from the best pose to its minimum.
-  Status polish();
+  Status descend_to_minimum();
 
   // Whether no pose can be nearer, or only the rest preference keeps the goals from being reached.
-  bool is_minimal() const {
+  bool is_known_minimum() const {
     if (min_cost_ > 0 && best_.cost <= min_cost_ * (1 + 1e-9)) return true;
     return best_.rest_cost > 0 && best_.cost <= 2 * best_.rest_cost;
   }
@@ -106,9 +107,9 @@ class Search : public Descent {
   void start_from_zero();
 
   // Starts from the best of several random poses.
-  void sample_start(const State& home);
+  void sample_start(const State& reference_pose);
 
-  State start_, previous_;
+  State start_, previous_state_;
   double min_cost_ = 0;         // lower bound of the cost
   bool was_unreached_ = false;  // the previous frame did not reach its goals
   double previous_cost_ = 0;    // of the previous frame
@@ -131,10 +132,11 @@ class PrioritySolver : public Solver {
         rest_weight_(task.rest_weight),
         search_(task_, settings),
         scaled_targets_(TARGET_WIDTH * task.goals.size()),
-        residual_offsets_(task.rows),
-        is_constrained_(task.levels),
-        weight_ratio_(std::max(MIN_LEVEL_RATIO,
-                               std::pow(MIN_LEVEL_WEIGHT, 1.0 / std::max(1, task.levels - 1)))) {}
+        residual_offsets_(task.row_count),
+        is_constrained_(task.level_count),
+        weight_ratio_(std::max(
+            MIN_LEVEL_RATIO, std::pow(MIN_LEVEL_WEIGHT, 1.0 / std::max(1, task.level_count - 1)))) {
+  }
 
   Outcome run(const double* start, const double* targets, const double* rest,
               bool is_next_frame) override;
@@ -151,7 +153,7 @@ class PrioritySolver : public Solver {
   static constexpr double MIN_LEVEL_RATIO = 1e-3, MIN_LEVEL_WEIGHT = 1e-6;
   // Largest number of offset updates of a level, and the fraction of the tolerance at which they
   // stop.
-  static constexpr int MAX_SHIFTS = 8;
+  static constexpr int MAX_OFFSET_UPDATES = 8;
   static constexpr double LEVEL_TOLERANCE = 0.1;
   // Approximate relative excess of a level over its smallest cost.
   static constexpr double LEVEL_PRECISION = 1e-5;
@@ -166,8 +168,8 @@ class PrioritySolver : public Solver {
   void scale_level(int level, double weight) {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       if (task_.goals[e].level == level)
-        for (int component = 0; component < COMPONENTS; ++component)
-          scaled_targets_[TARGET_WIDTH * e + WEIGHTS + component] *= weight;
+        for (int component = 0; component < COMPONENT_COUNT; ++component)
+          scaled_targets_[TARGET_WIDTH * e + WEIGHTS_OFFSET + component] *= weight;
   }
 
   // Sets the weights of all goals but one to 0.
@@ -175,13 +177,14 @@ class PrioritySolver : public Solver {
     task_.rest_weight = 0;
     std::copy(targets_, targets_ + scaled_targets_.size(), scaled_targets_.begin());
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (e != goal) std::fill_n(&scaled_targets_[TARGET_WIDTH * e + WEIGHTS], COMPONENTS, 0.0);
+      if (e != goal)
+        std::fill_n(&scaled_targets_[TARGET_WIDTH * e + WEIGHTS_OFFSET], COMPONENT_COUNT, 0.0);
   }
 
   bool is_level_reached(int level) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       if (task_.goals[e].level == level &&
-          !search_.is_within_tolerance(&best().errors[COMPONENTS * e]))
+          !search_.is_within_tolerance(&best().errors[COMPONENT_COUNT * e]))
         return false;
     return true;
   }

@@ -22,26 +22,27 @@ class LimitBand {
   // from `first` to `end`; `fixed_of(t)` are the fixed directions of a frame.
   template <class FixedOf>
   void factor(const TimeBand& band, int first, int end, FixedOf&& fixed_of) {
-    first_ = first, count_ = std::max(end - first, 0);
+    first_ = first, frame_count_ = std::max(end - first, 0);
     dofs_.clear();
     for (int t = first; t < end; ++t)
       for (const FixedDirection& fixed : fixed_of(t))
         if (fixed.width == W) dofs_.push_back(fixed.dof);
     std::sort(dofs_.begin(), dofs_.end());
     dofs_.erase(std::unique(dofs_.begin(), dofs_.end()), dofs_.end());
-    recent_.resize(dofs_.size());
-    factors_.resize(dofs_.size() * static_cast<std::size_t>(count_));
+    recent_frames_.resize(dofs_.size());
+    factors_.resize(dofs_.size() * static_cast<std::size_t>(frame_count_));
     right_hand_sides_.resize(dofs_.size());
-    for (int i = 0; i < count_; ++i) {
-      for (RecentFrames& joint : recent_) joint.free_projections[i % 3] = identity();
+    for (int i = 0; i < frame_count_; ++i) {
+      for (RecentFrames& joint : recent_frames_) joint.free_projections[i % 3] = identity();
       for (const FixedDirection& fixed : fixed_of(first + i)) {
         if (fixed.width != W) continue;
-        Square& free_projection = recent_[index_of(fixed.dof)].free_projections[i % 3];
+        Square& free_projection = recent_frames_[index_of(fixed.dof)].free_projections[i % 3];
         for (int r = 0; r < W; ++r)
           for (int c = 0; c < W; ++c)
             free_projection[r * W + c] -= fixed.direction[r] * fixed.direction[c];
       }
-      for (std::size_t j = 0; j < dofs_.size(); ++j) factor(band, i, recent_[j], factors(i, j));
+      for (std::size_t j = 0; j < dofs_.size(); ++j)
+        factor(band, i, recent_frames_[j], factors(i, j));
     }
   }
 
@@ -69,11 +70,11 @@ class LimitBand {
     for (std::size_t j = 0; j < dofs_.size(); ++j) {
       double* out = x + row + dofs_[j];
       std::fill(out, out + W, 0.0);
-      const Rounded& inverse = factors(i, j).inverse;
+      const FloatSquare& inverse = factors(i, j).inverse;
       for (int r = 0; r < W; ++r)
         for (int c = 0; c < W; ++c) out[r] += inverse[r * W + c] * right_hand_sides_[j][c];
-      if (i + 1 < count_) subtract_transposed(factors(i + 1, j).previous, out + width, out);
-      if (i + 2 < count_)
+      if (i + 1 < frame_count_) subtract_transposed(factors(i + 1, j).previous, out + width, out);
+      if (i + 2 < frame_count_)
         subtract_transposed(factors(i + 2, j).second_previous,
                             out + 2 * static_cast<std::size_t>(width), out);
     }
@@ -83,9 +84,9 @@ class LimitBand {
   using Square = std::array<double, W * W>;
 
   // L(t, t-1), L(t, t-2) and the inverse of D(t), as floats to save memory.
-  using Rounded = std::array<float, W * W>;
+  using FloatSquare = std::array<float, W * W>;
   struct Factors {
-    Rounded previous, second_previous, inverse;
+    FloatSquare previous, second_previous, inverse;
   };
   // Matrices of a joint, by frame modulo 3: projections onto the free directions, L(t, t-1), and
   // inverses of D(t).
@@ -99,7 +100,7 @@ class LimitBand {
     return out;
   }
 
-  static Square scaled(double scale, Square a) {
+  static Square scale_square(double scale, Square a) {
     for (double& x : a) x *= scale;
     return a;
   }
@@ -119,18 +120,18 @@ class LimitBand {
         for (int k = 0; k < W; ++k) out[r * W + c] -= a[r * W + k] * b[c * W + k];
   }
 
-  static Rounded rounded(const Square& a) {
-    Rounded out;
+  static FloatSquare to_float(const Square& a) {
+    FloatSquare out;
     for (int k = 0; k < W * W; ++k) out[k] = static_cast<float>(a[k]);
     return out;
   }
 
-  static void subtract(const Rounded& a, const double* v, double* out) {
+  static void subtract(const FloatSquare& a, const double* v, double* out) {
     for (int r = 0; r < W; ++r)
       for (int c = 0; c < W; ++c) out[r] -= a[r * W + c] * v[c];
   }
 
-  static void subtract_transposed(const Rounded& a, const double* v, double* out) {
+  static void subtract_transposed(const FloatSquare& a, const double* v, double* out) {
     for (int r = 0; r < W; ++r)
       for (int c = 0; c < W; ++c) out[r] -= a[c * W + r] * v[c];
   }
@@ -165,38 +166,39 @@ class LimitBand {
   Factors& factors(int i, std::size_t j) { return factors_[i * dofs_.size() + j]; }
   const Factors& factors(int i, std::size_t j) const { return factors_[i * dofs_.size() + j]; }
 
-  void factor(const TimeBand& band, int i, RecentFrames& recent, Factors& out) const {
+  void factor(const TimeBand& band, int i, RecentFrames& recent_frames, Factors& out) const {
     const int t = first_ + i;
-    const std::array<Square, 3>& free_projections = recent.free_projections;
+    const std::array<Square, 3>& free_projections = recent_frames.free_projections;
     const int current = i % 3, previous = (i + 2) % 3, second_previous = (i + 1) % 3;
-    Square pivot = scaled(band.entry(t, 0), free_projections[current]);
+    Square pivot = scale_square(band.entry(t, 0), free_projections[current]);
     Square far_block{}, near_block{};
     if (i > 1) {
-      far_block = scaled(band.entry(t, -2),
-                         product(free_projections[current], free_projections[second_previous]));
-      const Square factor = product(far_block, recent.inverses[second_previous]);
+      far_block = scale_square(
+          band.entry(t, -2), product(free_projections[current], free_projections[second_previous]));
+      const Square factor = product(far_block, recent_frames.inverses[second_previous]);
       subtract_product(factor, far_block, pivot);
-      out.second_previous = rounded(factor);
+      out.second_previous = to_float(factor);
     }
     if (i > 0) {
-      near_block =
-          scaled(band.entry(t, -1), product(free_projections[current], free_projections[previous]));
-      if (i > 1) subtract_product(far_block, recent.previous[previous], near_block);
-      recent.previous[current] = product(near_block, recent.inverses[previous]);
-      subtract_product(recent.previous[current], near_block, pivot);
-      out.previous = rounded(recent.previous[current]);
+      near_block = scale_square(band.entry(t, -1),
+                                product(free_projections[current], free_projections[previous]));
+      if (i > 1) subtract_product(far_block, recent_frames.previous[previous], near_block);
+      recent_frames.previous[current] = product(near_block, recent_frames.inverses[previous]);
+      subtract_product(recent_frames.previous[current], near_block, pivot);
+      out.previous = to_float(recent_frames.previous[current]);
     }
     // Symmetrises the pivot: rounding errors would grow from frame to frame.
     for (int r = 0; r < W; ++r)
       for (int c = 0; c < r; ++c)
         pivot[r * W + c] = pivot[c * W + r] = (pivot[r * W + c] + pivot[c * W + r]) / 2;
-    recent.inverses[current] = inverse_of(pivot, free_projections[current], band.entry(t, 0));
-    out.inverse = rounded(recent.inverses[current]);
+    recent_frames.inverses[current] =
+        inverse_of(pivot, free_projections[current], band.entry(t, 0));
+    out.inverse = to_float(recent_frames.inverses[current]);
   }
 
-  int first_ = 0, count_ = 0;
+  int first_ = 0, frame_count_ = 0;
   std::vector<int> dofs_;
-  std::vector<RecentFrames> recent_;
+  std::vector<RecentFrames> recent_frames_;
   std::vector<Factors> factors_;  // (frames, joints)
   std::vector<std::array<double, W>> right_hand_sides_;
 };

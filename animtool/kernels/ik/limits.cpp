@@ -22,8 +22,8 @@ SwingTwist decompose(const double* q, const double* limit) {
 
 void clamp_ball(double* q, const double* limit) {
   SwingTwist swing_twist = decompose(q, limit);
-  const ExceededLimits exceeds = exceeded_limits(swing_twist, limit);
-  if (!exceeds.swing && !exceeds.twist) return;
+  const ExceededLimits exceeded = exceeded_limits(swing_twist, limit);
+  if (!exceeded.swing && !exceeded.twist) return;
   const double ratio = swing_ratio(swing_twist, limit);
   if (ratio > 1) {
     swing_twist.swing[0] /= ratio;

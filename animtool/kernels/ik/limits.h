@@ -13,9 +13,9 @@ namespace animtool::ik {
 // A range or cone narrower than this is locked [rad].
 constexpr double LOCKED_RANGE = 1e-9;
 // Tolerance for rounding at limits [rad], [chain lengths].
-constexpr double ROUNDING = 1e-13;
+constexpr double ROUNDING_TOLERANCE = 1e-13;
 // Within this margin of a limit, the quick test is not decisive [1].
-constexpr double QUICK_MARGIN = 1e-9;
+constexpr double QUICK_TEST_MARGIN = 1e-9;
 constexpr double REVOLUTION = 6.283185307179586476925;
 
 // A ball's motion: the swing vector and the twist angle [rad].
@@ -56,20 +56,20 @@ inline bool is_well_inside(const Node& node, const double* q) {
   const double sign = q[3] < 0 ? -1 : 1;
   const double sine = sign * q[2], cosine = sign * q[3];
   // sin(half twist - half low) and sin(half high - half twist)
-  return sine * inside_bounds[2] - cosine * inside_bounds[1] > QUICK_MARGIN &&
-         cosine * inside_bounds[3] - sine * inside_bounds[4] > QUICK_MARGIN;
+  return sine * inside_bounds[2] - cosine * inside_bounds[1] > QUICK_TEST_MARGIN &&
+         cosine * inside_bounds[3] - sine * inside_bounds[4] > QUICK_TEST_MARGIN;
 }
 
 // Precomputes the numbers of `is_well_inside`: sines and cosines of half the limits. For limits
 // that are infinite, narrow, or beyond half a revolution, that test does not succeed.
-inline void prepare(Node& node) {
+inline void set_inside_bounds(Node& node) {
   const double* limit = node.limit;
   const double min_swing = std::min(limit[0], limit[1]);
   const double sine = min_swing < REVOLUTION / 2 ? std::sin(min_swing / 2) : 1;
   const double low = std::max(limit[2], -REVOLUTION / 2), high = std::min(limit[3], REVOLUTION / 2);
   const bool is_usable = (limit[2] >= -REVOLUTION / 2 && limit[3] <= REVOLUTION / 2) ||
                          (limit[2] < -1e300 && limit[3] > 1e300);
-  node.inside_bounds[0] = is_usable ? sine * sine * (1 - QUICK_MARGIN) : -1;
+  node.inside_bounds[0] = is_usable ? sine * sine * (1 - QUICK_TEST_MARGIN) : -1;
   node.inside_bounds[1] = std::sin(low / 2), node.inside_bounds[2] = std::cos(low / 2);
   node.inside_bounds[3] = std::sin(high / 2), node.inside_bounds[4] = std::cos(high / 2);
 }
@@ -80,8 +80,9 @@ struct ExceededLimits {
 };
 
 inline ExceededLimits exceeded_limits(const SwingTwist& swing_twist, const double* limit) {
-  return {swing_ratio(swing_twist, limit) > 1 + ROUNDING,
-          swing_twist.twist < limit[2] - ROUNDING || swing_twist.twist > limit[3] + ROUNDING};
+  return {swing_ratio(swing_twist, limit) > 1 + ROUNDING_TOLERANCE,
+          swing_twist.twist < limit[2] - ROUNDING_TOLERANCE ||
+              swing_twist.twist > limit[3] + ROUNDING_TOLERANCE};
 }
 
 // Clamps a ball's motion to its limits; the swing keeps its direction.

@@ -29,22 +29,23 @@ inline double inner(const double* a, const double* b, int first, int last) {
 struct Linearized {
   // If there are more residuals than degrees of freedom, systems have the size of the chain.
   const bool is_primal;
-  std::vector<double> columns;             // (D, M)
-  std::vector<double> gram;                // (M, M), lower triangle: J J^T; unless is_primal
-  std::vector<double> normal;              // (D, D), lower triangle: J^T J; if is_primal
-  std::vector<double> downhill;            // (D,): negative gradient, with the rest preference
-  std::vector<double> rest_downhill;       // (D,): negative gradient of the rest preference
-  std::vector<int> first_rows, last_rows;  // (D,): range of rows that a degree of freedom moves
+  std::vector<double> columns;                 // (D, M)
+  std::vector<double> gram_matrix;             // (M, M), lower triangle: J J^T; unless is_primal
+  std::vector<double> normal_matrix;           // (D, D), lower triangle: J^T J; if is_primal
+  std::vector<double> negative_gradient;       // (D,): negative gradient, with the rest preference
+  std::vector<double> negative_rest_gradient;  // (D,): negative gradient of the rest preference
+  std::vector<int> first_rows, last_rows;      // (D,): range of rows that a degree of freedom moves
 
   explicit Linearized(const Task& task)
-      : is_primal(task.rows > task.chain.dofs),
-        columns(static_cast<std::size_t>(task.chain.dofs) * task.rows),
-        gram(is_primal ? 0 : static_cast<std::size_t>(task.rows) * task.rows),
-        normal(is_primal ? static_cast<std::size_t>(task.chain.dofs) * task.chain.dofs : 0),
-        downhill(task.chain.dofs),
-        rest_downhill(task.chain.dofs),
-        first_rows(task.chain.dofs, task.rows),
-        last_rows(task.chain.dofs, 0) {
+      : is_primal(task.row_count > task.chain.dof_count),
+        columns(static_cast<std::size_t>(task.chain.dof_count) * task.row_count),
+        gram_matrix(is_primal ? 0 : static_cast<std::size_t>(task.row_count) * task.row_count),
+        normal_matrix(
+            is_primal ? static_cast<std::size_t>(task.chain.dof_count) * task.chain.dof_count : 0),
+        negative_gradient(task.chain.dof_count),
+        negative_rest_gradient(task.chain.dof_count),
+        first_rows(task.chain.dof_count, task.row_count),
+        last_rows(task.chain.dof_count, 0) {
     for (const Goal& goal : task.goals)
       for (const int n : goal.path) {
         for_each_dof(task.chain, task.chain.nodes[n], [&](int d) {
@@ -57,10 +58,10 @@ struct Linearized {
 
 // Computes the negative gradient of the rest preference (D,); returns its cost.
 double evaluate_rest(const Task& task, const double* q, const double* rest, double weight,
-                     double* rest_downhill);
+                     double* negative_rest_gradient);
 
 // Computes the lower triangle of J^T J (D, D).
-void compute_normal_matrix(const Task& task, const Linearized& linear, double* normal);
+void compute_normal_matrix(const Task& task, const Linearized& linear, double* normal_matrix);
 
 // Linearises the residuals at a pose.
 void linearize(const Task& task, const double* targets, const double* rest, const State& state,

@@ -15,10 +15,10 @@ class Method : public Solver, public SolverState {
   Outcome run(const double* start, const double* targets, const double* rest, bool) override {
     random_ = Random(settings_.seed);
     if (!begin_problem(start, targets, rest)) {
-      outcome_.status = Status::BROKEN;
+      outcome_.status = Status::NOT_FINITE;
       return outcome_;
     }
-    outcome_.descents = 1;
+    outcome_.descent_count = 1;
     set_current(best_);
     prepare();
     outcome_.status = iterate();
@@ -89,13 +89,15 @@ class Gradient : public Method {
 
   bool advance() override {
     linearize(task_, targets_, rest_, current_, linear_);
-    const std::vector<double>& downhill = linear_.downhill;
+    const std::vector<double>& negative_gradient = linear_.negative_gradient;
     double largest = 0;
-    for (const double d : downhill) largest = std::max(largest, std::fabs(d));
+    for (const double d : negative_gradient) largest = std::max(largest, std::fabs(d));
     if (!(largest > 0)) return false;
-    step_length_ = std::min(step_length_ / SHORTENING / SHORTENING, MAX_ROTATION / largest);
-    for (; step_length_ * largest > MIN_ROTATION; step_length_ *= SHORTENING) {
-      for (std::size_t d = 0; d < downhill.size(); ++d) delta_[d] = step_length_ * downhill[d];
+    step_length_ =
+        std::min(step_length_ / STEP_SHORTENING / STEP_SHORTENING, MAX_ROTATION / largest);
+    for (; step_length_ * largest > MIN_ROTATION; step_length_ *= STEP_SHORTENING) {
+      for (std::size_t d = 0; d < negative_gradient.size(); ++d)
+        delta_[d] = step_length_ * negative_gradient[d];
       stepper_.move(current_.q.data(), delta_.data(), next_.q.data());
       evaluate(next_);
       const double predicted = predicted_decrease();
@@ -108,14 +110,14 @@ class Gradient : public Method {
   }
 
  private:
-  static constexpr double SHORTENING = 0.5, MIN_DECREASE_RATIO = 1e-4, MIN_ROTATION = 1e-14;
+  static constexpr double STEP_SHORTENING = 0.5, MIN_DECREASE_RATIO = 1e-4, MIN_ROTATION = 1e-14;
 
   // Decrease that the gradient predicts for the step to next_, after clamping.
   double predicted_decrease() {
-    evaluate_rest(task_, current_.q.data(), next_.q.data(), 1, rest_downhill_.data());
+    evaluate_rest(task_, current_.q.data(), next_.q.data(), 1, negative_rest_gradient_.data());
     double sum = 0;
-    for (std::size_t d = 0; d < rest_downhill_.size(); ++d)
-      sum += rest_downhill_[d] * linear_.downhill[d];
+    for (std::size_t d = 0; d < negative_rest_gradient_.size(); ++d)
+      sum += negative_rest_gradient_[d] * linear_.negative_gradient[d];
     return sum;
   }
 
@@ -201,13 +203,13 @@ class CyclicDescent : public Method {
       if (!is_moved_by(n, goal)) continue;
       const double* target = targets_ + TARGET_WIDTH * e;
       const double* point = &current_.points[3 * e];
-      const double* weights = &current_.weights[COMPONENTS * e];
+      const double* weights = &current_.weights[COMPONENT_COUNT * e];
       const GoalView view = view_of(goal, current_, point);
       for_each_kind([&]<class Kind>(int component) {
         if constexpr (Alignable<Kind>)
           if (weights[component] > 0)
             Kind::add_alignment(weights[component] * weights[component], view,
-                                target + COLUMNS[component], origin, sums);
+                                target + TARGET_OFFSETS[component], origin, sums);
       });
     }
     return sums;
@@ -220,9 +222,9 @@ class CyclicDescent : public Method {
     double sum = 0, weight_sum = 0;
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       if (!is_moved_by(n, task_.goals[e])) continue;
-      const double goal_weight = current_.weights[COMPONENTS * e + component_of<Position>()];
+      const double goal_weight = current_.weights[COMPONENT_COUNT * e + component_of<Position>()];
       const double squared_weight = goal_weight * goal_weight;
-      const double* target = targets_ + TARGET_WIDTH * e + COLUMNS[component_of<Position>()];
+      const double* target = targets_ + TARGET_WIDTH * e + TARGET_OFFSETS[component_of<Position>()];
       double offset[3];
       for (int i = 0; i < 3; ++i) offset[i] = target[i] - current_.points[3 * e + i];
       sum += squared_weight * dot(axis, offset), weight_sum += squared_weight;
@@ -240,7 +242,7 @@ class Fabrik : public Method {
  public:
   Fabrik(const Task& task, const Settings& settings)
       : Method(task, settings),
-        desired_(3 * task.chain.nodes.size()),
+        desired_points_(3 * task.chain.nodes.size()),
         goal_points_(3 * task.goals.size()),
         request_counts_(task.chain.nodes.size()),
         bone_lengths_(task.chain.nodes.size()),
@@ -267,7 +269,7 @@ class Fabrik : public Method {
     }
     for (std::size_t n = 0; n < nodes.size(); ++n) {
       rotated_points_[n].clear();
-      collect(n, MAX_BRANCH_POINTS, rotated_points_[n]);
+      collect_points(n, MAX_BRANCH_POINTS, rotated_points_[n]);
     }
   }
 
@@ -291,10 +293,11 @@ class Fabrik : public Method {
     bool is_goal;  // the point of a goal, else the origin of a node
   };
 
-  void collect(std::size_t n, int depth, std::vector<RotatedPoint>& points) const {
-    for (const RotatedPoint& rotated : next_points_[n]) {
-      points.push_back(rotated);
-      if (!rotated.is_goal && depth > 1) collect(rotated.index, depth - 1, points);
+  void collect_points(std::size_t n, int depth, std::vector<RotatedPoint>& points) const {
+    for (const RotatedPoint& rotated_point : next_points_[n]) {
+      points.push_back(rotated_point);
+      if (!rotated_point.is_goal && depth > 1)
+        collect_points(rotated_point.index, depth - 1, points);
     }
   }
 
@@ -311,39 +314,40 @@ class Fabrik : public Method {
   void add_request(int node, const double* point, double bone_length) {
     double position[3];
     point_at_length(&current_.frames.origins[3 * node], point, bone_length, position);
-    for (int i = 0; i < 3; ++i) desired_[3 * node + i] += position[i];
+    for (int i = 0; i < 3; ++i) desired_points_[3 * node + i] += position[i];
     ++request_counts_[node];
   }
 
   void inward_pass() {
-    std::fill(desired_.begin(), desired_.end(), 0.0);
+    std::fill(desired_points_.begin(), desired_points_.end(), 0.0);
     std::fill(request_counts_.begin(), request_counts_.end(), 0);
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (current_.weights[COMPONENTS * e + component_of<Position>()] > 0)
+      if (current_.weights[COMPONENT_COUNT * e + component_of<Position>()] > 0)
         add_request(task_.goals[e].node,
-                    targets_ + TARGET_WIDTH * e + COLUMNS[component_of<Position>()],
+                    targets_ + TARGET_WIDTH * e + TARGET_OFFSETS[component_of<Position>()],
                     length(task_.goals[e].offset));
     for (std::size_t n = task_.chain.nodes.size(); n-- > 0;) {
       if (!request_counts_[n]) continue;
-      for (int i = 0; i < 3; ++i) desired_[3 * n + i] /= request_counts_[n];
+      for (int i = 0; i < 3; ++i) desired_points_[3 * n + i] /= request_counts_[n];
       const int parent = task_.chain.nodes[n].parent;
-      if (parent >= 0) add_request(parent, &desired_[3 * n], bone_lengths_[n]);
+      if (parent >= 0) add_request(parent, &desired_points_[3 * n], bone_lengths_[n]);
     }
   }
 
   void outward_pass() {
     for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
       const int parent = task_.chain.nodes[n].parent;
-      double* position = &desired_[3 * n];
+      double* position = &desired_points_[3 * n];
       if (parent < 0 || !request_counts_[n])
         std::copy_n(&current_.frames.origins[3 * n], 3, position);
       else
-        point_at_length(position, &desired_[3 * parent], bone_lengths_[n], position);
+        point_at_length(position, &desired_points_[3 * parent], bone_lengths_[n], position);
     }
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
-      const double* target = targets_ + TARGET_WIDTH * e + COLUMNS[component_of<Position>()];
-      point_at_length(target, &desired_[3 * goal.node], length(goal.offset), &goal_points_[3 * e]);
+      const double* target = targets_ + TARGET_WIDTH * e + TARGET_OFFSETS[component_of<Position>()];
+      point_at_length(target, &desired_points_[3 * goal.node], length(goal.offset),
+                      &goal_points_[3 * e]);
     }
   }
 
@@ -355,10 +359,10 @@ class Fabrik : public Method {
     const double* axes = &current_.frames.axes[9 * n];
     double step[3] = {0, 0, 0};
     const bool is_ball = node.kind == Kind::BALL;
-    std::fill_n(&delta_[node.dof], node.width(), 0.0);
+    std::fill_n(&delta_[node.dof], node.dof_count(), 0.0);
     apply_alignment(node, axes, sum_alignment(n, is_ball ? next_points_[n] : rotated_points_[n]),
                     delta_.data());
-    std::copy_n(&delta_[node.dof], node.width(), step);
+    std::copy_n(&delta_[node.dof], node.dof_count(), step);
     apply_step(n, step);
     double axis[3];
     if (!is_ball) return;
@@ -373,27 +377,31 @@ class Fabrik : public Method {
     const Node& node = task_.chain.nodes[n];
     double* values = &current_.q[node.coordinate];
     Stepper::move(node, values, step, values);
-    forward(task_.chain, current_.q.data(), n, n + 1, current_.frames);
+    compute_frames(task_.chain, current_.q.data(), n, n + 1, current_.frames);
   }
 
   // Updates the frames of the points that a joint rotates.
   void update_frames(int n) {
     std::size_t end = n + 1;
-    for (const RotatedPoint& rotated : rotated_points_[n])
+    for (const RotatedPoint& rotated_point : rotated_points_[n])
       end = std::max<std::size_t>(
-          end, (rotated.is_goal ? task_.goals[rotated.index].node : rotated.index) + 1);
-    forward(task_.chain, current_.q.data(), n, end, current_.frames);
+          end,
+          (rotated_point.is_goal ? task_.goals[rotated_point.index].node : rotated_point.index) +
+              1);
+    compute_frames(task_.chain, current_.q.data(), n, end, current_.frames);
   }
 
   AlignmentSums sum_alignment(int n, const std::vector<RotatedPoint>& points) const {
     const double* origin = &current_.frames.origins[3 * n];
     AlignmentSums sums;
-    for (const RotatedPoint& rotated : points) {
+    for (const RotatedPoint& rotated_point : points) {
       double point[3], from[3], to[3];
-      const double* desired =
-          rotated.is_goal ? &goal_points_[3 * rotated.index] : &desired_[3 * rotated.index];
-      if (!find_point(rotated, point)) continue;
-      for (int i = 0; i < 3; ++i) from[i] = point[i] - origin[i], to[i] = desired[i] - origin[i];
+      const double* desired_point = rotated_point.is_goal
+                                        ? &goal_points_[3 * rotated_point.index]
+                                        : &desired_points_[3 * rotated_point.index];
+      if (!find_point(rotated_point, point)) continue;
+      for (int i = 0; i < 3; ++i)
+        from[i] = point[i] - origin[i], to[i] = desired_point[i] - origin[i];
       sums.add(1, from, to);
     }
     return sums;
@@ -413,21 +421,21 @@ class Fabrik : public Method {
   }
 
   // Computes the current position of a point; returns false if it has no desired position.
-  bool find_point(const RotatedPoint& rotated, double* point) const {
-    if (!rotated.is_goal) {
-      std::copy_n(&current_.frames.origins[3 * rotated.index], 3, point);
-      return request_counts_[rotated.index] > 0;
+  bool find_point(const RotatedPoint& rotated_point, double* point) const {
+    if (!rotated_point.is_goal) {
+      std::copy_n(&current_.frames.origins[3 * rotated_point.index], 3, point);
+      return request_counts_[rotated_point.index] > 0;
     }
-    const Goal& goal = task_.goals[rotated.index];
+    const Goal& goal = task_.goals[rotated_point.index];
     rotate(&current_.frames.rotations[9 * goal.node], goal.offset, point);
     for (int i = 0; i < 3; ++i) point[i] += current_.frames.origins[3 * goal.node + i];
-    return current_.weights[COMPONENTS * rotated.index + component_of<Position>()] > 0;
+    return current_.weights[COMPONENT_COUNT * rotated_point.index + component_of<Position>()] > 0;
   }
 
-  std::vector<double> desired_;       // (N, 3): desired positions of the nodes' origins
-  std::vector<double> goal_points_;   // (E, 3): desired positions of the goals' points
-  std::vector<int> request_counts_;   // (N,): number of branches that request a position
-  std::vector<double> bone_lengths_;  // (N,): from the parent
+  std::vector<double> desired_points_;  // (N, 3): desired positions of the nodes' origins
+  std::vector<double> goal_points_;     // (E, 3): desired positions of the goals' points
+  std::vector<int> request_counts_;     // (N,): number of branches that request a position
+  std::vector<double> bone_lengths_;    // (N,): from the parent
   std::vector<std::vector<RotatedPoint>> next_points_, rotated_points_;
 };
 

@@ -13,22 +13,22 @@ namespace {
 // Matrices over the rows are indexed with int.
 constexpr std::size_t MAX_GOALS = 46340 / MAX_GOAL_ROWS;
 // Numbers of a goal: both parts of its offset, its aim axis, and its weights.
-constexpr std::size_t GOAL_NUMBERS = 9 + COMPONENTS;
+constexpr std::size_t GOAL_NUMBERS = 9 + COMPONENT_COUNT;
 
 // Checks that frames and gains are finite; limits, which may be infinite, must be in order.
 void check_node_numbers(const Node& node, const double* values) {
   check::finite("numbers", values, 14);
   const double* limit = values + 14;
   const bool is_ball = node.kind == Kind::BALL;
-  const bool is_ordered =
+  const bool is_in_order =
       is_ball ? limit[0] >= 0 && limit[1] >= 0 && limit[2] <= limit[3] : limit[0] <= limit[1];
-  if (!is_ordered) check::refuse("numbers", "limits are not in order");
+  if (!is_in_order) check::refuse("numbers", "limits are not in order");
 }
 
 // Rows after those of the nodes contain the instructions of programs: 3, index of the program,
 // operation, and 1 plus the index of the coordinate or program, or plus the count, that the
 // operation needs.
-constexpr std::int64_t INSTRUCTION = 3;
+constexpr std::int64_t INSTRUCTION_ROW = 3;
 // Driver kind of a node, in its last column, if its value is that of a program.
 constexpr std::int64_t FOLLOWS_PROGRAM = 2;
 // Number of collected degrees of freedom above which duplicates are removed.
@@ -89,14 +89,14 @@ void check_stack(Program& program) {
 void read_programs(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                    std::size_t first_row, const std::vector<int>& dof_by_coordinate,
                    const std::vector<bool>& is_ball, Chain& chain) {
-  const std::int64_t coordinates = chain.coordinates;
+  const std::int64_t coordinates = chain.coordinate_count;
   std::size_t slope_count = 0;
   for (std::size_t n = first_row; n < nodes.shape(0);) {
     Program program;
     const auto program_index = static_cast<std::int64_t>(chain.programs.size());
     for (; n < nodes.shape(0) && nodes.data()[4 * n + 1] == program_index; ++n) {
       const std::int64_t* row = nodes.data() + 4 * n;
-      check::between("nodes", row[0], INSTRUCTION, INSTRUCTION);
+      check::between("nodes", row[0], INSTRUCTION_ROW, INSTRUCTION_ROW);
       check::between("nodes", row[2], 0, static_cast<std::int64_t>(Op::COUNT) - 1);
       check::finite("numbers", numbers.data() + 18 * n, MAX_NUMBERS);
       check::between("nodes", row[3], 1, static_cast<std::int64_t>(check::MAX_ROWS));
@@ -134,11 +134,12 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
   check::shape("numbers", numbers, {nodes.shape(0), 18});
   check::at_most("nodes", nodes.shape(0), check::MAX_ROWS);
   Chain chain;
-  int coordinates = 0, dofs = 0;
+  int next_coordinate = 0, next_dof = 0;
   std::vector<int> dof_by_coordinate;
   std::vector<bool> is_ball;
   std::size_t node_count = 0;
-  while (node_count < nodes.shape(0) && nodes.data()[4 * node_count] != INSTRUCTION) ++node_count;
+  while (node_count < nodes.shape(0) && nodes.data()[4 * node_count] != INSTRUCTION_ROW)
+    ++node_count;
   for (std::size_t n = 0; n < node_count; ++n) {
     const std::int64_t* row = nodes.data() + 4 * n;
     const double* values = numbers.data() + 18 * n;
@@ -154,7 +155,7 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
     std::copy(values + 9, values + 12, node.offset);
     node.gain = values[12], node.shift = values[13];
     std::copy(values + 14, values + 18, node.limit);
-    if (node.kind == Kind::BALL) prepare(node);
+    if (node.kind == Kind::BALL) set_inside_bounds(node);
     if (row[3] == FOLLOWS_PROGRAM) {
       check::between("nodes", row[2], 0, check::MAX_ROWS);
       if (node.kind == Kind::BALL) check::refuse("nodes", "a ball follows no program");
@@ -164,25 +165,25 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
     }
     node.coordinate = static_cast<int>(row[2]);
     if (node.is_driven) {
-      check::indices("nodes", row + 2, 1, 0, coordinates);
+      check::indices("nodes", row + 2, 1, 0, next_coordinate);
       if (node.kind == Kind::BALL || is_ball[row[2]] || dof_by_coordinate[row[2]] < 0)
         check::refuse("nodes", "coordinate " + check::text(row[2]) + " is none to follow");
       node.dof = dof_by_coordinate[row[2]];
     } else {
-      check::between("nodes", row[2], coordinates, coordinates);
+      check::between("nodes", row[2], next_coordinate, next_coordinate);
       const int coordinate_count = node.kind == Kind::BALL ? 4 : 1;
-      node.dof = dofs;
+      node.dof = next_dof;
       dof_by_coordinate.insert(dof_by_coordinate.end(), coordinate_count, -1);
       is_ball.insert(is_ball.end(), coordinate_count, false);
-      dof_by_coordinate[coordinates] = dofs;
-      is_ball[coordinates] = node.kind == Kind::BALL;
-      coordinates += coordinate_count;
-      dofs += node.width();
+      dof_by_coordinate[next_coordinate] = next_dof;
+      is_ball[next_coordinate] = node.kind == Kind::BALL;
+      next_coordinate += coordinate_count;
+      next_dof += node.dof_count();
     }
     chain.nodes.push_back(node);
   }
-  chain.coordinates = coordinates;
-  chain.dofs = dofs;
+  chain.coordinate_count = next_coordinate;
+  chain.dof_count = next_dof;
   read_programs(nodes, numbers, node_count, dof_by_coordinate, is_ball, chain);
   for (const Node& node : chain.nodes)
     if (node.program >= static_cast<int>(chain.programs.size()))
@@ -208,43 +209,43 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     check::indices("goals", row, 1, 0, count);
     check::indices("goals", row + 1, 2, -1, count);
     check::indices("goals", row + 3, 1, 0, static_cast<std::int64_t>(goals.shape(0)));
-    for (int component = 0; component < COMPONENTS; ++component)
+    for (int component = 0; component < COMPONENT_COUNT; ++component)
       check::not_negative("goal_numbers", values[9 + component]);
     Goal goal;
     goal.node = static_cast<int>(row[0]);
     goal.root = static_cast<int>(row[1]);
     goal.middle = static_cast<int>(row[2]);
-    std::copy(values, values + 3, goal.bone);
-    std::copy(values + 3, values + 6, goal.tool);
-    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.bone[i] + goal.tool[i];
+    std::copy(values, values + 3, goal.stretching_offset);
+    std::copy(values + 3, values + 6, goal.fixed_offset);
+    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.stretching_offset[i] + goal.fixed_offset[i];
     std::copy(values + 6, values + 9, goal.aim_axis);
     std::copy(values + 9, values + GOAL_NUMBERS, goal.weights);
     goal.level = static_cast<int>(row[3]);
-    task.levels = std::max(task.levels, goal.level + 1);
+    task.level_count = std::max(task.level_count, goal.level + 1);
     for_each_kind([&]<class Kind>(int component) {
       if (Kind::NEEDS_LIMB && goal.weights[component] > 0 && (row[1] < 0 || row[2] < 0))
         check::refuse("goals", "goal " + check::text(e) + " has a " + Kind::NAME + " and no limb");
     });
-    goal.row = task.rows;
+    goal.row = task.row_count;
     for (int n = goal.node; n >= 0; n = task.chain.nodes[n].parent) goal.path.push_back(n);
     std::reverse(goal.path.begin(), goal.path.end());
-    task.rows += count_rows(goal);
+    task.row_count += count_rows(goal);
     task.goals.push_back(goal);
   }
   return task;
 }
 
-void check_poses(const char* name, const Task& task, std::size_t batch,
+void check_poses(const char* name, const Task& task, std::size_t batch_size,
                  const In<double, 2>& poses) {
-  check::shape(name, poses, {batch, static_cast<std::size_t>(task.chain.coordinates)});
+  check::shape(name, poses, {batch_size, static_cast<std::size_t>(task.chain.coordinate_count)});
 }
 
-void check_targets(const char* name, const Task& task, std::size_t batch,
+void check_targets(const char* name, const Task& task, std::size_t batch_size,
                    const In<double, 3>& targets) {
-  check::shape(name, targets, {batch, task.goals.size(), TARGET_WIDTH});
-  for (std::size_t row = 0; row < batch * task.goals.size(); ++row)
-    for (int component = 0; component < COMPONENTS; ++component) {
-      const double factor = targets.data()[TARGET_WIDTH * row + WEIGHTS + component];
+  check::shape(name, targets, {batch_size, task.goals.size(), TARGET_WIDTH});
+  for (std::size_t row = 0; row < batch_size * task.goals.size(); ++row)
+    for (int component = 0; component < COMPONENT_COUNT; ++component) {
+      const double factor = targets.data()[TARGET_WIDTH * row + WEIGHTS_OFFSET + component];
       if (!(factor >= 0))
         check::refuse(name, "the share " + check::text(factor) + " is not 0 or more");
     }

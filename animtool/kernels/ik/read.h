@@ -15,11 +15,12 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
 
 // Checks the shape of poses (B, Q). Poses and targets may contain any numbers: NaN results are
 // valid outcomes.
-void check_poses(const char* name, const Task& task, std::size_t batch, const In<double, 2>& poses);
+void check_poses(const char* name, const Task& task, std::size_t batch_size,
+                 const In<double, 2>& poses);
 
 // Checks targets (B, E, W). Factors of weights must not be negative: rows that a goal does not have
 // would be written.
-void check_targets(const char* name, const Task& task, std::size_t batch,
+void check_targets(const char* name, const Task& task, std::size_t batch_size,
                    const In<double, 3>& targets);
 
 // Checks the tolerances and the damping of a solver.

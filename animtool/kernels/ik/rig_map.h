@@ -39,7 +39,7 @@ class RigMap {
     double scale, low, high;
   };
   struct Ball {
-    std::size_t first;
+    std::size_t first_coordinate;
     double frame[4], inverse_frame[4];
   };
   struct Mimic {

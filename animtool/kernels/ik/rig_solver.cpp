@@ -83,20 +83,20 @@ struct RigSolver::Problem {
         settings(checked_settings(solver_settings(inputs))),
         solver(make_solver(inputs.method, task, settings)),
         joints(inputs),
-        map(map_arrays(inputs), unstretched, joints.width),
+        rig_map(map_arrays(inputs), unstretched, joints.width),
         limbs(read_limbs(inputs.limbs, inputs.limb_numbers, task.goals.size())),
         goal_frames(to_vector(inputs.goal_frames)),
         length(inputs.length),
-        is_ordered(inputs.ordered || inputs.warm),
-        is_warm(inputs.warm) {
-    const std::size_t goals = task.goals.size();
-    check::shape("goal_frames", inputs.goal_frames, {goals, 4});
+        is_sequential(inputs.ordered || inputs.warm),
+        starts_from_previous(inputs.warm) {
+    const std::size_t goal_count = task.goals.size();
+    check::shape("goal_frames", inputs.goal_frames, {goal_count, 4});
     check::positive("length", length);
     check::shape("limb_joints", inputs.limb_joints, {check::ANY, 2});
     for (std::size_t i = 0; i < inputs.limb_joints.shape(0); ++i) {
       const std::int64_t* row = inputs.limb_joints.data() + 2 * i;
       check::indices("limb_joints", row, 1, 0, static_cast<std::int64_t>(joints.types.size()));
-      check::indices("limb_joints", row + 1, 1, 0, static_cast<std::int64_t>(goals));
+      check::indices("limb_joints", row + 1, 1, 0, static_cast<std::int64_t>(goal_count));
       limb_joints.emplace_back(row[0], row[1]);
     }
     build_closed_form(inputs.closed);
@@ -112,14 +112,14 @@ struct RigSolver::Problem {
                            unstretched.nodes[1].kind != Kind::SLIDE &&
                            unstretched.nodes[1].coordinate == 4 && unstretched.programs.empty();
       if (!is_limb) check::refuse("closed", "the chain is no limb of two bones");
-      closed = make_limb(task);
+      closed_form = make_limb(task);
     }
     if (kind == static_cast<int>(ClosedKind::ARM)) {
       std::unique_ptr<Arm> six_pin_arm =
           make_arm(task, settings.length_tolerance, settings.angle_tolerance);
       if (!six_pin_arm) check::refuse("closed", "the chain is no arm of six pins");
       arm = six_pin_arm.get();
-      closed = std::move(six_pin_arm);
+      closed_form = std::move(six_pin_arm);
     }
   }
 
@@ -129,37 +129,40 @@ struct RigSolver::Problem {
     for (std::size_t e = 0; e < task.goals.size(); ++e) {
       const double* frame = goal_frames.data() + 4 * e;
       for_each_kind([&]<class Kind>(int component) {
-        Kind::convert_target(targets + TARGET_WIDTH * e + COLUMNS[component], frame, length);
+        Kind::convert_target(targets + TARGET_WIDTH * e + TARGET_OFFSETS[component], frame, length);
       });
     }
   }
 
   // Checks targets in the world. Callers check them first, so that errors are reported in one
   // place.
-  void check_world_targets(const char* name, std::size_t batch,
+  void check_world_targets(const char* name, std::size_t batch_size,
                            const In<double, 3>& targets) const {
-    check_targets(name, task, batch, targets);
+    check_targets(name, task, batch_size, targets);
     check::finite(name, targets);
-    for (std::size_t row = 0; row < batch * task.goals.size(); ++row)
+    for (std::size_t row = 0; row < batch_size * task.goals.size(); ++row)
       for_each_kind([&]<class Kind>(int component) {
-        const double* values = targets.data() + TARGET_WIDTH * row + COLUMNS[component];
+        const double* values = targets.data() + TARGET_WIDTH * row + TARGET_OFFSETS[component];
         if (std::is_same_v<Kind, Position>) return;
         double largest = 0;
-        for (int i = 0; i < Kind::WIDTH; ++i) largest = std::max(largest, std::fabs(values[i]));
+        for (int i = 0; i < Kind::TARGET_SIZE; ++i)
+          largest = std::max(largest, std::fabs(values[i]));
         if (!(largest <= MAX_DIRECTION)) check::refuse(name, "a direction is beyond squares");
-        if (Kind::WIDTH == 4 && !(largest > 0)) check::refuse(name, "a rotation has no length");
+        if (Kind::TARGET_SIZE == 4 && !(largest > 0))
+          check::refuse(name, "a rotation has no length");
       });
   }
 
   // Whether the errors of a goal are within the tolerances.
   bool is_reached(const double* errors) const {
-    for (int component = 0; component < COMPONENTS; ++component)
+    for (int component = 0; component < COMPONENT_COUNT; ++component)
       if (!(errors[component] <= settings.tolerance(component))) return false;
     return true;
   }
 
   // Computes the positions and linear frames of the rig's joints, with stretched bones.
-  void compute_pose(const double* rig, const double* scales, double* positions, double* linear) {
+  void compute_pose(const double* rig, const double* scales, double* positions,
+                    double* linear_frames) {
     const std::size_t count = joints.types.size();
     translations.resize(3 * count), rotations.resize(4 * count);
     local_frame(joints.arrays(), rig, translations.data(), rotations.data());
@@ -167,7 +170,7 @@ struct RigSolver::Problem {
       for (int i = 0; i < 3; ++i) translations[3 * joint + i] *= scales[goal];
     forward_kinematics({joints.parents.data(), {count}}, {translations.data(), {1, count, 3}},
                        {rotations.data(), {1, count, 4}}, std::nullopt, {positions, {1, count, 3}},
-                       {linear, {1, count, 3, 3}});
+                       {linear_frames, {1, count, 3, 3}});
   }
 
   Task task;
@@ -175,13 +178,13 @@ struct RigSolver::Problem {
   const Settings settings;
   std::unique_ptr<Solver> solver;
   JointCopies joints;
-  RigMap map;
+  RigMap rig_map;
   std::vector<Limb> limbs;
   std::vector<std::pair<std::size_t, std::size_t>> limb_joints;
   std::vector<double> goal_frames;
   const double length;
-  const bool is_ordered, is_warm;
-  std::unique_ptr<ClosedForm> closed;
+  const bool is_sequential, starts_from_previous;
+  std::unique_ptr<ClosedForm> closed_form;
   Arm* arm = nullptr;
   std::vector<double> translations, rotations;
 };
@@ -191,117 +194,120 @@ RigSolver::RigSolver(const RigSolverArrays& inputs) : problem_(std::make_unique<
 RigSolver::~RigSolver() = default;
 
 RigSolveResult RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
-                                std::optional<In<double, 2>> preferred, bool placed) {
+                                std::optional<In<double, 2>> preferred, bool returns_joint_poses) {
   const std::lock_guard<std::mutex> lock(mutex_);
   Problem& problem = *problem_;
-  const std::size_t batch = starts.shape(0), width = problem.joints.width;
-  const std::size_t goals = problem.task.goals.size(),
-                    chain_width = problem.unstretched.coordinates;
-  const std::size_t joints = problem.joints.types.size();
-  check::shape("starts", starts, {batch, width});
+  const std::size_t batch_size = starts.shape(0), width = problem.joints.width;
+  const std::size_t goal_count = problem.task.goals.size(),
+                    chain_width = problem.unstretched.coordinate_count;
+  const std::size_t joint_count = problem.joints.types.size();
+  check::shape("starts", starts, {batch_size, width});
   check::finite("starts", starts);
   if (preferred) {
-    check::shape("preferred", *preferred, {batch, width});
+    check::shape("preferred", *preferred, {batch_size, width});
     check::finite("preferred", *preferred);
   }
-  problem.check_world_targets("targets", batch, targets);
-  Out<double, 2> coordinates(batch, width), scales(batch, goals);
-  Out<double, 3> errors(batch, goals, COMPONENTS);
-  Out<std::int64_t, 2> reports(batch, 3);
-  Out<double, 1> seconds(batch);
-  Out<bool, 2> reached(batch, goals);
-  Out<double, 3> positions(placed ? batch : 0, joints, 3);
-  Out<double, 4> linear(placed ? batch : 0, joints, 3, 3);
+  problem.check_world_targets("targets", batch_size, targets);
+  Out<double, 2> coordinates(batch_size, width), scales(batch_size, goal_count);
+  Out<double, 3> errors(batch_size, goal_count, COMPONENT_COUNT);
+  Out<std::int64_t, 2> reports(batch_size, 3);
+  Out<double, 1> seconds(batch_size);
+  Out<bool, 2> reached_flags(batch_size, goal_count);
+  Out<double, 3> positions(returns_joint_poses ? batch_size : 0, joint_count, 3);
+  Out<double, 4> linear_frames(returns_joint_poses ? batch_size : 0, joint_count, 3, 3);
   std::vector<double> start(chain_width), rest(chain_width), solution(chain_width),
       previous(chain_width), previous_search(chain_width);
-  std::vector<double> target(goals * TARGET_WIDTH), reachable(goals * TARGET_WIDTH);
-  const std::unique_ptr<bool[]> softened(new bool[std::max<std::size_t>(goals, 1)]);
+  std::vector<double> target(goal_count * TARGET_WIDTH), reachable(goal_count * TARGET_WIDTH);
+  const std::unique_ptr<bool[]> is_softened(new bool[std::max<std::size_t>(goal_count, 1)]);
   bool has_previous = false;  // an earlier frame had goals; its pose is in `previous`
   bool has_search = false;    // an earlier frame needed a search; its pose is in `previous_search`
-  for (std::size_t b = 0; b < batch; ++b) {
-    double* error = errors.get() + b * goals * COMPONENTS;
-    double* scale = scales.get() + b * goals;
+  for (std::size_t b = 0; b < batch_size; ++b) {
+    double* error = errors.get() + b * goal_count * COMPONENT_COUNT;
+    double* scale = scales.get() + b * goal_count;
     std::int64_t* report = reports.get() + 3 * b;
     double* rig = coordinates.get() + b * width;
     std::copy(starts.data() + b * width, starts.data() + (b + 1) * width, rig);
-    problem.map.to_chain(rig, start.data());
+    problem.rig_map.to_chain(rig, start.data());
     if (preferred)
-      problem.map.to_chain(preferred->data() + b * width, rest.data());
+      problem.rig_map.to_chain(preferred->data() + b * width, rest.data());
     else
       rest = start;
-    problem.pack_targets(targets.data() + b * goals * TARGET_WIDTH, target.data());
-    extend_limbs(problem.limbs, goals, target.data(), reachable.data(), scale, softened.get());
-    const bool is_continued =
-        problem.is_warm && problem.closed && problem.closed->depends_on_start() && has_previous;
+    problem.pack_targets(targets.data() + b * goal_count * TARGET_WIDTH, target.data());
+    extend_limbs(problem.limbs, goal_count, target.data(), reachable.data(), scale,
+                 is_softened.get());
+    const bool is_continued = problem.starts_from_previous && problem.closed_form &&
+                              problem.closed_form->depends_on_start() && has_previous;
     const double* from = is_continued ? previous.data() : start.data();
     std::fill(report, report + 3, 0);
     seconds.get()[b] = 0;
     const bool is_closed_form =
-        problem.closed && problem.closed->solve(from, target.data(), reachable.data(), scale[0],
-                                                solution.data(), error);
+        problem.closed_form && problem.closed_form->solve(from, target.data(), reachable.data(),
+                                                          scale[0], solution.data(), error);
     if (!is_closed_form) {
-      const bool is_next_frame = problem.is_ordered && has_search;
-      if (problem.is_warm && has_search && !is_continued) from = previous_search.data();
+      const bool is_next_frame = problem.is_sequential && has_search;
+      if (problem.starts_from_previous && has_search && !is_continued)
+        from = previous_search.data();
       RunResult run = run_one(*problem.solver, problem.unstretched, problem.task, from,
                               target.data(), reachable.data(), scale, rest.data(), is_next_frame);
       seconds.get()[b] = run.seconds;
       report[0] = static_cast<std::int64_t>(run.outcome.status);
       report[1] = run.outcome.iterations;
-      report[2] = run.outcome.descents;
+      report[2] = run.outcome.descent_count;
       const State& best = problem.solver->best();
-      std::copy_n(run.outcome.status == Status::BROKEN ? from : best.q.data(), chain_width,
+      std::copy_n(run.outcome.status == Status::NOT_FINITE ? from : best.q.data(), chain_width,
                   solution.data());
       std::copy(best.errors.begin(), best.errors.end(), error);
       previous_search = solution;
       has_search = true;
     }
     // A limb without goals in a frame keeps its last pose.
-    const bool is_idle =
-        problem.closed && problem.is_warm && !count_active_rows(problem.task, target.data());
-    if (!is_idle)
+    const bool is_without_goals = problem.closed_form && problem.starts_from_previous &&
+                                  !count_active_rows(problem.task, target.data());
+    if (!is_without_goals)
       previous = solution, has_previous = true;
     else if (has_previous)
       solution = previous;
-    problem.map.to_rig(solution.data(), rig);
-    bool all_reached = true, all_softened = true;
-    for (std::size_t e = 0; e < goals; ++e) {
-      const bool is_goal_reached = problem.is_reached(error + COMPONENTS * e);
-      reached.get()[b * goals + e] = is_goal_reached;
-      all_reached = all_reached && is_goal_reached;
-      all_softened = all_softened && (is_goal_reached || softened[e]);
-      for (int component = 0; component < COMPONENTS; ++component)
-        if (IS_LENGTH[component]) error[COMPONENTS * e + component] *= problem.length;
+    problem.rig_map.to_rig(solution.data(), rig);
+    bool are_all_reached = true, are_all_softened = true;
+    for (std::size_t e = 0; e < goal_count; ++e) {
+      const bool is_goal_reached = problem.is_reached(error + COMPONENT_COUNT * e);
+      reached_flags.get()[b * goal_count + e] = is_goal_reached;
+      are_all_reached = are_all_reached && is_goal_reached;
+      are_all_softened = are_all_softened && (is_goal_reached || is_softened[e]);
+      for (int component = 0; component < COMPONENT_COUNT; ++component)
+        if (IS_LENGTH[component]) error[COMPONENT_COUNT * e + component] *= problem.length;
     }
     // A target that was softened may have been too far away.
-    if (report[0] == static_cast<std::int64_t>(Status::REACHED) && !all_reached)
-      report[0] = static_cast<std::int64_t>(all_softened ? Status::SOFTENED : Status::NEAREST);
-    if (placed)
-      problem.compute_pose(rig, scale, positions.get() + 3 * b * joints,
-                           linear.get() + 9 * b * joints);
+    if (report[0] == static_cast<std::int64_t>(Status::REACHED) && !are_all_reached)
+      report[0] = static_cast<std::int64_t>(are_all_softened ? Status::SOFTENED : Status::NEAREST);
+    if (returns_joint_poses)
+      problem.compute_pose(rig, scale, positions.get() + 3 * b * joint_count,
+                           linear_frames.get() + 9 * b * joint_count);
   }
-  return {std::move(coordinates), std::move(errors), std::move(reports),   std::move(seconds),
-          std::move(reached),     std::move(scales), std::move(positions), std::move(linear)};
+  return {std::move(coordinates), std::move(errors),        std::move(reports),
+          std::move(seconds),     std::move(reached_flags), std::move(scales),
+          std::move(positions),   std::move(linear_frames)};
 }
 
 Out<double, 2> RigSolver::branches(In<double, 1> start, In<double, 2> targets) {
   const std::lock_guard<std::mutex> lock(mutex_);
   Problem& problem = *problem_;
   if (!problem.arm) check::refuse("closed", "the chain is no arm of six pins");
-  const std::size_t width = problem.joints.width, goals = problem.task.goals.size();
+  const std::size_t width = problem.joints.width, goal_count = problem.task.goals.size();
   check::shape("start", start, {width});
-  check::shape("targets", targets, {goals, TARGET_WIDTH});
+  check::shape("targets", targets, {goal_count, TARGET_WIDTH});
   check::finite("start", start);
-  problem.check_world_targets("targets", 1, {targets.data(), {1, goals, TARGET_WIDTH}});
-  std::vector<double> from(problem.unstretched.coordinates), target(goals * TARGET_WIDTH);
+  problem.check_world_targets("targets", 1, {targets.data(), {1, goal_count, TARGET_WIDTH}});
+  std::vector<double> from(problem.unstretched.coordinate_count), target(goal_count * TARGET_WIDTH);
   double poses[MAX_BRANCHES * ARM_PINS];
-  problem.map.to_chain(start.data(), from.data());
+  problem.rig_map.to_chain(start.data(), from.data());
   problem.pack_targets(targets.data(), target.data());
   const std::size_t count = problem.arm->branches(from.data(), target.data(), poses);
   Out<double, 2> coordinates(count, width);
   for (std::size_t i = 0; i < count; ++i) {
     double* rig = coordinates.get() + i * width;
     std::copy(start.data(), start.data() + width, rig);
-    problem.map.to_rig(poses + ARM_PINS * i, rig);
+    problem.rig_map.to_rig(poses + ARM_PINS * i, rig);
   }
   return coordinates;
 }

@@ -60,7 +60,7 @@ class RigSolver {
   ~RigSolver();
 
   RigSolveResult solve(In<double, 2> starts, In<double, 3> targets,
-                       std::optional<In<double, 2>> preferred, bool placed);
+                       std::optional<In<double, 2>> preferred, bool returns_joint_poses);
 
   // All poses of an arm of six pins that reach targets.
   Out<double, 2> branches(In<double, 1> start, In<double, 2> targets);

@@ -44,11 +44,11 @@ class PathSmoother {
       : task_(without_preferences(task)),
         unstretched_(task_.chain),
         settings_(settings),
-        tight_settings_(tighten(settings)),
+        tight_settings_(tighten_tolerances(settings)),
         path_(path),
-        frames_(frames),
-        width_(task.chain.dofs),
-        coordinates_(task.chain.coordinates),
+        frame_count_(frames),
+        dof_count_(task.chain.dof_count),
+        coordinate_count_(task.chain.coordinate_count),
         first_(path.first),
         end_(path.end),
         targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
@@ -59,18 +59,18 @@ class PathSmoother {
         stepper_(task_),
         state_(task_),
         linear_(task_),
-        spaces_(frames),
+        goal_spaces_(frames),
         is_frozen_(frames, 0),
-        difference_(width_) {}
+        tangent_(dof_count_) {}
 
   // Improves a path (F, Q) in place.
   PathOutcome run(double* path) {
-    current_path_.assign(path, path + static_cast<std::size_t>(frames_) * coordinates_);
+    current_path_.assign(path, path + static_cast<std::size_t>(frame_count_) * coordinate_count_);
     anchors_ = current_path_;
-    for (int t = 0; t < frames_; ++t) freeze_missed_goals(t);
+    for (int t = 0; t < frame_count_; ++t) freeze_missed_goals(t);
     PathOutcome outcome;
     outcome.start_cost = evaluate_all();
-    std::vector<char> was_corner(frames_, 0);
+    std::vector<char> was_corner(frame_count_, 0);
     minimize(outcome, outcome.start_cost);
     if (path_.weights.acceleration > 0 && path_.iterations > 0)
       for (int i = 0; i < MAX_CORNERS && select_corner(was_corner); ++i) {
@@ -87,13 +87,13 @@ class PathSmoother {
   static constexpr double TOLERANCE_FRACTION = 1e-2;
   static constexpr int RESTORE_STEPS = 30;
   // An iteration with a smaller relative gain is the last one.
-  static constexpr double MIN_GAIN = 1e-2;
+  static constexpr double MIN_RELATIVE_GAIN = 1e-2;
   // Largest number of corners that are smoothed separately.
   static constexpr int MAX_CORNERS = 8;
   // A frame is a corner if it costs this many times the median of the frames around it. Corners are
   // shifted in time, earlier and later, in steps of this many frames, this many times.
-  static constexpr double CORNER_RATIO = 10, SHIFT_STEP = 0.5;
-  static constexpr int MAX_SHIFTS = 8;
+  static constexpr double CORNER_RATIO = 10, SHIFT_STEP_FRAMES = 0.5;
+  static constexpr int MAX_CORNER_SHIFTS = 8;
   // Largest number of attempts of a step, and the factor of the damping between them.
   static constexpr int MAX_ATTEMPTS = 8;
   static constexpr double DAMPING_FACTOR = 4;
@@ -105,11 +105,11 @@ class PathSmoother {
   // goals or to a preference.
   static Task without_preferences(Task task) {
     task.rest_weight = 0;
-    task.levels = 1;
+    task.level_count = 1;
     return task;
   }
 
-  static Settings tighten(Settings settings) {
+  static Settings tighten_tolerances(Settings settings) {
     settings.length_tolerance *= TOLERANCE_FRACTION;
     settings.angle_tolerance *= TOLERANCE_FRACTION;
     settings.iterations = RESTORE_STEPS;
@@ -122,11 +122,11 @@ class PathSmoother {
   }
 
   double* frame(std::vector<double>& rows, int t) {
-    return rows.data() + static_cast<std::size_t>(t) * width_;
+    return rows.data() + static_cast<std::size_t>(t) * dof_count_;
   }
 
   double* pose(std::vector<double>& path, int t) {
-    return path.data() + static_cast<std::size_t>(t) * coordinates_;
+    return path.data() + static_cast<std::size_t>(t) * coordinate_count_;
   }
 
   void stretch_frame(int t) {
@@ -136,9 +136,9 @@ class PathSmoother {
   // Corrects a pose so that it reaches the goals of a frame; returns whether it does.
   bool restore_goals(int t, const double* start) {
     stretch_frame(t);
-    if (search_.run(start, target(t), start, false) == Status::BROKEN) return false;
+    if (search_.run(start, target(t), start, false) == Status::NOT_FINITE) return false;
     const State& best = search_.best();
-    std::copy(best.q.begin(), best.q.end(), pose(next_, t));
+    std::copy(best.q.begin(), best.q.end(), pose(next_path_, t));
     return is_reached(best);
   }
 
@@ -146,8 +146,8 @@ class PathSmoother {
   void load_frame(int t) {
     stretch_frame(t);
     const double* q = pose(current_path_, t);
-    std::copy(q, q + coordinates_, state_.q.begin());
-    forward(task_.chain, state_.q.data(), state_.frames);
+    std::copy(q, q + coordinate_count_, state_.q.begin());
+    compute_frames(task_.chain, state_.q.data(), state_.frames);
     measure(task_, target(t), state_);
     // A goal is preserved even if its weight is small.
     for (double& weight : state_.weights) weight = weight > 0 ? 1 : 0;
@@ -155,7 +155,8 @@ class PathSmoother {
 
   bool is_reached(const State& state) const {
     for (std::size_t i = 0; i < state.errors.size(); ++i)
-      if (!(state.errors[i] <= settings_.tolerance(static_cast<int>(i % COMPONENTS)))) return false;
+      if (!(state.errors[i] <= settings_.tolerance(static_cast<int>(i % COMPONENT_COUNT))))
+        return false;
     return true;
   }
 
@@ -169,7 +170,7 @@ class PathSmoother {
       const GoalView view = view_of(goal, state_, &state_.points[3 * e]);
       for_each_kind([&]<class Kind>(int component) {
         if (!Kind::NEEDS_LIMB || goal.middle >= 0)
-          Kind::target_from_pose(view, reached_target + COLUMNS[component]);
+          Kind::target_from_pose(view, reached_target + TARGET_OFFSETS[component]);
       });
     }
   }
@@ -182,7 +183,7 @@ class PathSmoother {
       const double next_cost = advance(cost);
       if (!(next_cost < cost)) return;
       ++outcome.iterations;
-      const bool has_converged = cost - next_cost < MIN_GAIN * scale;
+      const bool has_converged = cost - next_cost < MIN_RELATIVE_GAIN * scale;
       cost = next_cost;
       if (has_converged) return;
     }
@@ -202,9 +203,9 @@ class PathSmoother {
     first_ = std::max(sharpest - range, path_.first);
     end_ = std::min(sharpest + range + 1, path_.end);
     std::fill(was_corner.begin() + std::max(sharpest - range / 2, 0),
-              was_corner.begin() + std::min(sharpest + range / 2 + 1, frames_), 1);
+              was_corner.begin() + std::min(sharpest + range / 2 + 1, frame_count_), 1);
     std::fill(is_frozen_.begin(), is_frozen_.end(), 0);
-    band_ = TimeBand(frames_, first_, end_, path_.weights);
+    band_ = TimeBand(frame_count_, first_, end_, path_.weights);
     return true;
   }
 
@@ -212,12 +213,12 @@ class PathSmoother {
   // smooth only if it passes the pose at another time, so other times are tried.
   void shift_corner(PathOutcome& outcome) {
     for (const double width : {1.0, 0.5})
-      for (int attempt = 0; attempt < 2 * MAX_SHIFTS; ++attempt) {
+      for (int attempt = 0; attempt < 2 * MAX_CORNER_SHIFTS; ++attempt) {
         if (!has_corner()) return;
-        const double frames = (attempt / 2 + 1) * SHIFT_STEP * (attempt % 2 ? -1 : 1);
+        const double frame_shift = (attempt / 2 + 1) * SHIFT_STEP_FRAMES * (attempt % 2 ? -1 : 1);
         const double cost = evaluate(current_path_);
         const std::vector<double> previous_path = current_path_;
-        if (shift_frames(frames, width)) minimize(outcome, local_cost());
+        if (shift_frames(frame_shift, width)) minimize(outcome, local_cost());
         if (!(evaluate(current_path_) < cost)) current_path_ = previous_path;
       }
     evaluate(current_path_);
@@ -235,24 +236,24 @@ class PathSmoother {
 
   // Shifts the current frames in time, the middle ones most, and restores their goals. Returns
   // false if a frame cannot be restored.
-  bool shift_frames(double frames, double width) {
+  bool shift_frames(double frame_shift, double width) {
     const double middle = (first_ + end_ - 1) / 2.0, half_range = width * (end_ - first_ + 1) / 2.0;
-    next_ = current_path_;
+    next_path_ = current_path_;
     step_.resize(gradient_.size());
     for (int t = first_; t < end_; ++t) {
       const double relative_distance = std::fabs(t - middle) / half_range;
       if (relative_distance >= 1) continue;
       const double weight = std::cos(relative_distance * REVOLUTION / 4);
-      const double time = std::clamp(t + frames * weight * weight, 0.0, frames_ - 1.0);
-      const int frame_before = std::min(static_cast<int>(time), frames_ - 2);
+      const double time = std::clamp(t + frame_shift * weight * weight, 0.0, frame_count_ - 1.0);
+      const int frame_before = std::min(static_cast<int>(time), frame_count_ - 2);
       difference(task_.chain, pose(current_path_, frame_before),
-                 pose(current_path_, frame_before + 1), difference_.data());
-      for (double& x : difference_) x *= time - frame_before;
-      moved_pose_.resize(coordinates_);
-      stepper_.move(pose(current_path_, frame_before), difference_.data(), moved_pose_.data());
-      if (!restore_goals(t, moved_pose_.data())) return false;
+                 pose(current_path_, frame_before + 1), tangent_.data());
+      for (double& x : tangent_) x *= time - frame_before;
+      stepped_pose_.resize(coordinate_count_);
+      stepper_.move(pose(current_path_, frame_before), tangent_.data(), stepped_pose_.data());
+      if (!restore_goals(t, stepped_pose_.data())) return false;
     }
-    current_path_.swap(next_);
+    current_path_.swap(next_path_);
     return true;
   }
 
@@ -277,9 +278,9 @@ class PathSmoother {
     for (int i = 0; i < MAX_ATTEMPTS; ++i) {
       const double curvature = solve_step();
       if (max_component() < MAX_ROTATION && apply_step(i + 1 < MAX_ATTEMPTS)) {
-        const double next_cost = evaluate(next_);
+        const double next_cost = evaluate(next_path_);
         if (next_cost < cost) {
-          current_path_.swap(next_);
+          current_path_.swap(next_path_);
           damping_ /= DAMPING_FACTOR;
           return next_cost;
         }
@@ -296,17 +297,17 @@ class PathSmoother {
     step_.assign(gradient_.size(), 0.0);
     for (int t = first_; t < end_; ++t) linearize_frame(t);
     // Limits that the path runs into are visible in rough steps already.
-    bool is_tight = false;
+    bool uses_tight_tolerance = false;
     for (int pass = 0; pass < LIMIT_PASSES; ++pass) {
-      is_tight = is_tight || pass + 1 == LIMIT_PASSES;
-      solve(is_tight ? CG_TOLERANCE : FIRST_CG_TOLERANCE, pass == 0);
+      uses_tight_tolerance = uses_tight_tolerance || pass + 1 == LIMIT_PASSES;
+      solve(uses_tight_tolerance ? CG_TOLERANCE : FIRST_CG_TOLERANCE, pass == 0);
       if (fix_violations()) continue;
-      if (is_tight) break;
-      is_tight = true;
+      if (uses_tight_tolerance) break;
+      uses_tight_tolerance = true;
     }
-    band_.multiply(step_, width_, product_);
+    band_.multiply(step_, dof_count_, product_);
     double quadratic_form = 0, squared_length = 1e-300;
-    for (std::size_t i = begin(); i < end(); ++i)
+    for (std::size_t i = range_begin(); i < range_end(); ++i)
       quadratic_form += step_[i] * product_[i], squared_length += step_[i] * step_[i];
     return quadratic_form / squared_length;
   }
@@ -320,22 +321,22 @@ class PathSmoother {
   // Computes the locked limits, and the null space of the goals, at the pose of a frame.
   void linearize_frame(int t) {
     load_frame(t);
-    stepper_.fix_locked(state_, spaces_[t].fixed, spaces_[t].at_limit);
+    stepper_.fix_locked(state_, goal_spaces_[t].fixed_directions, goal_spaces_[t].limit_flags);
     update_null_space(t);
   }
 
   void update_null_space(int t) {
     differentiate(task_, target(t), state_, linear_.columns);
-    spaces_[t].update_null_space(task_.rows, width_, linear_.columns, work_);
+    goal_spaces_[t].update_null_space(task_.row_count, dof_count_, linear_.columns, buffers_);
   }
 
   // Projects a frame of x onto the null space of goals and limits.
   void project(std::vector<double>& x, int t) {
     double* values = frame(x, t);
     if (is_frozen_[t])
-      std::fill(values, values + width_, 0.0);
+      std::fill(values, values + dof_count_, 0.0);
     else
-      spaces_[t].project(values, work_);
+      goal_spaces_[t].project(values, buffers_);
   }
 
   // Computes step_, the best step that goals and fixed limits allow, starting from the previous
@@ -343,7 +344,7 @@ class PathSmoother {
   void solve(double tolerance, bool is_first) {
     const std::size_t length = gradient_.size();
     const auto fixed_of = [&](int t) -> const std::vector<FixedDirection>& {
-      return spaces_[t].fixed;
+      return goal_spaces_[t].fixed_directions;
     };
     pin_band_.factor(band_, first_, end_, fixed_of),
         ball_band_.factor(band_, first_, end_, fixed_of);
@@ -351,78 +352,85 @@ class PathSmoother {
     for (int t = first_; t < end_; ++t) {
       if (is_frozen_[t]) continue;
       double* values = frame(step_, t);
-      for (int d = 0; d < width_; ++d) values[d] += spaces_[t].step[d];
+      for (int d = 0; d < dof_count_; ++d) values[d] += goal_spaces_[t].step[d];
     }
     product_.assign(length, 0.0);
-    band_.multiply(step_, width_, product_);
+    band_.multiply(step_, dof_count_, product_);
     residual_.assign(length, 0.0);
-    conditioned_.assign(length, 0.0);
-    for (std::size_t i = begin(); i < end(); ++i) residual_[i] = -gradient_[i] - product_[i];
+    preconditioned_residual_.assign(length, 0.0);
+    for (std::size_t i = range_begin(); i < range_end(); ++i)
+      residual_[i] = -gradient_[i] - product_[i];
     double size = precondition();
     // The size of the gradient before limits are run into is the scale of the tolerance.
     if (is_first) initial_size_ = size;
     const double min_size = initial_size_ * tolerance * tolerance;
-    search_direction_ = conditioned_;
+    search_direction_ = preconditioned_residual_;
     for (int iteration = 0; iteration < MAX_CG_STEPS && size > min_size && size > 0; ++iteration) {
-      band_.multiply(search_direction_, width_, product_);
+      band_.multiply(search_direction_, dof_count_, product_);
       const double curvature = dot_product(search_direction_, product_);
       if (!(curvature > 0)) return;
       const double step_length = size / curvature;
-      for (std::size_t i = begin(); i < end(); ++i) {
+      for (std::size_t i = range_begin(); i < range_end(); ++i) {
         step_[i] += step_length * search_direction_[i];
         residual_[i] -= step_length * product_[i];
       }
       const double next_size = precondition();
-      for (std::size_t i = begin(); i < end(); ++i)
-        search_direction_[i] = conditioned_[i] + next_size / size * search_direction_[i];
+      for (std::size_t i = range_begin(); i < range_end(); ++i)
+        search_direction_[i] =
+            preconditioned_residual_[i] + next_size / size * search_direction_[i];
       size = next_size;
     }
   }
 
-  // Projects residual_, and computes conditioned_, the preconditioned residual; returns their dot
-  // product. Frames are traversed back and forth, so that the last ones are still in the cache.
+  // Projects residual_, and computes preconditioned_residual_, the preconditioned residual; returns
+  // their dot product. Frames are traversed back and forth, so that the last ones are still in the
+  // cache.
   double precondition() {
-    double* x = conditioned_.data();
+    double* x = preconditioned_residual_.data();
     for (int t = first_; t < end_; ++t) {
       project(residual_, t);
-      std::copy(frame(residual_, t), frame(residual_, t) + width_, frame(conditioned_, t));
-      band_.forward(x, t - first_, width_);
-      pin_band_.forward(residual_.data(), x, t - first_, width_);
-      ball_band_.forward(residual_.data(), x, t - first_, width_);
+      std::copy(frame(residual_, t), frame(residual_, t) + dof_count_,
+                frame(preconditioned_residual_, t));
+      band_.forward(x, t - first_, dof_count_);
+      pin_band_.forward(residual_.data(), x, t - first_, dof_count_);
+      ball_band_.forward(residual_.data(), x, t - first_, dof_count_);
     }
     double sum = 0;
     // A frame is projected once the two frames before it are solved.
     for (int t = end_ + 1; t >= first_; --t) {
       if (t - 2 >= first_) {
         const int i = t - 2 - first_;
-        pin_band_.store_row(x, i, width_), ball_band_.store_row(x, i, width_);
-        band_.backward(x, i, width_);
-        pin_band_.backward(x, i, width_), ball_band_.backward(x, i, width_);
+        pin_band_.store_row(x, i, dof_count_), ball_band_.store_row(x, i, dof_count_);
+        band_.backward(x, i, dof_count_);
+        pin_band_.backward(x, i, dof_count_), ball_band_.backward(x, i, dof_count_);
       }
       if (t >= end_) continue;
-      project(conditioned_, t);
-      sum += inner(frame(conditioned_, t), frame(residual_, t), 0, width_);
+      project(preconditioned_residual_, t);
+      sum += inner(frame(preconditioned_residual_, t), frame(residual_, t), 0, dof_count_);
     }
     return sum;
   }
 
   double dot_product(std::vector<double>& a, std::vector<double>& b) {
     double sum = 0;
-    for (int t = first_; t < end_; ++t) sum += inner(frame(a, t), frame(b, t), 0, width_);
+    for (int t = first_; t < end_; ++t) sum += inner(frame(a, t), frame(b, t), 0, dof_count_);
     return sum;
   }
 
   // Range of the current frames in arrays (F, D).
-  std::size_t begin() const { return static_cast<std::size_t>(first_) * width_; }
-  std::size_t end() const { return static_cast<std::size_t>(end_) * width_; }
+  std::size_t range_begin() const { return static_cast<std::size_t>(first_) * dof_count_; }
+  std::size_t range_end() const { return static_cast<std::size_t>(end_) * dof_count_; }
 
   // Fixes limits that the step violates; returns whether there are any.
   bool fix_violations() {
     bool has_fixed = false;
     for (int t = first_; t < end_; ++t) {
-      GoalSpace& space = spaces_[t];
-      std::copy(pose(current_path_, t), pose(current_path_, t) + coordinates_, state_.q.begin());
-      if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed, space.at_limit)) continue;
+      GoalSpace& space = goal_spaces_[t];
+      std::copy(pose(current_path_, t), pose(current_path_, t) + coordinate_count_,
+                state_.q.begin());
+      if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed_directions,
+                                   space.limit_flags))
+        continue;
       load_frame(t);
       update_null_space(t);
       has_fixed = true;
@@ -430,16 +438,16 @@ class PathSmoother {
     return has_fixed;
   }
 
-  // Computes next_, the path after the step, restored to its goals. Returns false if a frame cannot
-  // be restored; unless `can_retry`, such a frame is frozen from now on.
+  // Computes next_path_, the path after the step, restored to its goals. Returns false if a frame
+  // cannot be restored; unless `can_retry`, such a frame is frozen from now on.
   bool apply_step(bool can_retry) {
-    next_ = current_path_;
-    moved_pose_.resize(coordinates_);
+    next_path_ = current_path_;
+    stepped_pose_.resize(coordinate_count_);
     bool is_restored = true;
     for (int t = first_; t < end_; ++t) {
       if (is_frozen_[t]) continue;
-      stepper_.move(pose(current_path_, t), frame(step_, t), moved_pose_.data());
-      if (restore_goals(t, moved_pose_.data())) continue;
+      stepper_.move(pose(current_path_, t), frame(step_, t), stepped_pose_.data());
+      if (restore_goals(t, stepped_pose_.data())) continue;
       is_restored = false;
       is_frozen_[t] = !can_retry;
     }
@@ -450,7 +458,7 @@ class PathSmoother {
   const Chain unstretched_;
   const Settings settings_, tight_settings_;
   const PathSettings path_;
-  const int frames_, width_, coordinates_;
+  const int frame_count_, dof_count_, coordinate_count_;
   int first_, end_;  // range of frames that currently change
   std::vector<double> targets_;
   const double* stretch_factors_;
@@ -462,11 +470,11 @@ class PathSmoother {
   Stepper stepper_;
   State state_;
   Linearized linear_;
-  std::vector<GoalSpace> spaces_;
-  GoalSpace::Work work_;
+  std::vector<GoalSpace> goal_spaces_;
+  GoalSpace::Buffers buffers_;
   std::vector<char> is_frozen_;
-  std::vector<double> current_path_, next_, anchors_, difference_, gradient_, step_, product_;
-  std::vector<double> residual_, search_direction_, conditioned_, moved_pose_;
+  std::vector<double> current_path_, next_path_, anchors_, tangent_, gradient_, step_, product_;
+  std::vector<double> residual_, search_direction_, preconditioned_residual_, stepped_pose_;
   double damping_ = 0, initial_size_ = 0;
 };
 
@@ -488,7 +496,7 @@ IkSmoothResult smooth_ik(const IkSmoothArguments& arrays) {
   check_targets("targets", task, frames, targets);
   check_targets("reachable", task, frames, reachable);
   check::shape("stretches", stretches, {frames, goal_count});
-  check_steps("drifts", drifts, frames, task.chain.dofs);
+  check_steps("drifts", drifts, frames, task.chain.dof_count);
   check::not_negative("anchor", anchor);
   check::not_negative("speed", speed);
   check::not_negative("acceleration", acceleration);
@@ -500,7 +508,7 @@ IkSmoothResult smooth_ik(const IkSmoothArguments& arrays) {
   const PathSettings path_settings{
       {anchor, speed, acceleration}, static_cast<int>(first), static_cast<int>(end), rounds};
   Out<double, 2> smoothed_path(frames, width);
-  Out<double, 3> errors(frames, goal_count, COMPONENTS);
+  Out<double, 3> errors(frames, goal_count, COMPONENT_COUNT);
   std::copy(path.data(), path.data() + frames * width, smoothed_path.get());
   PathSmoother smoother(task, settings, path_settings, static_cast<int>(frames), reachable.data(),
                         stretches.data(), drifts.data());
@@ -510,9 +518,10 @@ IkSmoothResult smooth_ik(const IkSmoothArguments& arrays) {
     std::copy(smoothed_path.get() + t * width, smoothed_path.get() + (t + 1) * width,
               state.q.begin());
     stretch_limbs(unstretched, stretches.data() + t * goal_count, task);
-    forward(task.chain, state.q.data(), state.frames);
+    compute_frames(task.chain, state.q.data(), state.frames);
     measure(task, targets.data() + t * goal_count * TARGET_WIDTH, state);
-    std::copy(state.errors.begin(), state.errors.end(), errors.get() + t * goal_count * COMPONENTS);
+    std::copy(state.errors.begin(), state.errors.end(),
+              errors.get() + t * goal_count * COMPONENT_COUNT);
   }
   return {std::move(smoothed_path), std::move(errors), outcome.iterations, outcome.start_cost,
           outcome.end_cost};

@@ -59,15 +59,15 @@ using namespace ik;
 
 // Converts targets of a rig to those of a chain, in place.
 void to_chain_targets(Filled<double, 3> targets, In<double, 2> frames, double length) {
-  const std::size_t goals = targets.shape(1);
+  const std::size_t goal_count = targets.shape(1);
   check::shape("targets", targets, {check::ANY, check::ANY, TARGET_WIDTH});
-  check::shape("frames", frames, {goals, 4});
+  check::shape("frames", frames, {goal_count, 4});
   check::positive("length", length);
-  for (std::size_t row = 0; row < targets.shape(0) * goals; ++row) {
+  for (std::size_t row = 0; row < targets.shape(0) * goal_count; ++row) {
     double* target = targets.data() + TARGET_WIDTH * row;
-    const double* frame = frames.data() + 4 * (row % goals);
+    const double* frame = frames.data() + 4 * (row % goal_count);
     for_each_kind([&]<class Kind>(int component) {
-      Kind::convert_target(target + COLUMNS[component], frame, length);
+      Kind::convert_target(target + TARGET_OFFSETS[component], frame, length);
     });
   }
 }
@@ -75,7 +75,8 @@ void to_chain_targets(Filled<double, 3> targets, In<double, 2> frames, double le
 std::vector<IkGoalKind> ik_goal_kinds() {
   std::vector<IkGoalKind> kinds;
   for_each_kind([&]<class Kind>(int) {
-    kinds.emplace_back(Kind::NAME, Kind::ROWS, Kind::WIDTH, Kind::IS_LENGTH, Alignable<Kind>);
+    kinds.emplace_back(Kind::NAME, Kind::RESIDUAL_COUNT, Kind::TARGET_SIZE, Kind::IS_LENGTH,
+                       Alignable<Kind>);
   });
   return kinds;
 }
@@ -83,40 +84,42 @@ std::vector<IkGoalKind> ik_goal_kinds() {
 IkSolveResult solve_ik(const IkProblems& problems) {
   const auto& [nodes, numbers, goals, goal_numbers, starts, targets, reachable, stretches, rests,
                rest_weight, length_tolerance, angle_tolerance, damping, iterations, restarts, seed,
-               seconds, ordered, warm, method] = problems;
+               seconds, is_sequential, starts_from_previous, method] = problems;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const Chain unstretched = task.chain;
-  const std::size_t batch = starts.shape(0), width = starts.shape(1), goal_count = goals.shape(0);
-  check_poses("starts", task, batch, starts);
-  check_poses("rests", task, batch, rests);
-  check_targets("targets", task, batch, targets);
-  check_targets("reachable", task, batch, reachable);
-  check::shape("stretches", stretches, {batch, goal_count});
+  const std::size_t batch_size = starts.shape(0), width = starts.shape(1),
+                    goal_count = goals.shape(0);
+  check_poses("starts", task, batch_size, starts);
+  check_poses("rests", task, batch_size, rests);
+  check_targets("targets", task, batch_size, targets);
+  check_targets("reachable", task, batch_size, reachable);
+  check::shape("stretches", stretches, {batch_size, goal_count});
   const Settings settings =
       checked_settings({length_tolerance, angle_tolerance, damping, iterations, restarts, seed,
-                        seconds, ordered && !warm});
-  Out<double, 2> solutions(batch, width);
-  Out<double, 3> errors(batch, goal_count, COMPONENTS);
-  Out<double, 1> run_times(batch);
-  Out<std::int64_t, 2> reports(batch, 3);
+                        seconds, is_sequential && !starts_from_previous});
+  Out<double, 2> solutions(batch_size, width);
+  Out<double, 3> errors(batch_size, goal_count, COMPONENT_COUNT);
+  Out<double, 1> run_times(batch_size);
+  Out<std::int64_t, 2> reports(batch_size, 3);
   const std::unique_ptr<Solver> solver = make_solver(method, task, settings);
-  for (std::size_t b = 0; b < batch; ++b) {
+  for (std::size_t b = 0; b < batch_size; ++b) {
     const std::size_t offset = b * goal_count * TARGET_WIDTH;
-    const bool is_next_frame = (ordered || warm) && b > 0;
-    const double* start =
-        warm && b > 0 ? solutions.get() + (b - 1) * width : starts.data() + b * width;
+    const bool is_next_frame = (is_sequential || starts_from_previous) && b > 0;
+    const double* start = starts_from_previous && b > 0 ? solutions.get() + (b - 1) * width
+                                                        : starts.data() + b * width;
     const auto [outcome, elapsed] = run_one(
         *solver, unstretched, task, start, targets.data() + offset, reachable.data() + offset,
         stretches.data() + b * goal_count, rests.data() + b * width, is_next_frame);
     run_times.get()[b] = elapsed;
     const State& best = solver->best();
-    const double* q = outcome.status == Status::BROKEN ? start : best.q.data();
+    const double* q = outcome.status == Status::NOT_FINITE ? start : best.q.data();
     std::copy(q, q + width, solutions.get() + b * width);
-    std::copy(best.errors.begin(), best.errors.end(), errors.get() + b * goal_count * COMPONENTS);
+    std::copy(best.errors.begin(), best.errors.end(),
+              errors.get() + b * goal_count * COMPONENT_COUNT);
     std::int64_t* report = reports.get() + 3 * b;
     report[0] = static_cast<std::int64_t>(outcome.status);
     report[1] = outcome.iterations;
-    report[2] = outcome.descents;
+    report[2] = outcome.descent_count;
   }
   return {std::move(solutions), std::move(errors), std::move(reports), std::move(run_times)};
 }
@@ -125,29 +128,31 @@ IkLinearization linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                              In<std::int64_t, 2> goals, In<double, 2> goal_numbers,
                              In<double, 2> starts, In<double, 3> targets, In<double, 2> steps) {
   const Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
-  const std::size_t batch = starts.shape(0), width = starts.shape(1), dofs = task.chain.dofs;
-  const std::size_t rows = task.rows;
-  check_poses("starts", task, batch, starts);
-  check_targets("targets", task, batch, targets);
-  check::shape("steps", steps, {batch, dofs});
-  Out<double, 2> poses(batch, width), residuals(batch, rows), curvatures(batch, dofs);
-  Out<double, 3> jacobians(batch, rows, dofs);
+  const std::size_t batch_size = starts.shape(0), width = starts.shape(1),
+                    dof_count = task.chain.dof_count;
+  const std::size_t row_count = task.row_count;
+  check_poses("starts", task, batch_size, starts);
+  check_targets("targets", task, batch_size, targets);
+  check::shape("steps", steps, {batch_size, dof_count});
+  Out<double, 2> poses(batch_size, width), residuals(batch_size, row_count),
+      curvatures(batch_size, dof_count);
+  Out<double, 3> jacobians(batch_size, row_count, dof_count);
   Stepper stepper(task);
   State state(task);
   Linearized linear(task);
-  for (std::size_t b = 0; b < batch; ++b) {
-    const double* step = steps.data() + b * dofs;
+  for (std::size_t b = 0; b < batch_size; ++b) {
+    const double* step = steps.data() + b * dof_count;
     stepper.move(starts.data() + b * width, step, poses.get() + b * width);
     std::copy(poses.get() + b * width, poses.get() + (b + 1) * width, state.q.begin());
-    forward(task.chain, state.q.data(), state.frames);
+    compute_frames(task.chain, state.q.data(), state.frames);
     measure(task, targets.data() + b * goals.shape(0) * TARGET_WIDTH, state);
     linearize(task, targets.data() + b * goals.shape(0) * TARGET_WIDTH, state.q.data(), state,
               linear);
-    std::copy(state.residuals.begin(), state.residuals.end(), residuals.get() + b * rows);
-    for (std::size_t i = 0; i < rows; ++i)
-      for (std::size_t j = 0; j < dofs; ++j)
-        jacobians.get()[(b * rows + i) * dofs + j] = linear.columns[j * rows + i];
-    stepper.multiply_hessian(state, linear, true, 0.0, step, curvatures.get() + b * dofs);
+    std::copy(state.residuals.begin(), state.residuals.end(), residuals.get() + b * row_count);
+    for (std::size_t i = 0; i < row_count; ++i)
+      for (std::size_t j = 0; j < dof_count; ++j)
+        jacobians.get()[(b * row_count + i) * dof_count + j] = linear.columns[j * row_count + i];
+    stepper.multiply_hessian(state, linear, true, 0.0, step, curvatures.get() + b * dof_count);
   }
   return {std::move(poses), std::move(residuals), std::move(jacobians), std::move(curvatures)};
 }

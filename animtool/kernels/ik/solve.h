@@ -83,7 +83,7 @@ IkFitResult fit_ik(const IkFitArguments& problems);
 // Index of the cheapest path in each frame.
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,
-                                      In<double, 2> drifts, In<double, 1> easy, bool open,
-                                      bool closed);
+                                      In<double, 2> drifts, In<double, 1> free_step,
+                                      bool allows_any_start, bool must_end_on_first);
 
 }  // namespace animtool

@@ -17,39 +17,40 @@ namespace animtool::ik {
 class GoalSpace {
  public:
   // Buffers for the computation, one frame at a time.
-  struct Work {
-    std::vector<double> gram, residual, product, solution;
+  struct Buffers {
+    std::vector<double> gram_matrix, residual, product, solution;
   };
 
   // Directions that limits fix, and the smallest step that satisfies these.
-  std::vector<FixedDirection> fixed;
-  std::vector<Stepper::AtLimit> at_limit;
+  std::vector<FixedDirection> fixed_directions;
+  std::vector<Stepper::LimitFlags> limit_flags;
   std::vector<double> step;
 
   // Computes the null space from the goals' Jacobian by columns (D, M), which is modified.
-  void update_null_space(int row_count, int width, std::vector<double>& jacobian, Work& work) {
-    const int m = rows_ = row_count;
-    work.gram.assign(static_cast<std::size_t>(m) * m, 0.0);
-    work.residual.assign(m, 0.0);
+  void update_null_space(int row_count, int width, std::vector<double>& jacobian,
+                         Buffers& buffers) {
+    const int m = row_count_ = row_count;
+    buffers.gram_matrix.assign(static_cast<std::size_t>(m) * m, 0.0);
+    buffers.residual.assign(m, 0.0);
     step.assign(width, 0.0);
-    for (const FixedDirection& direction_fixed : fixed) {
-      double* columns = jacobian.data() + static_cast<std::size_t>(direction_fixed.dof) * m;
+    for (const FixedDirection& fixed_direction : fixed_directions) {
+      double* columns = jacobian.data() + static_cast<std::size_t>(fixed_direction.dof) * m;
       for (int i = 0; i < m; ++i) {
         double component = 0;
-        for (int k = 0; k < direction_fixed.width; ++k)
-          component += columns[k * m + i] * direction_fixed.direction[k];
-        for (int k = 0; k < direction_fixed.width; ++k)
-          columns[k * m + i] -= component * direction_fixed.direction[k];
-        work.residual[i] -= component * direction_fixed.value;
+        for (int k = 0; k < fixed_direction.width; ++k)
+          component += columns[k * m + i] * fixed_direction.direction[k];
+        for (int k = 0; k < fixed_direction.width; ++k)
+          columns[k * m + i] -= component * fixed_direction.direction[k];
+        buffers.residual[i] -= component * fixed_direction.value;
       }
-      for (int k = 0; k < direction_fixed.width; ++k)
-        step[direction_fixed.dof + k] += direction_fixed.value * direction_fixed.direction[k];
+      for (int k = 0; k < fixed_direction.width; ++k)
+        step[fixed_direction.dof + k] += fixed_direction.value * fixed_direction.direction[k];
     }
     store_blocks(jacobian, width);
     for (const Block& block : blocks_) {
       const float* block_row = values_.data() + block.begin;
       const auto gram_entry = [&](int i, int j) -> double& {
-        return work.gram[static_cast<std::size_t>(block.row + i) * m + block.row + j];
+        return buffers.gram_matrix[static_cast<std::size_t>(block.row + i) * m + block.row + j];
       };
       if (block.is_tall())
         for (int d = 0; d < block.columns; ++d, block_row += block.rows)
@@ -61,27 +62,28 @@ class GoalSpace {
             gram_entry(i, j) +=
                 inner(block_row + i * block.columns, block_row + j * block.columns, block.columns);
     }
-    for (int i = 0; i < m; ++i) work.gram[i * m + i] += DAMPING;
-    work.product.resize(m);
+    for (int i = 0; i < m; ++i) buffers.gram_matrix[i * m + i] += DAMPING;
+    buffers.product.resize(m);
     cholesky::factor<cholesky::Inverses, cholesky::SmallPivot::IGNORE>(
-        work.gram.data(), m, m, work.product.data(), [](std::size_t) { return DAMPING / 2; });
-    invert(work);
-    solve(work.residual, work);
-    add_transposed(work.residual, 1, step.data());
+        buffers.gram_matrix.data(), m, m, buffers.product.data(),
+        [](std::size_t) { return DAMPING / 2; });
+    invert(buffers);
+    solve(buffers.residual, buffers);
+    add_transposed(buffers.residual, 1, step.data());
   }
 
   // Projects x (D,) onto the null space of goals and limits.
-  void project(double* x, Work& work) const {
-    for (const FixedDirection& fixed_direction : fixed) {
+  void project(double* x, Buffers& buffers) const {
+    for (const FixedDirection& fixed_direction : fixed_directions) {
       double component = 0;
       for (int k = 0; k < fixed_direction.width; ++k)
         component += x[fixed_direction.dof + k] * fixed_direction.direction[k];
       for (int k = 0; k < fixed_direction.width; ++k)
         x[fixed_direction.dof + k] -= component * fixed_direction.direction[k];
     }
-    work.product.assign(rows_, 0.0);
+    buffers.product.assign(row_count_, 0.0);
     for (const Block& block : blocks_) {
-      double* block_product = work.product.data() + block.row;
+      double* block_product = buffers.product.data() + block.row;
       const double* block_x = x + block.dof;
       const float* block_row = values_.data() + block.begin;
       if (block.is_tall())
@@ -91,8 +93,8 @@ class GoalSpace {
         for (int i = 0; i < block.rows; ++i, block_row += block.columns)
           block_product[i] += inner(block_row, block_x, block.columns);
     }
-    solve(work.product, work);
-    add_transposed(work.product, -1, x);
+    solve(buffers.product, buffers);
+    add_transposed(buffers.product, -1, x);
   }
 
  private:
@@ -123,8 +125,8 @@ class GoalSpace {
     blocks_.clear();
     std::size_t count = 0;
     for (int d = 0; d < width; ++d) {
-      const double* column = jacobian.data() + static_cast<std::size_t>(d) * rows_;
-      int row = 0, end = rows_;
+      const double* column = jacobian.data() + static_cast<std::size_t>(d) * row_count_;
+      int row = 0, end = row_count_;
       while (row < end && column[row] == 0) ++row;
       while (end > row && column[end - 1] == 0) --end;
       if (row == end) continue;
@@ -139,7 +141,7 @@ class GoalSpace {
     float* value = values_.data();
     for (const Block& block : blocks_) {
       const auto entry = [&](int i, int d) {
-        return jacobian[static_cast<std::size_t>(block.dof + d) * rows_ + block.row + i];
+        return jacobian[static_cast<std::size_t>(block.dof + d) * row_count_ + block.row + i];
       };
       if (block.is_tall())
         for (int d = 0; d < block.columns; ++d)
@@ -151,12 +153,12 @@ class GoalSpace {
   }
 
   // Computes inverse_, L^-1 of the factor in work.gram, row by row; 0 for rows that are ignored.
-  void invert(Work& work) {
-    const int m = rows_;
+  void invert(Buffers& buffers) {
+    const int m = row_count_;
     inverse_.resize(static_cast<std::size_t>(m) * (m + 1) / 2);
     double* row = inverse_.data();
     for (int i = 0; i < m; row += ++i) {
-      const double* factor = &work.gram[static_cast<std::size_t>(i) * m];
+      const double* factor = &buffers.gram_matrix[static_cast<std::size_t>(i) * m];
       std::fill(row, row + i, 0.0);
       row[i] = 1;
       const double* other_row = inverse_.data();
@@ -167,14 +169,14 @@ class GoalSpace {
   }
 
   // y (M,) <- (L L^T)^-1 y.
-  void solve(std::vector<double>& y, Work& work) const {
-    work.solution.assign(rows_, 0.0);
+  void solve(std::vector<double>& y, Buffers& buffers) const {
+    buffers.solution.assign(row_count_, 0.0);
     const double* row = inverse_.data();
-    for (int i = 0; i < rows_; row += ++i) {
+    for (int i = 0; i < row_count_; row += ++i) {
       const double value = ik::inner(row, y.data(), 0, i + 1);
-      for (int j = 0; j <= i; ++j) work.solution[j] += value * row[j];
+      for (int j = 0; j <= i; ++j) buffers.solution[j] += value * row[j];
     }
-    y.swap(work.solution);
+    y.swap(buffers.solution);
   }
 
   // Adds `scale` J^T y to x (D,).
@@ -195,7 +197,7 @@ class GoalSpace {
     }
   }
 
-  int rows_ = 0;
+  int row_count_ = 0;
   std::vector<Block> blocks_;
   std::vector<float> values_;    // of the blocks
   std::vector<double> inverse_;  // L^-1 of the damped J J^T = L L^T, row by row

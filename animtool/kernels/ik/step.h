@@ -20,40 +20,40 @@ class Stepper {
   explicit Stepper(const Task& task)
       : task_(task),
         curvature_(task),
-        is_redundant_(task.chain.dofs >= REDUNDANCY_RATIO * task.rows),
-        side_(std::min(task.rows, task.chain.dofs)),
-        matrix_(static_cast<std::size_t>(side_) * side_),
-        right_hand_side_(side_),
-        jacobian_product_(std::max(task.rows, side_)),
-        buffer_(task.chain.dofs),
-        solution_(task.chain.dofs),
-        search_direction_(task.chain.dofs),
-        residual_(task.chain.dofs),
-        product_(task.chain.dofs) {
-    fixed_.reserve(2 * task.chain.nodes.size() + 8);
+        is_redundant_(task.chain.dof_count >= REDUNDANCY_RATIO * task.row_count),
+        matrix_size_(std::min(task.row_count, task.chain.dof_count)),
+        matrix_(static_cast<std::size_t>(matrix_size_) * matrix_size_),
+        right_hand_side_(matrix_size_),
+        jacobian_product_(std::max(task.row_count, matrix_size_)),
+        buffer_(task.chain.dof_count),
+        solution_(task.chain.dof_count),
+        search_direction_(task.chain.dof_count),
+        residual_(task.chain.dof_count),
+        product_(task.chain.dof_count) {
+    fixed_directions_.reserve(2 * task.chain.nodes.size() + 8);
     at_limit_.resize(task.chain.nodes.size());
     world_rotations_.resize(3 * task.chain.nodes.size());
   }
 
   // The limits of a node at which a step is fixed.
-  struct AtLimit {
-    bool swing = false, twist = false, box = false;
+  struct LimitFlags {
+    bool is_swing_fixed = false, is_twist_fixed = false, is_range_fixed = false;
   };
 
   // For callers that store the fixed directions: the directions that locked limits block, and those
   // of limits that the caller's step violates.
   void fix_locked(const State& state, std::vector<FixedDirection>& fixed,
-                  std::vector<AtLimit>& at_limit) {
+                  std::vector<LimitFlags>& at_limit) {
     fix_locked(state);
-    fixed = fixed_, at_limit = at_limit_;
+    fixed = fixed_directions_, at_limit = at_limit_;
   }
 
   bool fix_violations(const State& state, const double* step, std::vector<FixedDirection>& fixed,
-                      std::vector<AtLimit>& at_limit);
+                      std::vector<LimitFlags>& at_limit);
 
-  // Computes the step; with `use_hessian`, uses the full Hessian instead of J^T J. Returns false if
-  // the damping is too small.
-  bool step(const State& state, const Linearized& linear, double damping, bool use_hessian,
+  // Computes the step; with `uses_hessian`, uses the full Hessian instead of J^T J. Returns false
+  // if the damping is too small.
+  bool step(const State& state, const Linearized& linear, double damping, bool uses_hessian,
             double max_rotation, double* out);
 
   // Whether there are many more degrees of freedom than rows, so that limits block a step in many
@@ -65,11 +65,11 @@ class Stepper {
   double last_rotation() const { return last_rotation_; }
 
   // Decrease of the cost that the model predicts for a step, without the damping.
-  double predicted_gain(const State& state, const Linearized& linear, bool use_hessian,
+  double predicted_gain(const State& state, const Linearized& linear, bool uses_hessian,
                         const double* step);
 
   // Multiplies the damped Hessian by a vector.
-  void multiply_hessian(const State& state, const Linearized& linear, bool use_hessian,
+  void multiply_hessian(const State& state, const Linearized& linear, bool uses_hessian,
                         double damping, const double* v, double* out);
 
   // Applies a step; the result is exactly within the limits.
@@ -82,10 +82,10 @@ class Stepper {
 
  private:
   static constexpr int REDUNDANCY_RATIO = 50;
-  static constexpr int MAX_PASSES = 12;
+  static constexpr int MAX_LIMIT_PASSES = 12;
   static constexpr int MAX_CG_ITERATIONS = 300;
-  static constexpr double CG_TOLERANCE = 1e-2, ROUGH_TOLERANCE = 3e-1;
-  static constexpr double MIN_SHIFT = 1e-9;
+  static constexpr double CG_TOLERANCE = 1e-2, ROUGH_CG_TOLERANCE = 3e-1;
+  static constexpr double MIN_CURVATURE_SHIFT = 1e-9;
 
   // jacobian_product_ = J v
   void apply_jacobian(const Linearized& linear, const double* v);
@@ -106,11 +106,12 @@ class Stepper {
   // Shortens a step so that no joint rotates too far; with the full Hessian, so that nothing
   // rotates too far in the world, where second derivatives would be inaccurate. Returns whether it
   // was too long.
-  bool shorten(const State& state, bool use_hessian, double max_rotation, double* step) {
-    const double largest = use_hessian ? max_world_rotation(state, step) : max_joint_rotation(step);
+  bool shorten(const State& state, bool uses_hessian, double max_rotation, double* step) {
+    const double largest =
+        uses_hessian ? max_world_rotation(state, step) : max_joint_rotation(step);
     last_rotation_ = std::min(largest, max_rotation);
     if (largest <= max_rotation) return false;
-    for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= max_rotation / largest;
+    for (int d = 0; d < task_.chain.dof_count; ++d) step[d] *= max_rotation / largest;
     return true;
   }
 
@@ -131,26 +132,27 @@ class Stepper {
 
   // Removes the components along fixed directions.
   void project(double* v) const {
-    for (const FixedDirection& fixed : fixed_) add_fixed(fixed, -component(fixed, v), v);
+    for (const FixedDirection& fixed : fixed_directions_) add_fixed(fixed, -component(fixed, v), v);
   }
 
   // Solves (J^T J + D) d = J^T r + c, which has the size of the chain, not of the residual.
   bool solve_primal(const Linearized& linear, double damping, double* out);
 
   void prepare_normal(const Linearized& linear, double diagonal) {
-    std::copy(linear.normal.begin(), linear.normal.end(), matrix_.begin());
-    for (int d = 0; d < side_; ++d) matrix_[static_cast<std::size_t>(d) * side_ + d] += diagonal;
+    std::copy(linear.normal_matrix.begin(), linear.normal_matrix.end(), matrix_.begin());
+    for (int d = 0; d < matrix_size_; ++d)
+      matrix_[static_cast<std::size_t>(d) * matrix_size_ + d] += diagonal;
   }
 
   double& entry(int i, int j) {
-    return matrix_[static_cast<std::size_t>(std::max(i, j)) * side_ + std::min(i, j)];
+    return matrix_[static_cast<std::size_t>(std::max(i, j)) * matrix_size_ + std::min(i, j)];
   }
 
   // out = A v, for the symmetric matrix.
   void multiply_matrix(const double* v, double* out) {
-    for (int i = 0; i < side_; ++i) {
+    for (int i = 0; i < matrix_size_; ++i) {
       out[i] = 0;
-      for (int j = 0; j < side_; ++j) out[i] += entry(i, j) * v[j];
+      for (int j = 0; j < matrix_size_; ++j) out[i] += entry(i, j) * v[j];
     }
   }
 
@@ -212,12 +214,12 @@ class Stepper {
   const Task& task_;
   Curvature curvature_;
   const bool is_redundant_;
-  const int side_;  // of the matrix
+  const int matrix_size_;  // of the matrix
   std::vector<double> matrix_, right_hand_side_, jacobian_product_, buffer_, solution_,
       search_direction_, residual_, product_, world_rotations_;
   double last_rotation_ = 0, initial_residual_ = 0;
-  std::vector<FixedDirection> fixed_;
-  std::vector<AtLimit> at_limit_;
+  std::vector<FixedDirection> fixed_directions_;
+  std::vector<LimitFlags> at_limit_;
   // Second derivatives of a cone along a unit vector d, and the fraction s that solves (shift +
   // stiffness d d^T)^-1 = (1 - s d d^T) / shift.
   struct ConeCurvature {

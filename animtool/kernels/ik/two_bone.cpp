@@ -78,9 +78,9 @@ void quaternion_from_matrix(const double* m, double* q) {
 // The angle between the directions of two bones, 0 if straight, by a half-angle formula that is
 // accurate at both ends.
 double elbow_angle(double a, double b, double distance) {
-  const double clamped = std::clamp(distance, std::fabs(a - b), a + b);
-  const double shortening = (a + b - clamped) * (a + b + clamped);
-  const double lengthening = (clamped - (a - b)) * (clamped + (a - b));
+  const double clamped_distance = std::clamp(distance, std::fabs(a - b), a + b);
+  const double shortening = (a + b - clamped_distance) * (a + b + clamped_distance);
+  const double lengthening = (clamped_distance - (a - b)) * (clamped_distance + (a - b));
   return 2 *
          std::atan2(std::sqrt(std::max(shortening, 0.0)), std::sqrt(std::max(lengthening, 0.0)));
 }
@@ -104,12 +104,13 @@ double nearest_revolution(double angle, double reference) {
 class TwoBone : public ClosedForm {
  public:
   explicit TwoBone(const Task& task)
-      : goal_(task.goals[0]), elbow_(task.chain.nodes[1]), offset_{}, upper_{} {
+      : goal_(task.goals[0]), elbow_(task.chain.nodes[1]), elbow_offset_{}, upper_bone_{} {
     const Node& shoulder = task.chain.nodes[0];
     std::copy(shoulder.offset, shoulder.offset + 3, root_);
-    std::copy(elbow_.offset, elbow_.offset + 3, offset_);
-    quaternion_from_matrix(shoulder.rest, rest_);
-    for (int k = 0; k < 4; ++k) inverse_rest_[k] = k < 3 ? -rest_[k] : rest_[k];
+    std::copy(elbow_.offset, elbow_.offset + 3, elbow_offset_);
+    quaternion_from_matrix(shoulder.rest, shoulder_rest_);
+    for (int k = 0; k < 4; ++k)
+      inverse_shoulder_rest_[k] = k < 3 ? -shoulder_rest_[k] : shoulder_rest_[k];
   }
 
   bool depends_on_start() const override { return false; }
@@ -117,33 +118,34 @@ class TwoBone : public ClosedForm {
   bool solve(const double* start, const double* target, const double* reachable, double scale,
              double* q, double* errors) override {
     constexpr int position = component_of<Position>(), pole_kind = component_of<Pole>();
-    const double* pole_target = target + COLUMNS[pole_kind];
-    std::fill(errors, errors + COMPONENTS, 0.0);
+    const double* pole_target = target + TARGET_OFFSETS[pole_kind];
+    std::fill(errors, errors + COMPONENT_COUNT, 0.0);
     std::copy(start, start + (elbow_.kind == Kind::BALL ? 8 : 5), q);
     // A pole without a position goal needs another solver.
     const bool has_position = weight_of(goal_, target, position) > 0;
     const bool has_pole = weight_of(goal_, target, pole_kind) > 0;
     if (!has_position) return !has_pole;
-    double lower[3], root_to_target[3], tip[3], pole[3], world[4], reached_tip[3];
+    double lower_bone[3], root_to_target[3], tip[3], pole[3], world[4], reached_tip[3];
     for (int i = 0; i < 3; ++i) {
-      upper_[i] = scale * offset_[i];
-      lower[i] = scale * goal_.bone[i] + goal_.tool[i];
-      root_to_target[i] = reachable[COLUMNS[position] + i] - root_[i];
+      upper_bone_[i] = scale * elbow_offset_[i];
+      lower_bone[i] = scale * goal_.stretching_offset[i] + goal_.fixed_offset[i];
+      root_to_target[i] = reachable[TARGET_OFFSETS[position] + i] - root_[i];
       pole[i] = pole_target[i] - root_[i];
     }
-    const double angle = elbow_angle(length(upper_), length(lower), length(root_to_target));
-    const bool is_within_limits = bend_elbow(q, lower, angle);
-    find_tip(q, lower, tip);
+    const double angle =
+        elbow_angle(length(upper_bone_), length(lower_bone), length(root_to_target));
+    const bool is_within_limits = bend_elbow(q, lower_bone, angle);
+    find_tip(q, lower_bone, tip);
     rotate_shoulder(q, tip, root_to_target);
     if (has_pole) rotate_to_pole(q, root_to_target, pole);
-    product(rest_, q, world);
+    product(shoulder_rest_, q, world);
     rotate_vector(world, tip, reached_tip);
     double difference[3], elbow[3];
     for (int i = 0; i < 3; ++i)
-      difference[i] = target[COLUMNS[position] + i] - root_[i] - reached_tip[i];
+      difference[i] = target[TARGET_OFFSETS[position] + i] - root_[i] - reached_tip[i];
     errors[position] = length(difference);
     if (has_pole) {
-      rotate_vector(world, upper_, elbow);
+      rotate_vector(world, upper_bone_, elbow);
       errors[pole_kind] = std::fabs(angle_about(reached_tip, elbow, pole));
     }
     return is_within_limits;
@@ -151,14 +153,15 @@ class TwoBone : public ClosedForm {
 
  private:
   // Bends the elbow to an angle; returns whether its limits allow it.
-  bool bend_elbow(double* q, const double* lower, double angle) const {
-    double upper_bone[3];
+  bool bend_elbow(double* q, const double* lower_bone, double angle) const {
+    double upper_in_elbow_frame[3];
     for (int i = 0; i < 3; ++i)
-      upper_bone[i] = upper_[0] * elbow_.rest[i] + upper_[1] * elbow_.rest[3 + i] +
-                      upper_[2] * elbow_.rest[6 + i];
+      upper_in_elbow_frame[i] = upper_bone_[0] * elbow_.rest[i] +
+                                upper_bone_[1] * elbow_.rest[3 + i] +
+                                upper_bone_[2] * elbow_.rest[6 + i];
     if (elbow_.kind == Kind::PIN) {
-      const double offset =
-          std::atan2(lower[1], lower[0]) - std::atan2(upper_bone[1], upper_bone[0]);
+      const double offset = std::atan2(lower_bone[1], lower_bone[0]) -
+                            std::atan2(upper_in_elbow_frame[1], upper_in_elbow_frame[0]);
       const double side = std::sin(q[4] + offset) < 0 ? -1 : 1;
       const double near_solution = nearest_revolution(side * angle - offset, q[4]);
       const double far_solution = nearest_revolution(-side * angle - offset, q[4]);
@@ -170,11 +173,12 @@ class TwoBone : public ClosedForm {
     }
     double* values = q + 4;
     double direction[3], normal[3], axis[3], rotation[4], composed[4];
-    rotate_vector(values, lower, direction);
-    cross(upper_bone, direction, normal);
-    unit_or_perpendicular(normal, upper_bone, axis);
-    axis_angle_quaternion(axis, angle - std::atan2(dot(axis, normal), dot(upper_bone, direction)),
-                          rotation);
+    rotate_vector(values, lower_bone, direction);
+    cross(upper_in_elbow_frame, direction, normal);
+    unit_or_perpendicular(normal, upper_in_elbow_frame, axis);
+    axis_angle_quaternion(
+        axis, angle - std::atan2(dot(axis, normal), dot(upper_in_elbow_frame, direction)),
+        rotation);
     product(rotation, values, composed);
     make_unit(composed);
     std::copy(composed, composed + 4, values);
@@ -182,26 +186,26 @@ class TwoBone : public ClosedForm {
   }
 
   // Computes the position of the tip in the shoulder's frame.
-  void find_tip(const double* q, const double* lower, double* tip) const {
+  void find_tip(const double* q, const double* lower_bone, double* tip) const {
     const double z[3] = {0, 0, 1};
-    double motion[4], rotated[3];
+    double motion[4], rotated_bone[3];
     if (elbow_.kind == Kind::PIN)
       axis_angle_quaternion(z, q[4], motion);
     else
       std::copy(q + 4, q + 8, motion);
-    rotate_vector(motion, lower, rotated);
-    for (int i = 0; i < 3; ++i) tip[i] = upper_[i] + dot(rotated, elbow_.rest + 3 * i);
+    rotate_vector(motion, lower_bone, rotated_bone);
+    for (int i = 0; i < 3; ++i) tip[i] = upper_bone_[i] + dot(rotated_bone, elbow_.rest + 3 * i);
   }
 
   void set_world_rotation(double* q, const double* world) const {
-    product(inverse_rest_, world, q);
+    product(inverse_shoulder_rest_, world, q);
     make_unit(q);
   }
 
   // Rotates the tip to its target by the shortest arc.
   void rotate_shoulder(double* q, const double* tip, const double* root_to_target) const {
     double world[4];
-    product(rest_, q, world);
+    product(shoulder_rest_, q, world);
     // Twice, because the first rotation has a large rounding error near half a revolution.
     for (int i = 0; i < 2; ++i) {
       double current_tip[3], normal[3], axis[3], rotation[4], composed[4];
@@ -220,8 +224,8 @@ class TwoBone : public ClosedForm {
   // Rotates the elbow about the line to the target until it points to the pole.
   void rotate_to_pole(double* q, const double* root_to_target, const double* pole) const {
     double world[4], elbow[3], axis[3], rotation[4], composed[4];
-    product(rest_, q, world);
-    rotate_vector(world, upper_, elbow);
+    product(shoulder_rest_, q, world);
+    rotate_vector(world, upper_bone_, elbow);
     unit_or_perpendicular(root_to_target, root_to_target, axis);
     axis_angle_quaternion(axis, angle_about(root_to_target, elbow, pole), rotation);
     product(rotation, world, composed);
@@ -230,7 +234,7 @@ class TwoBone : public ClosedForm {
 
   const Goal goal_;
   const Node elbow_;
-  double root_[3], offset_[3], upper_[3], rest_[4], inverse_rest_[4];
+  double root_[3], elbow_offset_[3], upper_bone_[3], shoulder_rest_[4], inverse_shoulder_rest_[4];
 };
 
 }  // namespace

@@ -10,7 +10,7 @@ namespace animtool {
 Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> true_linear, In<double, 3> positions,
                             In<double, 4> linear) {
-  const std::size_t joints = points.shape(0), count = points.shape(1);
+  const std::size_t joints = points.shape(0), point_count = points.shape(1);
   const std::size_t frames = positions.shape(0);
   check::shape("points", points, {check::ANY, check::ANY, 3});
   check::shape("true_positions", true_positions, {frames, joints, 3});
@@ -23,20 +23,20 @@ Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
   double* out = result.get();
   for (std::size_t i = 0; i < frames * joints;
        ++i, position += 3, true_position += 3, linear_part += 9, true_linear_part += 9) {
-    const double* point = points.data() + (i % joints) * count * 3;
-    double linear_difference[9], max_squared = 0;
+    const double* point = points.data() + (i % joints) * point_count * 3;
+    double linear_difference[9], max_squared_error = 0;
     for (int k = 0; k < 9; ++k) linear_difference[k] = linear_part[k] - true_linear_part[k];
-    for (std::size_t n = 0; n < count; ++n, point += 3) {
-      double squared = 0;
+    for (std::size_t n = 0; n < point_count; ++n, point += 3) {
+      double squared_error = 0;
       for (int r = 0; r < 3; ++r) {
         const double difference =
             (position[r] - true_position[r]) + linear_difference[3 * r] * point[0] +
             linear_difference[3 * r + 1] * point[1] + linear_difference[3 * r + 2] * point[2];
-        squared += difference * difference;
+        squared_error += difference * difference;
       }
-      max_squared = std::max(max_squared, squared);
+      max_squared_error = std::max(max_squared_error, squared_error);
     }
-    out[i] = std::sqrt(max_squared);
+    out[i] = std::sqrt(max_squared_error);
   }
   return result;
 }

@@ -18,10 +18,11 @@ constexpr double PI = 3.14159265358979323846;
 // revolutions is as precise. The remainder is at most 45 degrees, where the Taylor series below are
 // accurate to one unit in the last digit.
 void half_sine_cosine(const double* degrees, double* sine, double* cosine, std::size_t n) {
-  constexpr double ROUND = 6755399441055744.0;  // 1.5 * 2^52; adding it rounds to a whole number
+  constexpr double ROUNDING_CONSTANT =
+      6755399441055744.0;  // 1.5 * 2^52; adding it rounds to a whole number
   for (std::size_t i = 0; i < n; ++i) {
-    const double rounded = degrees[i] * (1.0 / 180.0) + ROUND;
-    const double half_circles = rounded - ROUND;
+    const double rounded = degrees[i] * (1.0 / 180.0) + ROUNDING_CONSTANT;
+    const double half_circles = rounded - ROUNDING_CONSTANT;
     const double half_angle = (degrees[i] - 180.0 * half_circles) * (PI / 360.0);
     const double squared = half_angle * half_angle;
     double series_sine = -1.0 / 1307674368000.0;
@@ -161,11 +162,12 @@ Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2
         other_squared_change +=
             (other_solution[k] - previous_angles[k]) * (other_solution[k] - previous_angles[k]);
       }
-      const double* best = other_squared_change < squared_change ? other_solution : solution;
+      const double* nearest_solution =
+          other_squared_change < squared_change ? other_solution : solution;
       double* out = result.get() + (f * joints + j) * 3;
       for (int k = 0; k < 3; ++k) {
-        previous_angles[k] = best[k];
-        out[k] = best[k] * (180.0 / PI);
+        previous_angles[k] = nearest_solution[k];
+        out[k] = nearest_solution[k] * (180.0 / PI);
       }
     }
   }

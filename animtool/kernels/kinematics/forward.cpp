@@ -116,9 +116,9 @@ struct ArgumentNames {
   const char *translations, *rotations, *scales;
 };
 
-constexpr ArgumentNames EXACT_NAMES{"translations", "rotations", "scales"};
-constexpr ArgumentNames WRITTEN_NAMES{"written_translations", "written_rotations",
-                                      "written_scales"};
+constexpr ArgumentNames EXACT_ARGUMENT_NAMES{"translations", "rotations", "scales"};
+constexpr ArgumentNames WRITTEN_ARGUMENT_NAMES{"written_translations", "written_rotations",
+                                               "written_scales"};
 
 template <typename T>
 void check_motion(const ArgumentNames& names, std::size_t frames, std::size_t joints,
@@ -136,7 +136,7 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
                         Filled<double, 3> positions, Filled<double, 4> linear) {
   const std::size_t joints = parents.shape(0), frames = translations.shape(0);
   check_parents(parents);
-  check_motion(EXACT_NAMES, frames, joints, translations, rotations, scales);
+  check_motion(EXACT_ARGUMENT_NAMES, frames, joints, translations, rotations, scales);
   check::shape("positions", positions, {frames, joints, 3});
   check::shape("linear", linear, {frames, joints, 3, 3});
   for (std::size_t frame = 0; frame < frames; ++frame) {
@@ -174,11 +174,11 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
                                 std::optional<In<float, 3>> written_scales) {
   const std::size_t joints = parents.shape(0), frames = translations.shape(0);
   check_parents(parents);
-  check_motion(EXACT_NAMES, frames, joints, translations, rotations, scales);
-  check_motion(WRITTEN_NAMES, frames, joints, written_translations, written_rotations,
+  check_motion(EXACT_ARGUMENT_NAMES, frames, joints, translations, rotations, scales);
+  check_motion(WRITTEN_ARGUMENT_NAMES, frames, joints, written_translations, written_rotations,
                written_scales);
   Out<double, 3> extents(frames, 2, 3);
-  double max_squared = 0;
+  double max_squared_error = 0;
   std::size_t worst_frame = 0, worst_joint = 0;
   TemporaryFrame exact_frame(joints), written_frame(joints), float_frame(joints);
   const WorldTransforms exact_world = exact_frame.world(), written_world = written_frame.world();
@@ -212,14 +212,14 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
             written_world.origins[3 * joint + i] - exact_world.origins[3 * joint + i];
         squared_error += difference * difference;
       }
-      if (squared_error > max_squared) {
-        max_squared = squared_error;
+      if (squared_error > max_squared_error) {
+        max_squared_error = squared_error;
         worst_frame = frame;
         worst_joint = joint;
       }
     }
   }
-  return {std::move(extents), std::sqrt(max_squared), worst_frame, worst_joint};
+  return {std::move(extents), std::sqrt(max_squared_error), worst_frame, worst_joint};
 }
 
 }  // namespace animtool

@@ -10,7 +10,7 @@ namespace {
 
 // UsdSkel treats a matrix as singular below this determinant.
 constexpr double SINGULAR_DETERMINANT = 1e-10;
-constexpr int MAX_STEPS = 60;
+constexpr int MAX_NEWTON_STEPS = 60;
 
 // Computes the cofactors: the transposed inverse times the determinant. Returns the determinant.
 double cofactors(const double* matrix, double* out) {
@@ -32,7 +32,7 @@ double squared_norm(const double* matrix) {
 // Replaces a regular matrix by its nearest orthogonal factor. Newton's iteration with the scaling
 // of N. J. Higham, Computing the polar decomposition with applications, 1986.
 void make_orthogonal(double* matrix) {
-  for (int step = 0; step < MAX_STEPS; ++step) {
+  for (int step = 0; step < MAX_NEWTON_STEPS; ++step) {
     double cofactor_matrix[9], squared_change = 0;
     const double determinant = cofactors(matrix, cofactor_matrix);
     const double inverse_norm = std::sqrt(squared_norm(cofactor_matrix)) / std::fabs(determinant);
@@ -68,26 +68,26 @@ void to_quaternion(const double* r, double* q) {
 }
 
 void split_map(const double* linear, double* rotation, double* stretch) {
-  double orthogonal[9], cofactor_matrix[9];
-  for (int i = 0; i < 9; ++i) orthogonal[i] = linear[i];
+  double orthogonal_matrix[9], cofactor_matrix[9];
+  for (int i = 0; i < 9; ++i) orthogonal_matrix[i] = linear[i];
   const double determinant = cofactors(linear, cofactor_matrix);
   if (std::fabs(determinant) < SINGULAR_DETERMINANT) {
     for (int i = 0; i < 4; ++i) rotation[i] = 0;
     for (int i = 0; i < 9; ++i) stretch[i] = i % 4 == 0;
     return;
   }
-  make_orthogonal(orthogonal);
+  make_orthogonal(orthogonal_matrix);
   if (determinant < 0)
-    for (double& value : orthogonal) value = -value;
-  to_quaternion(orthogonal, rotation);
+    for (double& value : orthogonal_matrix) value = -value;
+  to_quaternion(orthogonal_matrix, rotation);
   for (int i = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j) {
-      double upper = 0, lower = 0;
+      double upper_entry = 0, lower_entry = 0;
       for (int k = 0; k < 3; ++k) {
-        upper += orthogonal[3 * k + i] * linear[3 * k + j];
-        lower += orthogonal[3 * k + j] * linear[3 * k + i];
+        upper_entry += orthogonal_matrix[3 * k + i] * linear[3 * k + j];
+        lower_entry += orthogonal_matrix[3 * k + j] * linear[3 * k + i];
       }
-      stretch[3 * i + j] = stretch[3 * j + i] = 0.5 * (upper + lower);
+      stretch[3 * i + j] = stretch[3 * j + i] = 0.5 * (upper_entry + lower_entry);
     }
 }
 

@@ -19,16 +19,16 @@ std::tuple<double, double> squared_lengths(In<float, 2> quaternions) {
   check::shape("quaternions", quaternions, {check::ANY, 4});
   const float* quaternion = quaternions.data();
   const std::size_t count = quaternions.shape(0);
-  float low = std::numeric_limits<float>::infinity(), high = 0, not_finite = 0;
+  float min_squared = std::numeric_limits<float>::infinity(), max_squared = 0, finiteness_sum = 0;
   for (std::size_t i = 0; i < count; ++i, quaternion += 4) {
     const float squared_length = (quaternion[0] * quaternion[0] + quaternion[1] * quaternion[1]) +
                                  (quaternion[2] * quaternion[2] + quaternion[3] * quaternion[3]);
-    low = squared_length < low ? squared_length : low;
-    high = squared_length > high ? squared_length : high;
-    not_finite += squared_length - squared_length;  // 0, or NaN if not finite
+    min_squared = squared_length < min_squared ? squared_length : min_squared;
+    max_squared = squared_length > max_squared ? squared_length : max_squared;
+    finiteness_sum += squared_length - squared_length;  // 0, or NaN if not finite
   }
-  if (not_finite != 0) low = high = std::numeric_limits<float>::quiet_NaN();
-  return {low, high};
+  if (finiteness_sum != 0) min_squared = max_squared = std::numeric_limits<float>::quiet_NaN();
+  return {min_squared, max_squared};
 }
 
 Out<double, 3> unpack_rotations(const std::vector<In<float, 2>>& tracks,
@@ -45,15 +45,16 @@ Out<double, 3> unpack_rotations(const std::vector<In<float, 2>>& tracks,
     }
   }
   Out<double, 3> rotations(frames, joints, 4);
-  for (std::size_t first = 0; first < frames; first += BLOCK_FRAMES) {
-    const std::size_t last = first + BLOCK_FRAMES < frames ? first + BLOCK_FRAMES : frames;
+  for (std::size_t first_frame = 0; first_frame < frames; first_frame += BLOCK_FRAMES) {
+    const std::size_t end_frame =
+        first_frame + BLOCK_FRAMES < frames ? first_frame + BLOCK_FRAMES : frames;
     for (std::size_t j = 0; j < joints; ++j) {
-      const float* values = tracks[j].data() + 4 * first;
-      double* out = rotations.get() + 4 * (first * joints + j);
+      const float* values = tracks[j].data() + 4 * first_frame;
+      double* out = rotations.get() + 4 * (first_frame * joints + j);
       double a = previous_values[4 * j], b = previous_values[4 * j + 1],
              c = previous_values[4 * j + 2];
       double d = previous_values[4 * j + 3], sign = signs[j];
-      for (std::size_t f = first; f < last; ++f, values += 4, out += 4 * joints) {
+      for (std::size_t f = first_frame; f < end_frame; ++f, values += 4, out += 4 * joints) {
         const double x = values[0], y = values[1], z = values[2], w = values[3];
         const double dot = (x * a + y * b) + (z * c + w * d);
         a = x, b = y, c = z, d = w;

@@ -21,14 +21,14 @@ namespace animtool {
 namespace {
 
 // Largest number of bodies in a leaf cell, and in a group that traverses the tree together.
-constexpr std::size_t MAX_LEAF = 16, MAX_GROUP = 128;
+constexpr std::size_t MAX_LEAF_BODIES = 16, MAX_GROUP_BODIES = 128;
 // Levels of the tree: three coordinates of this many bits fit a key of 63 bits.
-constexpr unsigned LEVELS = 21;
+constexpr unsigned TREE_LEVELS = 21;
 // Opening ratio of the coarse sum that estimates accelerations: distance over radius.
-constexpr double COARSE_RATIO = 1.4;
+constexpr double COARSE_OPENING_RATIO = 1.4;
 // Error budget of one cell: hundreds of errors partly cancel, and bounds are rarely reached.
 // Calibrated on discs, spheres and pairs of both.
-constexpr double CELL_ERROR = 0.3;
+constexpr double CELL_ERROR_BUDGET = 0.3;
 
 // A cell of the tree: its bodies in sorted order, their moments, and the next cell after its
 // subtree.
@@ -63,9 +63,9 @@ class Bodies {
       size = std::max(size, (high[k] - low[k]) / 2);
     }
     // Scales by powers of two, which is exact.
-    length_ = std::exp2(std::ceil(std::log2(size > 0 ? size : 1)));
-    mass_ = std::exp2(std::ceil(std::log2(total_mass > 0 ? total_mass : 1)));
-    const double scaled_softening = softening / length_;
+    length_unit_ = std::exp2(std::ceil(std::log2(size > 0 ? size : 1)));
+    mass_unit_ = std::exp2(std::ceil(std::log2(total_mass > 0 ? total_mass : 1)));
+    const double scaled_softening = softening / length_unit_;
     squared_softening_ = scaled_softening * scaled_softening;
     for (auto& column : columns_) column = block<double>(count);
   }
@@ -74,13 +74,13 @@ class Bodies {
     for (std::size_t i = 0; i < count_; ++i) {
       const std::size_t body = order ? static_cast<std::size_t>(order[i]) : i;
       for (std::size_t k = 0; k < 3; ++k) columns_[k][i] = scale(points + 3 * body, k);
-      columns_[3][i] = masses[body] / mass_;
+      columns_[3][i] = masses[body] / mass_unit_;
     }
   }
 
   // Component k of a point in scaled units.
   double scale(const double* point, std::size_t k) const {
-    return (point[k] - centre_[k]) / length_;
+    return (point[k] - centre_[k]) / length_unit_;
   }
   GravityBodies bodies() const {
     return {columns_[0].get(), columns_[1].get(), columns_[2].get(), columns_[3].get()};
@@ -104,25 +104,26 @@ class Bodies {
 
   double* acceleration;
   double* potential;
-  double* rate;
+  double* max_squared_frequency;
 
   // Writes sums in the original units and order.
   void write(const GravitySums& sums, std::size_t first, std::size_t end, const std::int32_t* order,
              double constant) const {
-    const double acceleration_scale = constant * mass_ / length_ / length_;
+    const double acceleration_scale = constant * mass_unit_ / length_unit_ / length_unit_;
     for (std::size_t i = first; i < std::min(first + GRAVITY_WIDTH, end); ++i) {
       const std::size_t k = i - first, body = order ? static_cast<std::size_t>(order[i]) : i;
       acceleration[3 * body] = acceleration_scale * sums.x[k];
       acceleration[3 * body + 1] = acceleration_scale * sums.y[k];
       acceleration[3 * body + 2] = acceleration_scale * sums.z[k];
-      potential[body] = -acceleration_scale * length_ * sums.potential[k];
-      rate[body] = acceleration_scale / length_ * sums.rate[k];
+      potential[body] = -acceleration_scale * length_unit_ * sums.potential[k];
+      max_squared_frequency[body] =
+          acceleration_scale / length_unit_ * sums.max_squared_frequency[k];
     }
   }
 
  private:
   std::size_t count_;
-  double centre_[3], length_, mass_, squared_softening_;
+  double centre_[3], length_unit_, mass_unit_, squared_softening_;
   Block<double> columns_[4];
 };
 
@@ -132,12 +133,13 @@ class Octree {
   Octree(Bodies& bodies, const double* points, const double* masses)
       : bodies_(bodies), sorted_(bodies.size()) {
     const std::size_t count = bodies.size();
-    constexpr double CELLS = 1 << LEVELS;
+    constexpr double CELLS_PER_AXIS = 1 << TREE_LEVELS;
     for (std::size_t i = 0; i < count; ++i) {
       std::uint64_t key = 0;
       for (std::size_t k = 0; k < 3; ++k) {
-        const double cell = (bodies.scale(points + 3 * i, k) + 1) * (CELLS / 2);
-        key |= spread_bits(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS - 1))) << k;
+        const double cell = (bodies.scale(points + 3 * i, k) + 1) * (CELLS_PER_AXIS / 2);
+        key |= spread_bits(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS_PER_AXIS - 1)))
+               << k;
       }
       sorted_.keys[i] = key;
       sorted_.indices[i] = static_cast<std::int32_t>(i);
@@ -154,7 +156,7 @@ class Octree {
   void for_each_group(Function function) const {
     for (std::size_t i = 0; i < cells_.size();) {
       const Cell& cell = cells_[i];
-      const bool is_group = cell.is_leaf || cell.end - cell.begin <= MAX_GROUP;
+      const bool is_group = cell.is_leaf || cell.end - cell.begin <= MAX_GROUP_BODIES;
       if (is_group) function(cell);
       i = is_group ? cell.next : i + 1;
     }
@@ -187,7 +189,7 @@ class Octree {
 
   // Estimates the acceleration of a group by a coarse sum at its centre of mass.
   double estimate_acceleration(const Cell& group) const {
-    const double soft = bodies_.squared_softening();
+    const double softening_square = bodies_.squared_softening();
     double sum[3] = {0, 0, 0};
     for (std::size_t i = 0; i < cells_.size();) {
       const Cell& cell = cells_[i];
@@ -198,36 +200,38 @@ class Octree {
       }
       const bool is_in_group = cell.begin >= group.begin && cell.end <= group.end;
       if (!is_in_group && !cell.is_leaf &&
-          squared_distance <= COARSE_RATIO * COARSE_RATIO * cell.squared_radius) {
+          squared_distance <= COARSE_OPENING_RATIO * COARSE_OPENING_RATIO * cell.squared_radius) {
         ++i;
         continue;
       }
       if (!is_in_group && squared_distance > 0) {
-        const double softened = squared_distance + soft,
-                     factor = cell.mass / (softened * std::sqrt(softened));
+        const double softened_square = squared_distance + softening_square,
+                     factor = cell.mass / (softened_square * std::sqrt(softened_square));
         for (std::size_t k = 0; k < 3; ++k) sum[k] += factor * offset[k];
       }
       i = cell.next;
     }
-    const double external = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
-    const double squared_extent = group.squared_radius + soft;
+    const double external_acceleration =
+        std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
+    const double squared_extent = group.squared_radius + softening_square;
     // The heaviest body, which dominates the others, is attracted only by the rest.
-    return external + (squared_extent > 0 ? (group.mass - group.max_mass) / squared_extent : 0.0);
+    return external_acceleration +
+           (squared_extent > 0 ? (group.mass - group.max_mass) / squared_extent : 0.0);
   }
 
   // Collects the cells that a group may use as a whole, and the ranges of bodies that it sums
   // directly.
   void traverse(const Bounds& bounds, double threshold, std::vector<float>& far_cells,
-                std::vector<GravityRun>& near_runs) const {
-    const double soft = bodies_.squared_softening();
+                std::vector<BodyRange>& near_runs) const {
+    const double softening_square = bodies_.squared_softening();
     far_cells.clear();
     near_runs.clear();
     for (std::size_t i = 0; i < cells_.size();) {
       const Cell& cell = cells_[i];
       const double squared_distance = bounds.squared_distance(cell.centre);
-      const bool has_several = cell.end - cell.begin > 1;
-      if (has_several && squared_distance > cell.squared_radius &&
-          cell.error_moment <= threshold * (squared_distance + soft)) {
+      const bool has_several_bodies = cell.end - cell.begin > 1;
+      if (has_several_bodies && squared_distance > cell.squared_radius &&
+          cell.error_moment <= threshold * (squared_distance + softening_square)) {
         for (std::size_t k = 0; k < 3; ++k)
           far_cells.push_back(static_cast<float>(cell.centre[k] - bounds.centre[k]));
         far_cells.push_back(static_cast<float>(cell.mass));
@@ -256,9 +260,9 @@ class Octree {
   void build(std::size_t begin, std::size_t end, unsigned level) {
     const std::size_t cell = cells_.size();
     cells_.push_back(create_cell(begin, end));
-    cells_[cell].is_leaf = end - begin <= MAX_LEAF || level == LEVELS;
+    cells_[cell].is_leaf = end - begin <= MAX_LEAF_BODIES || level == TREE_LEVELS;
     if (!cells_[cell].is_leaf) {
-      const unsigned shift = 3 * (LEVELS - 1 - level);
+      const unsigned shift = 3 * (TREE_LEVELS - 1 - level);
       const std::uint64_t* keys = sorted_.keys.get();
       for (std::size_t first = begin; first < end;) {
         const std::uint64_t last = (keys[first] >> shift << shift) + (1ull << shift);
@@ -309,42 +313,45 @@ class Octree {
 
 // Sums gravity by the tree, or over all pairs.
 void sum_by_tree(Bodies& bodies, const double* points, const double* masses, double constant,
-                 double accuracy, const GravityFunctions& loops) {
+                 double accuracy, const GravityFunctions& gravity_functions) {
   const Octree tree(bodies, points, masses);
   std::vector<float> far_cells;
-  std::vector<GravityRun> near_runs;
-  const float soft = static_cast<float>(bodies.squared_softening());
+  std::vector<BodyRange> near_runs;
+  const float softening_square = static_cast<float>(bodies.squared_softening());
   tree.for_each_group([&](const Cell& group) {
     const auto bounds = tree.bounds(group);
     const double threshold =
-        std::pow(CELL_ERROR * accuracy * tree.estimate_acceleration(group), 0.4);
+        std::pow(CELL_ERROR_BUDGET * accuracy * tree.estimate_acceleration(group), 0.4);
     tree.traverse(bounds, threshold, far_cells, near_runs);
     for (std::size_t first = group.begin; first < group.end; first += GRAVITY_WIDTH) {
       const GravityTargets targets = bodies.targets(first, group.end, bounds.centre);
       GravitySums sums{};
-      loops.far(far_cells.data(), far_cells.size() / FAR_CELL_SIZE, soft, targets, sums);
-      for (const GravityRun& run : near_runs)
-        loops.near(bodies.bodies(), run, bodies.squared_softening(), targets, sums);
+      gravity_functions.sum_cells(far_cells.data(), far_cells.size() / FAR_CELL_SIZE,
+                                  softening_square, targets, sums);
+      for (const BodyRange& run : near_runs)
+        gravity_functions.sum_pairs_float(bodies.bodies(), run, bodies.squared_softening(), targets,
+                                          sums);
       bodies.write(sums, first, group.end, tree.order(), constant);
     }
   });
 }
 
 void sum_directly(Bodies& bodies, const double* points, const double* masses, double constant,
-                  const GravityFunctions& loops) {
+                  const GravityFunctions& gravity_functions) {
   // Blocks of sources that stay in the cache for all targets.
-  constexpr std::size_t TILE = 1024;
+  constexpr std::size_t SOURCE_TILE_SIZE = 1024;
   bodies.fill_columns(points, masses, nullptr);
   const double centre[3] = {0, 0, 0};
   const std::size_t count = bodies.size();
-  const std::size_t blocks = (count + GRAVITY_WIDTH - 1) / GRAVITY_WIDTH;
-  const Block<GravitySums> sums = block<GravitySums>(blocks);
-  std::fill_n(sums.get(), blocks, GravitySums{});
-  for (std::size_t tile = 0; tile < count; tile += TILE)
-    for (std::size_t i = 0; i < blocks; ++i)
-      loops.exact(bodies.bodies(), {tile, std::min(count, tile + TILE)}, bodies.squared_softening(),
-                  bodies.targets(i * GRAVITY_WIDTH, count, centre), sums[i]);
-  for (std::size_t i = 0; i < blocks; ++i)
+  const std::size_t block_count = (count + GRAVITY_WIDTH - 1) / GRAVITY_WIDTH;
+  const Block<GravitySums> sums = block<GravitySums>(block_count);
+  std::fill_n(sums.get(), block_count, GravitySums{});
+  for (std::size_t tile = 0; tile < count; tile += SOURCE_TILE_SIZE)
+    for (std::size_t i = 0; i < block_count; ++i)
+      gravity_functions.sum_pairs_double(
+          bodies.bodies(), {tile, std::min(count, tile + SOURCE_TILE_SIZE)},
+          bodies.squared_softening(), bodies.targets(i * GRAVITY_WIDTH, count, centre), sums[i]);
+  for (std::size_t i = 0; i < block_count; ++i)
     bodies.write(sums[i], i * GRAVITY_WIDTH, count, nullptr, constant);
 }
 
@@ -367,15 +374,16 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(In<double, 2>
   Out<double, 1> potentials(count), rates(count);
   if (count) {
     const GravityFunctions* quads = gravity_in_quads();
-    const GravityFunctions& loops = quads ? *quads : GravityLoops<Portable>::functions;
+    const GravityFunctions& gravity_functions =
+        quads ? *quads : GravityKernels<Portable>::functions;
     Bodies bodies(points.data(), masses.data(), count, softening);
     bodies.acceleration = accelerations.get();
     bodies.potential = potentials.get();
-    bodies.rate = rates.get();
+    bodies.max_squared_frequency = rates.get();
     if (accuracy > 0)
-      sum_by_tree(bodies, points.data(), masses.data(), constant, accuracy, loops);
+      sum_by_tree(bodies, points.data(), masses.data(), constant, accuracy, gravity_functions);
     else
-      sum_directly(bodies, points.data(), masses.data(), constant, loops);
+      sum_directly(bodies, points.data(), masses.data(), constant, gravity_functions);
   }
   return {std::move(accelerations), std::move(potentials), std::move(rates)};
 }

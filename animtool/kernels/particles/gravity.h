@@ -19,27 +19,27 @@ struct GravityTargets {
 // Accelerations, negative potentials, and the largest squared frequency of a pair.
 struct GravitySums {
   double x[GRAVITY_WIDTH], y[GRAVITY_WIDTH], z[GRAVITY_WIDTH], potential[GRAVITY_WIDTH];
-  double rate[GRAVITY_WIDTH];
+  double max_squared_frequency[GRAVITY_WIDTH];
 };
 // Positions and masses of all bodies.
 struct GravityBodies {
   const double *x, *y, *z, *mass;
 };
 // A range of bodies.
-struct GravityRun {
+struct BodyRange {
   std::size_t begin, end;
 };
 
 struct GravityFunctions {
   // Pairs in float64, from an inverse square root in float32 that is refined.
-  void (*exact)(const GravityBodies& bodies, GravityRun run, double squared_softening,
-                const GravityTargets& targets, GravitySums& sums);
+  void (*sum_pairs_double)(const GravityBodies& bodies, BodyRange run, double squared_softening,
+                           const GravityTargets& targets, GravitySums& sums);
   // Pairs with distances in float64 and forces in float32.
-  void (*near)(const GravityBodies& bodies, GravityRun run, double squared_softening,
-               const GravityTargets& targets, GravitySums& sums);
+  void (*sum_pairs_float)(const GravityBodies& bodies, BodyRange run, double squared_softening,
+                          const GravityTargets& targets, GravitySums& sums);
   // Cells by their monopole and quadrupole, in float32.
-  void (*far)(const float* cells, std::size_t count, float squared_softening,
-              const GravityTargets& targets, GravitySums& sums);
+  void (*sum_cells)(const float* cells, std::size_t count, float squared_softening,
+                    const GravityTargets& targets, GravitySums& sums);
 };
 // Null if the processor has no such registers.
 const GravityFunctions* gravity_in_quads();

@@ -58,7 +58,7 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
                is_within_limit =
                    is_within_limit && pair_partners.size() <= static_cast<std::size_t>(max_pairs);
                for (; neighbour < end && is_within_limit; ++neighbour) {
-                 const std::int32_t second = ranks[grid.index()[*neighbour]];
+                 const std::int32_t second = ranks[grid.point_indices()[*neighbour]];
                  if (second > first) pair_partners.push_back(second);
                }
                while (pair_partners.size() % SIMD_WIDTH) pair_partners.push_back(padding);
@@ -100,18 +100,18 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
   double virial = 0;
   const Block<double> rows = block<double>(4 * count + 4), out = block<double>(4 * count + 4);
   const Block<std::int32_t> sorted_kinds = block<std::int32_t>(count + 1);
-  const Block<double> charge = block<double>(charges ? count + 1 : 0);
+  const Block<double> sorted_charges = block<double>(charges ? count + 1 : 0);
   for (std::size_t i = 0; i < count; ++i) {
     const std::size_t molecule = static_cast<std::size_t>(order.data()[i]);
     for (std::size_t k = 0; k < 3; ++k) rows[4 * i + k] = points.data()[3 * molecule + k];
     rows[4 * i + 3] = 0;
     sorted_kinds[i] = kinds.data()[molecule];
-    if (charges) charge[i] = charges->data()[molecule];
+    if (charges) sorted_charges[i] = charges->data()[molecule];
   }
   std::fill_n(rows.get() + 4 * count, 4, std::numeric_limits<double>::quiet_NaN());
   std::fill_n(out.get(), 4 * count + 4, 0.0);
   sorted_kinds[count] = 0;
-  if (charges) charge[count] = 0;
+  if (charges) sorted_charges[count] = 0;
   std::vector<MoleculeForce> pair_forces(kind_count * kind_count);
   for (std::size_t i = 0; i < pair_forces.size(); ++i)
     pair_forces[i] = {forces.data()[2 * i], forces.data()[2 * i + 1]};
@@ -122,7 +122,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
                               partners.data(),
                               sorted_kinds.get(),
                               pair_forces.data(),
-                              charges ? charge.get() : nullptr,
+                              charges ? sorted_charges.get() : nullptr,
                               {box.data()[0], box.data()[1], box.data()[2]},
                               cutoff * cutoff,
                               onset * onset,
@@ -130,7 +130,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
   const MoleculeFunction quad_function = molecules_in_quads();
   if (count)
     virial =
-        (quad_function ? quad_function : MoleculeLoops<Portable>::add_forces)(system, out.get());
+        (quad_function ? quad_function : MoleculeKernels<Portable>::add_forces)(system, out.get());
   for (std::size_t i = 0; i < count; ++i) {
     const std::size_t molecule = static_cast<std::size_t>(order.data()[i]);
     for (std::size_t k = 0; k < 3; ++k) result.get()[3 * molecule + k] = out[4 * i + k];

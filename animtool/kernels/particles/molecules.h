@@ -8,16 +8,16 @@ namespace animtool {
 
 // Lennard-Jones coefficients of c12/r¹² - c6/r⁶.
 struct MoleculeForce {
-  double twelve, six;
+  double c12, c6;
 };
 // A system of molecules. Rows of four numbers hold positions, and one extra padding row is far
 // away. Partner lists are padded to a multiple of four.
 struct MoleculeSystem {
-  std::size_t count, kinds;
+  std::size_t count, kind_count;
   const double* rows;
   const std::int64_t* starts;
   const std::int32_t* partners;
-  const std::int32_t* kind;
+  const std::int32_t* kinds;
   const MoleculeForce* forces;  // for each pair of kinds
   const double* charges;  // multiplied by the root of Coulomb's constant; null without charges
   double box[3];

@@ -9,29 +9,30 @@
 namespace animtool {
 
 // Rounds to the nearest whole number when added and subtracted.
-constexpr double MOLECULE_ROUND = 6755399441055744.0;
-constexpr double ROOT_PI = 1.7724538509055160273;
+constexpr double ROUNDING_CONSTANT = 6755399441055744.0;
+constexpr double SQRT_PI = 1.7724538509055160273;
 
 template <class Simd>
-struct MoleculeLoops {
+struct MoleculeKernels {
   using D = Four<Simd>;
 
   // Quantities that all pairs share.
   struct PairLaw {
-    D squared_cutoff, squared_onset, width, box[3], inverse_box[3];
+    D squared_cutoff, squared_onset, inverse_cubed_switch_width, box[3], inverse_box[3];
     double energy_shift, force_at_cutoff, damping, cutoff_distance;
 
     explicit PairLaw(const MoleculeSystem& system)
         : squared_cutoff(system.squared_cutoff), squared_onset(system.squared_onset) {
       const double switch_width = system.squared_cutoff - system.squared_onset;
-      width = switch_width > 0 ? 1 / (switch_width * switch_width * switch_width) : 0.0;
+      inverse_cubed_switch_width =
+          switch_width > 0 ? 1 / (switch_width * switch_width * switch_width) : 0.0;
       for (std::size_t k = 0; k < 3; ++k)
         box[k] = system.box[k], inverse_box[k] = 1 / system.box[k];
       damping = system.damping;
       cutoff_distance = std::sqrt(system.squared_cutoff);
       energy_shift = std::erfc(damping * cutoff_distance) / cutoff_distance;
       force_at_cutoff = energy_shift / cutoff_distance +
-                        2 * damping / ROOT_PI *
+                        2 * damping / SQRT_PI *
                             std::exp(-damping * damping * system.squared_cutoff) / cutoff_distance;
     }
   };
@@ -44,24 +45,24 @@ struct MoleculeLoops {
     const double distance = std::sqrt(squared_distance),
                  damped_energy = std::erfc(law.damping * distance) / distance;
     const double damping_slope =
-        2 * law.damping / ROOT_PI * std::exp(-law.damping * law.damping * squared_distance);
+        2 * law.damping / SQRT_PI * std::exp(-law.damping * law.damping * squared_distance);
     energy =
         damped_energy - law.energy_shift + law.force_at_cutoff * (distance - law.cutoff_distance);
     force = (damped_energy / distance + damping_slope / distance - law.force_at_cutoff) / distance;
   }
 
-  template <bool is_switched, bool has_kinds, bool has_charges>
+  template <bool uses_switching, bool has_kinds, bool has_charges>
   static double add_pairs(const MoleculeSystem& system, double* out) {
     const PairLaw law(system);
-    const D rounding = MOLECULE_ROUND;
+    const D rounding = ROUNDING_CONSTANT;
     D virial = 0.0;
-    D c12 = system.forces[0].twelve, c6 = system.forces[0].six;
+    D c12 = system.forces[0].c12, c6 = system.forces[0].c6;
     for (std::size_t i = 0; i < system.count; ++i) {
       const double* row = system.rows + 4 * i;
       const D position[3] = {row[0], row[1], row[2]};
       D sum[4] = {0.0, 0.0, 0.0, 0.0};
       const MoleculeForce* forces =
-          has_kinds ? system.forces + static_cast<std::size_t>(system.kind[i]) * system.kinds
+          has_kinds ? system.forces + static_cast<std::size_t>(system.kinds[i]) * system.kind_count
                     : system.forces;
       const std::int32_t* end = system.partners + system.starts[i + 1];
       for (const std::int32_t* partner = system.partners + system.starts[i]; partner < end;
@@ -75,28 +76,30 @@ struct MoleculeLoops {
                        law.box[k] * ((displacement * law.inverse_box[k] + rounding) - rounding);
           squared_distance = squared_distance + offsets[k] * offsets[k];
         }
-        const D in_range = less(squared_distance, law.squared_cutoff);
-        if (!mask_bits(in_range)) continue;
+        const D is_in_range = less(squared_distance, law.squared_cutoff);
+        if (!mask_bits(is_in_range)) continue;
         if constexpr (has_kinds) {
           double repulsions[SIMD_WIDTH], attractions[SIMD_WIDTH];
           for (std::size_t k = 0; k < SIMD_WIDTH; ++k) {
-            const MoleculeForce& force = forces[system.kind[partner[k]]];
-            repulsions[k] = force.twelve, attractions[k] = force.six;
+            const MoleculeForce& force = forces[system.kinds[partner[k]]];
+            repulsions[k] = force.c12, attractions[k] = force.c6;
           }
           c12 = D::load(repulsions), c6 = D::load(attractions);
         }
         const D inverse_squared = 1.0 / squared_distance,
                 inverse_sixth = inverse_squared * inverse_squared * inverse_squared;
-        const D repels = c12 * inverse_sixth * inverse_sixth, attracts = c6 * inverse_sixth;
-        D energy = repels - attracts;
-        D force = 6.0 * inverse_squared * (repels + energy);
-        if constexpr (is_switched) {
-          const D clamped = max(squared_distance, law.squared_onset),
-                  remaining = law.squared_cutoff - clamped;
-          const D switching = remaining * remaining *
-                              (law.squared_cutoff + 2.0 * clamped - 3.0 * law.squared_onset) *
-                              law.width;
-          const D switching_slope = 12.0 * remaining * (clamped - law.squared_onset) * law.width;
+        const D repulsion = c12 * inverse_sixth * inverse_sixth, attraction = c6 * inverse_sixth;
+        D energy = repulsion - attraction;
+        D force = 6.0 * inverse_squared * (repulsion + energy);
+        if constexpr (uses_switching) {
+          const D clamped_square = max(squared_distance, law.squared_onset),
+                  remaining = law.squared_cutoff - clamped_square;
+          const D switching =
+              remaining * remaining *
+              (law.squared_cutoff + 2.0 * clamped_square - 3.0 * law.squared_onset) *
+              law.inverse_cubed_switch_width;
+          const D switching_slope = 12.0 * remaining * (clamped_square - law.squared_onset) *
+                                    law.inverse_cubed_switch_width;
           force = switching * force + switching_slope * energy;
           energy = switching * energy;
         }
@@ -114,11 +117,12 @@ struct MoleculeLoops {
           energy = energy + D::load(energies);
           force = force + D::load(forces_over_distance);
         }
-        force = masked(in_range, force);
-        energy = masked(in_range, 0.5 * energy);
-        virial = virial + masked(in_range, force * squared_distance);
-        D changes[4] = {force * masked(in_range, offsets[0]), force * masked(in_range, offsets[1]),
-                        force * masked(in_range, offsets[2]), 0.0 - energy};
+        force = masked(is_in_range, force);
+        energy = masked(is_in_range, 0.5 * energy);
+        virial = virial + masked(is_in_range, force * squared_distance);
+        D changes[4] = {force * masked(is_in_range, offsets[0]),
+                        force * masked(is_in_range, offsets[1]),
+                        force * masked(is_in_range, offsets[2]), 0.0 - energy};
         for (std::size_t k = 0; k < 4; ++k) sum[k] = sum[k] + changes[k];
         scatter(changes, partner, out);
       }
@@ -127,11 +131,11 @@ struct MoleculeLoops {
     return total(virial);
   }
 
-  template <bool is_switched>
+  template <bool uses_switching>
   static double add_for_kinds(const MoleculeSystem& system, double* out) {
-    if (system.charges) return add_pairs<is_switched, true, true>(system, out);
-    return system.kinds > 1 ? add_pairs<is_switched, true, false>(system, out)
-                            : add_pairs<is_switched, false, false>(system, out);
+    if (system.charges) return add_pairs<uses_switching, true, true>(system, out);
+    return system.kind_count > 1 ? add_pairs<uses_switching, true, false>(system, out)
+                                 : add_pairs<uses_switching, false, false>(system, out);
   }
 
   // Adds forces and half the pair energies to rows of four numbers; returns the virial.

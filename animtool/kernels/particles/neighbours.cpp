@@ -7,7 +7,7 @@ namespace animtool {
 
 namespace {
 
-bool finite(const double* point) {
+bool is_finite(const double* point) {
   return std::isfinite(point[0]) && std::isfinite(point[1]) && std::isfinite(point[2]);
 }
 
@@ -36,16 +36,16 @@ Neighbours::Neighbours(const double* points, const std::int32_t* subset, std::si
   std::vector<double>
       wrapped_points;  // positions wrapped into the periods, used if an axis is periodic
   const bool has_no_period = !(period_[0] > 0 || period_[1] > 0 || period_[2] > 0);
-  index_.reserve(count);
+  point_indices_.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
     const std::size_t point_index = subset ? static_cast<std::size_t>(subset[i]) : i;
-    if (!finite(points + 3 * point_index)) continue;
-    index_.push_back(static_cast<std::int32_t>(point_index));
+    if (!is_finite(points + 3 * point_index)) continue;
+    point_indices_.push_back(static_cast<std::int32_t>(point_index));
   }
   if (!has_no_period) wrapped_points = add_images(points);
-  const std::size_t grid_count = index_.size();
+  const std::size_t grid_count = point_indices_.size();
   const auto position = [&](std::size_t i) {
-    return has_no_period ? points + 3 * static_cast<std::size_t>(index_[i])
+    return has_no_period ? points + 3 * static_cast<std::size_t>(point_indices_[i])
                          : &wrapped_points[3 * i];
   };
   double high[3] = {0, 0, 0};
@@ -57,11 +57,14 @@ Neighbours::Neighbours(const double* points, const std::int32_t* subset, std::si
   for (std::size_t k = 0; k < 3; ++k) {
     // The extent is halved because the full extent may overflow.
     const double half_extent = high[k] / 2 - origin_[k] / 2;
-    inverse_cell_[k] = 1 / (CELL_MARGIN * std::max(radius_, 2 * (half_extent / MAX_CELLS)));
-    last_cell_[k] = std::min(std::floor((high[k] - origin_[k]) * inverse_cell_[k]), MAX_CELLS);
+    inverse_cell_[k] =
+        1 / (CELL_WIDTH_FACTOR * std::max(radius_, 2 * (half_extent / MAX_CELLS_PER_AXIS)));
+    max_cell_index_[k] =
+        std::min(std::floor((high[k] - origin_[k]) * inverse_cell_[k]), MAX_CELLS_PER_AXIS);
   }
-  row_stride_ = static_cast<std::uint64_t>(last_cell_[0] + 1 + 2 * MARGIN_CELLS);
-  layer_stride_ = row_stride_ * static_cast<std::uint64_t>(last_cell_[1] + 1 + 2 * MARGIN_CELLS);
+  row_stride_ = static_cast<std::uint64_t>(max_cell_index_[0] + 1 + 2 * MARGIN_CELLS);
+  layer_stride_ =
+      row_stride_ * static_cast<std::uint64_t>(max_cell_index_[1] + 1 + 2 * MARGIN_CELLS);
   SortedKeys sorted(grid_count);
   for (std::size_t i = 0; i < grid_count; ++i) {
     sorted.keys[i] = find_key(position(i));
@@ -82,19 +85,19 @@ Neighbours::Neighbours(const double* points, const std::int32_t* subset, std::si
     std::fill_n(grid_points + k * stride + grid_count, GRID_PADDING, 0.0);
   std::vector<std::int32_t> sorted_index(grid_count);
   for (std::size_t i = 0; i < grid_count; ++i)
-    sorted_index[i] = index_[static_cast<std::size_t>(sorted.indices[i])];
-  index_ = std::move(sorted_index);
+    sorted_index[i] = point_indices_[static_cast<std::size_t>(sorted.indices[i])];
+  point_indices_ = std::move(sorted_index);
 }
 
 // Wraps points into the periods. Points near an end of a period are repeated beyond the other end,
 // axis by axis, and each image has an index.
 std::vector<double> Neighbours::add_images(const double* points) {
-  std::vector<double> positions(3 * index_.size());
-  for (std::size_t i = 0; i < index_.size(); ++i)
-    wrap(points + 3 * static_cast<std::size_t>(index_[i]), &positions[3 * i]);
+  std::vector<double> positions(3 * point_indices_.size());
+  for (std::size_t i = 0; i < point_indices_.size(); ++i)
+    wrap_into_period(points + 3 * static_cast<std::size_t>(point_indices_[i]), &positions[3 * i]);
   for (std::size_t k = 0; k < 3; ++k) {
     if (!(period_[k] > 0)) continue;
-    for (std::size_t i = 0, count = index_.size(); i < count; ++i)
+    for (std::size_t i = 0, count = point_indices_.size(); i < count; ++i)
       for (const double side : {1.0, -1.0}) {
         const double distance_from_low = positions[3 * i + k] - low_[k];
         if ((side > 0 ? distance_from_low : period_[k] - distance_from_low) > radius_) continue;
@@ -102,13 +105,13 @@ std::vector<double> Neighbours::add_images(const double* points) {
         std::copy_n(&positions[3 * i], 3, image);
         image[k] += side * period_[k];
         positions.insert(positions.end(), image, image + 3);
-        index_.push_back(index_[i]);
+        point_indices_.push_back(point_indices_[i]);
       }
   }
   return positions;
 }
 
-void Neighbours::wrap(const double* point, double* out) const {
+void Neighbours::wrap_into_period(const double* point, double* out) const {
   for (std::size_t k = 0; k < 3; ++k) {
     out[k] = point[k];
     if (period_[k] > 0) out[k] -= period_[k] * std::floor((point[k] - low_[k]) / period_[k]);
@@ -118,7 +121,7 @@ void Neighbours::wrap(const double* point, double* out) const {
 bool Neighbours::is_near_grid(const double* point) const {
   for (std::size_t k = 0; k < 3; ++k) {
     const double cell = (point[k] - origin_[k]) * inverse_cell_[k];
-    if (!(cell >= -1 && cell < last_cell_[k] + 2)) return false;
+    if (!(cell >= -1 && cell < max_cell_index_[k] + 2)) return false;
   }
   return true;
 }
@@ -127,7 +130,7 @@ std::uint64_t Neighbours::find_key(const double* point) const {
   std::uint64_t cells[3];
   for (std::size_t k = 0; k < 3; ++k) {
     const double cell = (point[k] - origin_[k]) * inverse_cell_[k] + MARGIN_CELLS;
-    cells[k] = static_cast<std::uint64_t>(std::min(cell, last_cell_[k] + 1 + MARGIN_CELLS));
+    cells[k] = static_cast<std::uint64_t>(std::min(cell, max_cell_index_[k] + 1 + MARGIN_CELLS));
   }
   return cells[0] + row_stride_ * cells[1] + layer_stride_ * cells[2];
 }
@@ -135,10 +138,10 @@ std::uint64_t Neighbours::find_key(const double* point) const {
 SortedKeys Neighbours::query_keys(const double* points, const std::int32_t* subset,
                                   std::size_t count) const {
   SortedKeys sorted(count);
-  if (index_.empty()) return sorted;
+  if (point_indices_.empty()) return sorted;
   for (std::size_t i = 0; i < count; ++i) {
     double position[3];
-    wrap(points + 3 * (subset ? static_cast<std::size_t>(subset[i]) : i), position);
+    wrap_into_period(points + 3 * (subset ? static_cast<std::size_t>(subset[i]) : i), position);
     if (!is_near_grid(position)) continue;
     sorted.keys[sorted.count] = find_key(position);
     sorted.indices[sorted.count++] = static_cast<std::int32_t>(i);

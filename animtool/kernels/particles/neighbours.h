@@ -14,8 +14,8 @@
 
 namespace animtool {
 
-// Grid positions in the layout of loops that are built for several processors. Up to GRID_PADDING
-// numbers are read past the end, and written past the last match.
+// Grid positions in the layout of functions that are compiled for several processors. Up to
+// GRID_PADDING numbers are read past the end, and written past the last match.
 struct GridPoints {
   const double *x, *y, *z;
   double squared_radius;  // of the search radius
@@ -39,11 +39,13 @@ class Neighbours {
              const double* low, const double* period);
 
   // The number of grid positions, in grid order.
-  std::size_t size() const { return index_.size(); }
+  std::size_t size() const { return point_indices_.size(); }
   const double* x() const { return sorted_points_.x; }
   const double* y() const { return sorted_points_.y; }
   const double* z() const { return sorted_points_.z; }
-  const std::int32_t* index() const { return index_.data(); }  // indices into `points`
+  const std::int32_t* point_indices() const {
+    return point_indices_.data();
+  }  // indices into `points`
 
   // Visits some points; null means all. The function receives the number of a visited point, its
   // index in `points`, its wrapped position, and the grid indices of all points within the radius,
@@ -52,9 +54,9 @@ class Neighbours {
   double visit(const double* points, const std::int32_t* subset, std::size_t count,
                double max_tests, Function function) const;
 
-  // Visits every grid position in the same way. With `later_only`, the function receives only later
-  // neighbours.
-  template <bool later_only, class Function>
+  // Visits every grid position in the same way. With `is_later_only`, the function receives only
+  // later neighbours.
+  template <bool is_later_only, class Function>
   double visit_all(double max_tests, Function function) const;
 
  private:
@@ -65,7 +67,7 @@ class Neighbours {
   template <class Function>
   void for_each_cell(const std::vector<Cell>& cells, Function function) const;
   SortedKeys query_keys(const double* points, const std::int32_t* subset, std::size_t count) const;
-  void wrap(const double* point, double* out) const;
+  void wrap_into_period(const double* point, double* out) const;
   bool is_near_grid(const double* point) const;
   std::uint64_t find_key(const double* point) const;
   std::vector<double> add_images(const double* points);
@@ -73,32 +75,32 @@ class Neighbours {
 
   // Rows of adjacent cells, each of which is one run. The middle run contains the cell itself. It
   // is the first run that contains later points.
-  static constexpr std::size_t RUNS = 9, CENTRE = 4;
+  static constexpr std::size_t RUN_COUNT = 9, CENTRE_RUN = 4;
   // Empty cells on each side, so that the neighbours of every queried cell have keys.
   static constexpr double MARGIN_CELLS = 2;
   // Cells are wider than the radius by the rounding error of cell numbers.
-  static constexpr double CELL_MARGIN = 1 + 1e-9;
+  static constexpr double CELL_WIDTH_FACTOR = 1 + 1e-9;
   // The largest number of cells along an axis. Three such numbers fit into 63 bits.
-  static constexpr double MAX_CELLS = (1 << 21) - 2 * MARGIN_CELLS - 1;
+  static constexpr double MAX_CELLS_PER_AXIS = (1 << 21) - 2 * MARGIN_CELLS - 1;
 
   double radius_, low_[3], period_[3], origin_[3] = {0, 0, 0}, inverse_cell_[3] = {1, 1, 1};
-  double last_cell_[3] = {0, 0, 0};  // the number of cells along each axis, minus one
+  double max_cell_index_[3] = {0, 0, 0};  // the number of cells along each axis, minus one
   std::uint64_t row_stride_ = 0, layer_stride_ = 0;
   std::vector<Cell> cells_;    // cells that contain points, and a sentinel
   Block<double> grid_points_;  // positions along x, then y, then z
   GridPoints sorted_points_{};
   NeighbourFunction find_neighbours_;
-  std::vector<std::int32_t> index_;
+  std::vector<std::int32_t> point_indices_;
 };
 
 template <class Function>
 void Neighbours::for_each_cell(const std::vector<Cell>& cells, Function function) const {
-  const Cell* bounds[RUNS][2];
+  const Cell* bounds[RUN_COUNT][2];
   for (auto& bound : bounds) bound[0] = bound[1] = cells_.data();
-  GridRun runs[RUNS];
+  GridRun runs[RUN_COUNT];
   for (std::size_t c = 0; c + 1 < cells.size(); ++c) {
     std::size_t capacity = 0;
-    for (std::size_t k = 0; k < RUNS; ++k) {
+    for (std::size_t k = 0; k < RUN_COUNT; ++k) {
       const std::uint64_t middle = cells[c].key + (k / 3) * layer_stride_ + (k % 3) * row_stride_ -
                                    layer_stride_ - row_stride_;
       auto& [begin, end] = bounds[k];
@@ -127,34 +129,34 @@ double Neighbours::visit(const double* points, const std::int32_t* subset, std::
           const std::size_t query = static_cast<std::size_t>(sorted.indices[i]);
           const std::size_t point_index = subset ? static_cast<std::size_t>(subset[query]) : query;
           double position[3];
-          wrap(points + 3 * point_index, position);
+          wrap_into_period(points + 3 * point_index, position);
           function(query, point_index, position, hits.data(),
-                   find_neighbours_(sorted_points_, runs, runs + RUNS, position, hits.data()));
+                   find_neighbours_(sorted_points_, runs, runs + RUN_COUNT, position, hits.data()));
         }
         return test_count <= max_tests;
       });
   return test_count;
 }
 
-template <bool later_only, class Function>
+template <bool is_later_only, class Function>
 double Neighbours::visit_all(double max_tests, Function function) const {
   std::vector<std::int32_t> hits;
   double test_count = 0;
-  for_each_cell(
-      cells_, [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
-        test_count += static_cast<double>(last - first) * static_cast<double>(capacity);
-        if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
-        for (std::size_t i = first; i < last && test_count <= max_tests; ++i) {
-          const double position[3] = {x()[i], y()[i], z()[i]};
-          GridRun searched_runs[RUNS];
-          std::copy(runs, runs + RUNS, searched_runs);
-          if (later_only) searched_runs[CENTRE].begin = i + 1;
-          function(i, position, hits.data(),
-                   find_neighbours_(sorted_points_, searched_runs + (later_only ? CENTRE : 0),
-                                    searched_runs + RUNS, position, hits.data()));
-        }
-        return test_count <= max_tests;
-      });
+  for_each_cell(cells_, [&](std::size_t first, std::size_t last, const GridRun* runs,
+                            std::size_t capacity) {
+    test_count += static_cast<double>(last - first) * static_cast<double>(capacity);
+    if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
+    for (std::size_t i = first; i < last && test_count <= max_tests; ++i) {
+      const double position[3] = {x()[i], y()[i], z()[i]};
+      GridRun searched_runs[RUN_COUNT];
+      std::copy(runs, runs + RUN_COUNT, searched_runs);
+      if (is_later_only) searched_runs[CENTRE_RUN].begin = i + 1;
+      function(i, position, hits.data(),
+               find_neighbours_(sorted_points_, searched_runs + (is_later_only ? CENTRE_RUN : 0),
+                                searched_runs + RUN_COUNT, position, hits.data()));
+    }
+    return test_count <= max_tests;
+  });
   return test_count;
 }
 

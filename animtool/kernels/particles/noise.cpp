@@ -31,7 +31,7 @@ inline Fade fade(double x) {
 
 // Adds the curl of the noise at one time slice of the lattice.
 void add_curl(const std::int64_t* cell, const double* cell_fraction, const Fade* fades,
-              std::int64_t slice, std::uint64_t seed, double amount, double* out) {
+              std::int64_t slice, std::uint64_t seed, double slice_weight, double* out) {
   for (int corner = 0; corner < 8; ++corner) {
     double offset[3], weight[3], weight_derivative[3];
     std::uint64_t key = seed;
@@ -57,9 +57,9 @@ void add_curl(const std::int64_t* cell, const double* cell_fraction, const Fade*
       for (int axis = 0; axis < 3; ++axis)
         gradient[field][axis] = product * lattice_gradient[axis] + product_gradient[axis] * value;
     }
-    out[0] += amount * (gradient[2][1] - gradient[1][2]);
-    out[1] += amount * (gradient[0][2] - gradient[2][0]);
-    out[2] += amount * (gradient[1][0] - gradient[0][1]);
+    out[0] += slice_weight * (gradient[2][1] - gradient[1][2]);
+    out[1] += slice_weight * (gradient[0][2] - gradient[2][0]);
+    out[2] += slice_weight * (gradient[1][0] - gradient[0][1]);
   }
 }
 

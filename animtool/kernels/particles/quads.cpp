@@ -7,11 +7,11 @@
 namespace animtool {
 
 const GravityFunctions* gravity_in_quads() {
-  return has_quads() ? &GravityLoops<Quads>::functions : nullptr;
+  return has_quads() ? &GravityKernels<Quads>::functions : nullptr;
 }
 
 MoleculeFunction molecules_in_quads() {
-  return has_quads() ? MoleculeLoops<Quads>::add_forces : nullptr;
+  return has_quads() ? MoleculeKernels<Quads>::add_forces : nullptr;
 }
 
 #ifdef ANIMTOOL_QUADS
@@ -35,14 +35,14 @@ std::int32_t* neighbours_by_fours(const GridPoints& points, const GridRun* run, 
                                      Four<Quads>::load(points.y + i),
                                      Four<Quads>::load(points.z + i)};
       const FourVec<Quads> offset = neighbour - position;
-      unsigned selected = static_cast<unsigned>(_mm256_movemask_pd(
+      unsigned selected_bits = static_cast<unsigned>(_mm256_movemask_pd(
           _mm256_cmp_pd(dot(offset, offset).row, squared_radius.row, _CMP_LE_OQ)));
-      if (run->end - i < 4) selected &= (1u << (run->end - i)) - 1;
-      const __m128i matches =
-          _mm_add_epi32(_mm_load_si128(reinterpret_cast<const __m128i*>(PACKED_INDICES[selected])),
-                        _mm_set1_epi32(static_cast<std::int32_t>(i)));
+      if (run->end - i < 4) selected_bits &= (1u << (run->end - i)) - 1;
+      const __m128i matches = _mm_add_epi32(
+          _mm_load_si128(reinterpret_cast<const __m128i*>(PACKED_INDICES[selected_bits])),
+          _mm_set1_epi32(static_cast<std::int32_t>(i)));
       _mm_storeu_si128(reinterpret_cast<__m128i*>(next), matches);
-      next += SELECTED_COUNTS[selected];
+      next += SELECTED_COUNTS[selected_bits];
     }
   return next;
 }

@@ -24,7 +24,8 @@ struct Edge {
 // faces.
 struct Core {
   std::vector<Vec> points;
-  std::vector<int> starts{0}, loops;  // corners of each face, counter-clockwise from outside
+  std::vector<int> face_starts{0},
+      face_corners;  // corners of each face, counter-clockwise from outside
   std::vector<Vec> normals;
   std::vector<double> offsets;
   std::vector<Edge> edges;
@@ -34,7 +35,7 @@ struct Core {
   double bounding_radius = 0;  // distance of the farthest point from the origin, plus the radius
   Vec centre;
 
-  std::size_t faces() const { return normals.size(); }
+  std::size_t face_count() const { return normals.size(); }
   bool is_flat() const { return normals.size() == 2; }
   // Computes the normals, edges and bounds from the points and loops.
   void build_faces();
@@ -51,7 +52,8 @@ struct PosedCore {
   Vec centre;
 
   double offset(std::size_t face) const {
-    return dot(normals[face], points[core->loops[static_cast<std::size_t>(core->starts[face])]]);
+    return dot(normals[face],
+               points[core->face_corners[static_cast<std::size_t>(core->face_starts[face])]]);
   }
   // Smallest component of a point along a direction.
   double min_projection(Vec n) const {
@@ -66,17 +68,17 @@ struct PosedCore {
 class CorePoser {
  public:
   void set_pose(const Core& core, const Pose& pose) {
-    const std::size_t points = core.points.size(), faces = core.faces();
+    const std::size_t points = core.points.size(), faces = core.face_count();
     buffer_.resize(points + faces);
     for (std::size_t i = 0; i < points; ++i) buffer_[i] = pose.to_world(core.points[i]);
     for (std::size_t i = 0; i < faces; ++i) buffer_[points + i] = pose.rotate(core.normals[i]);
-    posed_ = {&core, buffer_.data(), buffer_.data() + points, pose.to_world(core.centre)};
+    posed_core_ = {&core, buffer_.data(), buffer_.data() + points, pose.to_world(core.centre)};
   }
-  const PosedCore& get() const { return posed_; }
+  const PosedCore& get() const { return posed_core_; }
 
  private:
   std::vector<Vec> buffer_;
-  PosedCore posed_;
+  PosedCore posed_core_;
 };
 
 // A contact point, halfway between both surfaces, and the gap between them.
@@ -85,13 +87,13 @@ struct ContactPoint {
   double gap;
 };
 
-constexpr int MAX_POINTS = 4;
+constexpr int MAX_MANIFOLD_POINTS = 4;
 
 // A contact manifold; the normal points from the first to the second body.
 struct Manifold {
   Vec normal;
   int count = 0;
-  std::array<ContactPoint, MAX_POINTS> points{};
+  std::array<ContactPoint, MAX_MANIFOLD_POINTS> points{};
 };
 
 // The separation along the best axis, negative if the bodies overlap; a lower bound of their
@@ -99,9 +101,9 @@ struct Manifold {
 struct Axis {
   double gap = -std::numeric_limits<double>::infinity();
   Vec normal;  // from the first to the second body
-  enum { NONE, FIRST, SECOND, EDGES } kind = NONE;
-  int first = -1, second = -1;  // face of the first or second body
-  Vec edge_a[2], edge_b[2];     // ends of the edges
+  enum { NONE, FIRST_FACE, SECOND_FACE, EDGES } kind = NONE;
+  int first_face = -1, second_face = -1;  // face of the first or second body
+  Vec edge_a[2], edge_b[2];               // ends of the edges
 };
 
 // The axis along which two cores are separated most.

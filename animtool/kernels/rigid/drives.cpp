@@ -11,42 +11,43 @@ namespace animtool::rigid {
 namespace {
 
 // Phase of an oscillation in a substep above which it is damped, not resolved [rad].
-constexpr double MAX_PHASE = 2;
+constexpr double MAX_RESOLVED_PHASE = 2;
 // Decay exponent above which a motion has come to rest.
-constexpr double MAX_DECAY = 20;
+constexpr double MAX_DECAY_EXPONENT = 20;
 // Largest number of joint equations that are solved together; the same around one drive in larger
 // islands.
 constexpr std::size_t MAX_EQUATIONS = 96, MAX_NEAR_EQUATIONS = 48;
 // Relative inverse mass below which an equation is redundant; factor by which fully constrained
 // bodies count as heavier.
-constexpr double REDUNDANT = 1e-9, FIXED_MASS = 1e6;
+constexpr double REDUNDANT_INDEPENDENCE = 1e-9, FIXED_MASS_FACTOR = 1e6;
 // If equations have less independent mass than the first value, iterations converge slowly; below
 // the second value, a drive does not move the mass behind it.
-constexpr double WELL_CONDITIONED = 0.02, MIN_INDEPENDENCE = 1e-3;
+constexpr double WELL_CONDITIONED_INDEPENDENCE = 0.02, MIN_INDEPENDENCE = 1e-3;
 
 // Response of x'' = pull - stiffness x - damping x' after time 1, from rest at 0, or with an
 // initial speed.
 struct Response {
-  double by_pull;      // twice the displacement by a pull
-  double by_speed;     // displacement by an initial speed
-  double decay;        // of the initial speed
-  double mass_excess;  // 1 / by_pull - 1
-  double lag;          // 1 - by_speed / by_pull
+  double pull_response;     // twice the displacement by a pull
+  double speed_response;    // displacement by an initial speed
+  double speed_decay;       // of the initial speed
+  double mass_excess;       // 1 / pull_response - 1
+  double response_deficit;  // 1 - speed_response / pull_response
 };
 
 Response compute_response(double stiffness, double damping) {
   Response response{};
   if (stiffness + damping <= 1) {
     // A power series, which keeps small differences exact.
-    double previous_term = 0, term = 0.5, pull_excess = 0, lag = 0, by_speed = 1, decay = 1;
+    double previous_term = 0, term = 0.5, pull_excess = 0, response_deficit = 0, speed_response = 1,
+           speed_decay = 1;
     for (int n = 2; n < 18; ++n) {
       const double next = -(stiffness * previous_term + damping * n * term) / ((n + 1.0) * n);
-      by_speed += (n + 1) * next, decay += (n + 1.0) * n * next;
-      pull_excess += 2 * next, lag -= (n - 1) * next;
+      speed_response += (n + 1) * next, speed_decay += (n + 1.0) * n * next;
+      pull_excess += 2 * next, response_deficit -= (n - 1) * next;
       previous_term = term, term = next;
     }
-    response = {1 + pull_excess, by_speed, decay, -pull_excess / (1 + pull_excess),
-                lag / (1 + pull_excess)};
+    response = {1 + pull_excess, speed_response, speed_decay, -pull_excess / (1 + pull_excess),
+                response_deficit / (1 + pull_excess)};
     return response;
   }
   const double z = damping / 2, discriminant = stiffness - z * z;
@@ -54,21 +55,22 @@ Response compute_response(double stiffness, double damping) {
     const double r = std::sqrt(-discriminant), fast_rate = z + r, slow_rate = stiffness / fast_rate;
     const double slow_decay = std::exp(-slow_rate), fast_decay = std::exp(-fast_rate);
     const double mean = slow_rate > 1e-8 ? -std::expm1(-slow_rate) / slow_rate : 1 - slow_rate / 2;
-    response.by_pull = (mean + std::expm1(-fast_rate) / fast_rate) / r;
-    response.by_speed = (slow_decay - fast_decay) / (2 * r);
-    response.decay = (fast_rate * fast_decay - slow_rate * slow_decay) / (2 * r);
+    response.pull_response = (mean + std::expm1(-fast_rate) / fast_rate) / r;
+    response.speed_response = (slow_decay - fast_decay) / (2 * r);
+    response.speed_decay = (fast_rate * fast_decay - slow_rate * slow_decay) / (2 * r);
   } else {
     const double envelope = std::exp(-z), r = std::sqrt(std::fabs(discriminant));
     const bool is_oscillating = discriminant > 0;
     const double sine =
         r < 1e-4 ? 1 - discriminant / 6 : (is_oscillating ? std::sin(r) : std::sinh(r)) / r;
-    response.by_speed = envelope * sine;
-    response.decay =
-        envelope * (is_oscillating ? std::cos(r) : std::cosh(r)) - z * response.by_speed;
-    response.by_pull = 2 * (1 - response.decay - damping * response.by_speed) / stiffness;
+    response.speed_response = envelope * sine;
+    response.speed_decay =
+        envelope * (is_oscillating ? std::cos(r) : std::cosh(r)) - z * response.speed_response;
+    response.pull_response =
+        2 * (1 - response.speed_decay - damping * response.speed_response) / stiffness;
   }
-  response.mass_excess = 1 / response.by_pull - 1,
-  response.lag = 1 - response.by_speed / response.by_pull;
+  response.mass_excess = 1 / response.pull_response - 1,
+  response.response_deficit = 1 - response.speed_response / response.pull_response;
   return response;
 }
 
@@ -81,7 +83,7 @@ double damped_frequency(const Joint& joint, double mass) {
 // Whether substeps resolve the oscillation of a drive.
 bool is_resolved(const Joint& joint, const Drive& drive, double h) {
   return drive.is_mass_free && drive.mass > 0 &&
-         damped_frequency(joint, drive.mass) * h <= MAX_PHASE;
+         damped_frequency(joint, drive.mass) * h <= MAX_RESOLVED_PHASE;
 }
 
 // Inverse mass matrix of joint equations.
@@ -96,7 +98,7 @@ class InverseMassMatrix {
     const double diagonal = coupling(joint, row, joint, row);
     double pivot = diagonal;
     for (const double value : factor_row) pivot -= value * value;
-    if (!(pivot > REDUNDANT * diagonal)) return REDUNDANT;
+    if (!(pivot > REDUNDANT_INDEPENDENCE * diagonal)) return REDUNDANT_INDEPENDENCE;
     const double independence = pivot / diagonal;
     factor_row.push_back(std::sqrt(pivot));
     factor_rows_.push_back(std::move(factor_row)), rows_.push_back({&joint, &row});
@@ -108,7 +110,7 @@ class InverseMassMatrix {
     const double diagonal = coupling(joint, row, joint, row);
     double pivot = diagonal;
     for (const double value : compute_factor_row(joint, row)) pivot -= value * value;
-    return std::max(pivot, diagonal / FIXED_MASS);
+    return std::max(pivot, diagonal / FIXED_MASS_FACTOR);
   }
 
  private:
@@ -150,29 +152,29 @@ class InverseMassMatrix {
 
 // How independent joint equations are.
 struct Conditioning {
-  double min_independence = 1;  // of equations that are not redundant
-  bool has_redundant = false;   // whether some are redundant
+  double min_independence = 1;           // of equations that are not redundant
+  bool has_redundant_equations = false;  // whether some are redundant
 
   void add(double independence) {
-    if (independence > REDUNDANT)
+    if (independence > REDUNDANT_INDEPENDENCE)
       min_independence = std::min(min_independence, independence);
     else
-      has_redundant = true;
+      has_redundant_equations = true;
   }
 };
 
 // Adds the equations of a joint that are always active.
-void add_locks(InverseMassMatrix& matrix, Conditioning& condition, const Joint& joint,
-               const Rows& rows) {
+void add_lock_equations(InverseMassMatrix& matrix, Conditioning& conditioning, const Joint& joint,
+                        const Rows& rows) {
   for (std::size_t r = 0; r < rows.count; ++r)
-    if (rows.entries[r].kind == Row::LOCK) condition.add(matrix.add(joint, rows.entries[r]));
+    if (rows.entries[r].kind == Row::LOCK) conditioning.add(matrix.add(joint, rows.entries[r]));
 }
 
 bool have_common_body(const Joint& p, const Joint& q) {
-  const auto has = [&](std::ptrdiff_t body) {
+  const auto is_body_of_q = [&](std::ptrdiff_t body) {
     return body >= 0 && (body == q.a || body == static_cast<std::ptrdiff_t>(q.b));
   };
-  return has(p.a) || has(static_cast<std::ptrdiff_t>(p.b));
+  return is_body_of_q(p.a) || is_body_of_q(static_cast<std::ptrdiff_t>(p.b));
 }
 
 // The joints nearest to a joint of an island, starting with itself, up to a number of equations.
@@ -196,7 +198,7 @@ std::vector<std::size_t> nearest_joints(const std::vector<Joint>& joints,
 // Limits the impulse of a drive, so that fully constrained bodies are not pushed harder than by a
 // rigid joint.
 void limit_impulse(const Drive& drive, Row& row) {
-  const double max_gain = drive.mass < row.mass * FIXED_MASS / 2 ? row.speed_gain : row.mass;
+  const double max_gain = drive.mass < row.mass * FIXED_MASS_FACTOR / 2 ? row.speed_gain : row.mass;
   if (row.speed_gain > max_gain)
     row.position_impulse *= max_gain / row.speed_gain, row.speed_gain = max_gain;
 }
@@ -204,7 +206,7 @@ void limit_impulse(const Drive& drive, Row& row) {
 }  // namespace
 
 double drive_frequency(const Joint& joint, double mass, double time) {
-  if (!(mass > 0) || joint.damping / mass * time / 2 > MAX_DECAY) return 0;
+  if (!(mass > 0) || joint.damping / mass * time / 2 > MAX_DECAY_EXPONENT) return 0;
   return damped_frequency(joint, mass);
 }
 
@@ -220,7 +222,7 @@ void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, doubl
   const Response response =
       compute_response(joint.stiffness / mass * h * h, joint.damping / mass * h);
   row.speed_gain = mass * response.mass_excess;
-  row.position_impulse = mass * response.lag * speed + h / 2 * pull;
+  row.position_impulse = mass * response.response_deficit * speed + h / 2 * pull;
   limit_impulse(drive, row);
 }
 
@@ -235,10 +237,10 @@ void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, d
   const Response response =
       compute_response(joint.stiffness / mass * h * h, joint.damping / mass * h);
   const double other_speed = speed - drive.speed - drive.first_impulse / mass;
-  const double end_speed = response.decay * drive.speed - h * response.by_speed * pull +
-                           (2 * response.by_speed - response.by_pull) * other_speed;
+  const double end_speed = response.speed_decay * drive.speed - h * response.speed_response * pull +
+                           (2 * response.speed_response - response.pull_response) * other_speed;
   row.speed_gain = mass * response.mass_excess;
-  row.position_impulse = mass * (speed - end_speed / response.by_pull) - drive.first_impulse;
+  row.position_impulse = mass * (speed - end_speed / response.pull_response) - drive.first_impulse;
   limit_impulse(drive, row);
 }
 
@@ -247,28 +249,29 @@ bool update_drive_masses(const std::vector<Joint>& joints, const std::vector<std
                          std::vector<Drives>& drives) {
   std::size_t count = 0;
   for (const Rows& joint_rows : rows) count += joint_rows.count;
-  const bool is_complete = count <= MAX_EQUATIONS;
+  const bool is_solved_as_one = count <= MAX_EQUATIONS;
   InverseMassMatrix island_matrix(speeds);
-  Conditioning condition;
-  for (std::size_t k = 0; is_complete && k < island.size(); ++k)
-    add_locks(island_matrix, condition, joints[island[k]], rows[k]);
+  Conditioning conditioning;
+  for (std::size_t k = 0; is_solved_as_one && k < island.size(); ++k)
+    add_lock_equations(island_matrix, conditioning, joints[island[k]], rows[k]);
   for (std::size_t k = 0; k < island.size(); ++k) {
     const Joint& joint = joints[island[k]];
     if (!has_drive(joint)) continue;
     InverseMassMatrix joint_matrix(speeds);
-    Conditioning joint_condition = condition;
-    if (!is_complete)
+    Conditioning joint_conditioning = conditioning;
+    if (!is_solved_as_one)
       for (const std::size_t i : nearest_joints(joints, island, rows, k))
-        add_locks(joint_matrix, joint_condition, joints[island[i]], rows[i]);
+        add_lock_equations(joint_matrix, joint_conditioning, joints[island[i]], rows[i]);
     for (std::size_t r = 0; r < rows[k].count; ++r) {
       const Row& row = rows[k].entries[r];
       if (row.kind != Row::DRIVE) continue;
       Drive& drive = drives[k][static_cast<std::size_t>(row.slot - SLOT_DRIVE)];
-      drive.mass = 1 / (is_complete ? island_matrix : joint_matrix).inverse_mass(joint, row);
-      drive.is_mass_free = joint_condition.min_independence > MIN_INDEPENDENCE;
+      drive.mass = 1 / (is_solved_as_one ? island_matrix : joint_matrix).inverse_mass(joint, row);
+      drive.is_mass_free = joint_conditioning.min_independence > MIN_INDEPENDENCE;
     }
   }
-  return is_complete && !condition.has_redundant && condition.min_independence > WELL_CONDITIONED;
+  return is_solved_as_one && !conditioning.has_redundant_equations &&
+         conditioning.min_independence > WELL_CONDITIONED_INDEPENDENCE;
 }
 
 }  // namespace animtool::rigid

@@ -8,11 +8,11 @@ namespace animtool::rigid {
 namespace {
 
 // Pairs whose approach speed is within this fraction of the fastest are solved together.
-constexpr double SPEED_TOLERANCE = 1e-3;
+constexpr double SAME_SPEED_TOLERANCE = 1e-3;
 // An impact has converged if velocities change by less than this fraction of the fastest approach.
-constexpr double CONVERGENCE = 1e-7;
+constexpr double CONVERGENCE_FRACTION = 1e-7;
 // Largest number of iterations of an impact.
-constexpr int MIN_ITERATIONS = 40, ITERATIONS_PER_JOINT = 8;
+constexpr int BASE_ITERATIONS = 40, ITERATIONS_PER_JOINT = 8;
 // Largest number of impacts in a substep, in a chain of bodies; later ones are inelastic.
 constexpr std::size_t BASE_IMPACTS = 16, IMPACTS_PER_PATCH = 4;
 // After BASE_IMPACTS impacts, approaches below this fraction of the fastest are ignored.
@@ -25,7 +25,7 @@ constexpr double ENERGY_ROUNDING = 1e-13;
 Impacts::Impacts(const World& world, const std::vector<Patch>& patches,
                  const std::vector<Point>& points, const std::vector<std::size_t>& joints,
                  const std::vector<Rows>& rows, std::vector<Speed>& speeds, double tolerance,
-                 double arrival_time)
+                 double max_arrival_time)
     : world_(world),
       patches_(patches),
       points_(points),
@@ -33,7 +33,7 @@ Impacts::Impacts(const World& world, const std::vector<Patch>& patches,
       rows_(rows),
       speeds_(speeds),
       tolerance_(tolerance),
-      arrival_time_(arrival_time) {}
+      max_arrival_time_(max_arrival_time) {}
 
 void Impacts::run(const std::function<double(const Patch&)>& rest_speed,
                   std::vector<char>& is_pushed) {
@@ -47,17 +47,17 @@ void Impacts::run(const std::function<double(const Patch&)>& rest_speed,
   const std::size_t max_impacts = BASE_IMPACTS + IMPACTS_PER_PATCH * patches_.size();
   double min_speed = 0;
   for (std::size_t impact = 0; impact < max_impacts; ++impact) {
-    const auto fastest = std::max_element(speeds.begin(), speeds.end());
-    if (fastest == speeds.end() || *fastest == 0) return;
-    if (impact == 0) min_speed = *fastest * NEGLIGIBLE_SPEED;
-    if (*fastest < min_speed && impact >= BASE_IMPACTS) return;
-    const Patch& first = patches_[static_cast<std::size_t>(fastest - speeds.begin())];
-    const double speed = *fastest, combined_speed = speed * (1 - SPEED_TOLERANCE);
+    const auto fastest_speed = std::max_element(speeds.begin(), speeds.end());
+    if (fastest_speed == speeds.end() || *fastest_speed == 0) return;
+    if (impact == 0) min_speed = *fastest_speed * NEGLIGIBLE_SPEED;
+    if (*fastest_speed < min_speed && impact >= BASE_IMPACTS) return;
+    const Patch& fastest_patch = patches_[static_cast<std::size_t>(fastest_speed - speeds.begin())];
+    const double speed = *fastest_speed, min_combined_speed = speed * (1 - SAME_SPEED_TOLERANCE);
     bodies_.clear(), equations_.clear();
     for (std::size_t k = 0; k < patches_.size(); ++k) {
       const Patch& patch = patches_[k];
-      const bool is_same_pair = patch.a == first.a && patch.b == first.b;
-      if (is_same_pair || speeds[k] >= combined_speed)
+      const bool is_same_pair = patch.a == fastest_patch.a && patch.b == fastest_patch.b;
+      if (is_same_pair || speeds[k] >= min_combined_speed)
         add_patch_equations(patch, rest_speed(patch));
     }
     add_joint_equations();
@@ -66,30 +66,31 @@ void Impacts::run(const std::function<double(const Patch&)>& rest_speed,
     solve(speed);
     bound_energy();
     for (const std::size_t b : bodies_)
-      for (std::size_t i = starts_[b]; i < starts_[b + 1]; ++i) update_speed(patches_by_body_[i]);
+      for (std::size_t i = patch_starts_[b]; i < patch_starts_[b + 1]; ++i)
+        update_speed(patches_by_body_[i]);
   }
 }
 
 // Lists the patches of each body.
 void Impacts::list_patches() {
   const std::size_t count = world_.bodies.size();
-  starts_.assign(count + 2, 0);
+  patch_starts_.assign(count + 2, 0);
   for (const Patch& patch : patches_) {
-    ++starts_[patch.a + 2];
-    if (patch.b < count) ++starts_[patch.b + 2];
+    ++patch_starts_[patch.a + 2];
+    if (patch.b < count) ++patch_starts_[patch.b + 2];
   }
-  for (std::size_t i = 2; i < starts_.size(); ++i) starts_[i] += starts_[i - 1];
-  patches_by_body_.resize(starts_.back());
+  for (std::size_t i = 2; i < patch_starts_.size(); ++i) patch_starts_[i] += patch_starts_[i - 1];
+  patches_by_body_.resize(patch_starts_.back());
   for (std::size_t k = 0; k < patches_.size(); ++k) {
-    patches_by_body_[starts_[patches_[k].a + 1]++] = k;
-    if (patches_[k].b < count) patches_by_body_[starts_[patches_[k].b + 1]++] = k;
+    patches_by_body_[patch_starts_[patches_[k].a + 1]++] = k;
+    if (patches_[k].b < count) patches_by_body_[patch_starts_[patches_[k].b + 1]++] = k;
   }
 }
 
 // Whether a point is in contact, or arrives immediately.
 bool Impacts::is_touching(const Patch& patch, const Point& p) const {
   if (p.current_gap <= TOUCH_DISTANCE * world_.bodies[patch.a].bounding_radius) return true;
-  return p.current_gap <= -speed_along(speeds_, patch, p, 0) * arrival_time_;
+  return p.current_gap <= -speed_along(speeds_, patch, p, 0) * max_arrival_time_;
 }
 
 // Approach speed of a pair of bodies at a patch.
@@ -119,7 +120,7 @@ void Impacts::add_patch_equations(const Patch& patch, double rest_speed) {
       equation.tangent = d, equation.friction = patch.friction;
       equation.is_one_sided = d == 0;
       const double approach = d ? 0.0 : -speed_of(equation);
-      equation.target = approach > rest_speed ? patch.restitution * approach : 0.0;
+      equation.target_speed = approach > rest_speed ? patch.restitution * approach : 0.0;
       equations_.push_back(equation);
     }
   }
@@ -127,10 +128,10 @@ void Impacts::add_patch_equations(const Patch& patch, double rest_speed) {
 
 // Adds the joints and bodies that are connected to those of an impact.
 void Impacts::add_joint_equations() {
-  const auto is_included = [&](std::size_t i) {
+  const auto is_body_included = [&](std::size_t i) {
     return std::find(bodies_.begin(), bodies_.end(), i) != bodies_.end();
   };
-  std::vector<char> included(joints_.size(), 0);
+  std::vector<char> is_joint_included(joints_.size(), 0);
   for (bool has_added = !joints_.empty(); has_added;) {
     has_added = false;
     for (std::size_t k = 0; k < joints_.size(); ++k) {
@@ -138,10 +139,12 @@ void Impacts::add_joint_equations() {
       const bool has_first_body = joint.a >= 0;
       const std::size_t a =
           has_first_body ? static_cast<std::size_t>(joint.a) : world_.bodies.size();
-      if (included[k] || !(is_included(joint.b) || (has_first_body && is_included(a)))) continue;
-      included[k] = 1, has_added = true;
-      if (!is_included(joint.b)) bodies_.push_back(joint.b);
-      if (has_first_body && !is_included(a)) bodies_.push_back(a);
+      if (is_joint_included[k] ||
+          !(is_body_included(joint.b) || (has_first_body && is_body_included(a))))
+        continue;
+      is_joint_included[k] = 1, has_added = true;
+      if (!is_body_included(joint.b)) bodies_.push_back(joint.b);
+      if (has_first_body && !is_body_included(a)) bodies_.push_back(a);
       for (std::size_t r = 0; r < rows_[k].count; ++r) {
         const Row& row = rows_[k].entries[r];
         if (row.kind == Row::DRIVE || (row.kind == Row::LIMIT && row.error > 0)) continue;
@@ -173,39 +176,41 @@ void Impacts::add_impulse(Equation& equation, double impulse) {
 }
 
 void Impacts::solve(double speed) {
-  const int joint_equations = static_cast<int>(std::count_if(
+  const int joint_equation_count = static_cast<int>(std::count_if(
       equations_.begin(), equations_.end(), [](const Equation& p) { return p.is_joint; }));
-  const int max_iterations = MIN_ITERATIONS + ITERATIONS_PER_JOINT * joint_equations;
+  const int max_iterations = BASE_ITERATIONS + ITERATIONS_PER_JOINT * joint_equation_count;
   for (int iteration = 0; iteration < max_iterations; ++iteration) {
-    double change = 0;
+    double max_change = 0;
     for (std::size_t k = 0; k < equations_.size(); ++k) {
       Equation& equation = equations_[k];
       if (equation.tangent == 0) {
-        const double target =
-            equation.impulse - equation.mass * (speed_of(equation) - equation.target);
-        const double change_by =
-            (equation.is_one_sided ? std::max(target, 0.0) : target) - equation.impulse;
-        if (change_by == 0) continue;
-        add_impulse(equation, change_by);
-        change = std::max(change, std::fabs(change_by) / equation.mass);
+        const double target_impulse =
+            equation.impulse - equation.mass * (speed_of(equation) - equation.target_speed);
+        const double impulse_change =
+            (equation.is_one_sided ? std::max(target_impulse, 0.0) : target_impulse) -
+            equation.impulse;
+        if (impulse_change == 0) continue;
+        add_impulse(equation, impulse_change);
+        max_change = std::max(max_change, std::fabs(impulse_change) / equation.mass);
       } else if (equation.tangent == 1) {
         Equation& other = equations_[k + 1];
         const double limit = equation.friction * equations_[k - 1].impulse;
-        const double target[2] = {equation.impulse - equation.mass * speed_of(equation),
-                                  other.impulse - other.mass * speed_of(other)};
-        const double magnitude = std::sqrt(target[0] * target[0] + target[1] * target[1]);
+        const double target_impulse[2] = {equation.impulse - equation.mass * speed_of(equation),
+                                          other.impulse - other.mass * speed_of(other)};
+        const double magnitude = std::sqrt(target_impulse[0] * target_impulse[0] +
+                                           target_impulse[1] * target_impulse[1]);
         const double scale = magnitude > limit ? limit / magnitude : 1;
-        const double change_by[2] = {target[0] * scale - equation.impulse,
-                                     target[1] * scale - other.impulse};
-        if (change_by[0] != 0)
-          add_impulse(equation, change_by[0]),
-              change = std::max(change, std::fabs(change_by[0]) / equation.mass);
-        if (change_by[1] != 0)
-          add_impulse(other, change_by[1]),
-              change = std::max(change, std::fabs(change_by[1]) / other.mass);
+        const double impulse_change[2] = {target_impulse[0] * scale - equation.impulse,
+                                          target_impulse[1] * scale - other.impulse};
+        if (impulse_change[0] != 0)
+          add_impulse(equation, impulse_change[0]),
+              max_change = std::max(max_change, std::fabs(impulse_change[0]) / equation.mass);
+        if (impulse_change[1] != 0)
+          add_impulse(other, impulse_change[1]),
+              max_change = std::max(max_change, std::fabs(impulse_change[1]) / other.mass);
       }
     }
-    if (change <= CONVERGENCE * speed) return;
+    if (max_change <= CONVERGENCE_FRACTION * speed) return;
   }
 }
 

@@ -22,7 +22,7 @@ class Impacts {
   // than a tolerance [m/s] are ignored; arrivals within a time [s] count as contact.
   Impacts(const World& world, const std::vector<Patch>& patches, const std::vector<Point>& points,
           const std::vector<std::size_t>& joints, const std::vector<Rows>& rows,
-          std::vector<Speed>& speeds, double tolerance, double arrival_time);
+          std::vector<Speed>& speeds, double tolerance, double max_arrival_time);
 
   // Changes velocities, and marks the bodies that were pushed. Patches slower than `rest_speed` do
   // not bounce.
@@ -33,7 +33,7 @@ class Impacts {
     std::size_t a, b;
     Vec line, arm_a, arm_b, response_a, response_b;
     double mass, bias_speed;
-    double target = 0;  // speed after the impact
+    double target_speed = 0;  // speed after the impact
     double impulse = 0;
     bool is_one_sided = false, is_joint = false;
     int tangent = 0;  // 1 or 2 for friction, 0 for the normal; the normal equation precedes both
@@ -56,8 +56,9 @@ class Impacts {
   const std::vector<std::size_t>& joints_;
   const std::vector<Rows>& rows_;
   std::vector<Speed>& speeds_;
-  double tolerance_, arrival_time_;
-  std::vector<std::size_t> starts_, patches_by_body_;  // patches of each body, and their starts
+  double tolerance_, max_arrival_time_;
+  std::vector<std::size_t> patch_starts_,
+      patches_by_body_;  // patches of each body, and their starts
   std::vector<Equation> equations_;
   std::vector<std::size_t> bodies_;  // of an impact, ascending
   std::vector<Speed> old_speeds_;    // velocities of these bodies before the impact

@@ -26,7 +26,8 @@ struct Joint {
   std::ptrdiff_t a = -1;  // body; -1 for an animated frame
   std::size_t b = 0;      // body
   Frame frame_a, frame_b;
-  double low = 1, high = 0;           // of the angle, slide or twist; no limit if low is above high
+  double low_limit = 1,
+         high_limit = 0;              // of the angle, slide or twist; no limit if low is above high
   double swing[2] = {-1, -1};         // half-angles about y and z; no limit if negative
   double target = 0;                  // of the drive: angle or slide
   Quaternion target_rotation;         // target of a ball's drive: rotation of b relative to a
@@ -52,7 +53,7 @@ struct Speed {
 // Softness of a constraint: a damped spring, solved implicitly. Macklin et al. (2019), "Small steps
 // in physics simulation", and Catto (2011), "Soft constraints".
 struct Softness {
-  double bias = 0, mass = 1, relaxation = 0;
+  double bias_rate = 0, mass_factor = 1, impulse_factor = 0;
 
   // A spring with a frequency [1/s] and a damping ratio, for a step h.
   static Softness from_frequency(double frequency, double damping_ratio, double h) {
@@ -70,7 +71,7 @@ struct Row {
   double error = 0;            // constraint error: must be 0, or not below 0
   double curvature_speed = 0;  // additional error in a substep from curvature, over its time
   double mass = 0, impulse = 0, half_impulse = 0;
-  double low = 0, high = 0;                     // bounds of the impulse
+  double min_impulse = 0, max_impulse = 0;      // bounds of the impulse
   double speed_gain = 0, position_impulse = 0;  // of a drive: impulse by speed, and by position
   enum { LOCK, LIMIT, DRIVE } kind = LOCK;
   int slot = 0;
@@ -85,7 +86,7 @@ enum {
   SLOT_SWING = 8,
   SLOT_DRIVE = 9
 };
-constexpr std::size_t ROWS = 12;
+constexpr std::size_t JOINT_SLOT_COUNT = 12;
 constexpr double FULL_CIRCLE = 2 * 3.14159265358979323846;  // [rad]
 
 // A frame in the world, and the velocity of its animation.
@@ -97,7 +98,7 @@ struct Anchor {
 
 // The equations of a joint.
 struct Rows {
-  std::array<Row, ROWS> entries;
+  std::array<Row, JOINT_SLOT_COUNT> entries;
   std::size_t count = 0;
 };
 

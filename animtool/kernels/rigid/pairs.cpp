@@ -17,7 +17,7 @@ using collide::load;
 using collide::Shape;
 
 // Distance below which points of two bodies are in contact, over the smaller size.
-constexpr double SKIN = 0.02;
+constexpr double CONTACT_MARGIN_RATIO = 0.02;
 // Largest number of advancements to a time of impact, and its tolerance over the smaller size.
 constexpr int MAX_ADVANCES = 48;
 constexpr double ARRIVAL_TOLERANCE = 1e-3;
@@ -65,15 +65,15 @@ class BoxTree {
       bounds = unite(bounds, {midpoint(i), midpoint(i)});
     const Vec size = bounds.high - bounds.low;
     std::vector<std::uint64_t> keys(boxes.size());
-    const auto cell = [](double offset, double extent) {
+    const auto quantize = [](double offset, double extent) {
       const double fraction = extent > 0 ? offset / extent * 1023 : 0;
       return static_cast<std::uint32_t>(fraction > 0 ? std::min(fraction, 1023.0) : 0);
     };
     for (std::size_t i = 0; i < boxes.size(); ++i) {
       const Vec offset = midpoint(i) - bounds.low;
-      const std::uint64_t morton_code = spread_bits(cell(offset.x, size.x)) |
-                                        spread_bits(cell(offset.y, size.y)) << 1 |
-                                        spread_bits(cell(offset.z, size.z)) << 2;
+      const std::uint64_t morton_code = spread_bits(quantize(offset.x, size.x)) |
+                                        spread_bits(quantize(offset.y, size.y)) << 1 |
+                                        spread_bits(quantize(offset.z, size.z)) << 2;
       keys[i] = morton_code << 32 | i;
     }
     std::sort(keys.begin(), keys.end());
@@ -136,8 +136,8 @@ Core box_core(Vec half_extents) {
     core.points.push_back({i & 1 ? half_extents.x : -half_extents.x,
                            i & 2 ? half_extents.y : -half_extents.y,
                            i & 4 ? half_extents.z : -half_extents.z});
-  core.loops = {1, 3, 7, 5, 0, 4, 6, 2, 2, 6, 7, 3, 0, 1, 5, 4, 4, 5, 7, 6, 0, 2, 3, 1};
-  core.starts = {0, 4, 8, 12, 16, 20, 24};
+  core.face_corners = {1, 3, 7, 5, 0, 4, 6, 2, 2, 6, 7, 3, 0, 1, 5, 4, 4, 5, 7, 6, 0, 2, 3, 1};
+  core.face_starts = {0, 4, 8, 12, 16, 20, 24};
   core.build_faces();
   return core;
 }
@@ -201,7 +201,7 @@ class ContactFinder {
         if (colliders_[c].shape == Shape::MESH) {
           collide_mesh(s, c);
         } else {
-          collide_field(s, c);
+          collide_plane_or_container(s, c);
         }
       }
     }
@@ -216,14 +216,15 @@ class ContactFinder {
     return is_state_asleep(motions_[world_.shapes[s].body].begin, settings_);
   }
 
-  std::size_t shapes() const { return world_.shapes.size(); }
+  std::size_t shape_count() const { return world_.shapes.size(); }
 
   void pose_shapes() {
-    const std::size_t count = shapes();
+    const std::size_t count = shape_count();
     body_poses_.resize(motions_.size());
     for (std::size_t i = 0; i < motions_.size(); ++i) body_poses_[i] = pose_of(motions_[i].begin);
     std::size_t points = 0;
-    for (const auto& shape : world_.shapes) points += shape.core.points.size() + shape.core.faces();
+    for (const auto& shape : world_.shapes)
+      points += shape.core.points.size() + shape.core.face_count();
     posed_cores_.resize(count);
     for (std::size_t s = 0; s < count; ++s) {
       const auto& shape = world_.shapes[s];
@@ -232,8 +233,8 @@ class ContactFinder {
       const double sweep_radius =
           length(motion.angular_velocity) * step_ * world_.bodies[shape.body].bounding_radius;
       boxes_.push_back(swept_box(posed_cores_[s].get(), motion.velocity * step_,
-                                 sweep_radius + SKIN * shape.core.bounding_radius));
-      owners_.push_back(s);
+                                 sweep_radius + CONTACT_MARGIN_RATIO * shape.core.bounding_radius));
+      box_owners_.push_back(s);
     }
     for (std::size_t c = 0; c < colliders_.size(); ++c) {
       if (!is_convex(colliders_[c])) continue;
@@ -243,16 +244,16 @@ class ContactFinder {
       posed_cores_.back().set_pose(*collider_cores_.back(), motion.pose_at(0));
       const double sweep_radius = motion.angle() * collider_cores_.back()->bounding_radius;
       boxes_.push_back(swept_box(posed_cores_.back().get(), motion.translation(), sweep_radius));
-      owners_.push_back(count + c);
+      box_owners_.push_back(count + c);
     }
   }
 
   // Whether contacts of two bodies, or of a body and a collider, are excluded; colliders are
   // numbered after the bodies.
   bool is_excluded(std::size_t a, std::size_t b) const {
-    if (world_.excluded.empty()) return false;
+    if (world_.excluded_pairs.empty()) return false;
     const std::uint64_t key = static_cast<std::uint64_t>(std::min(a, b)) << 32 | std::max(a, b);
-    return std::binary_search(world_.excluded.begin(), world_.excluded.end(), key);
+    return std::binary_search(world_.excluded_pairs.begin(), world_.excluded_pairs.end(), key);
   }
 
   bool is_collider_excluded(std::size_t s, std::size_t c) const {
@@ -261,11 +262,11 @@ class ContactFinder {
 
   // Whether two boxes may collide; i is below j, and shapes come before colliders.
   bool may_collide(std::size_t i, std::size_t j) const {
-    if (i >= shapes()) return false;
-    if (j >= shapes()) {
-      const Collider& c = colliders_[owners_[j] - shapes()];
+    if (i >= shape_count()) return false;
+    if (j >= shape_count()) {
+      const Collider& c = colliders_[box_owners_[j] - shape_count()];
       return (!is_asleep(i) || c.motion.is_moving()) &&
-             !is_collider_excluded(i, owners_[j] - shapes());
+             !is_collider_excluded(i, box_owners_[j] - shape_count());
     }
     const std::size_t a = world_.shapes[i].body, b = world_.shapes[j].body;
     return a != b && !(is_asleep(i) && is_asleep(j)) && !is_excluded(a, b);
@@ -281,12 +282,12 @@ class ContactFinder {
     const PosedCore& p = posed_cores_[i].get();
     const PosedCore& q = posed_cores_[j].get();
     const std::size_t a = world_.shapes[i].body;
-    const bool is_collider = j >= shapes();
+    const bool is_collider = j >= shape_count();
     const std::size_t b = is_collider ? 0 : world_.shapes[j].body;
     const double size = std::min(p.core->bounding_radius, q.core->bounding_radius),
-                 skin = SKIN * size;
+                 contact_margin = CONTACT_MARGIN_RATIO * size;
     const collide::Motion* motion =
-        is_collider ? &colliders_[owners_[j] - shapes()].motion : nullptr;
+        is_collider ? &colliders_[box_owners_[j] - shape_count()].motion : nullptr;
     const Vec other_velocity =
         is_collider ? motion->translation() * (1 / step_) : motions_[b].velocity;
     const Vec displacement = (other_velocity - motions_[a].velocity) * step_;
@@ -297,15 +298,15 @@ class ContactFinder {
         other_rotation * q.core->bounding_radius;
     const double max_displacement = length(displacement) + rotation_bound;
     const Axis axis =
-        separating_axis(p, q, max_displacement + skin + p.core->radius + q.core->radius);
+        separating_axis(p, q, max_displacement + contact_margin + p.core->radius + q.core->radius);
     const double gap = axis.gap - p.core->radius - q.core->radius;
-    if (gap > max_displacement + skin) return;
+    if (gap > max_displacement + contact_margin) return;
     Contact contact;
     contact.motion = motion;
     contact.radius = p.core->radius, contact.other_radius = q.core->radius;
     // Near or slow pairs are tested at the start; distant and fast ones at their arrival.
-    if (gap <= skin + std::min(max_displacement, size * ARRIVAL_TOLERANCE)) {
-      const Manifold manifold = find_manifold(p, q, skin + max_displacement);
+    if (gap <= contact_margin + std::min(max_displacement, size * ARRIVAL_TOLERANCE)) {
+      const Manifold manifold = find_manifold(p, q, contact_margin + max_displacement);
       contact.set_manifold(manifold, body_poses_[a],
                            is_collider ? motion->pose_at(0) : body_poses_[b]);
     } else {
@@ -313,20 +314,20 @@ class ContactFinder {
                         max_displacement);
     }
     if (!contact.count) return;
-    contact.first = i, contact.second = static_cast<std::int64_t>(owners_[j]);
+    contact.first = i, contact.second = static_cast<std::int64_t>(box_owners_[j]);
     contact.a = a, contact.b = is_collider ? -1 : static_cast<std::ptrdiff_t>(b);
     Material other_material;
     if (is_collider) {
-      const Collider& c = colliders_[owners_[j] - shapes()];
+      const Collider& c = colliders_[box_owners_[j] - shape_count()];
       other_material = {c.restitution, c.friction}, contact.depenetration = c.depenetration;
     } else {
       other_material = world_.shapes[j].material;
     }
-    contact.material = combine(world_.shapes[i].material, other_material);
+    contact.material = combine_materials(world_.shapes[i].material, other_material);
     contacts_.push_back(contact);
   }
 
-  static Material combine(const Material& a, const Material& b) {
+  static Material combine_materials(const Material& a, const Material& b) {
     return {std::max(a.restitution, b.restitution), std::max(a.friction, b.friction)};
   }
 
@@ -346,29 +347,30 @@ class ContactFinder {
       if (fraction > 1) return;
       pose_a = motions_[a].pose_at(fraction * step_);
       pose_b = motion ? motion->pose_at(fraction) : motions_[b].pose_at(fraction * step_);
-      advanced_a_.set_pose(*p.core, pose_a);
-      advanced_b_.set_pose(*q.core, pose_b);
-      axis = separating_axis(advanced_a_.get(), advanced_b_.get(), collide::FAR);
+      advanced_core_a_.set_pose(*p.core, pose_a);
+      advanced_core_b_.set_pose(*q.core, pose_b);
+      axis = separating_axis(advanced_core_a_.get(), advanced_core_b_.get(), collide::INF);
       gap = axis.gap - radius_sum;
       if (gap <= tolerance) break;
     }
-    const double max_gap = std::max(gap, 0.0) + SKIN * size + max_displacement * (1 - fraction);
-    contact.set_manifold(find_manifold(advanced_a_.get(), advanced_b_.get(), max_gap), pose_a,
-                         pose_b);
+    const double max_gap =
+        std::max(gap, 0.0) + CONTACT_MARGIN_RATIO * size + max_displacement * (1 - fraction);
+    contact.set_manifold(find_manifold(advanced_core_a_.get(), advanced_core_b_.get(), max_gap),
+                         pose_a, pose_b);
   }
 
   // Adds a contact of a shape with a collider.
   void add_contact(std::size_t s, std::size_t c, const Manifold& manifold) {
     Contact contact;
     const Collider& collider = colliders_[c];
-    contact.first = s, contact.second = static_cast<std::int64_t>(shapes() + c);
+    contact.first = s, contact.second = static_cast<std::int64_t>(shape_count() + c);
     contact.a = world_.shapes[s].body, contact.b = -1;
     contact.radius = world_.shapes[s].core.radius;
     contact.set_manifold(manifold, body_poses_[contact.a], collider.motion.pose_at(0));
     contact.motion = &collider.motion;
     contact.depenetration = collider.depenetration;
     contact.material =
-        combine(world_.shapes[s].material, {collider.restitution, collider.friction});
+        combine_materials(world_.shapes[s].material, {collider.restitution, collider.friction});
     contacts_.push_back(contact);
   }
 
@@ -384,11 +386,11 @@ class ContactFinder {
   }
 
   // Collides a shape with a plane or container: contact points, grouped by their normals.
-  void collide_field(std::size_t s, std::size_t c) {
+  void collide_plane_or_container(std::size_t s, std::size_t c) {
     const PosedCore& p = posed_cores_[s].get();
     const Collider& collider = colliders_[c];
     const FreeMotion& motion = motions_[world_.shapes[s].body];
-    const double max_gap = SKIN * p.core->bounding_radius +
+    const double max_gap = CONTACT_MARGIN_RATIO * p.core->bounding_radius +
                            length(motion.angular_velocity) * step_ * p.core->bounding_radius +
                            length(motion.velocity * step_ - collider.motion.translation()) +
                            collider.motion.angle() * length(p.centre);
@@ -435,20 +437,23 @@ class ContactFinder {
     const double rotation_bound =
         length(motion.angular_velocity) * step_ * p.core->bounding_radius +
         collider.motion.angle() * length(p.centre - pose.origin);
-    const double max_gap =
-        SKIN * p.core->bounding_radius + length(displacement) + rotation_bound + collider.margin;
-    Box local{pose.to_local(p.points[0]), pose.to_local(p.points[0])};
+    const double max_gap = CONTACT_MARGIN_RATIO * p.core->bounding_radius + length(displacement) +
+                           rotation_bound + collider.margin;
+    Box local_box{pose.to_local(p.points[0]), pose.to_local(p.points[0])};
     for (std::size_t i = 1; i < p.core->points.size(); ++i) {
       const Vec point = pose.to_local(p.points[i]);
-      local = unite(local, {point, point});
+      local_box = unite(local_box, {point, point});
     }
     const double r = p.core->radius + max_gap;
     const std::size_t previous_count = contacts_.size();
-    bool is_behind_any = false;
-    collide::visit_overlapping(
-        mesh, collider.root, local.low - Vec{r, r, r}, local.high + Vec{r, r, r},
-        [&](std::int32_t t) { is_behind_any |= !collide_triangle(s, c, t, pose, max_gap); });
-    if (is_behind_any && contacts_.size() == previous_count) collide_inside(s, c, pose, max_gap);
+    bool is_behind_some_triangle = false;
+    collide::visit_overlapping(mesh, collider.root, local_box.low - Vec{r, r, r},
+                               local_box.high + Vec{r, r, r}, [&](std::int32_t t) {
+                                 is_behind_some_triangle |=
+                                     !collide_triangle(s, c, t, pose, max_gap);
+                               });
+    if (is_behind_some_triangle && contacts_.size() == previous_count)
+      collide_inside(s, c, pose, max_gap);
   }
 
   // Adds the contact of a body whose centre is inside of a mesh, along the outward direction of the
@@ -490,12 +495,12 @@ class ContactFinder {
         colliders_[c].is_container || (is_two_sided && is_behind(mesh, t, pose, p.centre));
     for (int k = 0; k < 3; ++k)
       core.points.push_back(mesh.point(mesh.triangles[3 * t + (is_flipped ? (3 - k) % 3 : k)]));
-    core.loops = {0, 1, 2, 0, 2, 1};
-    core.starts = {0, 3, 6};
+    core.face_corners = {0, 1, 2, 0, 2, 1};
+    core.face_starts = {0, 3, 6};
     core.radius = colliders_[c].margin;
     core.build_faces();
-    advanced_b_.set_pose(core, pose);
-    const PosedCore& q = advanced_b_.get();
+    advanced_core_b_.set_pose(core, pose);
+    const PosedCore& q = advanced_core_b_.get();
     const Vec face_normal = q.normals[0];
     // Bodies behind a face collide with its other side, or with the complete mesh.
     if (!is_two_sided && dot(p.centre - q.points[0], face_normal) < 0) return false;
@@ -519,7 +524,7 @@ class ContactFinder {
     if (cosine <= 0) return false;
     const Vec point = manifold.points[0].position;
     int side = 0;
-    double min_squared = collide::FAR;
+    double min_squared = collide::INF;
     for (int k = 0; k < 3; ++k) {
       const Vec a = q.points[k], b = q.points[(k + 1) % 3], edge = b - a;
       const double fraction = std::clamp(dot(point - a, edge) / dot(edge, edge), 0.0, 1.0);
@@ -585,10 +590,10 @@ class ContactFinder {
   std::vector<CorePoser> posed_cores_;
   std::vector<Box> boxes_;
   std::vector<std::size_t>
-      owners_;  // of each box: a shape, or a collider, numbered after the shapes
+      box_owners_;  // of each box: a shape, or a collider, numbered after the shapes
   std::vector<std::unique_ptr<Core>> collider_cores_;
   std::vector<std::pair<Vec, std::vector<ContactPoint>>> points_by_normal_;
-  CorePoser advanced_a_, advanced_b_;
+  CorePoser advanced_core_a_, advanced_core_b_;
   std::vector<Contact> contacts_;
 };
 

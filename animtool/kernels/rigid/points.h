@@ -26,7 +26,7 @@ struct Patch {
   std::size_t a, b;
   Vec normal, tangents[2];
   double friction, restitution, max_push_speed;
-  double skin = 0;                   // sum of the radii of both bodies [m]
+  double radius_sum = 0;             // sum of the radii of both bodies [m]
   double squared_arm_tolerance = 0;  // squared tolerance of arms [m²]
   std::size_t begin, end;            // range of points
   const Contact* contact;
@@ -34,11 +34,12 @@ struct Patch {
 
 // Relative velocity of the second body at a point, along the normal (0) or a tangent (1, 2).
 inline double speed_along(const std::vector<Speed>& speeds, const Patch& patch, const Point& p,
-                          int line) {
+                          int direction_index) {
   const Speed &a = speeds[patch.a], &b = speeds[patch.b];
-  const Vec direction = line ? patch.tangents[line - 1] : patch.normal;
-  return dot(direction, b.v - a.v) + dot(p.arms_b[line], b.w) - dot(p.arms_a[line], a.w) +
-         (line ? dot(direction, p.slide_velocity) : p.bias_speed);
+  const Vec direction = direction_index ? patch.tangents[direction_index - 1] : patch.normal;
+  return dot(direction, b.v - a.v) + dot(p.arms_b[direction_index], b.w) -
+         dot(p.arms_a[direction_index], a.w) +
+         (direction_index ? dot(direction, p.slide_velocity) : p.bias_speed);
 }
 
 // Applies an impulse along a line to two bodies.
@@ -51,10 +52,11 @@ inline void apply(std::vector<Speed>& speeds, std::size_t a, std::size_t b, Vec 
   speed_b.w = speed_b.w + response_b * impulse;
 }
 
-inline void apply(std::vector<Speed>& speeds, const Patch& patch, const Point& p, int line,
-                  double impulse) {
-  apply(speeds, patch.a, patch.b, line ? patch.tangents[line - 1] : patch.normal,
-        p.responses_a[line], p.responses_b[line], impulse);
+inline void apply(std::vector<Speed>& speeds, const Patch& patch, const Point& p,
+                  int direction_index, double impulse) {
+  apply(speeds, patch.a, patch.b,
+        direction_index ? patch.tangents[direction_index - 1] : patch.normal,
+        p.responses_a[direction_index], p.responses_b[direction_index], impulse);
 }
 
 }  // namespace animtool::rigid

@@ -9,18 +9,18 @@ namespace animtool::rigid {
 namespace {
 
 // Islands with fewer equations than this get more iterations, up to a factor.
-constexpr std::size_t SMALL_ISLAND = 512, MAX_ITERATION_FACTOR = 32;
+constexpr std::size_t SMALL_ISLAND_EQUATIONS = 512, MAX_ITERATION_FACTOR = 32;
 // Largest number of impact stops of an island in a substep; smaller for many patches. Largest
 // number of impact rounds and root iterations at a stop.
-constexpr std::size_t MAX_STOPS = 32, MAX_PATCH_STOPS = 256;
+constexpr std::size_t MAX_IMPACT_STOPS = 32, MAX_PATCH_IMPACT_STOPS = 256;
 constexpr int MAX_IMPACT_ROUNDS = 4, MAX_ROOT_STEPS = 16;
 // Largest phase of a drive's oscillation in a substep [rad], the largest factor on the number of
 // substeps for it, and the phase above which it is reported.
 constexpr double MAX_DRIVE_PHASE = 0.2, MAX_SUBSTEP_FACTOR = 64, REPORTED_PHASE = 0.5;
 // The same two phases for drives that cannot move their effective mass.
-constexpr double CONSTRAINED_PHASE = 0.02;
+constexpr double MAX_CONSTRAINED_PHASE = 0.02;
 // Bodies penetrating by more than this fraction of their size stay awake.
-constexpr double AWAKE_DEPTH = 0.02;
+constexpr double MIN_AWAKE_DEPTH_RATIO = 0.02;
 
 }  // namespace
 
@@ -29,7 +29,7 @@ bool Solver::has_bounces() {
   for (const Contact& c : contacts_) {
     if (!(c.material.restitution > 0)) continue;
     const State& a = states_[c.a];
-    const std::size_t b = c.b < 0 ? count_ : static_cast<std::size_t>(c.b);
+    const std::size_t b = c.b < 0 ? body_count_ : static_cast<std::size_t>(c.b);
     const Vec spin = angular_velocity_of(world_.bodies[c.a], a);
     const Pose pose = pose_of(a), other_pose = c.b < 0 ? c.motion->pose_at(0) : pose_of(states_[b]);
     const double min_speed = rest_speed(c.a, b, c.material.restitution);
@@ -47,13 +47,13 @@ bool Solver::has_bounces() {
 }
 
 Report Solver::run() {
-  if (!has_contacts_) update_contacts();
+  if (!are_contacts_known_) update_contacts();
   if (wake_bodies()) update_contacts();
   build_islands();
-  speeds_.assign(count_ + 1, {});
-  is_pushed_.assign(count_ + 1, 0);
-  support_counts_.assign(count_, 0);
-  poses_.resize(count_);
+  speeds_.assign(body_count_ + 1, {});
+  is_pushed_.assign(body_count_ + 1, 0);
+  support_counts_.assign(body_count_, 0);
+  poses_.resize(body_count_);
   for (auto& island : islands_) solve_island(island);
   store_contacts();
   update_sleep();
@@ -62,7 +62,7 @@ Report Solver::run() {
 
 void Solver::update_contacts() {
   contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
-  has_contacts_ = true;
+  are_contacts_known_ = true;
 }
 
 void Solver::solve_island(Island& island) {
@@ -76,16 +76,17 @@ void Solver::solve_island(Island& island) {
   rows_.assign(island.joints.size(), {});
   choose_substeps(island);
   patches_.clear(), points_.clear();
-  patches_.reserve(island.contacts.size()), points_.reserve(MAX_POINTS * island.contacts.size());
+  patches_.reserve(island.contacts.size()),
+      points_.reserve(MAX_MANIFOLD_POINTS * island.contacts.size());
   for (const std::size_t k : island.contacts) add_patch(contacts_[k]);
   has_restitution_ = std::any_of(patches_.begin(), patches_.end(),
                                  [](const Patch& patch) { return patch.restitution > 0; });
   for (int k = 0; k < substep_count_; ++k) advance_substep(island, k);
   for (const Patch& patch : patches_) {
     store_patch(patch);
-    const double slack = AWAKE_DEPTH * world_.bodies[patch.a].bounding_radius;
+    const double slack = MIN_AWAKE_DEPTH_RATIO * world_.bodies[patch.a].bounding_radius;
     for (std::size_t k = patch.begin; k < patch.end; ++k)
-      island.is_separating |= points_[k].current_gap < -slack;
+      island.has_penetration |= points_[k].current_gap < -slack;
     count_supports(patch);
   }
   for (std::size_t k = 0; k < island.joints.size(); ++k) {
@@ -97,8 +98,8 @@ void Solver::solve_island(Island& island) {
       slots[static_cast<std::size_t>(row.slot)] = row.impulse / substep_;
       const bool is_rotation = dot(row.line, row.line) == 0;
       const double depth = row.kind == Row::LIMIT ? -row.error : std::fabs(row.error);
-      island.is_separating |=
-          row.kind != Row::DRIVE && depth > AWAKE_DEPTH * (is_rotation ? 1 : bounding_radius);
+      island.has_penetration |= row.kind != Row::DRIVE &&
+                                depth > MIN_AWAKE_DEPTH_RATIO * (is_rotation ? 1 : bounding_radius);
     }
   }
 }
@@ -111,21 +112,22 @@ void Solver::choose_substeps(const Island& island) {
   if (!std::any_of(island.joints.begin(), island.joints.end(), is_driven)) return;
   for (std::size_t k = 0; k < count; ++k) update_rows(island.joints[k], k, 0, true);
   are_joints_rigid_ = update_drive_masses(world_.joints, island.joints, rows_, speeds_, drives_);
-  double factor = 1;
+  double substep_factor = 1;
   for (std::size_t k = 0; k < count; ++k)
     for (const Drive& drive : drives_[k]) {
       const double frequency =
           drive_frequency(world_.joints[island.joints[k]], drive.mass, substep_);
-      factor = std::max(factor, frequency * substep_ /
-                                    (drive.is_mass_free ? MAX_DRIVE_PHASE : CONSTRAINED_PHASE));
+      substep_factor = std::max(
+          substep_factor,
+          frequency * substep_ / (drive.is_mass_free ? MAX_DRIVE_PHASE : MAX_CONSTRAINED_PHASE));
       const double max_phase =
-          (drive.is_mass_free ? REPORTED_PHASE : CONSTRAINED_PHASE) * MAX_SUBSTEP_FACTOR;
+          (drive.is_mass_free ? REPORTED_PHASE : MAX_CONSTRAINED_PHASE) * MAX_SUBSTEP_FACTOR;
       if (frequency * substep_ > max_phase)
         report_.record_drive(step_ * max_phase / (frequency * substep_), island.joints[k]);
     }
-  if (factor > 1)
+  if (substep_factor > 1)
     set_substeps(settings_.substeps *
-                 static_cast<int>(std::ceil(std::min(factor, MAX_SUBSTEP_FACTOR))));
+                 static_cast<int>(std::ceil(std::min(substep_factor, MAX_SUBSTEP_FACTOR))));
 }
 
 void Solver::set_substeps(int count) {
@@ -155,52 +157,56 @@ void Solver::update_inertia(std::size_t i) {
 }
 
 void Solver::advance_substep(const Island& island, int index) {
-  const double begin = static_cast<double>(index) / substep_count_;
-  const double end = static_cast<double>(index + 1) / substep_count_;
-  const std::size_t joints = island.joints.size();
+  const double begin_fraction = static_cast<double>(index) / substep_count_;
+  const double end_fraction = static_cast<double>(index + 1) / substep_count_;
+  const std::size_t joint_count = island.joints.size();
   // Warm start from the previous step.
   if (index == 0) {
-    update_points(begin);
-    for (std::size_t k = 0; k < joints; ++k) update_rows(island.joints[k], k, begin, true);
+    update_points(begin_fraction);
+    for (std::size_t k = 0; k < joint_count; ++k)
+      update_rows(island.joints[k], k, begin_fraction, true);
   }
   double remaining = substep_;
   const int max_stops = static_cast<int>(std::clamp<std::size_t>(
-      MAX_PATCH_STOPS / std::max<std::size_t>(patches_.size(), 1), 1, MAX_STOPS));
+      MAX_PATCH_IMPACT_STOPS / std::max<std::size_t>(patches_.size(), 1), 1, MAX_IMPACT_STOPS));
   for (int stop = 0; has_restitution_ && stop < max_stops; ++stop) {
-    const double time = time_to_impact(island, remaining, begin, end);
+    const double time = time_to_impact(island, remaining, begin_fraction, end_fraction);
     if (!(time < remaining)) break;
     remaining -= time;
-    advance(island, time, begin + (end - begin) * (1 - remaining / substep_));
+    advance(island, time,
+            begin_fraction + (end_fraction - begin_fraction) * (1 - remaining / substep_));
   }
-  advance(island, remaining, end);
+  advance(island, remaining, end_fraction);
 }
 
-void Solver::advance(const Island& island, double time, double end) {
-  const std::size_t joints = island.joints.size();
+void Solver::advance(const Island& island, double duration, double end_fraction) {
+  const std::size_t joint_count = island.joints.size();
   // Impact impulses are not lasting forces: they do not scale with time.
-  const double scale = std::min(time / h_, 1.0);
-  if (time != h_) {
-    h_ = time;
+  const double scale = std::min(duration / h_, 1.0);
+  if (duration != h_) {
+    h_ = duration;
     update_softness();
-    for (std::size_t k = 0; k < joints; ++k)
-      update_rows(island.joints[k], k, end - time / step_, false);
+    for (std::size_t k = 0; k < joint_count; ++k)
+      update_rows(island.joints[k], k, end_fraction - duration / step_, false);
   }
   for (const std::size_t i : island.bodies) is_pushed_[i] = 0;
-  for (std::size_t k = 0; k < joints; ++k) begin_drives(world_.joints[island.joints[k]], k);
+  for (std::size_t k = 0; k < joint_count; ++k) begin_drives(world_.joints[island.joints[k]], k);
   for (const std::size_t i : island.bodies) apply_forces(i);
   for (Patch& p : patches_) warm_start(p, scale);
-  for (std::size_t k = 0; k < joints; ++k)
+  for (std::size_t k = 0; k < joint_count; ++k)
     warm_start(world_.joints[island.joints[k]], rows_[k], scale);
-  for (std::size_t k = 0; k < joints; ++k) set_curvature(island.joints[k], rows_[k], end);
+  for (std::size_t k = 0; k < joint_count; ++k)
+    set_curvature(island.joints[k], rows_[k], end_fraction);
   iterate(island, true);
   mark_pushed(island);
   for (const std::size_t i : island.bodies) move_body(i);
-  update_points(end);
-  for (std::size_t k = 0; k < joints; ++k) update_rows(island.joints[k], k, end, false);
-  for (std::size_t k = 0; k < joints; ++k) end_drives(world_.joints[island.joints[k]], k);
+  update_points(end_fraction);
+  for (std::size_t k = 0; k < joint_count; ++k)
+    update_rows(island.joints[k], k, end_fraction, false);
+  for (std::size_t k = 0; k < joint_count; ++k) end_drives(world_.joints[island.joints[k]], k);
   for (const std::size_t i : island.bodies) apply_forces(i);
   for (Patch& p : patches_) warm_start_second_half(p);
-  for (std::size_t k = 0; k < joints; ++k)
+  for (std::size_t k = 0; k < joint_count; ++k)
     warm_start_second_half(world_.joints[island.joints[k]], rows_[k]);
   iterate(island, false);
   mark_pushed(island);
@@ -219,25 +225,26 @@ void Solver::apply_forces(std::size_t i) {
 void Solver::iterate(const Island& island, bool correct_positions) {
   if (patches_.empty() && island.joints.empty()) return;
   const std::size_t equation_count = points_.size() + island.joints.size() * 6;
-  const int max_iterations =
-      settings_.iterations *
-      static_cast<int>(std::clamp<std::size_t>(
-          SMALL_ISLAND / std::max<std::size_t>(equation_count, 1), 1, MAX_ITERATION_FACTOR));
+  const int max_iterations = settings_.max_iterations *
+                             static_cast<int>(std::clamp<std::size_t>(
+                                 SMALL_ISLAND_EQUATIONS / std::max<std::size_t>(equation_count, 1),
+                                 1, MAX_ITERATION_FACTOR));
   double change = 0;
   int iteration = 0;
   do {
     change = 0;
     for (std::size_t k = 0; k < island.joints.size(); ++k)
-      change =
-          std::max(change, correct(world_.joints[island.joints[k]], rows_[k], correct_positions));
-    const std::size_t patches = patches_.size();
+      change = std::max(
+          change, correct_velocities(world_.joints[island.joints[k]], rows_[k], correct_positions));
+    const std::size_t patch_count = patches_.size();
     // Forwards and backwards, so that weight and support both propagate.
-    for (std::size_t k = 0; k < patches; ++k)
-      change = std::max(change,
-                        correct(patches_[iteration % 2 ? patches - 1 - k : k], correct_positions));
+    for (std::size_t k = 0; k < patch_count; ++k)
+      change = std::max(
+          change,
+          correct_velocities(patches_[iteration % 2 ? patch_count - 1 - k : k], correct_positions));
     ++iteration;
   } while (change > settings_.tolerance && iteration < max_iterations);
-  report_.iterations += iteration;
+  report_.iteration_count += iteration;
   if (!correct_positions) {
     report_.residual = std::max(report_.residual, change);
     if (change > settings_.tolerance) ++report_.unsolved_count;
@@ -285,7 +292,7 @@ void Solver::mark_pushed(const Island& island) {
     for (std::size_t k = patch.begin; k < patch.end; ++k)
       if (points_[k].force > 0) {
         is_pushed_[patch.a] = 1;
-        if (patch.b < count_) is_pushed_[patch.b] = 1;
+        if (patch.b < body_count_) is_pushed_[patch.b] = 1;
       }
 }
 
@@ -298,7 +305,7 @@ void Solver::store_velocity(std::size_t i) {
 
 Report step_world(const World& world, std::vector<State>& states,
                   std::vector<StoredContact>& stored,
-                  std::vector<std::array<double, ROWS>>& joint_impulses,
+                  std::vector<std::array<double, JOINT_SLOT_COUNT>>& joint_impulses,
                   const std::vector<Vec>& forces, const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,

@@ -8,7 +8,7 @@ namespace {
 // Largest speed at which initial penetration is resolved [m/s].
 constexpr double MAX_PUSH_SPEED = 2;
 // Distance within which a contact point is matched to one of the previous step, over the size.
-constexpr double MATCH_DISTANCE = 0.1;
+constexpr double MAX_MATCH_DISTANCE_RATIO = 0.1;
 // Contact arms are updated if they change by more than this fraction of the body's size.
 constexpr double ARM_TOLERANCE = 1e-3;
 // Friction that is within this fraction of its limit slides.
@@ -27,14 +27,14 @@ void Solver::count_supports(const Patch& patch) {
         limit * limit;
   }
   const Contact& c = *patch.contact;
-  if (world_.shapes[c.first].core.faces()) support_counts_[patch.a] += count;
-  if (patch.b < count_ && world_.shapes[static_cast<std::size_t>(c.second)].core.faces())
+  if (world_.shapes[c.first].core.face_count()) support_counts_[patch.a] += count;
+  if (patch.b < body_count_ && world_.shapes[static_cast<std::size_t>(c.second)].core.face_count())
     support_counts_[patch.b] += count;
 }
 
 void Solver::add_patch(const Contact& c) {
   Patch patch;
-  patch.a = c.a, patch.b = c.b < 0 ? count_ : static_cast<std::size_t>(c.b);
+  patch.a = c.a, patch.b = c.b < 0 ? body_count_ : static_cast<std::size_t>(c.b);
   patch.contact = &c;
   const Vec normal = patch.normal = c.normal;
   patch.tangents[0] = collide::orthogonal(normal);
@@ -42,7 +42,7 @@ void Solver::add_patch(const Contact& c) {
   patch.friction = c.material.friction, patch.restitution = c.material.restitution;
   patch.max_push_speed = c.depenetration > 0 ? c.depenetration : MAX_PUSH_SPEED;
   patch.begin = points_.size();
-  patch.skin = c.radius + c.other_radius;
+  patch.radius_sum = c.radius + c.other_radius;
   const double arm_tolerance = ARM_TOLERANCE * world_.bodies[c.a].bounding_radius;
   patch.squared_arm_tolerance = arm_tolerance * arm_tolerance;
   const Pose& pose_a = poses_[c.a];
@@ -61,7 +61,7 @@ void Solver::add_patch(const Contact& c) {
 
 void Solver::set_arms(const Patch& patch, Point& p, Vec position) {
   const Vec arm_a = p.arm_a = position - states_[patch.a].position;
-  const Vec arm_b = p.arm_b = patch.b < count_ ? position - states_[patch.b].position : Vec{};
+  const Vec arm_b = p.arm_b = patch.b < body_count_ ? position - states_[patch.b].position : Vec{};
   const Speed &speed_a = speeds_[patch.a], &speed_b = speeds_[patch.b];
   const Vec directions[3] = {patch.normal, patch.tangents[0], patch.tangents[1]};
   for (int d = 0; d < 3; ++d) {
@@ -84,7 +84,7 @@ void Solver::match_stored_contacts(Patch& patch) {
                                 [&](const StoredContact& k, const Contact&) {
                                   return k.first != first ? k.first < first : k.second < c.second;
                                 });
-  const double match_distance = MATCH_DISTANCE * world_.bodies[c.a].bounding_radius;
+  const double match_distance = MAX_MATCH_DISTANCE_RATIO * world_.bodies[c.a].bounding_radius;
   std::uint32_t matched_bits = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
@@ -120,7 +120,7 @@ void Solver::store_patch(const Patch& patch) {
       report_.first = static_cast<std::int64_t>(patch.contact->first);
       report_.second = patch.contact->second;
     }
-    if (p.force > 0) ++report_.contacts;
+    if (p.force > 0) ++report_.contact_count;
   }
 }
 
@@ -128,13 +128,13 @@ void Solver::update_points(double fraction) {
   for (Patch& patch : patches_) {
     const Vec centre = states_[patch.a].position;
     const Pose& pose = poses_[patch.a];
-    const bool is_collider = patch.b == count_;
+    const bool is_collider = patch.b == body_count_;
     const collide::Motion* motion = patch.contact->motion;
     const Pose other_pose = is_collider ? motion->pose_at(fraction) : poses_[patch.b];
     for (std::size_t k = patch.begin; k < patch.end; ++k) {
       Point& p = points_[k];
       const Vec point_a = centre + pose.rotate(p.local_a), point_b = other_pose.to_world(p.local_b);
-      p.current_gap = p.gap + dot(patch.normal, point_b - point_a) - patch.skin;
+      p.current_gap = p.gap + dot(patch.normal, point_b - point_a) - patch.radius_sum;
       const Vec position = contact_position(patch, point_a, point_b),
                 arm_change = position - centre - p.arm_a;
       const Vec other_arm_change =
@@ -177,7 +177,7 @@ void Solver::apply_half_impulses(const Patch& patch, const Point& p) {
           p.half_impulses[d + 1]);
 }
 
-double Solver::correct(Patch& patch, bool correct_positions) {
+double Solver::correct_velocities(Patch& patch, bool correct_positions) {
   double max_change = 0;
   const double h = h_;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
@@ -189,10 +189,10 @@ double Solver::correct(Patch& patch, bool correct_positions) {
       if (!correct_positions && p.force == 0) continue;
       bias = correct_positions ? p.current_gap / h : 0;
     } else if (correct_positions) {
-      bias = std::max(contact_softness_.bias * p.current_gap, -patch.max_push_speed);
-      mass = contact_softness_.mass, relaxation = contact_softness_.relaxation;
+      bias = std::max(contact_softness_.bias_rate * p.current_gap, -patch.max_push_speed);
+      mass = contact_softness_.mass_factor, relaxation = contact_softness_.impulse_factor;
     }
-    const double speed = approach(patch, p);
+    const double speed = separation_speed(patch, p);
     const double change = -p.mass * mass * (speed + bias) - relaxation * p.force;
     const double force = std::max(p.force + change, 0.0), force_change = force - p.force;
     p.force = force;

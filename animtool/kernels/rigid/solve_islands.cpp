@@ -7,13 +7,13 @@ namespace {
 
 // A body with friction at this many points is supported. With fewer points, or without support, it
 // falls asleep below a fraction of the sleep speed.
-constexpr int MIN_SUPPORTS = 3;
+constexpr int MIN_SUPPORT_POINTS = 3;
 constexpr double PARTIAL_SUPPORT_FACTOR = 0.25, NO_SUPPORT_FACTOR = 0.01;
 
 }  // namespace
 
 void Solver::reset_groups() {
-  groups_ = Groups(count_);
+  groups_ = Groups(body_count_);
   for (const Joint& joint : world_.joints)
     if (joint.a >= 0) groups_.merge(static_cast<std::size_t>(joint.a), joint.b);
 }
@@ -26,9 +26,9 @@ bool Solver::wake_bodies() {
     if (contact.second < shapes)
       groups_.merge(world_.shapes[static_cast<std::size_t>(contact.first)].body,
                     world_.shapes[static_cast<std::size_t>(contact.second)].body);
-  std::vector<char> is_group_awake(count_, 0);
+  std::vector<char> is_group_awake(body_count_, 0);
   const auto wake_group = [&](std::size_t i) { is_group_awake[groups_.find_root(i)] = 1; };
-  for (std::size_t i = 0; i < count_; ++i)
+  for (std::size_t i = 0; i < body_count_; ++i)
     if (!is_asleep(i)) is_group_awake[groups_.find_root(i)] = 1;
   for (const Contact& c : contacts_) {
     const auto b = static_cast<std::size_t>(c.b);
@@ -44,7 +44,7 @@ bool Solver::wake_bodies() {
       wake_group(joint.b);
   }
   bool has_woken = false;
-  for (std::size_t i = 0; i < count_; ++i)
+  for (std::size_t i = 0; i < body_count_; ++i)
     if (is_group_awake[groups_.find_root(i)] && is_asleep(i))
       states_[i].slow_time = 0, has_woken = true;
   return has_woken;
@@ -54,11 +54,11 @@ void Solver::build_islands() {
   reset_groups();
   for (const Contact& c : contacts_)
     if (c.b >= 0) groups_.merge(c.a, static_cast<std::size_t>(c.b));
-  std::vector<std::size_t> island_of_group(count_, count_);
-  for (std::size_t i = 0; i < count_; ++i) {
+  std::vector<std::size_t> island_of_group(body_count_, body_count_);
+  for (std::size_t i = 0; i < body_count_; ++i) {
     if (is_asleep(i)) continue;
     std::size_t& island = island_of_group[groups_.find_root(i)];
-    if (island == count_) island = islands_.size(), islands_.emplace_back();
+    if (island == body_count_) island = islands_.size(), islands_.emplace_back();
     islands_[island].bodies.push_back(i);
     ++report_.awake_count;
   }
@@ -91,16 +91,16 @@ void Solver::store_contacts() {
 void Solver::update_sleep() {
   for (const auto& island : islands_) {
     double speed = 0, min_slow_time = std::numeric_limits<double>::infinity();
-    bool is_slow_and_supported = !island.is_separating;
+    bool is_slow_and_supported = !island.has_penetration;
     for (const std::size_t i : island.bodies) {
       const State& s = states_[i];
       const double rim_speed =
           length(angular_velocity_of(world_.bodies[i], s)) * world_.bodies[i].bounding_radius;
       const double body_speed = length(s.velocity) + rim_speed;
       speed = std::max(speed, body_speed);
-      const double factor = support_counts_[i] >= MIN_SUPPORTS ? 1
-                            : support_counts_[i]               ? PARTIAL_SUPPORT_FACTOR
-                                                               : NO_SUPPORT_FACTOR;
+      const double factor = support_counts_[i] >= MIN_SUPPORT_POINTS ? 1
+                            : support_counts_[i]                     ? PARTIAL_SUPPORT_FACTOR
+                                                                     : NO_SUPPORT_FACTOR;
       is_slow_and_supported &= body_speed < settings_.sleep_speed * factor &&
                                (support_counts_[i] || is_supported(island));
     }

@@ -82,9 +82,10 @@ Solver::JointFrames Solver::joint_frames(std::size_t joint_index, double fractio
 
 void Solver::update_rows(std::size_t joint_index, std::size_t k, double fraction, bool is_first) {
   const Joint& joint = world_.joints[joint_index];
-  std::array<double, ROWS> impulses{}, half_impulses{};
+  std::array<double, JOINT_SLOT_COUNT> impulses{}, half_impulses{};
   if (is_first) {
-    for (std::size_t i = 0; i < ROWS; ++i) impulses[i] = joint_impulses_[joint_index][i] * h_;
+    for (std::size_t i = 0; i < JOINT_SLOT_COUNT; ++i)
+      impulses[i] = joint_impulses_[joint_index][i] * h_;
   } else {
     for (std::size_t r = 0; r < rows_[k].count; ++r) {
       const Row& row = rows_[k].entries[r];
@@ -99,7 +100,7 @@ void Solver::update_rows(std::size_t joint_index, std::size_t k, double fraction
   for (std::size_t r = 0; r < rows_[k].count; ++r) {
     Row& row = rows_[k].entries[r];
     const auto slot = static_cast<std::size_t>(row.slot);
-    row.impulse = std::clamp(impulses[slot], row.low, row.high),
+    row.impulse = std::clamp(impulses[slot], row.min_impulse, row.max_impulse),
     row.half_impulse = half_impulses[slot];
   }
 }
@@ -145,7 +146,7 @@ Anchor Solver::anchor_on_body(const State& s, const Frame& frame) {
   return {s.position + rotate(s.rotation, frame.position), s.rotation * frame.rotation, {}, {}};
 }
 
-double Solver::correct(const Joint& joint, Rows& rows, bool correct_positions) {
+double Solver::correct_velocities(const Joint& joint, Rows& rows, bool correct_positions) {
   double max_change = 0;
   const std::size_t first_index = first_body(joint);
   Speed &a = speeds_[first_index], &b = speeds_[joint.b];
@@ -160,16 +161,17 @@ double Solver::correct(const Joint& joint, Rows& rows, bool correct_positions) {
       change = -row.mass * (speed + row.error / h_);
     } else if (correct_positions) {
       const double correction_speed =
-          std::clamp(joint_softness_.bias * row.error, -MAX_CLOSING_SPEED, MAX_CLOSING_SPEED);
+          std::clamp(joint_softness_.bias_rate * row.error, -MAX_CLOSING_SPEED, MAX_CLOSING_SPEED);
       const bool is_rigid = are_joints_rigid_ && row.kind == Row::LOCK;
-      change = -row.mass * (is_rigid ? 1 : joint_softness_.mass) * (speed + correction_speed) -
-               (is_rigid ? 0 : joint_softness_.relaxation) * row.impulse;
+      change =
+          -row.mass * (is_rigid ? 1 : joint_softness_.mass_factor) * (speed + correction_speed) -
+          (is_rigid ? 0 : joint_softness_.impulse_factor) * row.impulse;
     } else {
       change = -row.mass * speed;
     }
     const double fraction = row.kind == Row::DRIVE && correct_positions ? 0.5 : 1;
     const double impulse =
-        std::clamp(row.impulse + change, row.low * fraction, row.high * fraction);
+        std::clamp(row.impulse + change, row.min_impulse * fraction, row.max_impulse * fraction);
     const double impulse_change = impulse - row.impulse;
     row.impulse = impulse;
     if (impulse_change == 0) continue;

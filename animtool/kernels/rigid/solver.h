@@ -22,8 +22,9 @@ constexpr double CONTACT_DAMPING = 10, JOINT_DAMPING = 2;
 class Solver {
  public:
   Solver(const World& world, std::vector<State>& states, std::vector<StoredContact>& stored,
-         std::vector<std::array<double, ROWS>>& joint_impulses, const std::vector<Vec>& forces,
-         const std::vector<Vec>& torques, const std::vector<collide::Collider>& colliders,
+         std::vector<std::array<double, JOINT_SLOT_COUNT>>& joint_impulses,
+         const std::vector<Vec>& forces, const std::vector<Vec>& torques,
+         const std::vector<collide::Collider>& colliders,
          const std::vector<collide::Motion>& anchors, const Settings& settings, double step)
       : world_(world),
         states_(states),
@@ -37,7 +38,7 @@ class Solver {
         step_(step),
         substep_(step / settings.substeps),
         h_(substep_),
-        count_(states.size()) {}
+        body_count_(states.size()) {}
 
   // Whether two bodies approach so fast that they will bounce within the step.
   bool has_bounces();
@@ -48,7 +49,7 @@ class Solver {
   struct Island {
     std::vector<std::size_t> bodies, joints;
     std::vector<std::size_t> contacts;
-    bool is_separating = false;  // some penetration is still being resolved
+    bool has_penetration = false;  // some penetration is still being resolved
   };
   // Finds the contacts of the step.
   void update_contacts();
@@ -102,7 +103,7 @@ class Solver {
 
   // Advances as RATTLE does (Andersen 1983): half a kick, a drift that satisfies joints and
   // contacts at its end, half a kick, and a velocity correction at the end.
-  void advance(const Island& island, double time, double end);
+  void advance(const Island& island, double duration, double end_fraction);
   void begin_drives(const Joint& joint, std::size_t k);
   void end_drives(const Joint& joint, std::size_t k);
   template <typename Function>
@@ -112,7 +113,8 @@ class Solver {
 
   // Time until the first bouncing arrival, at most the remaining time; points in contact bounce
   // first.
-  double time_to_impact(const Island& island, double remaining, double begin, double end);
+  double time_to_impact(const Island& island, double remaining, double begin_fraction,
+                        double end_fraction);
 
   // Marks points that approach so fast that they bounce; returns the first arrival, or the
   // remaining time.
@@ -140,7 +142,7 @@ class Solver {
     return -dot(acceleration, patch.normal);
   }
 
-  double approach(const Patch& patch, const Point& p) const {
+  double separation_speed(const Patch& patch, const Point& p) const {
     return speed_along(speeds_, patch, p, 0);
   }
 
@@ -161,7 +163,7 @@ class Solver {
 
   // The first body of a joint; the static one for an animated frame.
   std::size_t first_body(const Joint& joint) const {
-    return joint.a < 0 ? count_ : static_cast<std::size_t>(joint.a);
+    return joint.a < 0 ? body_count_ : static_cast<std::size_t>(joint.a);
   }
 
   void apply_half_impulses(const Joint& joint, const Rows& rows);
@@ -196,8 +198,8 @@ class Solver {
 
   // Iterates velocity corrections until convergence, with or without position correction.
   void iterate(const Island& island, bool correct_positions);
-  double correct(Patch& patch, bool correct_positions);
-  double correct(const Joint& joint, Rows& rows, bool correct_positions);
+  double correct_velocities(Patch& patch, bool correct_positions);
+  double correct_velocities(const Joint& joint, Rows& rows, bool correct_positions);
 
   // Moves a body for a substep.
   void move_body(std::size_t i);
@@ -224,19 +226,19 @@ class Solver {
   const World& world_;
   std::vector<State>& states_;
   std::vector<StoredContact>& stored_contacts_;
-  std::vector<std::array<double, ROWS>>& joint_impulses_;
+  std::vector<std::array<double, JOINT_SLOT_COUNT>>& joint_impulses_;
   const std::vector<Vec>&forces_, &torques_;
   const std::vector<collide::Collider>& colliders_;
   const std::vector<collide::Motion>& anchors_;
   const Settings& settings_;
   double step_, substep_, h_;  // length of the step and of a substep, and time between impacts [s]
-  std::size_t count_;
+  std::size_t body_count_;
   Softness contact_softness_ =
       Softness::from_frequency(STIFFNESS_RATIO / substep_, CONTACT_DAMPING, h_);
   Softness joint_softness_ =
       Softness::from_frequency(STIFFNESS_RATIO / substep_, JOINT_DAMPING, h_);
   std::vector<Contact> contacts_;
-  bool has_contacts_ = false;  // whether the contacts of this step are known
+  bool are_contacts_known_ = false;  // whether the contacts of this step are known
   Groups groups_;
   std::vector<Island> islands_;
   std::vector<Speed> speeds_;  // of bodies, and of static ones

@@ -89,19 +89,19 @@ inline void compose_steps(Spin& s, const InverseInertia& inverse_inertia, double
 
 // Largest rotations for steps of order 2, 4 and 6, in radians by which axes differ: each keeps
 // energy within 1e-12 and attitude within 1e-9.
-constexpr double ANGLE_2 = 2e-4, ANGLE_4 = 4e-3, ANGLE_6 = 2e-2;
+constexpr double MAX_ORDER_2_ANGLE = 2e-4, MAX_ORDER_4_ANGLE = 4e-3, MAX_ORDER_6_ANGLE = 2e-2;
 // Largest rotation for order 8; longer steps are divided, into at most this many: nothing spins
 // faster in practice.
-constexpr double ANGLE_8 = 0.2, MAX_DIVISIONS = 64;
+constexpr double MAX_ORDER_8_ANGLE = 0.2, MAX_DIVISIONS = 64;
 
 // Rotates by splitting, at the order that the step needs.
 inline void rotate_by_splitting(Spin& s, const InverseInertia& inverse_inertia, double h) {
-  static constexpr double fourth[] = {0.41449077179437573714, 0.41449077179437573714,
-                                      -0.65796308717750294857};
-  static constexpr double sixth[] = {0.39216144400731413928, 0.33259913678935943860,
-                                     -0.70624617255763935981, 0.08221359629355080023,
-                                     0.79854399093482996340};
-  static constexpr double eighth[] = {
+  static constexpr double order_4_fractions[] = {0.41449077179437573714, 0.41449077179437573714,
+                                                 -0.65796308717750294857};
+  static constexpr double order_6_fractions[] = {0.39216144400731413928, 0.33259913678935943860,
+                                                 -0.70624617255763935981, 0.08221359629355080023,
+                                                 0.79854399093482996340};
+  static constexpr double order_8_fractions[] = {
       0.13020248308889008088, 0.56116298177510838456,  -0.38947496264484728641,
       0.15884190655515560090, -0.39590389413323757734, 0.18453964097831570709,
       0.25837438768632204729, 0.29501172360931029887,  -0.60550853383003451170};
@@ -115,11 +115,13 @@ inline void rotate_by_splitting(Spin& s, const InverseInertia& inverse_inertia, 
     s.q = s.q * rotation;
     return;
   }
-  if (angle_bound <= ANGLE_2) return split_step(s, inverse_inertia, h);
-  if (angle_bound <= ANGLE_4) return compose_steps(s, inverse_inertia, h, fourth);
-  if (angle_bound <= ANGLE_6) return compose_steps(s, inverse_inertia, h, sixth);
-  const double count = std::min(std::ceil(angle_bound / ANGLE_8), MAX_DIVISIONS);
-  for (int i = 0; i < count; ++i) compose_steps(s, inverse_inertia, h / count, eighth);
+  if (angle_bound <= MAX_ORDER_2_ANGLE) return split_step(s, inverse_inertia, h);
+  if (angle_bound <= MAX_ORDER_4_ANGLE)
+    return compose_steps(s, inverse_inertia, h, order_4_fractions);
+  if (angle_bound <= MAX_ORDER_6_ANGLE)
+    return compose_steps(s, inverse_inertia, h, order_6_fractions);
+  const double count = std::min(std::ceil(angle_bound / MAX_ORDER_8_ANGLE), MAX_DIVISIONS);
+  for (int i = 0; i < count; ++i) compose_steps(s, inverse_inertia, h / count, order_8_fractions);
 }
 
 // Rates of attitude and momentum, for classical methods.

@@ -39,14 +39,14 @@ struct World {
   std::vector<Shape> shapes;  // sorted by body
   std::vector<Joint> joints;
   // Excluded pairs of bodies, or of a body and a collider, numbered after the bodies; ascending.
-  std::vector<std::uint64_t> excluded;
+  std::vector<std::uint64_t> excluded_pairs;
 };
 
 // Settings of a step.
 struct Settings {
   Method method = Method::SPLITTING;
   int substeps = 8;
-  int iterations = 64;        // largest number of iterations in a substep
+  int max_iterations = 64;    // largest number of iterations in a substep
   double tolerance = 1e-3;    // velocity change at convergence [m/s]
   double sleep_speed = 0.02;  // speed below which bodies fall asleep [m/s]; 0 disables sleep
   double sleep_time = 0.5;    // time below that speed before sleep [s]
@@ -74,8 +74,8 @@ struct Report {
                    -1;  // shapes of the deepest contact; colliders are numbered after the shapes
   double residual = 0;  // largest velocity change in the last iteration [m/s]
   std::int64_t
-      contacts = 0,
-      iterations = 0, awake_count = 0,
+      contact_count = 0,
+      iteration_count = 0, awake_count = 0,
       unsolved_count =
           0;  // of contacts, of iterations, of awake bodies, of substeps that did not converge
   double drive_step = 0;    // step that would resolve the fastest oscillating drive [s]
@@ -86,13 +86,14 @@ struct Report {
   }
 
   // Merges the report of a later substep.
-  void add(const Report& later) {
-    if (later.max_depth > max_depth)
-      max_depth = later.max_depth, first = later.first, second = later.second;
-    if (later.drive >= 0) record_drive(later.drive_step, static_cast<std::size_t>(later.drive));
-    residual = std::max(residual, later.residual);
-    contacts = later.contacts, awake_count = later.awake_count;
-    iterations += later.iterations, unsolved_count += later.unsolved_count;
+  void add(const Report& later_report) {
+    if (later_report.max_depth > max_depth)
+      max_depth = later_report.max_depth, first = later_report.first, second = later_report.second;
+    if (later_report.drive >= 0)
+      record_drive(later_report.drive_step, static_cast<std::size_t>(later_report.drive));
+    residual = std::max(residual, later_report.residual);
+    contact_count = later_report.contact_count, awake_count = later_report.awake_count;
+    iteration_count += later_report.iteration_count, unsolved_count += later_report.unsolved_count;
   }
 };
 
@@ -109,8 +110,8 @@ struct Contact {
   int count = 0;
   // Contact points in the frames of both bodies, and their gaps. The contact point of a rolling
   // shape changes continuously: these are points of the cores, whose surfaces are a radius away.
-  std::array<Vec, MAX_POINTS> local_a, local_b;
-  std::array<double, MAX_POINTS> gaps;
+  std::array<Vec, MAX_MANIFOLD_POINTS> local_a, local_b;
+  std::array<double, MAX_MANIFOLD_POINTS> gaps;
   double radius = 0, other_radius = 0;
 
   void set_manifold(const Manifold& manifold, const Pose& pose_a, const Pose& pose_b) {
@@ -154,7 +155,7 @@ std::vector<Contact> find_contacts(const World& world, const std::vector<State>&
 // Advances a world by a step; updates states, contacts and joint impulses.
 Report step_world(const World& world, std::vector<State>& states,
                   std::vector<StoredContact>& stored,
-                  std::vector<std::array<double, ROWS>>& joint_impulses,
+                  std::vector<std::array<double, JOINT_SLOT_COUNT>>& joint_impulses,
                   const std::vector<Vec>& forces, const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,

@@ -112,7 +112,7 @@ void blend_frame(const Influences& influences, const double* palette, const doub
 }
 
 template <class N, class Simd>
-BlendFunctions make_blend() {
+BlendFunctions make_blend_functions() {
   return {blend_frames<N>, blend_frame<Simd>};
 }
 

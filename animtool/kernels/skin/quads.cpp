@@ -6,7 +6,7 @@ namespace animtool {
 
 std::optional<BlendFunctions> blend_in_quads() {
   if (!has_quads()) return std::nullopt;
-  return make_blend<Four<Quads>, Quads>();
+  return make_blend_functions<Four<Quads>, Quads>();
 }
 
 }  // namespace animtool

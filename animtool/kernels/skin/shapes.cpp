@@ -14,13 +14,13 @@ namespace {
 void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
                    const In<std::int64_t, 1>& first, const In<std::int32_t, 1>& columns,
                    const In<double, 2>& offsets) {
-  const std::size_t frames = weights.shape(0), count = columns.shape(0);
+  const std::size_t frames = weights.shape(0), offset_count = columns.shape(0);
   check::shape("weights", weights, {check::ANY, check::ANY});
   check::shape("points", points, {points.shape(0) == 1 ? 1 : frames, check::ANY, 3});
   check::shape("first", first, {points.shape(1) + 1});
   check::shape("columns", columns, {check::ANY});
-  check::shape("offsets", offsets, {count, 3});
-  check::starts("first", first, count);
+  check::shape("offsets", offsets, {offset_count, 3});
+  check::starts("first", first, offset_count);
   check::at_most("weights", weights.shape(1), check::MAX_ROWS);
   check::indices("columns", columns, 0, static_cast<std::int64_t>(weights.shape(1)));
 }
@@ -62,7 +62,7 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
   const std::size_t frames = weights.shape(0), shapes = weights.shape(1);
   const std::size_t vertices = points.shape(1), row_size = vertices * 3;
   check::shape("out", out, {frames, vertices, 3});
-  const std::size_t stride = points.shape(0) == 1 ? 0 : row_size;
+  const std::size_t points_stride = points.shape(0) == 1 ? 0 : row_size;
   if (frames == 1) {
     add_frame(vertices, first.data(), columns.data(), offsets.data(), weights.data(), points.data(),
               out.data());
@@ -75,7 +75,7 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
     for (std::size_t i = 0; i < FRAMES_AT_ONCE; ++i) {
       const std::size_t frame = std::min(f + i, frames - 1);
       weight_rows[i] = weights.data() + frame * shapes;
-      sources[i] = points.data() + frame * stride;
+      sources[i] = points.data() + frame * points_stride;
       targets[i] = out.data() + frame * row_size;
     }
     interleave(weight_rows, shapes, weight_table.data());

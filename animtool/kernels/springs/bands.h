@@ -48,11 +48,12 @@ constexpr std::size_t plane_height(std::size_t particles) {
 }
 
 // Largest number of particles of a chunk, so that its forces stay in the cache.
-constexpr std::size_t MAX_CHUNK = 16 * SIMD_WIDTH;
-// Offsets are processed as a group if they differ by at most MAX_SPREAD; largest group.
-constexpr std::size_t MAX_SPREAD = SIMD_WIDTH, MAX_GROUP = 3;
+constexpr std::size_t MAX_CHUNK_SIZE = 16 * SIMD_WIDTH;
+// Offsets are processed as a group if they differ by at most MAX_OFFSET_SPREAD; largest group.
+constexpr std::size_t MAX_OFFSET_SPREAD = SIMD_WIDTH, MAX_GROUP_SIZE = 3;
 // Zero padding before and after the spring forces, for accesses with other offsets.
-constexpr std::size_t PADDING = MAX_SPREAD + SIMD_WIDTH, FORCE_COLUMN = MAX_CHUNK + 2 * PADDING;
+constexpr std::size_t FORCE_PADDING = MAX_OFFSET_SPREAD + SIMD_WIDTH,
+                      FORCE_COLUMN = MAX_CHUNK_SIZE + 2 * FORCE_PADDING;
 
 // Converts rows of particles to planes.
 template <class Simd>
@@ -60,7 +61,7 @@ void rows_to_planes(const double* rows, std::size_t count, std::size_t height, d
   Four<Simd> vectors[SIMD_WIDTH];
   for (std::size_t n = 0; n < count; n += SIMD_WIDTH) {
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
-      vectors[l] = n + l < count ? Four<Simd>::load(rows + ROW * (n + l)) : 0.0;
+      vectors[l] = n + l < count ? Four<Simd>::load(rows + PARTICLE_STRIDE * (n + l)) : 0.0;
     transpose(vectors, vectors);
     for (std::size_t k = 0; k < 3; ++k) vectors[k].store(planes + k * height + n);
   }
@@ -75,7 +76,7 @@ void planes_to_rows(const double* planes, std::size_t count, std::size_t height,
     vectors[3] = 0.0;
     transpose(vectors, vectors);
     for (std::size_t l = 0; l < SIMD_WIDTH && n + l < count; ++l)
-      vectors[l].store(rows + ROW * (n + l));
+      vectors[l].store(rows + PARTICLE_STRIDE * (n + l));
   }
 }
 
@@ -91,7 +92,8 @@ void add_start_forces(const BandChunks& springs, const BandChunk& chunk, const B
   };
   for (std::size_t n = chunk.begin; n < end; n += SIMD_WIDTH) {
     const double *x = planes.x + n, *v = planes.v + n;
-    double *f = planes.f + n, *spring_forces = planes.spring_forces + PADDING + (n - chunk.begin);
+    double *f = planes.f + n,
+           *spring_forces = planes.spring_forces + FORCE_PADDING + (n - chunk.begin);
     const Vector3<N> position = load_vectors(x), velocity = load_vectors(v);
     Vector3<N> sum = load_vectors(f);
     for (std::size_t b = 0; b < count;
@@ -120,7 +122,8 @@ void add_grouped_forces(std::index_sequence<B...>, const std::size_t* offsets,
   for (std::size_t n = (begin + offsets[0]) / SIMD_WIDTH * SIMD_WIDTH; n < end + last_offset;
        n += SIMD_WIDTH) {
     Four<Simd> sum = Four<Simd>::load(forces + n);
-    ((sum += Four<Simd>::load(spring_forces + 3 * B * FORCE_COLUMN + (PADDING + n - starts[B]))),
+    ((sum +=
+      Four<Simd>::load(spring_forces + 3 * B * FORCE_COLUMN + (FORCE_PADDING + n - starts[B]))),
      ...);
     sum.store(forces + n);
   }
@@ -131,13 +134,13 @@ void add_grouped_forces(std::index_sequence<B...>, const std::size_t* offsets,
 template <class Simd>
 void add_end_forces(const BandChunks& springs, const BandChunk& chunk, const BandPlanes& planes) {
   for (std::size_t row = 0; row < 3 * chunk.offset_count; ++row)
-    for (std::size_t n = 0; n < PADDING; n += SIMD_WIDTH)
-      Four<Simd>(0.0).store(planes.spring_forces + row * FORCE_COLUMN + PADDING +
+    for (std::size_t n = 0; n < FORCE_PADDING; n += SIMD_WIDTH)
+      Four<Simd>(0.0).store(planes.spring_forces + row * FORCE_COLUMN + FORCE_PADDING +
                             (chunk.end - chunk.begin) + n);
   const std::size_t* offsets = springs.offsets + chunk.first_offset;
   for (std::size_t b = 0, count; b < chunk.offset_count; b += count) {
-    for (count = 1; count < MAX_GROUP && b + count < chunk.offset_count; ++count)
-      if (offsets[b + count] > offsets[b] + MAX_SPREAD) break;
+    for (count = 1; count < MAX_GROUP_SIZE && b + count < chunk.offset_count; ++count)
+      if (offsets[b + count] > offsets[b] + MAX_OFFSET_SPREAD) break;
     for (std::size_t k = 0; k < 3; ++k) {
       const auto add_group = [&](auto indices) {
         add_grouped_forces<Simd>(indices, offsets + b,
@@ -146,7 +149,7 @@ void add_end_forces(const BandChunks& springs, const BandChunk& chunk, const Ban
       };
       if (count == 1) add_group(std::make_index_sequence<1>());
       if (count == 2) add_group(std::make_index_sequence<2>());
-      if (count == MAX_GROUP) add_group(std::make_index_sequence<MAX_GROUP>());
+      if (count == MAX_GROUP_SIZE) add_group(std::make_index_sequence<MAX_GROUP_SIZE>());
     }
   }
 }

@@ -18,7 +18,7 @@ namespace animtool {
 // stops fast particles.
 struct GeneralColliders {
   const void* context;
-  void (*sample)(const void* context, std::size_t row, bool at_end, const double* point,
+  void (*sample)(const void* context, std::size_t row, bool is_at_end, const double* point,
                  double* distance_and_normal);
   bool (*sweep)(const void* context, std::size_t row, const double* start, double* end);
 };
@@ -37,34 +37,34 @@ struct SegmentContacts {
 
 // Constants of a frame, shared by all strands.
 struct StrandSteps {
-  std::size_t points, cells, substeps;
+  std::size_t point_count, interval_count, substeps;
   double h;
   double gravity_step[3];  // velocity change by gravity in a step
   double drag_factor;      // factor of velocities by drag
   // Compliances: of bending springs, and of the one at the root; of the pull to the animation, by
   // position and by velocity; of springs along the strand.
-  double bend, root_bend, goal_pull, goal_damping, along_compliance;
+  double bend_factor, root_bend_factor, goal_pull_factor, goal_damping_factor, along_compliance;
   double max_length_ratio;  // largest length of springs along the strand, over their rest length
-  std::size_t colliders;
+  std::size_t collider_count;
   const collide::MovingCapsule* capsules;  // (steps, C)
   // Whether a collider is a capsule or sphere, and whether the displacement of its surface is known
   // (C,).
   const unsigned char *is_capsule, *is_bounded;
-  std::size_t depth_rows;     // number of leading colliders with allowed depths
-  const double* thicknesses;  // (C,)
+  std::size_t depth_row_count;  // number of leading colliders with allowed depths
+  const double* thicknesses;    // (C,)
   // Common drift of each step (steps, 3); bounds of the surface displacement relative to it, from
   // each step to the end of the frame (steps + 1, C).
   const double *drifts, *remaining_shifts;
   GeneralColliders general_colliders;
-  double tolerance;
+  double inside_tolerance;
 };
 
 // Four strands of P particles; vectors are (P, 3, 4).
 struct StrandBundle {
   double *x, *before, *v;
-  double* references;   // positions relative to which velocities are measured; they move with slow
-                        // depenetration
-  const double* goals;  // (cells + 1, P, 3, 4)
+  double* reference_positions;  // positions relative to which velocities are measured; they move
+                                // with slow depenetration
+  const double* goals;          // (intervals + 1, P, 3, 4)
   const double *rest_lengths, *bend_lengths;
   // Allowed depths of each strand in the first collider, and the stride to the next collider.
   const double* depths[SIMD_WIDTH];
@@ -75,7 +75,7 @@ struct StrandBundle {
   // Path length of each particle relative to the drift (P,); path lengths at which it may touch any
   // collider (P,), and each collider (P, C); indices of nearby colliders (C,).
   double *path_lengths, *contact_paths, *collider_paths;
-  std::size_t* near;
+  std::size_t* near_colliders;
   SegmentContacts segments;
   std::int32_t* segment_particles;  // particles with a segment near a collider (P,)
   // Results: number of particles moved by colliders in each step; number that remain inside; the
@@ -90,9 +90,9 @@ constexpr int MAX_CORRECTIONS = 4;
 // Length corrections after collisions; each is followed by more collisions.
 constexpr int MAX_CONTACT_CORRECTIONS = 5;
 // Iterations over all colliders.
-constexpr int MAX_ITERATIONS = 3;
+constexpr int MAX_COLLIDER_ITERATIONS = 3;
 // Colliders farther away than this at the start of a frame are rarely touched in it [m].
-constexpr double NEAR = 0.1;
+constexpr double NEAR_COLLIDER_DISTANCE = 0.1;
 
 // Advances one bundle over a frame.
 template <class Simd>
@@ -105,24 +105,24 @@ class BundleSolver {
 
   void advance() {
     find_near_colliders();
-    const double rate = 1 / plan_.h;
-    for (std::size_t cell = 0; cell < plan_.cells; ++cell)
+    const double inverse_h = 1 / plan_.h;
+    for (std::size_t interval = 0; interval < plan_.interval_count; ++interval)
       for (std::size_t substep = 0; substep < plan_.substeps; ++substep) {
         const double count = static_cast<double>(plan_.substeps);
-        cell_goals_ = bundle_.goals + cell * FOUR_VEC_SIZE * plan_.points;
+        interval_goals_ = bundle_.goals + interval * FOUR_VEC_SIZE * plan_.point_count;
         begin_fraction_ = static_cast<double>(substep) / count;
         end_fraction_ = static_cast<double>(substep + 1) / count;
-        predict();
+        predict_positions();
         apply_bending();
         apply_goal_pull();
-        N strands = less(N(0.0), N(1.0));
-        for (int i = 0; i < MAX_CORRECTIONS && mask_bits(strands); ++i) {
-          correct<false>(strands);
-          strands = find_overlong_strands();
+        N strand_mask = less(N(0.0), N(1.0));
+        for (int i = 0; i < MAX_CORRECTIONS && mask_bits(strand_mask); ++i) {
+          correct_lengths<false>(strand_mask);
+          strand_mask = find_overlong_strands();
         }
-        resolve_collisions(cell * plan_.substeps + substep);
-        for (std::size_t p = 0; p < plan_.points; ++p)
-          ((load_vector(bundle_.x, p) - load_vector(bundle_.references, p)) * rate)
+        resolve_collisions(interval * plan_.substeps + substep);
+        for (std::size_t p = 0; p < plan_.point_count; ++p)
+          ((load_vector(bundle_.x, p) - load_vector(bundle_.reference_positions, p)) * inverse_h)
               .store(bundle_.v + FOUR_VEC_SIZE * p);
       }
     bundle_.inside_count = count_inside();
@@ -134,46 +134,47 @@ class BundleSolver {
     return V::load(rows + FOUR_VEC_SIZE * p);
   }
 
-  // Animated position of a particle at a fraction of the cell; exact at both ends.
-  V goal(std::size_t p, double fraction) const {
-    return load_vector(cell_goals_, p) * (1 - fraction) +
-           load_vector(cell_goals_ + FOUR_VEC_SIZE * plan_.points, p) * fraction;
+  // Animated position of a particle at a fraction of the interval; exact at both ends.
+  V goal_position(std::size_t p, double fraction) const {
+    return load_vector(interval_goals_, p) * (1 - fraction) +
+           load_vector(interval_goals_ + FOUR_VEC_SIZE * plan_.point_count, p) * fraction;
   }
 
-  void predict() {
+  void predict_positions() {
     const V gravity_step = V::broadcast(plan_.gravity_step);
     load_vector(bundle_.x, 0).store(bundle_.before);
-    load_vector(bundle_.x, 0).store(bundle_.references);
-    goal(0, end_fraction_).store(bundle_.x);
-    for (std::size_t p = 1; p < plan_.points; ++p) {
+    load_vector(bundle_.x, 0).store(bundle_.reference_positions);
+    goal_position(0, end_fraction_).store(bundle_.x);
+    for (std::size_t p = 1; p < plan_.point_count; ++p) {
       const V x = load_vector(bundle_.x, p);
       x.store(bundle_.before + FOUR_VEC_SIZE * p);
-      x.store(bundle_.references + FOUR_VEC_SIZE * p);
+      x.store(bundle_.reference_positions + FOUR_VEC_SIZE * p);
       const V v = (load_vector(bundle_.v, p) + gravity_step) * plan_.drag_factor;
       (x + v * plan_.h).store(bundle_.x + FOUR_VEC_SIZE * p);
     }
   }
 
   void apply_bending() {
-    if (plan_.bend == 0) return;
-    for (std::size_t p = 0; p + 2 < plan_.points; ++p) {
+    if (plan_.bend_factor == 0) return;
+    for (std::size_t p = 0; p + 2 < plan_.point_count; ++p) {
       const V a = load_vector(bundle_.x, p), b = load_vector(bundle_.x, p + 2), d = b - a;
       const N square = dot(d, d), rest_length = N::load(bundle_.bend_lengths + SIMD_WIDTH * p);
       // Coincident ends have no direction, and no force.
       const N strain_scale = select(less(N(0.0), square), N(1.0), N(0.0));
       const N strain = strain_scale - rest_length * (sqrt(square) * inverse(square));
-      const V correction = d * (strain * (p == 0 ? plan_.root_bend : plan_.bend));
+      const V correction = d * (strain * (p == 0 ? plan_.root_bend_factor : plan_.bend_factor));
       if (p > 0) (a + correction).store(bundle_.x + FOUR_VEC_SIZE * p);
       (b - correction).store(bundle_.x + FOUR_VEC_SIZE * (p + 2));
     }
   }
 
   void apply_goal_pull() {
-    if (plan_.goal_pull == 0) return;
-    for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V x = load_vector(bundle_.x, p), offset = goal(p, end_fraction_) - x;
-      const V offset_change = offset - (goal(p, begin_fraction_) - load_vector(bundle_.before, p));
-      (x + offset * plan_.goal_pull + offset_change * plan_.goal_damping)
+    if (plan_.goal_pull_factor == 0) return;
+    for (std::size_t p = 1; p < plan_.point_count; ++p) {
+      const V x = load_vector(bundle_.x, p), offset = goal_position(p, end_fraction_) - x;
+      const V offset_change =
+          offset - (goal_position(p, begin_fraction_) - load_vector(bundle_.before, p));
+      (x + offset * plan_.goal_pull_factor + offset_change * plan_.goal_damping_factor)
           .store(bundle_.x + FOUR_VEC_SIZE * p);
     }
   }
@@ -181,7 +182,7 @@ class BundleSolver {
   // Mask of strands with a spring above its largest length: those that rotate far in a step.
   N find_overlong_strands() const {
     N is_overlong = less(N(0.0), N(0.0));
-    for (std::size_t p = 1; p < plan_.points; ++p) {
+    for (std::size_t p = 1; p < plan_.point_count; ++p) {
       const V d = load_vector(bundle_.x, p) - load_vector(bundle_.x, p - 1);
       const N max_length =
           N::load(bundle_.rest_lengths + SIMD_WIDTH * (p - 1)) * plan_.max_length_ratio;
@@ -194,10 +195,10 @@ class BundleSolver {
   // neighbours, so that the matrix is tridiagonal. Optionally adds the displacements to the path
   // lengths.
   template <bool RecordPath>
-  void correct(const N& strands) {
+  void correct_lengths(const N& strand_mask) {
     V previous{0.0, 0.0, 0.0};
     N inverse_pivot(0.0), residual(0.0);
-    for (std::size_t p = 1; p < plan_.points; ++p) {
+    for (std::size_t p = 1; p < plan_.point_count; ++p) {
       const V d = load_vector(bundle_.x, p) - load_vector(bundle_.x, p - 1);
       const N spring_length = length(d);
       const V direction = d * inverse(spring_length);
@@ -217,14 +218,14 @@ class BundleSolver {
     }
     N multiplier(0.0), coupling(0.0);
     V next_shift{0.0, 0.0, 0.0};
-    for (std::size_t p = plan_.points; p-- > 1;) {
+    for (std::size_t p = plan_.point_count; p-- > 1;) {
       const double* row = bundle_.matrix + FOUR_VEC_SIZE * p;
       multiplier =
           (N::load(row + 2 * SIMD_WIDTH) + coupling * multiplier) * N::load(row + SIMD_WIDTH);
       coupling = N::load(row);
       const V spring_shift = load_vector(bundle_.directions, p) * multiplier;
       const V x = load_vector(bundle_.x, p),
-              shift = select(strands, next_shift - spring_shift, V{0.0, 0.0, 0.0});
+              shift = select(strand_mask, next_shift - spring_shift, V{0.0, 0.0, 0.0});
       (x + shift).store(bundle_.x + FOUR_VEC_SIZE * p);
       if constexpr (RecordPath) bundle_.path_lengths[p] += largest(length(shift));
       next_shift = spring_shift;
@@ -234,7 +235,7 @@ class BundleSolver {
   static N length(const V& a) { return sqrt(dot(a, a)); }
 
   // The section of the strands that a point is in: one of four, from root to tip.
-  std::size_t section_of(std::size_t p) const { return p * SIMD_WIDTH / plan_.points; }
+  std::size_t section_of(std::size_t p) const { return p * SIMD_WIDTH / plan_.point_count; }
 
   // Bounding ball of each section over all strands: centre and radius. Returns bits of the sections
   // that exist: strands with few points do not have all.
@@ -242,8 +243,9 @@ class BundleSolver {
     unsigned section_bits = 0;
     double low[3][SIMD_WIDTH], high[3][SIMD_WIDTH];
     for (std::size_t k = 0; k < 3; ++k)
-      for (std::size_t g = 0; g < SIMD_WIDTH; ++g) low[k][g] = UNREACHED, high[k][g] = -UNREACHED;
-    for (std::size_t p = 0; p < plan_.points; ++p) {
+      for (std::size_t g = 0; g < SIMD_WIDTH; ++g)
+        low[k][g] = HUGE_DISTANCE, high[k][g] = -HUGE_DISTANCE;
+    for (std::size_t p = 0; p < plan_.point_count; ++p) {
       const std::size_t g = section_of(p);
       section_bits |= 1u << g;
       for (std::size_t k = 0; k < 3; ++k) {
@@ -263,12 +265,12 @@ class BundleSolver {
   // start of the frame.
   void find_near_colliders() {
     near_count_ = 0;
-    far_path_ = UNREACHED;
-    if (plan_.colliders == 0) return;
+    far_contact_path_ = HUGE_DISTANCE;
+    if (plan_.collider_count == 0) return;
     V centre;
     N radius;
     const unsigned section_bits = bound_sections(centre, radius);
-    for (std::size_t c = 0; c < plan_.colliders; ++c) {
+    for (std::size_t c = 0; c < plan_.collider_count; ++c) {
       double distances[SIMD_WIDTH] = {0, 0, 0, 0};
       if (plan_.is_capsule[c]) {
         const collide::MovingCapsule& capsule = plan_.capsules[c];
@@ -276,18 +278,20 @@ class BundleSolver {
             sample_moving_capsule(capsule.begin, capsule.radius, centre).distance - radius;
         (max(distance, N(0.0)) - plan_.remaining_shifts[c]).store(distances);
       }
-      double nearest = UNREACHED;
+      double nearest_distance = HUGE_DISTANCE;
       for (std::size_t g = 0; g < SIMD_WIDTH; ++g)
-        if ((section_bits >> g & 1) && distances[g] < nearest) nearest = distances[g];
-      if (nearest >= NEAR) {
-        far_path_ = nearest < far_path_ ? nearest : far_path_;
+        if ((section_bits >> g & 1) && distances[g] < nearest_distance)
+          nearest_distance = distances[g];
+      if (nearest_distance >= NEAR_COLLIDER_DISTANCE) {
+        far_contact_path_ =
+            nearest_distance < far_contact_path_ ? nearest_distance : far_contact_path_;
         continue;
       }
-      bundle_.near[near_count_++] = c;
-      for (std::size_t p = 0; p < plan_.points; ++p)
-        bundle_.collider_paths[p * plan_.colliders + c] = distances[section_of(p)];
+      bundle_.near_colliders[near_count_++] = c;
+      for (std::size_t p = 0; p < plan_.point_count; ++p)
+        bundle_.collider_paths[p * plan_.collider_count + c] = distances[section_of(p)];
     }
-    for (std::size_t p = 0; p < plan_.points; ++p) {
+    for (std::size_t p = 0; p < plan_.point_count; ++p) {
       bundle_.path_lengths[p] = 0;
       bundle_.contact_paths[p] = next_contact_path(p);
     }
@@ -295,10 +299,10 @@ class BundleSolver {
 
   // Path length at which a particle may touch any collider.
   double next_contact_path(std::size_t p) const {
-    const double* paths = bundle_.collider_paths + p * plan_.colliders;
-    double next = far_path_;
+    const double* paths = bundle_.collider_paths + p * plan_.collider_count;
+    double next = far_contact_path_;
     for (std::size_t k = 0; k < near_count_; ++k) {
-      const double path = paths[bundle_.near[k]];
+      const double path = paths[bundle_.near_colliders[k]];
       next = path < next ? path : next;
     }
     return next;
@@ -307,9 +311,9 @@ class BundleSolver {
   // Moves particles out of colliders, as the last stage of a step, and corrects strands that this
   // stretches.
   void resolve_collisions(std::size_t step) {
-    if (plan_.colliders == 0) return;
+    if (plan_.collider_count == 0) return;
     const V drift = V::broadcast(plan_.drifts + 3 * step);
-    for (std::size_t p = 1; p < plan_.points; ++p)
+    for (std::size_t p = 1; p < plan_.point_count; ++p)
       bundle_.path_lengths[p] +=
           largest(length(load_vector(bundle_.x, p) - load_vector(bundle_.before, p) - drift));
     unsigned touched_count = 0;
@@ -320,7 +324,7 @@ class BundleSolver {
       moved_strands &= mask_bits(find_overlong_strands());
       if (!moved_strands) break;
       select_strands(moved_strands);
-      correct<true>(selected_);
+      correct_lengths<true>(selected_mask_);
       moved_strands &= collide_particles(step, touched_count);
     }
   }
@@ -329,16 +333,16 @@ class BundleSolver {
   void select_strands(unsigned strand_bits) {
     double lanes[SIMD_WIDTH];
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l) lanes[l] = strand_bits >> l & 1;
-    selected_ = less(N(0.0), N::load(lanes));
-    selected_bits_ = strand_bits;
+    selected_mask_ = less(N(0.0), N::load(lanes));
+    selected_strand_bits_ = strand_bits;
   }
 
   // Moves particles out of colliders; returns the bits of strands that moved.
   unsigned collide_particles(std::size_t step, unsigned& touched_count) {
     unsigned moved_strands = 0;
-    for (std::size_t p = 1; p < plan_.points; ++p) {
+    for (std::size_t p = 1; p < plan_.point_count; ++p) {
       if (bundle_.path_lengths[p] < bundle_.contact_paths[p]) continue;
-      if (bundle_.path_lengths[p] >= far_path_) include_all_colliders();
+      if (bundle_.path_lengths[p] >= far_contact_path_) include_all_colliders();
       const double displacement =
           largest(length(load_vector(bundle_.x, p) - load_vector(bundle_.before, p)));
       const unsigned moved_bits = resolve(step, p, displacement);
@@ -353,12 +357,12 @@ class BundleSolver {
   unsigned collide_segments(std::size_t step) {
     std::size_t near_count = 0;
     bundle_.segment_particles[near_count++] = 0;
-    for (std::size_t p = 1; p < plan_.points; ++p)
+    for (std::size_t p = 1; p < plan_.point_count; ++p)
       if (bundle_.path_lengths[p] + bundle_.segments.search_distance >= bundle_.contact_paths[p])
         bundle_.segment_particles[near_count++] = static_cast<std::int32_t>(p);
     unsigned moved_strands = 0;
     for (std::size_t l = 0; near_count > 1 && l < SIMD_WIDTH; ++l) {
-      if (!((selected_bits_ & bundle_.strand_bits) >> l & 1)) continue;
+      if (!((selected_strand_bits_ & bundle_.strand_bits) >> l & 1)) continue;
       if (bundle_.segments.resolve(bundle_.segments.context, bundle_, step, l, near_count))
         moved_strands |= 1u << l;
     }
@@ -367,17 +371,18 @@ class BundleSolver {
 
   // Treats all colliders as near from here on.
   void include_all_colliders() {
-    const std::size_t count = plan_.colliders;
+    const std::size_t count = plan_.collider_count;
     for (std::size_t c = 0; c < count; ++c) {
       bool is_near = false;
-      for (std::size_t k = 0; k < near_count_; ++k) is_near = is_near || bundle_.near[k] == c;
-      for (std::size_t p = 0; !is_near && p < plan_.points; ++p)
+      for (std::size_t k = 0; k < near_count_; ++k)
+        is_near = is_near || bundle_.near_colliders[k] == c;
+      for (std::size_t p = 0; !is_near && p < plan_.point_count; ++p)
         bundle_.collider_paths[p * count + c] = 0;
     }
     for (near_count_ = 0; near_count_ < count; ++near_count_)
-      bundle_.near[near_count_] = near_count_;
-    for (std::size_t p = 0; p < plan_.points; ++p) bundle_.contact_paths[p] = 0;
-    far_path_ = UNREACHED;
+      bundle_.near_colliders[near_count_] = near_count_;
+    for (std::size_t p = 0; p < plan_.point_count; ++p) bundle_.contact_paths[p] = 0;
+    far_contact_path_ = HUGE_DISTANCE;
   }
 
   // Number of strands with a set bit, without padding.
@@ -390,63 +395,66 @@ class BundleSolver {
   // Moves four particles out of colliders; returns the bits of those that moved.
   unsigned resolve(std::size_t step, std::size_t p, double displacement) {
     double &path_length = bundle_.path_lengths[p],
-           *paths = bundle_.collider_paths + p * plan_.colliders;
+           *paths = bundle_.collider_paths + p * plan_.collider_count;
     const V from = load_vector(bundle_.before, p);
-    V to = load_vector(bundle_.x, p), reference = load_vector(bundle_.references, p);
+    V to = load_vector(bundle_.x, p), reference = load_vector(bundle_.reference_positions, p);
     unsigned moved_bits = sweep(step, p, displacement, from, to);
-    for (int iteration = 0; iteration < MAX_ITERATIONS; ++iteration) {
+    for (int iteration = 0; iteration < MAX_COLLIDER_ITERATIONS; ++iteration) {
       unsigned pushed_bits = 0;
-      std::size_t tested_count = 0, last_tested = 0;
+      std::size_t tested_count = 0, last_tested_collider = 0;
       for (std::size_t k = 0; k < near_count_; ++k) {
-        const std::size_t c = bundle_.near[k];
+        const std::size_t c = bundle_.near_colliders[k];
         if (paths[c] > path_length) continue;
         ++tested_count;
-        last_tested = c;
+        last_tested_collider = c;
         pushed_bits |= push(step, p, c, from, to, reference);
       }
       // A particle that is pushed may come near colliders that were far away.
-      if (path_length >= far_path_) include_all_colliders();
+      if (path_length >= far_contact_path_) include_all_colliders();
       moved_bits |= pushed_bits;
-      if (!pushed_bits || (tested_count == 1 && !may_touch_any(paths, path_length, last_tested)))
+      if (!pushed_bits ||
+          (tested_count == 1 && !may_touch_any(paths, path_length, last_tested_collider)))
         break;
     }
     bundle_.contact_paths[p] = next_contact_path(p);
     to.store(bundle_.x + FOUR_VEC_SIZE * p);
-    reference.store(bundle_.references + FOUR_VEC_SIZE * p);
+    reference.store(bundle_.reference_positions + FOUR_VEC_SIZE * p);
     return moved_bits;
   }
 
   // Whether any nearby collider but one may be touched at a path length.
-  bool may_touch_any(const double* paths, double path_length, std::size_t excluded) const {
+  bool may_touch_any(const double* paths, double path_length, std::size_t excluded_collider) const {
     for (std::size_t k = 0; k < near_count_; ++k)
-      if (bundle_.near[k] != excluded && paths[bundle_.near[k]] <= path_length) return true;
+      if (bundle_.near_colliders[k] != excluded_collider &&
+          paths[bundle_.near_colliders[k]] <= path_length)
+        return true;
     return false;
   }
 
   // Moves four particles out of one collider; returns the bits of those that moved.
   unsigned push(std::size_t step, std::size_t p, std::size_t c, const V& from, V& to,
                 V& reference) {
-    const std::size_t row = step * plan_.colliders + c;
+    const std::size_t row = step * plan_.collider_count + c;
     const collide::MovingCapsule& capsule = plan_.capsules[row];
     double &path_length = bundle_.path_lengths[p],
-           &contact_path = bundle_.collider_paths[p * plan_.colliders + c];
+           &contact_path = bundle_.collider_paths[p * plan_.collider_count + c];
     const auto hit = sample(row, c, true, to);
-    const double remaining_shift = plan_.remaining_shifts[row + plan_.colliders];
-    const double nearest = smallest(hit.distance);
-    contact_path = plan_.is_bounded[c] && nearest > remaining_shift
-                       ? path_length + (nearest - remaining_shift)
+    const double remaining_shift = plan_.remaining_shifts[row + plan_.collider_count];
+    const double nearest_distance = smallest(hit.distance);
+    contact_path = plan_.is_bounded[c] && nearest_distance > remaining_shift
+                       ? path_length + (nearest_distance - remaining_shift)
                        : path_length;
-    if (!(nearest < -collide::TOUCH)) return 0;
+    if (!(nearest_distance < -collide::TOUCH_DISTANCE)) return 0;
     const N depth = allowed_depths(p, c);
-    if (!(smallest(hit.distance - depth) < -collide::TOUCH)) return 0;
+    if (!(smallest(hit.distance - depth) < -collide::TOUCH_DISTANCE)) return 0;
     const N start_distance = sample(row, c, false, from).distance;
     V new_position = to, new_reference = reference;
     const unsigned pushed_bits =
-        selected_bits_ &
+        selected_strand_bits_ &
         collide::push_out(capsule, hit, start_distance, depth, from, new_position, new_reference);
     if (!pushed_bits) return 0;
-    new_position = select(selected_, new_position, to);
-    reference = select(selected_, new_reference, reference);
+    new_position = select(selected_mask_, new_position, to);
+    reference = select(selected_mask_, new_reference, reference);
     path_length += largest(length(new_position - to));
     contact_path = path_length;
     to = new_position;
@@ -455,7 +463,7 @@ class BundleSolver {
 
   // Allowed depths of four particles in a collider.
   N allowed_depths(std::size_t p, std::size_t c) const {
-    if (!bundle_.depths[0] || c >= plan_.depth_rows) return N(0.0);
+    if (!bundle_.depths[0] || c >= plan_.depth_row_count) return N(0.0);
     double values[SIMD_WIDTH];
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
       values[l] = bundle_.depths[l][c * bundle_.depth_stride + p];
@@ -463,17 +471,17 @@ class BundleSolver {
   }
 
   // Distances of four points from a collider at the start or the end of a step.
-  collide::WideSample<N> sample(std::size_t row, std::size_t c, bool at_end,
+  collide::WideSample<N> sample(std::size_t row, std::size_t c, bool is_at_end,
                                 const V& position) const {
     const collide::MovingCapsule& capsule = plan_.capsules[row];
     if (plan_.is_capsule[c])
-      return collide::sample_moving_capsule(at_end ? capsule.end : capsule.begin, capsule.radius,
+      return collide::sample_moving_capsule(is_at_end ? capsule.end : capsule.begin, capsule.radius,
                                             position);
     double points[FOUR_VEC_SIZE], samples[SIMD_WIDTH][SIMD_WIDTH];
     position.store(points);
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
       const double point[3] = {points[l], points[SIMD_WIDTH + l], points[2 * SIMD_WIDTH + l]};
-      plan_.general_colliders.sample(plan_.general_colliders.context, row, at_end, point,
+      plan_.general_colliders.sample(plan_.general_colliders.context, row, is_at_end, point,
                                      samples[l]);
     }
     double columns[SIMD_WIDTH][SIMD_WIDTH];
@@ -486,10 +494,10 @@ class BundleSolver {
   // collision). Returns the bits of those that stopped.
   unsigned sweep(std::size_t step, std::size_t p, double displacement, const V& from, V& to) {
     double &path_length = bundle_.path_lengths[p],
-           *paths = bundle_.collider_paths + p * plan_.colliders;
+           *paths = bundle_.collider_paths + p * plan_.collider_count;
     unsigned stopped_bits = 0;
     for (std::size_t k = 0; k < near_count_; ++k) {
-      const std::size_t c = bundle_.near[k];
+      const std::size_t c = bundle_.near_colliders[k];
       if (paths[c] > path_length || displacement <= plan_.thicknesses[c]) continue;
       double begins[FOUR_VEC_SIZE], ends[FOUR_VEC_SIZE];
       from.store(begins);
@@ -497,8 +505,8 @@ class BundleSolver {
       for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
         const double begin[3] = {begins[l], begins[SIMD_WIDTH + l], begins[2 * SIMD_WIDTH + l]};
         double end[3] = {ends[l], ends[SIMD_WIDTH + l], ends[2 * SIMD_WIDTH + l]};
-        const std::size_t row = step * plan_.colliders + c;
-        if (!(selected_bits_ >> l & 1)) continue;
+        const std::size_t row = step * plan_.collider_count + c;
+        if (!(selected_strand_bits_ >> l & 1)) continue;
         if (!plan_.general_colliders.sweep(plan_.general_colliders.context, row, begin, end))
           continue;
         for (std::size_t k = 0; k < 3; ++k) ends[k * SIMD_WIDTH + l] = end[k];
@@ -513,27 +521,28 @@ class BundleSolver {
 
   // Number of particles that remain inside colliders.
   std::int64_t count_inside() const {
-    std::int64_t inside = 0;
-    const std::size_t steps = plan_.cells * plan_.substeps;
-    for (std::size_t p = 1; p < plan_.points; ++p) {
+    std::int64_t inside_count = 0;
+    const std::size_t steps = plan_.interval_count * plan_.substeps;
+    for (std::size_t p = 1; p < plan_.point_count; ++p) {
       unsigned deep_bits = 0;
       for (std::size_t k = 0; k < near_count_; ++k) {
-        const std::size_t c = bundle_.near[k];
-        if (bundle_.collider_paths[p * plan_.colliders + c] > bundle_.path_lengths[p]) continue;
-        const std::size_t row = (steps - 1) * plan_.colliders + c;
+        const std::size_t c = bundle_.near_colliders[k];
+        if (bundle_.collider_paths[p * plan_.collider_count + c] > bundle_.path_lengths[p])
+          continue;
+        const std::size_t row = (steps - 1) * plan_.collider_count + c;
         const N excess =
             sample(row, c, true, load_vector(bundle_.x, p)).distance - allowed_depths(p, c);
-        deep_bits |= mask_bits(less(excess, N(-plan_.tolerance)));
+        deep_bits |= mask_bits(less(excess, N(-plan_.inside_tolerance)));
       }
-      inside += count_strands(deep_bits);
+      inside_count += count_strands(deep_bits);
     }
-    return inside;
+    return inside_count;
   }
 
   // Largest strain of springs along the strands.
   double max_strain() const {
     N largest_strain(0.0);
-    for (std::size_t p = 1; p < plan_.points; ++p) {
+    for (std::size_t p = 1; p < plan_.point_count; ++p) {
       const V d = load_vector(bundle_.x, p) - load_vector(bundle_.x, p - 1);
       const N rest_length = N::load(bundle_.rest_lengths + SIMD_WIDTH * (p - 1));
       const N strain = sqrt(dot(d, d)) * inverse(rest_length) - 1.0;
@@ -542,21 +551,21 @@ class BundleSolver {
     return largest(largest_strain);
   }
 
-  static constexpr double UNREACHED = 1e300;
+  static constexpr double HUGE_DISTANCE = 1e300;
   static constexpr unsigned ALL_STRANDS = 15;
 
   const StrandSteps& plan_;
   StrandBundle& bundle_;
-  // Animated positions of the strands at the start of the current cell; fractions of the cell at
-  // the start and the end of the step.
-  const double* cell_goals_ = nullptr;
+  // Animated positions of the strands at the start of the current interval; fractions of the
+  // interval at the start and the end of the step.
+  const double* interval_goals_ = nullptr;
   double begin_fraction_ = 0, end_fraction_ = 0;
   // Number of nearby colliders, and the path length at which any other collider may be touched.
   std::size_t near_count_ = 0;
-  double far_path_ = 0;
+  double far_contact_path_ = 0;
   // The strands that colliders may move.
-  N selected_{0.0};
-  unsigned selected_bits_ = 0;
+  N selected_mask_{0.0};
+  unsigned selected_strand_bits_ = 0;
 };
 
 template <class Simd>

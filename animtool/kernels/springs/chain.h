@@ -17,9 +17,9 @@ class ChainFactor {
  public:
   // Clears the matrix; `max_distance` is the largest index distance of spring ends.
   void reset(std::size_t particles, std::size_t max_distance) {
-    rows_ = 3 * particles;
+    row_count_ = 3 * particles;
     width_ = 3 * max_distance + 2;
-    band_.assign(rows_ * (width_ + 1), 0.0);
+    band_.assign(row_count_ * (width_ + 1), 0.0);
   }
 
   // Adds to an entry; those above the diagonal are ignored.
@@ -29,15 +29,15 @@ class ChainFactor {
 
   // Factors the matrix in place.
   void factor() {
-    for (std::size_t i = 0; i < rows_; ++i) {
+    for (std::size_t i = 0; i < row_count_; ++i) {
       double* row = row_at(i);
       const std::size_t first = i > width_ ? i - width_ : 0;
       // Entries hold L D until they are divided.
       for (std::size_t j = first; j < i; ++j) {
         const double* other_row = row_at(j);
-        const std::size_t first_common = std::max(first, j > width_ ? j - width_ : 0);
+        const std::size_t first_shared_column = std::max(first, j > width_ ? j - width_ : 0);
         double sum = row[j + width_ - i];
-        for (std::size_t k = first_common; k < j; ++k)
+        for (std::size_t k = first_shared_column; k < j; ++k)
           sum -= row[k + width_ - i] * other_row[k + width_ - j];
         row[j + width_ - i] = sum;
       }
@@ -54,16 +54,16 @@ class ChainFactor {
 
   // Solves for a right-hand side in rows of particles with a stride.
   void solve(const std::vector<double>& in, std::vector<double>& out, std::size_t stride) {
-    solution_.resize(rows_);
-    for (std::size_t i = 0; i < rows_; ++i) {
+    solution_.resize(row_count_);
+    for (std::size_t i = 0; i < row_count_; ++i) {
       const double* row = row_at(i);
       double sum = in[i / 3 * stride + i % 3];
       for (std::size_t j = i > width_ ? i - width_ : 0; j < i; ++j)
         sum -= row[j + width_ - i] * solution_[j];
       solution_[i] = sum;
     }
-    for (std::size_t i = 0; i < rows_; ++i) solution_[i] *= row_at(i)[width_];
-    for (std::size_t i = rows_; i-- > 0;) {
+    for (std::size_t i = 0; i < row_count_; ++i) solution_[i] *= row_at(i)[width_];
+    for (std::size_t i = row_count_; i-- > 0;) {
       const double value = solution_[i];
       const double* row = row_at(i);
       for (std::size_t j = i > width_ ? i - width_ : 0; j < i; ++j)
@@ -75,7 +75,7 @@ class ChainFactor {
  private:
   double* row_at(std::size_t i) { return band_.data() + i * (width_ + 1); }
 
-  std::size_t rows_ = 0, width_ = 0;
+  std::size_t row_count_ = 0, width_ = 0;
   std::vector<double> band_, solution_;
 };
 

@@ -21,24 +21,24 @@ using collide::store;
 using collide::Vec;
 
 // Impact speed below which a contact is at rest [speed that gravity adds in a step].
-constexpr double RESTING_SPEED = 2;
+constexpr double RESTING_SPEED_FACTOR = 2;
 // Iterations over all colliders.
-constexpr int MAX_ITERATIONS = 3;
+constexpr int MAX_COLLIDER_ITERATIONS = 3;
 // Numbers per collider: impulse, moment, mass.
 constexpr std::size_t IMPULSE_WIDTH = 7;
 // Factor of the radius for edge midpoints, which cut corners.
 constexpr double MIDPOINT_FACTOR = 0.25;
 // Smallest initial slack of mesh caches, over the size of the mesh.
-constexpr double MIN_SLACK = 1e-3;
+constexpr double MIN_SLACK_RATIO = 1e-3;
 // Factor of the initial slack: with a large slack, a fine mesh has too many triangles nearby.
 constexpr double SLACK_FACTOR = 0.25;
 
 // Largest displacement of a particle that cannot pass through a collider.
 double thickness_of(const Collider& c, double radius) {
-  if (c.is_container) return collide::FAR;
+  if (c.is_container) return collide::INF;
   switch (c.shape) {
     case Shape::PLANE:
-      return collide::FAR;
+      return collide::INF;
     case Shape::SPHERE:
       return c.size[3];
     case Shape::CAPSULE:
@@ -78,7 +78,7 @@ MovingCapsule::Axis axis_between(Vec a, Vec b) {
 // Distance of a point from a collider in a pose.
 Sample sample_at_pose(const StepCollider& c, const MovingCapsule::Axis& axis, const Pose& pose,
                       Vec point, double radius) {
-  if (!c.is_capsule) return sample(c.collider, pose, point, radius, collide::FAR);
+  if (!c.is_capsule) return sample(c.collider, pose, point, radius, collide::INF);
   const auto hit = collide::sample_moving_capsule(axis, c.capsule.radius, point);
   return {hit.distance, hit.normal};
 }
@@ -89,7 +89,7 @@ Sample StepCollider::sample_start(Vec point, double radius) const {
   if (surface >= 0) {
     Collider start_collider = collider;
     start_collider.mesh.fraction = elapsed;
-    return sample(start_collider, begin, point, radius, collide::FAR);
+    return sample(start_collider, begin, point, radius, collide::INF);
   }
   return sample_at_pose(*this, capsule.begin, begin, point, radius);
 }
@@ -115,7 +115,7 @@ bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) 
             start = from + translation;
   if (!(length(to - start) > thickness(radius))) return false;
   // Particles that start inside are moved out at the depenetration speed.
-  if (sample_start(from, radius).distance < -collide::INSIDE) return false;
+  if (sample_start(from, radius).distance < -collide::INSIDE_DEPTH) return false;
   const Vec velocity = (to - start) * (1 / h);
   collide::Particle end{to, velocity};
   collide::ParticleContacts contacts(&collider, 1, h, radius);
@@ -126,46 +126,46 @@ bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) 
 }
 
 MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders,
-                                 std::size_t particles, std::int64_t cells)
+                                 std::size_t particles, std::int64_t interval_count)
     : particles_(particles) {
   if (!colliders) return;
-  const auto& [arrays, poses, radius, depths, tolerance, surfaces] = *colliders;
+  const auto& [arrays, poses, radius, depths, inside_tolerance, surfaces] = *colliders;
   colliders_ = read_colliders(arrays);
   check::numbers("colliders.poses", poses,
-                 {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
+                 {static_cast<std::size_t>(interval_count), colliders_.size(), 2, 7});
   check::not_negative("colliders.radius", radius);
-  check::not_negative("colliders.tolerance", tolerance);
+  check::not_negative("colliders.tolerance", inside_tolerance);
   if (depths) {
     const bool has_surfaces = depths->shape(0) == colliders_.size() + surfaces.size();
-    depth_rows_ = colliders_.size() + (has_surfaces ? surfaces.size() : 0);
-    check::numbers("colliders.depths", *depths, {depth_rows_, particles});
+    depth_row_count_ = colliders_.size() + (has_surfaces ? surfaces.size() : 0);
+    check::numbers("colliders.depths", *depths, {depth_row_count_, particles});
   }
   poses_ = poses.data();
   radius_ = radius;
   if (depths) depths_ = depths->data();
-  tolerance_ = tolerance;
+  inside_tolerance_ = inside_tolerance;
 }
 
-bool MovingColliders::is_continuous(std::int64_t cell) const {
-  const std::size_t row = 14 * colliders_.size();
-  const double* pose = poses(cell);
-  for (std::size_t k = 0; k < row; k += 14)
-    if (!std::equal(pose + k, pose + k + 7, pose + k + 7 - row)) return false;
+bool MovingColliders::is_continuous(std::int64_t interval) const {
+  const std::size_t row_size = 14 * colliders_.size();
+  const double* pose = poses(interval);
+  for (std::size_t k = 0; k < row_size; k += 14)
+    if (!std::equal(pose + k, pose + k + 7, pose + k + 7 - row_size)) return false;
   return true;
 }
 
-void MovingColliders::append_steps(std::int64_t cell, int substeps, double h,
+void MovingColliders::append_steps(std::int64_t interval, int substeps, double h,
                                    std::vector<StepCollider>& out) const {
-  std::vector<Motion> cell_motions;
+  std::vector<Motion> interval_motions;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
-    const double* pose = poses(cell) + 14 * c;
-    cell_motions.emplace_back(pose, pose + 7);
+    const double* pose = poses(interval) + 14 * c;
+    interval_motions.emplace_back(pose, pose + 7);
   }
   for (int step = 0; step < substeps; ++step)
     for (std::size_t c = 0; c < colliders_.size(); ++c)
       out.push_back(step_collider(
           colliders_[c],
-          cell_motions[c].sub_motion(double(step) / substeps, double(step + 1) / substeps), h));
+          interval_motions[c].sub_motion(double(step) / substeps, double(step + 1) / substeps), h));
 }
 
 StepCollider MovingColliders::step_collider(const Collider& c, const Motion& motion,
@@ -194,79 +194,82 @@ StepCollider MovingColliders::step_collider(const Collider& c, const Motion& mot
 }
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
-                               const SpringNetwork& network, std::int64_t cells, bool midpoints)
+                               const SpringNetwork& network, std::int64_t interval_count,
+                               bool has_midpoints)
     : network_(network),
-      colliders_(colliders, network.particles(), cells),
+      colliders_(colliders, network.particle_count(), interval_count),
       faces_(network, colliders_.radius()),
-      count_(colliders_.size()),
-      cells_(cells),
-      has_midpoints_(midpoints) {
+      collider_count_(colliders_.size()),
+      interval_count_(interval_count),
+      has_midpoints_(has_midpoints) {
   if (!colliders) return;
-  const std::size_t particles = network.particles() + (midpoints ? network.edges.size() / 2 : 0);
-  for (std::size_t c = 0; c < count_; ++c) faces_.add(colliders_[c]);
+  const std::size_t particles =
+      network.particle_count() + (has_midpoints ? network.edges.size() / 2 : 0);
+  for (std::size_t c = 0; c < collider_count_; ++c) faces_.add(colliders_[c]);
   for (const SpringSurface& surface : std::get<5>(*colliders))
-    surfaces_.emplace_back(surface, cells);
-  count_ += surfaces_.size();
+    surfaces_.emplace_back(surface, interval_count);
+  collider_count_ += surfaces_.size();
   build_patches(particles);
   past_impulses_.assign(IMPULSE_WIDTH * colliders_.size(), 0.0);
-  cell_impulses_ = past_impulses_;
+  interval_impulses_ = past_impulses_;
   clearances_.assign(particles, 0.0);
-  arms_.assign(particles, 0.0);
+  lever_arms_.assign(particles, 0.0);
 }
 
 void SpringContacts::build_patches(std::size_t particles) {
-  for (std::size_t c = 0; c < count_; ++c) {
-    const bool rigid = c < colliders_.size();
-    const double margin = rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
-    const double contact_distance = colliders_.radius() + (rigid ? margin : 0);
+  for (std::size_t c = 0; c < collider_count_; ++c) {
+    const bool is_rigid = c < colliders_.size();
+    const double margin =
+        is_rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
+    const double contact_distance = colliders_.radius() + (is_rigid ? margin : 0);
     contact_distances_.push_back(colliders_.radius() + margin);
     const double* box = nullptr;
-    if (!rigid)
+    if (!is_rigid)
       box = surfaces_[c - colliders_.size()].box();
     else if (colliders_[c].shape == Shape::MESH)
       box = colliders_[c].mesh.bounds + 6 * colliders_[c].root;
-    patch_index_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
+    patch_indices_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
     if (box)
       patches_.emplace_back(
-          particles,
-          SLACK_FACTOR * std::max(contact_distance, MIN_SLACK * length(load(box + 3) - load(box))));
+          particles, SLACK_FACTOR * std::max(contact_distance,
+                                             MIN_SLACK_RATIO * length(load(box + 3) - load(box))));
   }
 }
 
-void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
-  if (!any()) return;
+void SpringContacts::begin_interval(std::int64_t interval, int substeps, double h) {
+  if (!has_colliders()) return;
   substeps_ = substeps;
   h_ = h;
-  if (cell != last_cell_) past_impulses_ = sum_impulses(past_impulses_, cell_impulses_);
-  std::fill(cell_impulses_.begin(), cell_impulses_.end(), 0.0);
+  if (interval != last_interval_) past_impulses_ = sum_impulses(past_impulses_, interval_impulses_);
+  std::fill(interval_impulses_.begin(), interval_impulses_.end(), 0.0);
   rigid_steps_.clear();
-  colliders_.append_steps(cell, substeps, h, rigid_steps_);
+  colliders_.append_steps(interval, substeps, h, rigid_steps_);
   // A teleported collider invalidates the cache.
-  const bool is_repeated = cell == last_cell_;
-  bool is_cache_valid =
-      is_repeated || (cell == last_cell_ + 1 && (last_cell_ < 0 || colliders_.is_continuous(cell)));
-  begin_surfaces(cell, is_cache_valid);
+  const bool is_repeated = interval == last_interval_;
+  bool is_cache_valid = is_repeated || (interval == last_interval_ + 1 &&
+                                        (last_interval_ < 0 || colliders_.is_continuous(interval)));
+  begin_surfaces(interval, is_cache_valid);
   add_surfaces();
-  if (is_repeated) clearances_ = start_clearances_, arms_ = start_arms_;
+  if (is_repeated) clearances_ = start_clearances_, lever_arms_ = start_lever_arms_;
   if (!is_cache_valid) std::fill(clearances_.begin(), clearances_.end(), 0.0);
-  start_clearances_ = clearances_, start_arms_ = arms_;
-  last_cell_ = cell;
+  start_clearances_ = clearances_, start_lever_arms_ = lever_arms_;
+  last_interval_ = interval;
 }
 
-void SpringContacts::begin_surfaces(std::int64_t cell, bool& is_cache_valid) {
+void SpringContacts::begin_surfaces(std::int64_t interval, bool& is_cache_valid) {
   for (std::size_t s = 0; s < surfaces_.size(); ++s) {
-    if (surfaces_[s].begin_cell(cell, h_ * substeps_)) continue;
+    if (surfaces_[s].begin_interval(interval, h_ * substeps_)) continue;
     is_cache_valid = false;
-    patches_[static_cast<std::size_t>(patch_index_[colliders_.size() + s])].invalidate();
+    patches_[static_cast<std::size_t>(patch_indices_[colliders_.size() + s])].invalidate();
   }
 }
 
 void SpringContacts::add_surfaces() {
-  cell_steps_.clear();
+  interval_steps_.clear();
   for (int step = 0; step < substeps_; ++step) {
     const auto first = rigid_steps_.begin() + step * static_cast<std::ptrdiff_t>(colliders_.size());
-    cell_steps_.insert(cell_steps_.end(), first,
-                       first + static_cast<std::ptrdiff_t>(colliders_.size()));
+    interval_steps_.insert(interval_steps_.end(), first,
+                           first + static_cast<std::ptrdiff_t>(colliders_.size()));
     for (std::size_t s = 0; s < surfaces_.size(); ++s) {
       StepCollider step_collider{};
       const double start_fraction = surfaces_[s].knot_fraction(double(step) / substeps_);
@@ -278,89 +281,99 @@ void SpringContacts::add_surfaces() {
       step_collider.max_point_shift = surfaces_[s].max_displacement() * step_collider.duration;
       step_collider.capsule.friction = step_collider.collider.friction;
       step_collider.capsule.max_push = step_collider.collider.depenetration * h_;
-      cell_steps_.push_back(step_collider);
+      interval_steps_.push_back(step_collider);
     }
   }
 }
 
 Out<double, 2> SpringContacts::impulses() const {
-  const std::vector<double> sum = sum_impulses(past_impulses_, cell_impulses_);
-  Out<double, 2> rows(sum.size() / IMPULSE_WIDTH, IMPULSE_WIDTH);
-  std::copy(sum.begin(), sum.end(), rows.get());
-  return rows;
+  const std::vector<double> sum = sum_impulses(past_impulses_, interval_impulses_);
+  Out<double, 2> result(sum.size() / IMPULSE_WIDTH, IMPULSE_WIDTH);
+  std::copy(sum.begin(), sum.end(), result.get());
+  return result;
 }
 
 bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<double>& x,
-                             std::vector<double>* v, std::vector<std::uint8_t>* marks) {
-  if (!any()) return false;
-  step_colliders_ = cell_steps_.data() + static_cast<std::size_t>(step) * count_;
-  double max_displacement = 0, angle = 0;
-  for (std::size_t c = 0; c < count_; ++c) {
+                             std::vector<double>* v, std::vector<std::uint8_t>* particle_marks) {
+  if (!has_colliders()) return false;
+  step_colliders_ = interval_steps_.data() + static_cast<std::size_t>(step) * collider_count_;
+  double max_displacement = 0, max_angle = 0;
+  for (std::size_t c = 0; c < collider_count_; ++c) {
     max_displacement = std::max(max_displacement, step_colliders_[c].max_displacement({}));
-    angle = std::max(angle, step_colliders_[c].rotation_angle());
+    max_angle = std::max(max_angle, step_colliders_[c].rotation_angle());
   }
   masses_.assign(colliders_.size(), 0.0);
-  min_impact_speed_ = RESTING_SPEED * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
+  min_impact_speed_ =
+      RESTING_SPEED_FACTOR * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
   std::int64_t moved_count = 0, inside_count = 0;
   const double search_distance = faces_.search_distance();
-  nearby_.clear();
-  for (std::size_t n = 0; n < network_.particles(); ++n) {
+  particles_near_colliders_.clear();
+  for (std::size_t n = 0; n < network_.particle_count(); ++n) {
     if (network_.inverse_masses[n] == 0) {
-      if (faces_.any()) nearby_.push_back(static_cast<std::int32_t>(n));
+      if (faces_.has_features()) particles_near_colliders_.push_back(static_cast<std::int32_t>(n));
       continue;
     }
-    if (marks && !(*marks)[n]) continue;
-    double *position = x.data() + ROW * n, motion_bound = max_displacement + angle * arms_[n];
-    double* from = before.data() + ROW * n;
+    if (particle_marks && !(*particle_marks)[n]) continue;
+    double *position = x.data() + PARTICLE_STRIDE * n,
+           motion_bound = max_displacement + max_angle * lever_arms_[n];
+    double* from = before.data() + PARTICLE_STRIDE * n;
     for (std::size_t k = 0; k < 3; ++k) motion_bound += std::abs(position[k] - from[k]);
     clearances_[n] -= motion_bound;
-    if (clearances_[n] <= search_distance) nearby_.push_back(static_cast<std::int32_t>(n));
+    if (clearances_[n] <= search_distance)
+      particles_near_colliders_.push_back(static_cast<std::int32_t>(n));
     if (clearances_[n] > 0) continue;
     const double mass = 1 / network_.inverse_masses[n];
-    moved_count += resolve_particle(n, mass, from, position, v ? v->data() + ROW * n : nullptr);
-    inside_count += nearest_ < -colliders_.tolerance();
+    moved_count +=
+        resolve_particle(n, mass, from, position, v ? v->data() + PARTICLE_STRIDE * n : nullptr);
+    inside_count += nearest_distance_ < -colliders_.inside_tolerance();
   }
   for (std::size_t c = 0; c < masses_.size(); ++c) {
-    double& largest_mass = cell_impulses_[IMPULSE_WIDTH * c + IMPULSE_WIDTH - 1];
+    double& largest_mass = interval_impulses_[IMPULSE_WIDTH * c + IMPULSE_WIDTH - 1];
     largest_mass = std::max(largest_mass, masses_[c]);
   }
-  if (has_midpoints_) resolve_midpoints(max_displacement, angle, {before, x, v}, marks);
-  touched = std::max(touched, moved_count);
-  if (!marks && last_cell_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside_count;
-  const bool has_moved_faces = !nearby_.empty() && resolve_faces({before, x, v}, marks);
-  if (has_moved_faces && marks)
-    for (const std::int32_t n : nearby_) (*marks)[static_cast<std::size_t>(n)] = 1;
+  if (has_midpoints_)
+    resolve_midpoints(max_displacement, max_angle, {before, x, v}, particle_marks);
+  touched_count = std::max(touched_count, moved_count);
+  if (!particle_marks && last_interval_ + 1 == interval_count_ && step + 1 == substeps_)
+    unresolved_count = inside_count;
+  const bool has_moved_faces =
+      !particles_near_colliders_.empty() && resolve_faces({before, x, v}, particle_marks);
+  if (has_moved_faces && particle_marks)
+    for (const std::int32_t n : particles_near_colliders_)
+      (*particle_marks)[static_cast<std::size_t>(n)] = 1;
   return moved_count > 0 || has_moved_faces;
 }
 
-void SpringContacts::resolve_midpoints(double max_displacement, double angle, StepRows rows,
-                                       std::vector<std::uint8_t>* marks) {
-  const std::size_t particles = network_.particles();
+void SpringContacts::resolve_midpoints(double max_displacement, double max_angle, StepState state,
+                                       std::vector<std::uint8_t>* particle_marks) {
+  const std::size_t particles = network_.particle_count();
   for (std::size_t e = 0; e < network_.edges.size() / 2; ++e) {
     const std::int32_t* ends = &network_.edges[2 * e];
     const auto first = static_cast<std::size_t>(ends[0]), last = static_cast<std::size_t>(ends[1]);
     const double p_inverse_mass = network_.inverse_masses[first],
                  q_inverse_mass = network_.inverse_masses[last];
     if (p_inverse_mass + q_inverse_mass == 0) continue;
-    if (marks && !(*marks)[first] && !(*marks)[last]) continue;
-    double *p = &rows.x[ROW * first], *q = &rows.x[ROW * last];
-    double *p_before = &rows.before[ROW * first], *q_before = &rows.before[ROW * last];
+    if (particle_marks && !(*particle_marks)[first] && !(*particle_marks)[last]) continue;
+    double *p = &state.x[PARTICLE_STRIDE * first], *q = &state.x[PARTICLE_STRIDE * last];
+    double *p_before = &state.before[PARTICLE_STRIDE * first],
+           *q_before = &state.before[PARTICLE_STRIDE * last];
     double midpoint[3], midpoint_before[3],
-        motion_bound = max_displacement + angle * arms_[particles + e];
+        motion_bound = max_displacement + max_angle * lever_arms_[particles + e];
     for (std::size_t k = 0; k < 3; ++k) {
       midpoint[k] = (p[k] + q[k]) / 2, midpoint_before[k] = (p_before[k] + q_before[k]) / 2;
       motion_bound += std::abs(midpoint[k] - midpoint_before[k]);
     }
     clearances_[particles + e] -= motion_bound;
     if (clearances_[particles + e] > 0) continue;
-    const Vec unpushed = load(midpoint), unpushed_before = load(midpoint_before);
+    const Vec unpushed_midpoint = load(midpoint), unpushed_midpoint_before = load(midpoint_before);
     if (!resolve_particle(particles + e, 4 / (p_inverse_mass + q_inverse_mass), midpoint_before,
                           midpoint, nullptr))
       continue;
-    if (marks) (*marks)[first] = (*marks)[last] = 1;
-    const Vec end_shift = (load(midpoint) - unpushed) * (2 / (p_inverse_mass + q_inverse_mass));
-    const Vec start_shift =
-        (load(midpoint_before) - unpushed_before) * (2 / (p_inverse_mass + q_inverse_mass));
+    if (particle_marks) (*particle_marks)[first] = (*particle_marks)[last] = 1;
+    const Vec end_shift =
+        (load(midpoint) - unpushed_midpoint) * (2 / (p_inverse_mass + q_inverse_mass));
+    const Vec start_shift = (load(midpoint_before) - unpushed_midpoint_before) *
+                            (2 / (p_inverse_mass + q_inverse_mass));
     clearances_[first] -= p_inverse_mass * length(end_shift),
         clearances_[last] -= q_inverse_mass * length(end_shift);
     store(load(p) + end_shift * p_inverse_mass, p), store(load(q) + end_shift * q_inverse_mass, q);
@@ -370,7 +383,7 @@ void SpringContacts::resolve_midpoints(double max_displacement, double angle, St
 }
 
 double SpringContacts::depth(std::size_t c, std::size_t n) const {
-  const std::size_t particles = network_.particles();
+  const std::size_t particles = network_.particle_count();
   if (n < particles) return colliders_.depth(c, n);
   const std::int32_t* ends = &network_.edges[2 * (n - particles)];
   const double min_depth = std::min(colliders_.depth(c, static_cast<std::size_t>(ends[0])),
@@ -378,17 +391,17 @@ double SpringContacts::depth(std::size_t c, std::size_t n) const {
   return min_depth - contact_distances_[c] * MIDPOINT_FACTOR;
 }
 
-bool SpringContacts::resolve_faces(StepRows rows, std::vector<std::uint8_t>* marks) {
+bool SpringContacts::resolve_faces(StepState state, std::vector<std::uint8_t>* particle_marks) {
   bool has_moved = false;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
-    if (!faces_.resolve(c, step_colliders_[c], h_, nearby_, rows)) continue;
+    if (!faces_.resolve(c, step_colliders_[c], h_, particles_near_colliders_, state)) continue;
     has_moved = true;
     for (const FaceContacts::MovedParticle& moved_particle : faces_.moved_particles) {
       const auto n = static_cast<std::size_t>(moved_particle.particle);
       clearances_[n] -= moved_particle.displacement;
       // Far corners of an edge or a face move too, and are not among the nearby particles.
-      if (marks) (*marks)[n] = 1;
-      record_impulse(c, 1 / network_.inverse_masses[n], load(&rows.x[ROW * n]),
+      if (particle_marks) (*particle_marks)[n] = 1;
+      record_impulse(c, 1 / network_.inverse_masses[n], load(&state.x[PARTICLE_STRIDE * n]),
                      moved_particle.velocity_change);
     }
   }
@@ -396,33 +409,34 @@ bool SpringContacts::resolve_faces(StepRows rows, std::vector<std::uint8_t>* mar
 }
 
 double SpringContacts::clearance(std::size_t n, Vec x) {
-  double distance = collide::FAR;
-  for (std::size_t c = 0; c < count_; ++c)
+  double distance = collide::INF;
+  for (std::size_t c = 0; c < collider_count_; ++c)
     distance = std::min(distance, query(c, n, true, x).sample.distance - depth(c, n));
   return distance;
 }
 
 void SpringContacts::update_clearance(std::size_t n, Vec x, double distance) {
-  double arm = 0;
-  for (std::size_t c = 0; c < count_; ++c)
-    arm = std::max(arm, length(x - step_colliders_[c].end.origin));
+  double lever_arm = 0;
+  for (std::size_t c = 0; c < collider_count_; ++c)
+    lever_arm = std::max(lever_arm, length(x - step_colliders_[c].end.origin));
   clearances_[n] = std::max(distance, 0.0);
-  arms_[n] = arm + 2 * clearances_[n];
+  lever_arms_[n] = lever_arm + 2 * clearances_[n];
 }
 
-Mesh SpringContacts::mesh_at(const StepCollider& c, bool end) const {
+Mesh SpringContacts::mesh_at(const StepCollider& c, bool is_at_end) const {
   Mesh mesh = c.collider.mesh;
-  if (!end) mesh.fraction = c.elapsed;
+  if (!is_at_end) mesh.fraction = c.elapsed;
   return mesh;
 }
 
-SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n, bool end,
+SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n, bool is_at_end,
                                                Vec point) {
   const StepCollider& c = step_colliders_[index];
   const double radius = colliders_.radius();
-  if (!c.is_mesh()) return {end ? c.sample_end(point, radius) : c.sample_start(point, radius), -1};
-  const Mesh mesh = mesh_at(c, end);
-  const Pose& pose = end ? c.end : c.begin;
+  if (!c.is_mesh())
+    return {is_at_end ? c.sample_end(point, radius) : c.sample_start(point, radius), -1};
+  const Mesh mesh = mesh_at(c, is_at_end);
+  const Pose& pose = is_at_end ? c.end : c.begin;
   const double contact_distance = collide::contact_distance(c.collider, radius),
                side = c.collider.is_container ? -1 : 1;
   MeshMotion motion;
@@ -432,7 +446,7 @@ SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n,
     motion = surface.motion_until(mesh.fraction);
     boxes = surface.boxes(c.duration);
   }
-  auto& patches = patches_[static_cast<std::size_t>(patch_index_[index])];
+  auto& patches = patches_[static_cast<std::size_t>(patch_indices_[index])];
   PatchHit hit =
       patches.query(mesh, c.collider.root, n, pose.to_local(point), motion,
                     motion.knot < 0 ? nullptr : &boxes, contact_distance, !c.collider.is_container);
@@ -441,18 +455,18 @@ SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n,
   return {{side * hit.sample.distance - contact_distance, out}, hit.triangle};
 }
 
-Vec SpringContacts::surface_displacement(const StepCollider& c, const PatchHit& hit, bool end,
+Vec SpringContacts::surface_displacement(const StepCollider& c, const PatchHit& hit, bool is_at_end,
                                          Vec point) const {
-  if (c.surface < 0) return c.collider.motion.displacement(point, end ? c.end : c.begin);
+  if (c.surface < 0) return c.collider.motion.displacement(point, is_at_end ? c.end : c.begin);
   if (hit.triangle < 0) return {};
   const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
-  return surface.surface_shift(mesh_at(c, end), hit.triangle, point) * c.duration;
+  return surface.surface_shift(mesh_at(c, is_at_end), hit.triangle, point) * c.duration;
 }
 
 void SpringContacts::record_impulse(std::size_t c, double mass, Vec point, Vec change) {
   if (c >= colliders_.size() || dot(change, change) == 0) return;
   const Vec impulse = change * -mass, moment = cross(point, impulse);
-  double* row = cell_impulses_.data() + IMPULSE_WIDTH * c;
+  double* row = interval_impulses_.data() + IMPULSE_WIDTH * c;
   const double values[IMPULSE_WIDTH - 1] = {impulse.x, impulse.y, impulse.z,
                                             moment.x,  moment.y,  moment.z};
   for (std::size_t k = 0; k < IMPULSE_WIDTH - 1; ++k) row[k] += values[k];
@@ -472,21 +486,21 @@ bool SpringContacts::resolve_particle(std::size_t n, double mass, double* before
     record_impulse(c, mass, to, velocity - last_velocity);
     last_velocity = velocity;
   };
-  for (std::size_t c = 0; c < count_; ++c) {
+  for (std::size_t c = 0; c < collider_count_; ++c) {
     has_moved |= sweep(c, n, from, to, v);
     record_change(c);
   }
-  for (int i = 0; i < MAX_ITERATIONS && is_pushed; ++i) {
+  for (int i = 0; i < MAX_COLLIDER_ITERATIONS && is_pushed; ++i) {
     is_pushed = false;
-    nearest_ = collide::FAR;
-    for (std::size_t c = 0; c < count_; ++c) {
+    nearest_distance_ = collide::INF;
+    for (std::size_t c = 0; c < collider_count_; ++c) {
       is_pushed |= push(c, n, from, to, reference, v);
       record_change(c);
     }
     has_moved |= is_pushed;
   }
-  if (is_pushed) nearest_ = clearance(n, to);
-  update_clearance(n, to, nearest_);
+  if (is_pushed) nearest_distance_ = clearance(n, to);
+  update_clearance(n, to, nearest_distance_);
   if (has_moved) {
     store(to, x);
     store(reference, before);
@@ -501,13 +515,15 @@ bool SpringContacts::sweep(std::size_t c, std::size_t n, Vec from, Vec& to, doub
 
 bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec& to, double* v) {
   const StepCollider& c = step_colliders_[index];
-  const double arm = length(from - c.begin.origin);
-  const double displacement = length(to - from) + c.max_displacement({}) + c.rotation_angle() * arm;
+  const double lever_arm = length(from - c.begin.origin);
+  const double displacement =
+      length(to - from) + c.max_displacement({}) + c.rotation_angle() * lever_arm;
   const double radius = colliders_.radius();
   if (!(displacement > c.thickness(radius))) return false;
   const PatchHit hit = query(index, n, false, from);
   // Particles that start inside are moved out at the depenetration speed.
-  if (hit.sample.distance > displacement || hit.sample.distance < -collide::INSIDE) return false;
+  if (hit.sample.distance > displacement || hit.sample.distance < -collide::INSIDE_DEPTH)
+    return false;
   const Vec surface_shift = surface_displacement(c, hit, false, from);
   if (!(length(to - from - surface_shift) > c.thickness(radius))) return false;
   if (c.surface < 0) return c.sweep(h_, radius, from, to, v);
@@ -537,8 +553,8 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to, V
   PatchHit patch_hit = query(index, n, true, to);
   if (c.collider.is_two_sided) flip_if_crossed(c, from, to, patch_hit.sample);
   const Sample& hit = patch_hit.sample;
-  nearest_ = std::min(nearest_, hit.distance - allowed_depth);
-  if (!(hit.distance < allowed_depth - collide::TOUCH)) return false;
+  nearest_distance_ = std::min(nearest_distance_, hit.distance - allowed_depth);
+  if (!(hit.distance < allowed_depth - collide::TOUCH_DISTANCE)) return false;
   const Vec surface_shift = surface_displacement(c, patch_hit, true, to);
   if (v) {
     const Vec surface_velocity = surface_shift * (1 / h_),

@@ -12,7 +12,7 @@ namespace animtool {
 
 // Bounds of the relative displacement of two particles: of nearby ones, and of any two.
 struct Drift {
-  double nearby = 0, any = 0;
+  double nearby_bound = 0, overall_bound = 0;
 };
 
 // Measures relative displacements with particles in wide cells. Groups that move rigidly have a
@@ -37,12 +37,12 @@ class RelativeMotion {
   template <class Transform>
   Drift measure_relative_to(const std::vector<double>& from, const std::vector<double>& to,
                             Transform transform);
-  static double extent(const Range& a, const Range& b);
+  static double combined_extent(const Range& a, const Range& b);
 
   double width_ = 0;
-  std::vector<std::uint32_t> cells_;                               // of particles
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> adjacent_;  // cells
-  std::vector<Range> ranges_;                                      // of cells
+  std::vector<std::uint32_t> cell_of_particle_;                          // of particles
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> adjacent_cells_;  // cells
+  std::vector<Range> cell_ranges_;                                       // of cells
 };
 
 }  // namespace animtool

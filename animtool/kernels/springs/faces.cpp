@@ -17,17 +17,17 @@ using collide::Mesh;
 using collide::Shape;
 using collide::store;
 using collide::Vec;
-using shapes::row_of;
+using shapes::position_of;
 
 // No point of an edge that is stretched to twice its length is farther than this from both of its
 // ends [longest rest edge].
-constexpr double NEAR_FACTOR = 1.2;
+constexpr double EDGE_REACH_FACTOR = 1.2;
 // Smallest distance from lines without thickness [longest rest edge].
-constexpr double MIN_DISTANCE = 1e-3;
+constexpr double MIN_CONTACT_DISTANCE = 1e-3;
 // Angle below which neighbouring faces of boxes and meshes count as flat [rad].
 constexpr double FLAT_ANGLE = 1e-3;
 // Contact searches in a step, and iterations of resolving contacts.
-constexpr int MAX_SEARCHES = 2, MAX_ITERATIONS = 6;
+constexpr int MAX_CONTACT_SEARCHES = 2, MAX_ITERATIONS = 6;
 
 Vec min_of(Vec a, Vec b) { return {std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)}; }
 Vec max_of(Vec a, Vec b) { return {std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)}; }
@@ -53,37 +53,39 @@ FineFeatures box_features(const double* half_extents) {
 
 // Radius of curvature of a mesh at the edge of a triangle: infinite if the edge is flat or concave,
 // and at most that of faces of a given width.
-double edge_radius(const Mesh& mesh, std::int32_t triangle, int side, double max_width) {
+double curvature_radius(const Mesh& mesh, std::int32_t triangle, int side, double max_width) {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
   const Vec a = mesh.point(corner[side]), b = mesh.point(corner[(side + 1) % 3]);
   const Vec opposite = mesh.point(corner[(side + 2) % 3]) - a, edge = b - a;
   const double squared_length = dot(edge, edge);
-  if (!(squared_length > 0)) return collide::FAR;
+  if (!(squared_length > 0)) return collide::INF;
   const Vec inward = opposite - edge * (dot(opposite, edge) / squared_length);
   const Vec sum = load(mesh.edge_normals + 9 * triangle + 3 * side);
   // On the boundary of an open mesh.
   if (dot(sum, sum) == 0) return 0;
-  if (!(dot(sum, inward) < -FLAT_ANGLE * FLAT_ANGLE * length(inward))) return collide::FAR;
+  if (!(dot(sum, inward) < -FLAT_ANGLE * FLAT_ANGLE * length(inward))) return collide::INF;
   const Vec normal = collide::face_normal(mesh, triangle, {});
   const double angle = 2 * std::atan2(length(cross(normal, sum)), dot(normal, sum));
-  return angle > FLAT_ANGLE ? std::min(length(inward), max_width) / angle : collide::FAR;
+  return angle > FLAT_ANGLE ? std::min(length(inward), max_width) / angle : collide::INF;
 }
 
 // The sharp edges of a mesh and their ends.
-FineFeatures mesh_features(const Collider& c, double longest, double distance) {
+FineFeatures mesh_features(const Collider& c, double longest_edge, double distance) {
   FineFeatures features;
   std::vector<std::array<std::int32_t, 4>> sharp_sides;  // two points, triangle, side
   std::int32_t triangles = 0;
-  const Vec everywhere{collide::FAR, collide::FAR, collide::FAR};
-  collide::visit_overlapping(c.mesh, c.root, -everywhere, everywhere, [&](std::int32_t t) {
-    triangles = std::max(triangles, t + 1);
-    for (std::int32_t side = 0; side < 3; ++side) {
-      if (!(edge_radius(c.mesh, t, side, longest) + distance < longest)) continue;
-      const std::int32_t* corner = c.mesh.triangles + 3 * t;
-      const auto [i, j] = std::minmax(corner[side], corner[(side + 1) % 3]);
-      sharp_sides.push_back({i, j, t, side});
-    }
-  });
+  const Vec infinite_extent{collide::INF, collide::INF, collide::INF};
+  collide::visit_overlapping(
+      c.mesh, c.root, -infinite_extent, infinite_extent, [&](std::int32_t t) {
+        triangles = std::max(triangles, t + 1);
+        for (std::int32_t side = 0; side < 3; ++side) {
+          if (!(curvature_radius(c.mesh, t, side, longest_edge) + distance < longest_edge))
+            continue;
+          const std::int32_t* corner = c.mesh.triangles + 3 * t;
+          const auto [i, j] = std::minmax(corner[side], corner[(side + 1) % 3]);
+          sharp_sides.push_back({i, j, t, side});
+        }
+      });
   std::sort(sharp_sides.begin(), sharp_sides.end());
   std::vector<std::int32_t> points;
   for (const auto& side : sharp_sides) points.insert(points.end(), {side[0], side[1]});
@@ -110,7 +112,7 @@ FineFeatures mesh_features(const Collider& c, double longest, double distance) {
 }
 
 // The features of a collider that are finer than the longest edge of a surface.
-FineFeatures collider_features(const Collider& c, double radius, double longest) {
+FineFeatures collider_features(const Collider& c, double radius, double longest_edge) {
   if (c.is_container) return {};
   const double distance = collide::contact_distance(c, radius);
   FineFeatures features;
@@ -118,12 +120,12 @@ FineFeatures collider_features(const Collider& c, double radius, double longest)
     case Shape::PLANE:
       return {};
     case Shape::SPHERE:
-      if (!(c.size[3] + distance < longest)) return {};
+      if (!(c.size[3] + distance < longest_edge)) return {};
       features.points = {load(c.size)};
       features.radius = c.size[3] + distance;
       return features;
     case Shape::CAPSULE:
-      if (!(c.size[6] + distance < longest)) return {};
+      if (!(c.size[6] + distance < longest_edge)) return {};
       features.points = {load(c.size), load(c.size + 3)};
       features.lines = {{0, 1}};
       features.radius = c.size[6] + distance;
@@ -132,10 +134,10 @@ FineFeatures collider_features(const Collider& c, double radius, double longest)
       features = box_features(c.size);
       break;
     case Shape::MESH:
-      features = mesh_features(c, longest, distance);
+      features = mesh_features(c, longest_edge, distance);
       break;
   }
-  features.radius = std::max(distance, MIN_DISTANCE * longest);
+  features.radius = std::max(distance, MIN_CONTACT_DISTANCE * longest_edge);
   features.is_built = true;
   return features;
 }
@@ -143,7 +145,9 @@ FineFeatures collider_features(const Collider& c, double radius, double longest)
 }  // namespace
 
 FaceContacts::FaceContacts(const SpringElements& elements, double radius)
-    : network_(elements), radius_(radius), search_distance_(NEAR_FACTOR * elements.longest_edge) {}
+    : network_(elements),
+      radius_(radius),
+      search_distance_(EDGE_REACH_FACTOR * elements.longest_edge) {}
 
 void FaceContacts::add(const Collider& c) {
   // Features of meshes are searched only near elements.
@@ -152,28 +156,28 @@ void FaceContacts::add(const Collider& c) {
   if (network_.edges.empty()) return;
   if (!is_deferred) features_.back() = collider_features(c, radius_, network_.longest_edge);
   features_.back().is_built = !is_deferred;
-  has_features_ |= is_deferred || features_.back().any();
-  if (!has_features_ || !slots_.empty()) return;
-  slots_.assign(network_.particles(), -1);
-  is_candidate_.assign(network_.particles(), 0);
+  has_features_ |= is_deferred || features_.back().has_points();
+  if (!has_features_ || !slot_of_particle_.empty()) return;
+  slot_of_particle_.assign(network_.particle_count(), -1);
+  is_candidate_.assign(network_.particle_count(), 0);
 }
 
 bool FaceContacts::resolve(std::size_t index, const StepCollider& c, double h,
-                           const std::vector<std::int32_t>& near_particles, StepRows rows) {
+                           const std::vector<std::int32_t>& near_particles, StepState state) {
   moved_particles.clear();
   if (index >= features_.size()) return false;
   FineFeatures& features = features_[index];
-  if (!features.is_built && is_near(c, near_particles, rows))
+  if (!features.is_built && is_near(c, near_particles, state))
     features = collider_features(c.collider, radius_, network_.longest_edge);
-  if (!features.any()) return false;
-  if (!collect_elements(features, c, near_particles, rows)) return false;
-  start_ = from_, end_ = to_;
+  if (!features.has_points()) return false;
+  if (!collect_elements(features, c, near_particles, state)) return false;
+  uncorrected_from_ = from_, uncorrected_to_ = to_;
   Separation separation(c.collider.friction, c.collider.depenetration * h, inverse_masses_, from_,
                         to_, true);
   bool has_contacts = false;
-  for (int search = 0; search < MAX_SEARCHES; ++search) {
+  for (int search = 0; search < MAX_CONTACT_SEARCHES; ++search) {
     find_contacts(features, c);
-    if (edges_.empty() && corners_.empty()) break;
+    if (edge_hits_.empty() && corner_hits_.empty()) break;
     has_contacts = true;
     int iterations = 1;
     while (separate(separation) && iterations < MAX_ITERATIONS) ++iterations;
@@ -182,11 +186,11 @@ bool FaceContacts::resolve(std::size_t index, const StepCollider& c, double h,
   }
   if (has_contacts) {
     separation.finish();
-    write_back(c, h, rows);
+    write_back(c, h, state);
     has_contacts = !moved_particles.empty();
   }
-  for (const std::int32_t n : particles_)
-    if (n >= 0) slots_[static_cast<std::size_t>(n)] = -1;
+  for (const std::int32_t n : particle_of_slot_)
+    if (n >= 0) slot_of_particle_[static_cast<std::size_t>(n)] = -1;
   return has_contacts;
 }
 
@@ -210,27 +214,27 @@ static bool may_touch(const FineFeatures& features, const Collider& c, Vec p, do
 }
 
 bool FaceContacts::is_near(const StepCollider& c, const std::vector<std::int32_t>& near_particles,
-                           const StepRows& rows) const {
+                           const StepState& state) const {
   const double max_distance = search_distance_ + collide::contact_distance(c.collider, radius_);
   return std::any_of(near_particles.begin(), near_particles.end(), [&](std::int32_t n) {
-    const Vec start = c.begin.to_local(row_of(rows.before.data(), n));
-    const Vec end = c.end.to_local(row_of(rows.x.data(), n));
+    const Vec start = c.begin.to_local(position_of(state.before.data(), n));
+    const Vec end = c.end.to_local(position_of(state.x.data(), n));
     return may_touch({}, c.collider, end, max_distance + length(end - start));
   });
 }
 
 bool FaceContacts::collect_elements(const FineFeatures& features, const StepCollider& c,
                                     const std::vector<std::int32_t>& near_particles,
-                                    const StepRows& rows) {
+                                    const StepState& state) {
   from_.clear();
   to_.clear();
-  particles_.clear();
+  particle_of_slot_.clear();
   inverse_masses_.clear();
   elements_.clear();
   std::vector<std::int32_t> candidates;
   for (const std::int32_t n : near_particles) {
-    const Vec from = c.begin.to_local(row_of(rows.before.data(), n));
-    const Vec to = c.end.to_local(row_of(rows.x.data(), n));
+    const Vec from = c.begin.to_local(position_of(state.before.data(), n));
+    const Vec to = c.end.to_local(position_of(state.x.data(), n));
     if (!may_touch(features, c.collider, to,
                    search_distance_ + features.radius + length(to - from)))
       continue;
@@ -242,65 +246,69 @@ bool FaceContacts::collect_elements(const FineFeatures& features, const StepColl
     for (std::size_t k = 0; k < corners.size(); k += static_cast<std::size_t>(count))
       if (std::any_of(&corners[k], &corners[k] + count,
                       [&](std::int32_t n) { return is_candidate_[static_cast<std::size_t>(n)]; }))
-        add_element(&corners[k], count, c, rows);
+        add_element(&corners[k], count, c, state);
   };
   add_all(network_.edges, 2);
   add_all(network_.triangles, 3);
   for (const std::int32_t n : candidates) is_candidate_[static_cast<std::size_t>(n)] = 0;
   for (const Vec p : features.points) {
-    const double row[ROW] = {p.x, p.y, p.z, 0};
-    from_.insert(from_.end(), row, row + ROW);
-    to_.insert(to_.end(), row, row + ROW);
+    const double row[PARTICLE_STRIDE] = {p.x, p.y, p.z, 0};
+    from_.insert(from_.end(), row, row + PARTICLE_STRIDE);
+    to_.insert(to_.end(), row, row + PARTICLE_STRIDE);
     inverse_masses_.push_back(0);
   }
   return true;
 }
 
 std::int32_t FaceContacts::slot_of(std::int32_t particle, const StepCollider& c,
-                                   const StepRows& rows) {
-  std::int32_t& entry = slots_[static_cast<std::size_t>(particle)];
+                                   const StepState& state) {
+  std::int32_t& entry = slot_of_particle_[static_cast<std::size_t>(particle)];
   if (entry >= 0) return entry;
-  entry = static_cast<std::int32_t>(particles_.size());
-  particles_.push_back(particle);
+  entry = static_cast<std::int32_t>(particle_of_slot_.size());
+  particle_of_slot_.push_back(particle);
   inverse_masses_.push_back(network_.inverse_masses[static_cast<std::size_t>(particle)]);
-  from_.resize(from_.size() + ROW, 0.0);
-  to_.resize(to_.size() + ROW, 0.0);
-  store(c.begin.to_local(row_of(rows.before.data(), particle)), &from_[from_.size() - ROW]);
-  store(c.end.to_local(row_of(rows.x.data(), particle)), &to_[to_.size() - ROW]);
+  from_.resize(from_.size() + PARTICLE_STRIDE, 0.0);
+  to_.resize(to_.size() + PARTICLE_STRIDE, 0.0);
+  store(c.begin.to_local(position_of(state.before.data(), particle)),
+        &from_[from_.size() - PARTICLE_STRIDE]);
+  store(c.end.to_local(position_of(state.x.data(), particle)), &to_[to_.size() - PARTICLE_STRIDE]);
   return entry;
 }
 
 void FaceContacts::add_element(const std::int32_t* corners, int count, const StepCollider& c,
-                               const StepRows& rows) {
+                               const StepState& state) {
   Element element{{}, count, {}, {}};
   for (int k = 0; k < count; ++k)
-    element.corners[static_cast<std::size_t>(k)] = slot_of(corners[k], c, rows);
+    element.corners[static_cast<std::size_t>(k)] = slot_of(corners[k], c, state);
   elements_.push_back(element);
 }
 
 // Number of axes along which an element is near a face of a box: two at edges, three at corners.
 static int count_near_axes(const double* half_extents, Vec low, Vec high, double distance) {
-  const double lows[3] = {low.x, low.y, low.z}, highs[3] = {high.x, high.y, high.z};
+  const double low_corner[3] = {low.x, low.y, low.z}, high_corner[3] = {high.x, high.y, high.z};
   int count = 0;
   for (int k = 0; k < 3; ++k)
-    count += (lows[k] <= half_extents[k] + distance && highs[k] >= half_extents[k] - distance) ||
-             (lows[k] <= -half_extents[k] + distance && highs[k] >= -half_extents[k] - distance);
+    count += (low_corner[k] <= half_extents[k] + distance &&
+              high_corner[k] >= half_extents[k] - distance) ||
+             (low_corner[k] <= -half_extents[k] + distance &&
+              high_corner[k] >= -half_extents[k] - distance);
   return count;
 }
 
 void FaceContacts::find_contacts(const FineFeatures& features, const StepCollider& c) {
-  edges_.clear();
-  corners_.clear();
+  edge_hits_.clear();
+  corner_hits_.clear();
   for (Element& element : elements_) {
-    element.low = {collide::FAR, collide::FAR, collide::FAR}, element.high = -element.low;
+    element.low = {collide::INF, collide::INF, collide::INF}, element.high = -element.low;
     for (int k = 0; k < element.count; ++k)
-      for (const auto* rows : {&from_, &to_}) {
-        const Vec point = row_of(rows->data(), element.corners[static_cast<std::size_t>(k)]);
+      for (const auto* positions : {&from_, &to_}) {
+        const Vec point =
+            position_of(positions->data(), element.corners[static_cast<std::size_t>(k)]);
         element.low = min_of(element.low, point), element.high = max_of(element.high, point);
       }
   }
-  const auto count = static_cast<std::int32_t>(features.points.size());
-  const auto lines = static_cast<std::int32_t>(features.lines.size());
+  const auto point_count = static_cast<std::int32_t>(features.points.size());
+  const auto line_count = static_cast<std::int32_t>(features.lines.size());
   std::vector<std::int32_t> feature_indices;
   for (const Element& element : elements_) {
     if (c.collider.shape == Shape::BOX &&
@@ -308,7 +316,7 @@ void FaceContacts::find_contacts(const FineFeatures& features, const StepCollide
             element.count)
       continue;
     if (features.triangle_features.empty()) {
-      for (std::int32_t k = 0; k < (element.count == 2 ? lines : count); ++k)
+      for (std::int32_t k = 0; k < (element.count == 2 ? line_count : point_count); ++k)
         add_contacts(features, element, k);
       continue;
     }
@@ -331,7 +339,7 @@ void FaceContacts::find_contacts(const FineFeatures& features, const StepCollide
 
 void FaceContacts::add_contacts(const FineFeatures& features, const Element& element,
                                 std::int32_t feature) {
-  const auto first_point = static_cast<std::int32_t>(particles_.size());
+  const auto first_point = static_cast<std::int32_t>(particle_of_slot_.size());
   const auto index = static_cast<std::size_t>(feature);
   if (element.count == 3) {
     const Vec p = features.points[index];
@@ -355,36 +363,40 @@ void FaceContacts::add_pair(const FourParticles& particles, double distance) {
   const Shape current(particles.data(), to_.data());
   double travel = 0;
   for (const std::int32_t n : particles)
-    travel = std::max(travel, length(row_of(to_.data(), n) - row_of(from_.data(), n)));
-  const shapes::Nearest near = current.nearest();
-  const double gap = length(near.offset);
+    travel = std::max(travel, length(position_of(to_.data(), n) - position_of(from_.data(), n)));
+  const shapes::Nearest nearest = current.nearest();
+  const double gap = length(nearest.offset);
   if (!(gap < distance + travel)) return;
   LayerHit hit{0, 0, 0, particles, gap, travel, distance};
   if (gap <= travel)
     hit.side = shapes::crossing_side(Shape(particles.data(), from_.data()), current);
-  if (!hit.side && !near.is_interior) return;
-  (std::is_same_v<Shape, shapes::EdgePair> ? edges_ : corners_).push_back(hit);
+  if (!hit.side && !nearest.is_interior) return;
+  (std::is_same_v<Shape, shapes::EdgePair> ? edge_hits_ : corner_hits_).push_back(hit);
 }
 
 bool FaceContacts::separate(Separation& separation) const {
-  bool any = false;
-  for (const LayerHit& hit : corners_) any |= separation.separate<shapes::CornerPair>(hit);
-  for (const LayerHit& hit : edges_) any |= separation.separate<shapes::EdgePair>(hit);
-  return any;
+  bool has_separated = false;
+  for (const LayerHit& hit : corner_hits_)
+    has_separated |= separation.separate<shapes::CornerPair>(hit);
+  for (const LayerHit& hit : edge_hits_)
+    has_separated |= separation.separate<shapes::EdgePair>(hit);
+  return has_separated;
 }
 
-void FaceContacts::write_back(const StepCollider& c, double h, StepRows& rows) {
-  for (std::size_t k = 0; k < particles_.size(); ++k) {
-    const Vec end_shift = load(&to_[ROW * k]) - load(&end_[ROW * k]);
-    const Vec start_shift = load(&from_[ROW * k]) - load(&start_[ROW * k]);
+void FaceContacts::write_back(const StepCollider& c, double h, StepState& state) {
+  for (std::size_t k = 0; k < particle_of_slot_.size(); ++k) {
+    const Vec end_shift =
+        load(&to_[PARTICLE_STRIDE * k]) - load(&uncorrected_to_[PARTICLE_STRIDE * k]);
+    const Vec start_shift =
+        load(&from_[PARTICLE_STRIDE * k]) - load(&uncorrected_from_[PARTICLE_STRIDE * k]);
     if (dot(end_shift, end_shift) == 0 && dot(start_shift, start_shift) == 0) continue;
-    const std::int32_t n = particles_[k];
-    const std::size_t row = ROW * static_cast<std::size_t>(n);
+    const std::int32_t n = particle_of_slot_[k];
+    const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(n);
     const Vec end_change = c.end.rotate(end_shift), start_change = c.begin.rotate(start_shift);
-    store(load(&rows.x[row]) + end_change, &rows.x[row]);
-    store(load(&rows.before[row]) + start_change, &rows.before[row]);
+    store(load(&state.x[row]) + end_change, &state.x[row]);
+    store(load(&state.before[row]) + start_change, &state.before[row]);
     const Vec velocity_change = (end_change - start_change) * (1 / h);
-    if (rows.v) store(load(&(*rows.v)[row]) + velocity_change, &(*rows.v)[row]);
+    if (state.v) store(load(&(*state.v)[row]) + velocity_change, &(*state.v)[row]);
     moved_particles.push_back({n, length(end_change) + length(start_change), velocity_change});
   }
 }

@@ -13,7 +13,7 @@ namespace {
 
 // A band has at least this many springs, at most this gap, and a spring for at least half of its
 // particles.
-constexpr std::size_t MIN_SPRINGS = 4 * SIMD_WIDTH, MAX_GAP = 4 * SIMD_WIDTH;
+constexpr std::size_t MIN_BAND_SPRINGS = 4 * SIMD_WIDTH, MAX_BAND_GAP = 4 * SIMD_WIDTH;
 
 std::size_t lower_end(const Spring& spring) {
   return static_cast<std::size_t>(std::min(spring.i, spring.j));
@@ -38,14 +38,14 @@ std::vector<std::size_t> order_by_offset(const std::vector<Spring>& springs) {
 
 }  // namespace
 
-const SpringLoops& spring_loops() {
-  static const SpringLoops* const quads = springs_in_quads();
-  return quads ? *quads : spring_loops_on<Portable>;
+const SpringFunctions& spring_functions() {
+  static const SpringFunctions* const quads = springs_in_quads();
+  return quads ? *quads : spring_functions_on<Portable>;
 }
 
 void SpringForces::Coefficients::add(double rest_length, double spring_stiffness,
                                      double spring_damping) {
-  rest.push_back(rest_length);
+  rest_lengths.push_back(rest_length);
   stiffness.push_back(spring_stiffness);
   damping.push_back(spring_damping);
 }
@@ -64,7 +64,7 @@ SpringForces::SpringForces(const std::vector<Spring>& springs, std::size_t parti
     const Spring& spring = springs[s];
     unbanded_ends_.push_back(spring.i);
     unbanded_ends_.push_back(spring.j);
-    unbanded_.add(spring.rest, spring.stiffness, spring.damping);
+    unbanded_coefficients_.add(spring.rest_length, spring.stiffness, spring.damping);
   }
 }
 
@@ -77,13 +77,14 @@ std::vector<SpringForces::Band> SpringForces::build_bands(
     const Spring& first = springs[order[k]];
     for (++k; k < order.size(); ++k) {
       const Spring &last = springs[band_springs.back()], &next = springs[order[k]];
-      if (index_offset(next) != index_offset(first) || lower_end(next) > lower_end(last) + MAX_GAP)
+      if (index_offset(next) != index_offset(first) ||
+          lower_end(next) > lower_end(last) + MAX_BAND_GAP)
         break;
       // Of several springs between two particles, only one is in a band.
       if (lower_end(next) != lower_end(last)) band_springs.push_back(order[k]);
     }
     const std::size_t length = lower_end(springs[band_springs.back()]) - lower_end(first) + 1;
-    if (band_springs.size() < MIN_SPRINGS || 2 * band_springs.size() < length) continue;
+    if (band_springs.size() < MIN_BAND_SPRINGS || 2 * band_springs.size() < length) continue;
     bands.push_back(build_band(springs, band_springs));
     banded_springs.insert(banded_springs.end(), band_springs.begin(), band_springs.end());
   }
@@ -101,7 +102,7 @@ SpringForces::Band SpringForces::build_band(const std::vector<Spring>& springs,
       continue;
     }
     const Spring& spring = springs[band_springs[next++]];
-    band.coefficients.add(spring.rest, spring.stiffness, spring.damping);
+    band.coefficients.add(spring.rest_length, spring.stiffness, spring.damping);
   }
   return band;
 }
@@ -110,15 +111,15 @@ void SpringForces::build_chunks(std::vector<Band> bands) {
   std::stable_sort(bands.begin(), bands.end(),
                    [](const Band& a, const Band& b) { return a.first < b.first; });
   const std::size_t height = plane_height(particles_) - SIMD_WIDTH;
-  std::vector<const Band*> active;
+  std::vector<const Band*> active_bands;
   for (std::size_t begin = 0, next = 0, end; begin < height; begin = end) {
-    std::erase_if(active, [&](const Band* band) { return band->last <= begin; });
+    std::erase_if(active_bands, [&](const Band* band) { return band->last <= begin; });
     for (; next < bands.size() && bands[next].first == begin; ++next)
-      active.push_back(&bands[next]);
-    end = std::min(height, begin + MAX_CHUNK);
+      active_bands.push_back(&bands[next]);
+    end = std::min(height, begin + MAX_CHUNK_SIZE);
     if (next < bands.size()) end = std::min(end, bands[next].first);
-    for (const Band* band : active) end = std::min(end, band->last);
-    build_chunk(begin, end, active);
+    for (const Band* band : active_bands) end = std::min(end, band->last);
+    build_chunk(begin, end, active_bands);
   }
 }
 
@@ -126,13 +127,13 @@ void SpringForces::build_chunk(std::size_t begin, std::size_t end, std::vector<c
   std::sort(bands.begin(), bands.end(),
             [](const Band* a, const Band* b) { return a->offset < b->offset; });
   chunks_.push_back({begin, end, offsets_.size(), bands.size(), coefficients_.size()});
-  max_offsets_ = std::max(max_offsets_, bands.size());
+  max_offset_count_ = std::max(max_offset_count_, bands.size());
   for (const Band* band : bands) offsets_.push_back(band->offset);
   for (std::size_t n = begin; n < end; n += SIMD_WIDTH)
     for (const Band* band : bands) {
       const Coefficients& columns = band->coefficients;
       for (const std::vector<double>* column :
-           {&columns.rest, &columns.stiffness, &columns.damping})
+           {&columns.rest_lengths, &columns.stiffness, &columns.damping})
         for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
           coefficients_.push_back((*column)[n - band->first + l]);
     }
@@ -152,39 +153,40 @@ void SpringForces::allocate(ForceBuffers& buffers) const {
   buffers.x.resize(size);
   buffers.v.resize(size);
   buffers.f.assign(size, 0.0);
-  buffers.spring_forces.resize(3 * max_offsets_ * FORCE_COLUMN);
+  buffers.spring_forces.resize(3 * max_offset_count_ * FORCE_COLUMN);
 }
 
 void SpringForces::read(const double* rows, std::vector<double>& columns) const {
-  spring_loops().to_planes(rows, particles_, plane_height(particles_), columns.data());
+  spring_functions().to_planes(rows, particles_, plane_height(particles_), columns.data());
 }
 
 void SpringForces::write(const std::vector<double>& columns, double* rows) const {
-  spring_loops().to_rows(columns.data(), particles_, plane_height(particles_), rows);
+  spring_functions().to_rows(columns.data(), particles_, plane_height(particles_), rows);
 }
 
 void SpringForces::compute(const double* x, const double* v, ForceBuffers& buffers,
                            double* forces) const {
   if (!has_bands()) {
-    std::fill_n(forces, ROW * particles_, 0.0);
+    std::fill_n(forces, PARTICLE_STRIDE * particles_, 0.0);
   } else {
     allocate(buffers);
     read(x, buffers.x);
     read(v, buffers.v);
-    spring_loops().add_plane_forces(chunks(), planes(buffers));
+    spring_functions().add_plane_forces(chunks(), planes(buffers));
     write(buffers.f, forces);
   }
   add_unbanded(x, v, forces);
 }
 
 void SpringForces::add_unbanded(const double* x, const double* v, double* forces) const {
-  const SpringColumns columns{unbanded_ends_.data(), unbanded_.rest.data(),
-                              unbanded_.stiffness.data(), unbanded_.damping.data()};
-  spring_loops().add_forces(columns, unbanded_.rest.size(), x, v, forces);
+  const SpringColumns columns{unbanded_ends_.data(), unbanded_coefficients_.rest_lengths.data(),
+                              unbanded_coefficients_.stiffness.data(),
+                              unbanded_coefficients_.damping.data()};
+  spring_functions().add_forces(columns, unbanded_coefficients_.rest_lengths.size(), x, v, forces);
 }
 
 void SpringForces::step(const PlaneSteps& steps, ForceBuffers& buffers) const {
-  spring_loops().step_planes(chunks(), steps, planes(buffers));
+  spring_functions().step_planes(chunks(), steps, planes(buffers));
 }
 
 }  // namespace animtool

@@ -13,7 +13,7 @@ namespace animtool {
 // A spring between particles i and j.
 struct Spring {
   std::int32_t i, j;
-  double rest, stiffness, damping, limit;  // limit: length at which it tears
+  double rest_length, stiffness, damping, tear_length;
 };
 
 // Particles in columns: positions, velocities, forces; and the forces of a chunk's springs.
@@ -30,7 +30,7 @@ class SpringForces {
 
   // Whether there are bands, and springs outside of bands.
   bool has_bands() const { return !chunks_.empty(); }
-  bool has_unbanded() const { return !unbanded_.rest.empty(); }
+  bool has_unbanded() const { return !unbanded_coefficients_.rest_lengths.empty(); }
 
   // Computes the forces on particles [N], in rows.
   void compute(const double* x, const double* v, ForceBuffers& buffers, double* forces) const;
@@ -49,7 +49,7 @@ class SpringForces {
 
  private:
   struct Coefficients {
-    std::vector<double> rest, stiffness, damping;
+    std::vector<double> rest_lengths, stiffness, damping;
 
     void add(double rest_length, double spring_stiffness, double spring_damping);
   };
@@ -71,10 +71,10 @@ class SpringForces {
 
   std::size_t particles_ = 0;
   std::vector<BandChunk> chunks_;
-  std::size_t max_offsets_ = 0;  // largest number of a chunk
+  std::size_t max_offset_count_ = 0;  // largest number of a chunk
   std::vector<std::size_t> offsets_;
   std::vector<double> coefficients_;
-  Coefficients unbanded_;
+  Coefficients unbanded_coefficients_;
   std::vector<std::int32_t> unbanded_ends_;
 };
 

@@ -30,11 +30,11 @@ class PointGrid {
   std::int64_t cell_of(double coordinate, std::size_t axis) const {
     // NaN is in cell 0.
     const double index = (coordinate - low_[axis]) * inverse_cell_;
-    return index > 0 ? static_cast<std::int64_t>(std::min(index, double(MAX_CELLS))) : 0;
+    return index > 0 ? static_cast<std::int64_t>(std::min(index, double(MAX_CELL_INDEX))) : 0;
   }
 
   // Largest cell index in each direction.
-  static constexpr std::int64_t MAX_CELLS = (1 << 20) - 1;
+  static constexpr std::int64_t MAX_CELL_INDEX = (1 << 20) - 1;
 
   std::size_t count_ = 0, mask_ = 0;
   double low_[3] = {0, 0, 0}, inverse_cell_ = 1;
@@ -55,7 +55,7 @@ void PointGrid::visit(const double* low, const double* high, Function function) 
   }
   // If a box has more cells than there are points, it is faster to test all points.
   if (cells > static_cast<double>(count_)) {
-    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &positions_[ROW * i]);
+    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &positions_[PARTICLE_STRIDE * i]);
     return;
   }
   std::int64_t cell[3];
@@ -65,7 +65,7 @@ void PointGrid::visit(const double* low, const double* high, Function function) 
         const std::uint64_t cell_key = key(cell);
         const std::size_t b = bucket(cell_key);
         for (std::size_t i = starts_[b]; i < starts_[b + 1]; ++i)
-          if (keys_[i] == cell_key) function(points_[i], &positions_[ROW * i]);
+          if (keys_[i] == cell_key) function(points_[i], &positions_[PARTICLE_STRIDE * i]);
       }
 }
 

@@ -29,13 +29,13 @@ class LayerContacts {
   std::vector<Piercing> piercings;
   void sort_piercings() { std::sort(piercings.begin(), piercings.end()); }
 
-  // `list_pairs` lists all pairs within a distance. `pick_pairs` picks those that may be near now,
-  // given the displacements of particles since they were listed.
+  // `list_pairs` lists all pairs within a distance. `filter_near_pairs` picks those that may be
+  // near now, given the displacements of particles since they were listed.
   void list_pairs(const SpringLayers& layers, const std::vector<double>& x, double distance) {
     listed_pairs_ = Kind::find_near(layers, x, distance);
   }
-  void pick_pairs(const SpringLayers& layers, const std::vector<double>& x,
-                  const std::vector<double>& displacements, double distance);
+  void filter_near_pairs(const SpringLayers& layers, const std::vector<double>& x,
+                         const std::vector<double>& displacements, double distance);
 
   // Finds the contacts of a step: `max_travel` is the largest tested relative displacement,
   // `return_margin` the extra distance of pairs that only return to the contact distance. Tangled
@@ -44,12 +44,12 @@ class LayerContacts {
                      const std::vector<double>& x, double max_travel, double return_margin,
                      const Tangles* tangles);
   void clear_contacts() { hits_.clear(); }
-  bool any() const { return !hits_.empty(); }
+  bool has_hits() const { return !hits_.empty(); }
   void separate(const SpringLayers& layers, Separation& separation) const;
   // Collects picked pairs with a moved particle that passed through each other since the start of
   // the step.
   void collect_tunnelling(const SpringLayers& layers, const std::vector<double>& from,
-                          const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
+                          const std::vector<double>& x, const std::vector<std::uint8_t>& is_moved,
                           const Tangles& tangles, std::vector<LayerHit>& tunnelling) const;
   // Drops piercings that are resolved, or whose elements moved apart.
   void drop_resolved(const SpringLayers& layers, const std::vector<double>& x);
@@ -77,8 +77,10 @@ class LayerContacts {
 };
 
 template <class Kind>
-void LayerContacts<Kind>::pick_pairs(const SpringLayers& layers, const std::vector<double>& x,
-                                     const std::vector<double>& displacements, double distance) {
+void LayerContacts<Kind>::filter_near_pairs(const SpringLayers& layers,
+                                            const std::vector<double>& x,
+                                            const std::vector<double>& displacements,
+                                            double distance) {
   const auto max_displacement = [&](const std::int32_t* first, const std::int32_t* last) {
     double largest = 0;
     for (; first != last; ++first)
@@ -88,9 +90,10 @@ void LayerContacts<Kind>::pick_pairs(const SpringLayers& layers, const std::vect
   near_pairs_.clear();
   for (const LayerPair& pair : listed_pairs_) {
     const FourParticles particles = Kind::particles(layers, pair.first, pair.second);
-    const double approach = max_displacement(&particles[0], &particles[Kind::FIRST_COUNT]) +
-                            max_displacement(&particles[Kind::FIRST_COUNT], particles.data() + 4);
-    if (pair.gap - approach - pair.distance > distance) continue;
+    const double max_approach =
+        max_displacement(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) +
+        max_displacement(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + 4);
+    if (pair.gap - max_approach - pair.distance > distance) continue;
     if (length(Shape(particles.data(), x.data()).nearest().offset) - pair.distance <= distance)
       near_pairs_.push_back(pair);
   }
@@ -116,8 +119,9 @@ void LayerContacts<Kind>::find_contacts(const SpringLayers& layers,
     LayerHit hit{pair.first, pair.second, 0, particles, gap, travel, pair.distance};
     hit.side = side_of(hit, before, x);
     if (!hit.side && !nearest.is_interior) continue;
-    if (tangles && !hit.side && are_tangled(&particles[0], &particles[Kind::FIRST_COUNT]) &&
-        are_tangled(&particles[Kind::FIRST_COUNT], particles.data() + particles.size()))
+    if (tangles && !hit.side &&
+        are_tangled(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) &&
+        are_tangled(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + particles.size()))
       continue;
     hits_.push_back(hit);
     if (hit.side) Kind::record_crossing(crossings_, hit.first, hit.second);
@@ -131,11 +135,11 @@ double LayerContacts<Kind>::relative_shift(const FourParticles& particles,
                                            const std::vector<double>& x) {
   collide::Vec displacements[4];
   for (std::size_t k = 0; k < 4; ++k)
-    displacements[k] =
-        shapes::row_of(x.data(), particles[k]) - shapes::row_of(before.data(), particles[k]);
+    displacements[k] = shapes::position_of(x.data(), particles[k]) -
+                       shapes::position_of(before.data(), particles[k]);
   double max_square = 0;
-  for (std::size_t i = 0; i < Kind::FIRST_COUNT; ++i)
-    for (std::size_t j = Kind::FIRST_COUNT; j < 4; ++j) {
+  for (std::size_t i = 0; i < Kind::FIRST_PARTICLE_COUNT; ++i)
+    for (std::size_t j = Kind::FIRST_PARTICLE_COUNT; j < 4; ++j) {
       const collide::Vec difference = displacements[i] - displacements[j];
       max_square = std::max(max_square, dot(difference, difference));
     }
@@ -179,7 +183,7 @@ template <class Kind>
 void LayerContacts<Kind>::collect_tunnelling(const SpringLayers& layers,
                                              const std::vector<double>& from,
                                              const std::vector<double>& x,
-                                             const std::vector<std::uint8_t>& moved,
+                                             const std::vector<std::uint8_t>& is_moved,
                                              const Tangles& tangles,
                                              std::vector<LayerHit>& tunnelling) const {
   const auto are_tangled = [&](const std::int32_t* first, const std::int32_t* last) {
@@ -188,16 +192,16 @@ void LayerContacts<Kind>::collect_tunnelling(const SpringLayers& layers,
   for (const LayerPair& pair : near_pairs_) {
     const FourParticles particles = Kind::particles(layers, pair.first, pair.second);
     if (std::none_of(particles.begin(), particles.end(),
-                     [&](std::int32_t n) { return moved[static_cast<std::size_t>(n)]; }))
+                     [&](std::int32_t n) { return is_moved[static_cast<std::size_t>(n)]; }))
       continue;
-    if (!shapes::paths_overlap(particles.data(), Kind::FIRST_COUNT, from.data(), x.data()))
+    if (!shapes::paths_overlap(particles.data(), Kind::FIRST_PARTICLE_COUNT, from.data(), x.data()))
       continue;
     const std::int32_t side = shapes::passing_side(Shape(particles.data(), from.data()),
                                                    Shape(particles.data(), x.data()));
     if (!side) continue;
     // Tangled pairs have no known side.
-    if (are_tangled(&particles[0], &particles[Kind::FIRST_COUNT]) &&
-        are_tangled(&particles[Kind::FIRST_COUNT], particles.data() + 4))
+    if (are_tangled(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) &&
+        are_tangled(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + 4))
       continue;
     tunnelling.push_back({pair.first, pair.second, side, particles, 0, 0, pair.distance});
   }

@@ -1,4 +1,4 @@
-// Loops over springs, four at a time, in versions for several processors.
+// Functions on many springs, four at a time, compiled for several processors.
 #pragma once
 
 #include "base/quads.h"
@@ -8,14 +8,14 @@
 
 namespace animtool {
 
-// The loops for one type of processor.
-struct SpringLoops {
+// The functions that are compiled for one type of processor.
+struct SpringFunctions {
   void (*add_forces)(const SpringColumns&, std::size_t, const double*, const double*, double*);
   void (*accelerate)(const ParticleColumns&, std::size_t, const double*, const double*, double*);
   void (*advance)(std::size_t, double, const double*, double*, double*);
   void (*project)(const ComplianceColumns&, const SpringRunLength*, std::size_t, double*,
                   const double*, double*);
-  // Conversion between rows and planes, and loops over planes.
+  // Conversion between rows and planes, and functions on planes.
   void (*to_planes)(const double* rows, std::size_t count, std::size_t height, double* planes);
   void (*to_rows)(const double* planes, std::size_t count, std::size_t height, double* rows);
   void (*add_plane_forces)(const BandChunks&, const BandPlanes&);
@@ -24,12 +24,12 @@ struct SpringLoops {
 };
 
 template <class Simd>
-constexpr SpringLoops spring_loops_on{
+constexpr SpringFunctions spring_functions_on{
     add_forces<Simd>,       accelerate_rows<Simd>, advance_rows<Simd>,
     project_all<Simd>,      rows_to_planes<Simd>,  planes_to_rows<Simd>,
     add_plane_forces<Simd>, step_planes<Simd>,     advance_bundle<Simd>};
 
-const SpringLoops* springs_in_quads();  // null if the processor has no such registers
-const SpringLoops& spring_loops();      // the loops for this processor
+const SpringFunctions* springs_in_quads();  // null if the processor has no such registers
+const SpringFunctions& spring_functions();  // those for this processor
 
 }  // namespace animtool

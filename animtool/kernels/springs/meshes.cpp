@@ -13,62 +13,63 @@ using collide::Nearest;
 using collide::Vec;
 
 double MeshPatches::displacement_since(const Patch& patch, Vec p, const MeshMotion& motion,
-                                       bool& in_knot) {
+                                       bool& is_in_knot) {
   const MeshMotion& patch_motion = patch.motion;
   const double displacement = length(p - patch.position - (motion.drift - patch_motion.drift)) +
                               std::abs(motion.spread - patch_motion.spread);
-  in_knot = false;
+  is_in_knot = false;
   if (displacement <= patch.slack) return displacement;
   const double fraction = motion.fraction - patch_motion.fraction;
   if (motion.knot < 0 || motion.knot != patch_motion.knot || fraction < -patch.lookback) return -1;
-  const double relative = length(p - patch.position - patch.triangle_shift * fraction);
-  in_knot = relative <= patch.knot_slack;
-  return in_knot ? relative : -1;
+  const double relative_displacement = length(p - patch.position - patch.triangle_shift * fraction);
+  is_in_knot = relative_displacement <= patch.knot_slack;
+  return is_in_knot ? relative_displacement : -1;
 }
 
 MeshPatches::PatchHit MeshPatches::query(const Mesh& mesh, std::int32_t root, std::size_t n, Vec p,
                                          const MeshMotion& motion, const KnotBoxes* boxes,
-                                         double contact_distance, bool allow_bound) {
+                                         double contact_distance, bool allows_bound) {
   Patch& patch = patches_[n];
-  bool in_knot;
-  const double displacement = displacement_since(patch, p, motion, in_knot);
+  bool is_in_knot;
+  const double displacement = displacement_since(patch, p, motion, is_in_knot);
   if (displacement < 0) {
     patch.position = p;
     patch.motion = motion;
-    return gather(patch, mesh, root, p, boxes, contact_distance, allow_bound);
+    return fill_cache(patch, mesh, root, p, boxes, contact_distance, allows_bound);
   }
   if (patch.count == 0)
-    return {{(in_knot ? patch.min_distance : patch.distance) - displacement, {0, 1, 0}}, -1};
-  const Nearest best = nearest(patch, mesh, p, displacement);
+    return {{(is_in_knot ? patch.min_distance : patch.distance) - displacement, {0, 1, 0}}, -1};
+  const Nearest best_hit = nearest(patch, mesh, p, displacement);
   // So far away that the squared distance overflows.
-  if (best.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
-  return {collide::sample_nearest(mesh, best, p), best.triangle};
+  if (best_hit.triangle < 0) return {{collide::INF, {0, 1, 0}}, -1};
+  return {collide::sample_nearest(mesh, best_hit, p), best_hit.triangle};
 }
 
 Nearest MeshPatches::nearest(const Patch& patch, const Mesh& mesh, Vec p,
                              double displacement) const {
-  Nearest best;
+  Nearest best_hit;
   const Candidates& candidates = candidates_[static_cast<std::size_t>(patch.candidates_index)];
-  double max_useful_distance = collide::FAR;
+  double max_useful_distance = collide::INF;
   for (int k = 0; k < patch.count && candidates[k].distance <= max_useful_distance; ++k) {
     const Nearest hit = collide::nearest_of_triangle(mesh, candidates[k].triangle, p);
-    if (!collide::is_nearer(hit, best)) continue;
-    best = hit;
-    max_useful_distance = std::sqrt(best.squared_distance) + displacement + collide::TOUCH;
+    if (!collide::is_nearer(hit, best_hit)) continue;
+    best_hit = hit;
+    max_useful_distance =
+        std::sqrt(best_hit.squared_distance) + displacement + collide::TOUCH_DISTANCE;
   }
-  return best;
+  return best_hit;
 }
 
 void MeshPatches::invalidate() {
   for (Patch& patch : patches_) patch.slack = patch.knot_slack = -1;
 }
 
-MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
-                                          const KnotBoxes* boxes, double contact_distance,
-                                          bool allow_bound) {
+MeshPatches::PatchHit MeshPatches::fill_cache(Patch& patch, const Mesh& mesh, std::int32_t root,
+                                              Vec p, const KnotBoxes* boxes,
+                                              double contact_distance, bool allows_bound) {
   patch.count = 0;
   patch.slack = patch.knot_slack = -1;
-  if (allow_bound) {
+  if (allows_bound) {
     patch.distance = std::sqrt(collide::squared_box_distance(p, mesh.bounds + 6 * root));
     const double slack = (patch.distance - contact_distance) / 2;
     if (slack > patch.next_slack) {
@@ -77,16 +78,16 @@ MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::i
     }
   }
   const Nearest nearest =
-      search(patch, mesh, root, p, boxes, allow_bound ? contact_distance : collide::FAR);
-  if (nearest.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
+      search(patch, mesh, root, p, boxes, allows_bound ? contact_distance : collide::INF);
+  if (nearest.triangle < 0) return {{collide::INF, {0, 1, 0}}, -1};
   const collide::Sample hit = collide::sample_nearest(mesh, nearest, p);
   // Inside, distant triangles matter as well.
-  if (allow_bound && hit.distance < 0) search(patch, mesh, root, p, boxes, collide::FAR);
+  if (allows_bound && hit.distance < 0) search(patch, mesh, root, p, boxes, collide::INF);
   patch.distance = std::sqrt(nearest.squared_distance);
   patch.seed_triangle = last_triangle_ = nearest.triangle;
   const double excess = hit.distance - contact_distance,
                min_distance = min_distance_ - contact_distance, margin = 2 * patch.next_slack;
-  if (allow_bound && excess > margin) {
+  if (allows_bound && excess > margin) {
     // Far away a bound is enough, over the knot interval or while particle and mesh move alike.
     patch.slack = excess / 2;
     patch.min_distance = min_distance_;
@@ -105,12 +106,12 @@ MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::i
 
 Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
                             const KnotBoxes* boxes, double contact_distance) {
-  nearby_.clear();
-  Nearest best;
-  double squared_limit = collide::FAR;
+  nearby_triangles_.clear();
+  Nearest best_hit;
+  double squared_limit = collide::INF;
   const auto update_limit = [&] {
     // Far away, the nearest triangle and close alternatives are enough.
-    const double distance = std::sqrt(best.squared_distance), margin = 2 * patch.next_slack;
+    const double distance = std::sqrt(best_hit.squared_distance), margin = 2 * patch.next_slack;
     const double limit = distance > contact_distance + margin
                              ? std::max(distance, contact_distance + 2 * margin)
                              : distance + margin;
@@ -119,11 +120,11 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
   // Consecutive particles are close to each other.
   if (patch.seed_triangle < 0) patch.seed_triangle = last_triangle_;
   if (patch.seed_triangle < 0)
-    patch.seed_triangle = collide::nearest_on_mesh(mesh, root, p, collide::FAR).triangle;
-  if (patch.seed_triangle < 0) return best;
-  best = collide::nearest_of_triangle(mesh, patch.seed_triangle, p);
+    patch.seed_triangle = collide::nearest_on_mesh(mesh, root, p, collide::INF).triangle;
+  if (patch.seed_triangle < 0) return best_hit;
+  best_hit = collide::nearest_of_triangle(mesh, patch.seed_triangle, p);
   update_limit();
-  const double fraction = mesh.fraction, remaining = 1 - fraction;
+  const double fraction = mesh.fraction, remaining_fraction = 1 - fraction;
   patch.triangle_shift = {};
   if (boxes) {
     const std::int32_t* corner = mesh.triangles + 3 * patch.seed_triangle;
@@ -144,17 +145,17 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
       const double low = shift_box[k] - triangle_shift[k],
                    high = shift_box[3 + k] - triangle_shift[k];
       box[k] = start_box[k] + fraction * shift_box[k] +
-               std::min({0.0, remaining * low, -patch.lookback * high});
+               std::min({0.0, remaining_fraction * low, -patch.lookback * high});
       box[3 + k] = start_box[3 + k] + fraction * shift_box[3 + k] +
-                   std::max({0.0, remaining * high, -patch.lookback * low});
+                   std::max({0.0, remaining_fraction * high, -patch.lookback * low});
     }
     return collide::squared_box_distance(p, box);
   };
-  const double max_fraction = std::max(remaining, patch.lookback);
+  const double max_fraction = std::max(remaining_fraction, patch.lookback);
   collide::visit_boxes(mesh, root, squared_limit, squared_distance, [&](std::int32_t t) {
     const Nearest hit = collide::nearest_of_triangle(mesh, t, p);
-    if (collide::is_nearer(hit, best)) {
-      best = hit;
+    if (collide::is_nearer(hit, best_hit)) {
+      best_hit = hit;
       update_limit();
     }
     const double distance = std::sqrt(hit.squared_distance);
@@ -165,24 +166,24 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
         relative_shift = std::max(relative_shift, length(load(mesh.displacements + 3 * corner[k]) -
                                                          patch.triangle_shift));
     }
-    nearby_.push_back({distance, distance - max_fraction * relative_shift, t});
+    nearby_triangles_.push_back({distance, distance - max_fraction * relative_shift, t});
     return squared_limit;
   });
   min_distance_ = std::sqrt(squared_limit);
-  for (const NearbyTriangle& triangle : nearby_)
+  for (const NearbyTriangle& triangle : nearby_triangles_)
     min_distance_ = std::min(min_distance_, triangle.min_distance);
-  return best;
+  return best_hit;
 }
 
-bool MeshPatches::store_candidates(Patch& patch, double max_distance, bool in_knot) {
+bool MeshPatches::store_candidates(Patch& patch, double max_distance, bool is_in_knot) {
   if (patch.candidates_index < 0) {
     patch.candidates_index = static_cast<std::int32_t>(candidates_.size());
     candidates_.emplace_back();
   }
   Candidates& candidates = candidates_[static_cast<std::size_t>(patch.candidates_index)];
   int count = 0;
-  for (const NearbyTriangle& nearby : nearby_) {
-    const double distance = in_knot ? nearby.min_distance : nearby.distance;
+  for (const NearbyTriangle& nearby : nearby_triangles_) {
+    const double distance = is_in_knot ? nearby.min_distance : nearby.distance;
     if (!(distance <= max_distance)) continue;
     if (count == MAX_CANDIDATES) return false;
     candidates[count++] = {distance, nearby.triangle};
@@ -196,31 +197,33 @@ bool MeshPatches::store_candidates(Patch& patch, double max_distance, bool in_kn
   return true;
 }
 
-// Largest number of cells per knot interval.
-constexpr std::int64_t MAX_CELLS_PER_KNOT = std::int64_t{1} << 40;
+// Largest number of time intervals per knot interval.
+constexpr std::int64_t MAX_INTERVALS_PER_KNOT = std::int64_t{1} << 40;
 
-MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
+MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t interval_count)
     : surface_(std::get<0>(surface)),
       points_(std::get<1>(surface)),
       settings_(std::get<2>(surface)),
-      cells_per_knot_(std::get<3>(surface)),
-      first_cell_(std::get<4>(surface)) {
+      intervals_per_knot_(std::get<3>(surface)),
+      first_interval_(std::get<4>(surface)) {
   if (!surface_) check::refuse("colliders.surfaces", "a surface is None");
-  check::between("colliders.surfaces", cells_per_knot_, 1, MAX_CELLS_PER_KNOT);
-  check::between("colliders.surfaces", first_cell_, 0, cells_per_knot_ - 1);
-  const std::int64_t knots = (first_cell_ + cells + cells_per_knot_ - 1) / cells_per_knot_ + 1;
+  check::between("colliders.surfaces", intervals_per_knot_, 1, MAX_INTERVALS_PER_KNOT);
+  check::between("colliders.surfaces", first_interval_, 0, intervals_per_knot_ - 1);
+  const std::int64_t knot_count =
+      (first_interval_ + interval_count + intervals_per_knot_ - 1) / intervals_per_knot_ + 1;
   check::numbers("colliders.surfaces", points_,
-                 {static_cast<std::size_t>(knots), surface_->points(), 3});
+                 {static_cast<std::size_t>(knot_count), surface_->point_count(), 3});
   check::finite("colliders.surfaces", settings_.data(), settings_.size());
-  shifts_.resize(3 * surface_->points());
+  shifts_.resize(3 * surface_->point_count());
   surface_->fit_boxes(points_.data(), points_.data(), bounds_);
   if (bounds_.empty()) check::refuse("colliders.surfaces", "a surface has no triangle");
 }
 
-bool MovingSurface::begin_cell(std::int64_t cell, double length) {
-  const std::int64_t knot = (first_cell_ + cell) / cells_per_knot_,
-                     elapsed_cells = (first_cell_ + cell) % cells_per_knot_;
-  knot_start_ = static_cast<double>(elapsed_cells) / static_cast<double>(cells_per_knot_);
+bool MovingSurface::begin_interval(std::int64_t interval, double duration) {
+  const std::int64_t knot = (first_interval_ + interval) / intervals_per_knot_,
+                     elapsed_intervals = (first_interval_ + interval) % intervals_per_knot_;
+  knot_start_fraction_ =
+      static_cast<double>(elapsed_intervals) / static_cast<double>(intervals_per_knot_);
   if (knot_points_ && knot == knot_) return true;
   const bool is_next = knot_points_ && knot == knot_ + 1, is_first = !knot_points_;
   if (is_next) {
@@ -236,9 +239,9 @@ bool MovingSurface::begin_cell(std::int64_t cell, double length) {
   if (is_static) return true;
   measure_motion(begin, end);
   const bool has_teleported =
-      max_displacement_ > settings_[4] * length * static_cast<double>(cells_per_knot_);
+      max_displacement_ > settings_[4] * duration * static_cast<double>(intervals_per_knot_);
   if (has_teleported) {
-    // A teleported mesh is at its end position from the start of the cell.
+    // A teleported mesh is at its end position from the start of the interval.
     knot_points_ = end;
     measure_motion(end, end);
   }

@@ -42,11 +42,11 @@ class MeshPatches {
     for (Patch& patch : patches_) patch.next_slack = slack;
   }
 
-  // The distance of the mesh from a point in its frame. With `allow_bound`, returns a lower bound
+  // The distance of the mesh from a point in its frame. With `allows_bound`, returns a lower bound
   // if that exceeds the contact distance.
   PatchHit query(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
                  const MeshMotion& motion, const KnotBoxes* boxes, double contact_distance,
-                 bool allow_bound);
+                 bool allows_bound);
   // Invalidates the cache.
   void invalidate();
 
@@ -78,48 +78,48 @@ class MeshPatches {
     std::int32_t triangle;
   };
 
-  // Displacement since the cache was filled, negative if the cache is invalid; sets `in_knot` if it
-  // is relative to the nearest triangle.
+  // Displacement since the cache was filled, negative if the cache is invalid; sets `is_in_knot` if
+  // it is relative to the nearest triangle.
   static double displacement_since(const Patch& patch, collide::Vec p, const MeshMotion& motion,
-                                   bool& in_knot);
+                                   bool& is_in_knot);
   // The nearest cached triangle.
   collide::Nearest nearest(const Patch& patch, const collide::Mesh& mesh, collide::Vec p,
                            double displacement) const;
   // Fills the cache of a particle; returns its distance from the mesh.
-  PatchHit gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
-                  const KnotBoxes* boxes, double contact_distance, bool allow_bound);
+  PatchHit fill_cache(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
+                      const KnotBoxes* boxes, double contact_distance, bool allows_bound);
   // Finds the nearest triangle, starting from a recent one, and all nearby ones.
   collide::Nearest search(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
                           collide::Vec p, const KnotBoxes* boxes, double contact_distance);
   // Stores nearby triangles, if there are few, by their distance now or in the remaining knot
   // interval.
-  bool store_candidates(Patch& patch, double max_distance, bool in_knot);
+  bool store_candidates(Patch& patch, double max_distance, bool is_in_knot);
 
   std::vector<Patch> patches_;
   // Cached triangles of particles that have any.
   std::vector<Candidates> candidates_;
   // Results of the last search: nearby triangles, and the smallest distance in the knot interval.
-  std::vector<NearbyTriangle> nearby_;
+  std::vector<NearbyTriangle> nearby_triangles_;
   double min_distance_ = 0;
   std::int32_t last_triangle_ = -1;  // the nearest triangle of the last search
 };
 
 // A mesh whose points move: positions at knots of time (K, P, 3), linear between them; restitution,
-// friction, margin, depenetration speed and teleport speed; cells of time per knot interval; and
-// elapsed cells of the first interval.
+// friction, margin, depenetration speed and teleport speed; time intervals per knot interval; and
+// elapsed time intervals of the first knot interval.
 using SpringSurface = std::tuple<const MeshSurface*, In<double, 3>, std::array<double, 5>,
                                  std::int64_t, std::int64_t>;
 
-// A moving mesh over cells of time.
+// A moving mesh over intervals of time.
 class MovingSurface {
  public:
-  MovingSurface(const SpringSurface& surface, std::int64_t cells);
+  MovingSurface(const SpringSurface& surface, std::int64_t interval_count);
 
-  // Advances to a cell. Returns whether the motion is continuous.
-  bool begin_cell(std::int64_t cell, double length);
-  // The elapsed fraction of the knot interval at a fraction of the cell.
+  // Advances to an interval. Returns whether the motion is continuous.
+  bool begin_interval(std::int64_t interval, double duration);
+  // The elapsed fraction of the knot interval at a fraction of the interval.
   double knot_fraction(double fraction) const {
-    return knot_start_ + fraction / static_cast<double>(cells_per_knot_);
+    return knot_start_fraction_ + fraction / static_cast<double>(intervals_per_knot_);
   }
   // The collider at a fraction of the knot interval, and the motion of the mesh up to it.
   collide::Collider collider(double fraction) const;
@@ -146,10 +146,10 @@ class MovingSurface {
   In<double, 3> points_;
   std::array<double, 5> settings_;
   std::vector<double> shifts_, bounds_, start_bounds_, shift_bounds_;
-  std::int64_t cells_per_knot_, first_cell_;
+  std::int64_t intervals_per_knot_, first_interval_;
   const double* knot_points_ = nullptr;
   MeshMotion past_motion_, knot_motion_;  // before the knot interval, and in it
-  double max_displacement_ = 0, knot_start_ = 0;
+  double max_displacement_ = 0, knot_start_fraction_ = 0;
   std::int64_t knot_ = -1;
 };
 

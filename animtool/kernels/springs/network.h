@@ -14,11 +14,11 @@
 namespace animtool {
 
 // Springs in solver order, with their numbers as columns.
-struct SpringLines {
+struct SpringSet {
   std::vector<Spring> springs;
   std::vector<std::int32_t> indices;  // of the springs in the network
   std::vector<std::int32_t> ends;
-  std::vector<double> rest;
+  std::vector<double> rest_lengths;
   std::vector<SpringRunLength> runs;  // groups of four springs without a shared end
   SpringForces forces;
   bool can_tear = false;  // whether any spring can tear
@@ -29,18 +29,18 @@ struct SpringLines {
 
 // Paths of points over knots of time: linear between knots, constant outside of them.
 struct Track {
-  std::vector<double> rows;  // (K or 1, P, 3)
+  std::vector<double> positions;  // (K or 1, P, 3)
   std::size_t points = 0;
   bool is_constant = true;
 };
 
 // The knot interval that a time is in, and the fraction of it.
 struct KnotPosition {
-  std::size_t row;
+  std::size_t knot_index;
   double fraction;
 };
 
-KnotPosition knot_position(const std::vector<double>& knots, double t);
+KnotPosition knot_position(const std::vector<double>& knot_times, double t);
 
 // Array strides from one particle to the next, and from one component to the next.
 struct Strides {
@@ -71,7 +71,7 @@ struct SpringElements {
   std::vector<std::int32_t> edges;
   double longest_edge = 0;  // largest rest length of a spring along an edge [m]
 
-  std::size_t particles() const { return inverse_masses.size(); }
+  std::size_t particle_count() const { return inverse_masses.size(); }
 };
 
 // Particles, springs between them, and external forces.
@@ -82,7 +82,7 @@ class SpringNetwork : public SpringElements {
   // Replaces the paths of pinned particles and anchors over the same knots.
   void set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path);
 
-  KnotPosition knot_at(double t) const { return knot_position(knots, t); }
+  KnotPosition knot_at(double t) const { return knot_position(knot_times, t); }
   // Computes the points of a track at a time (P, 3).
   static void sample_track(const Track& track, const KnotPosition& position, double* out);
 
@@ -95,17 +95,17 @@ class SpringNetwork : public SpringElements {
   // Moves pinned particles to their track at a time. Their velocity is the displacement from
   // `before` over h; `before` may be the same array as x.
   void set_pinned(double t, double h, const double* before, double* x, double* v) const {
-    set_pinned(t, h, before, x, v, {ROW, 1});
+    set_pinned(t, h, before, x, v, {PARTICLE_STRIDE, 1});
   }
   void set_pinned(double t, double h, const double* before, double* x, double* v,
                   const Strides& strides) const;
 
   std::vector<double> drags;
-  SpringLines lines;
+  SpringSet spring_set;
   double gravity[3];
   double air_drag, air_lift;
-  std::vector<double> knots;
-  std::vector<std::int32_t> pinned;
+  std::vector<double> knot_times;
+  std::vector<std::int32_t> pinned_particles;
   Track pinned_track;
   std::vector<std::int32_t> anchors;
   std::vector<double> anchor_stiffness, anchor_damping;
@@ -120,7 +120,7 @@ class SpringNetwork : public SpringElements {
 class SpringRun {
  public:
   SpringRun(const SpringNetwork& network, const double* x, const double* v,
-            const std::uint8_t* torn);
+            const std::uint8_t* is_torn);
 
   // Tears springs beyond their limit; returns whether any tore.
   bool tear();
@@ -128,10 +128,12 @@ class SpringRun {
   const SpringNetwork& network;
   std::size_t size;          // of x and v
   std::vector<double> x, v;  // in rows
-  std::vector<std::uint8_t> torn;
+  std::vector<std::uint8_t> is_torn;
 
   // The springs that are not torn.
-  const SpringLines& lines() const { return intact_lines_ ? *intact_lines_ : network.lines; }
+  const SpringSet& spring_set() const {
+    return intact_spring_set_ ? *intact_spring_set_ : network.spring_set;
+  }
 
   // Samples anchors and wind at a time; velocities are those over the preceding h.
   void sample_surroundings(double t, double h);
@@ -149,13 +151,13 @@ class SpringRun {
   void remove_torn();
 
   // The springs that are not torn; unset if none is torn.
-  std::optional<SpringLines> intact_lines_;
+  std::optional<SpringSet> intact_spring_set_;
   ForceBuffers buffers_;
 };
 
 // Solver order of springs: by particle, with independent springs next to each other.
-std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t springs,
-                                        std::size_t particles);
+std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t spring_count,
+                                        std::size_t particle_count);
 
 inline double dot3(const double* a, const double* b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

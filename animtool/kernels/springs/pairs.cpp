@@ -13,7 +13,7 @@ namespace {
 
 using collide::load;
 using collide::Vec;
-using shapes::row_of;
+using shapes::position_of;
 
 // A bounding box of points, enlarged by a margin.
 struct Box {
@@ -52,7 +52,7 @@ struct Box {
 void build_grid(PointGrid& grid, const std::vector<double>& rows, double width_sum,
                 std::size_t box_count) {
   const double mean = width_sum / static_cast<double>(std::max<std::size_t>(box_count, 1));
-  grid.build(rows.data(), rows.size() / ROW, mean);
+  grid.build(rows.data(), rows.size() / PARTICLE_STRIDE, mean);
 }
 
 // Sorts pairs by both indices; first indices are below `count`.
@@ -80,12 +80,12 @@ std::vector<LayerPair> TrianglesAndCorners::find_near(const SpringLayers& layers
     return Box({t.a, t.b, t.c}, max_gap);
   };
   double width_sum = 0;
-  for (std::size_t t = 0; t < layers.triangles(); ++t)
+  for (std::size_t t = 0; t < layers.triangle_count(); ++t)
     width_sum += triangle_box(shapes::Triangle(layers.corners(t), x.data())).max_width();
   PointGrid grid;
-  build_grid(grid, x, width_sum, layers.triangles());
+  build_grid(grid, x, width_sum, layers.triangle_count());
   std::vector<LayerPair> pairs;
-  for (std::size_t t = 0; t < layers.triangles(); ++t) {
+  for (std::size_t t = 0; t < layers.triangle_count(); ++t) {
     const std::int32_t* corners = layers.corners(t);
     const shapes::Triangle triangle(corners, x.data());
     const Box bounds = triangle_box(triangle);
@@ -98,33 +98,34 @@ std::vector<LayerPair> TrianglesAndCorners::find_near(const SpringLayers& layers
         pairs.push_back({static_cast<std::int32_t>(t), n, distance, gap});
     });
   }
-  sort_pairs(pairs, layers.triangles());
+  sort_pairs(pairs, layers.triangle_count());
   return pairs;
 }
 
 std::vector<LayerPair> EdgesAndEdges::find_near(const SpringLayers& layers,
                                                 const std::vector<double>& x, double margin) {
   const double max_gap = layers.max_edge_distance() + margin;
-  std::vector<double> midpoints(ROW * layers.edges()), lengths(layers.edges());
+  std::vector<double> midpoints(PARTICLE_STRIDE * layers.edge_count()),
+      lengths(layers.edge_count());
   // The longer of two edges finds the shorter one, whose midpoint is in this box.
   const auto edge_box = [&](const shapes::Segment& edge, double edge_length) {
     return Box({edge.a, edge.b}, max_gap + edge_length / 2);
   };
   double width_sum = 0;
-  for (std::size_t e = 0; e < layers.edges(); ++e) {
+  for (std::size_t e = 0; e < layers.edge_count(); ++e) {
     const shapes::Segment edge(layers.ends(e), x.data());
-    collide::store(edge.point_at(0.5), &midpoints[ROW * e]);
-    lengths[e] = midpoints[ROW * e + 3] = length(edge.vector());
+    collide::store(edge.point_at(0.5), &midpoints[PARTICLE_STRIDE * e]);
+    lengths[e] = midpoints[PARTICLE_STRIDE * e + 3] = length(edge.vector());
     width_sum += edge_box(edge, lengths[e]).max_width();
   }
   PointGrid grid;
-  build_grid(grid, midpoints, width_sum, layers.edges());
+  build_grid(grid, midpoints, width_sum, layers.edge_count());
   std::vector<LayerPair> pairs;
-  for (std::size_t e = 0; e < layers.edges(); ++e) {
+  for (std::size_t e = 0; e < layers.edge_count(); ++e) {
     const std::int32_t* ends = layers.ends(e);
     const shapes::Segment edge(ends, x.data());
     const Box bounds = edge_box(edge, lengths[e]), tight_box = edge_box(edge, 0);
-    const Vec midpoint = load(&midpoints[ROW * e]);
+    const Vec midpoint = load(&midpoints[PARTICLE_STRIDE * e]);
     grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* position) {
       // The length is stored after the midpoint.
       const double other_length = position[3],
@@ -139,7 +140,8 @@ std::vector<LayerPair> EdgesAndEdges::find_near(const SpringLayers& layers,
           first_ends[1] == second_ends[0] || first_ends[1] == second_ends[1])
         return;
       const std::int32_t* other_ends = layers.ends(f);
-      if (!tight_box.overlaps(row_of(x.data(), other_ends[0]), row_of(x.data(), other_ends[1])))
+      if (!tight_box.overlaps(position_of(x.data(), other_ends[0]),
+                              position_of(x.data(), other_ends[1])))
         return;
       const std::int32_t particles[4] = {first_ends[0], first_ends[1], second_ends[0],
                                          second_ends[1]};
@@ -151,7 +153,7 @@ std::vector<LayerPair> EdgesAndEdges::find_near(const SpringLayers& layers,
             {static_cast<std::int32_t>(first), static_cast<std::int32_t>(second), distance, gap});
     });
   }
-  sort_pairs(pairs, layers.edges());
+  sort_pairs(pairs, layers.edge_count());
   return pairs;
 }
 

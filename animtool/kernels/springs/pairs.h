@@ -25,7 +25,7 @@ using Crossings = std::vector<std::pair<std::int32_t, std::int32_t>>;
 // Triangles, and corners of other triangles.
 struct TrianglesAndCorners {
   using Shape = shapes::CornerPair;
-  static constexpr std::size_t FIRST_COUNT =
+  static constexpr std::size_t FIRST_PARTICLE_COUNT =
       1;  // number of the four particles that belong to the first element
 
   static FourParticles particles(const SpringLayers& layers, std::int32_t triangle,
@@ -55,7 +55,7 @@ struct TrianglesAndCorners {
 // Edges, and edges with a higher index.
 struct EdgesAndEdges {
   using Shape = shapes::EdgePair;
-  static constexpr std::size_t FIRST_COUNT = 2;
+  static constexpr std::size_t FIRST_PARTICLE_COUNT = 2;
 
   static FourParticles particles(const SpringLayers& layers, std::int32_t first,
                                  std::int32_t second) {

@@ -37,21 +37,22 @@ std::vector<std::int32_t> checked_corners(const char* name, In<std::int64_t, 2> 
 }  // namespace
 
 std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangles,
-                           const std::optional<In<std::int64_t, 2>>& others) {
+                           const std::optional<In<std::int64_t, 2>>& other_triangles) {
   const std::size_t count = positions.shape(0);
   check::shape("positions", positions, {check::ANY, 3});
   check::at_most("positions", count, check::MAX_ROWS);
   const std::vector<std::int32_t> corners = checked_corners("triangles", triangles, count);
-  std::vector<double> x(ROW * count);
+  std::vector<double> x(PARTICLE_STRIDE * count);
   for (std::size_t n = 0; n < count; ++n)
-    std::copy_n(positions.data() + 3 * n, 3, x.data() + ROW * n);
+    std::copy_n(positions.data() + 3 * n, 3, x.data() + PARTICLE_STRIDE * n);
   const auto count_piercings = [&x](const std::vector<std::int32_t>& edge_corners,
                                     const std::vector<std::int32_t>& face_corners) {
     return static_cast<std::int64_t>(
         find_piercings(x, collect_edges(edge_corners), face_corners).size());
   };
-  if (!others) return count_piercings(corners, corners);
-  const std::vector<std::int32_t> other_corners = checked_corners("others", *others, count);
+  if (!other_triangles) return count_piercings(corners, corners);
+  const std::vector<std::int32_t> other_corners =
+      checked_corners("others", *other_triangles, count);
   return count_piercings(corners, other_corners) + count_piercings(other_corners, corners);
 }
 

@@ -16,30 +16,30 @@ namespace animtool {
 
 namespace {
 
-// Number of consecutive calm cells after which half as many steps are tried.
-constexpr int RELAXED_CELLS = 120;
-// Strain, relative to the limit, below which a cell is calm.
-constexpr double RELAXED_FRACTION = 0.125;
+// Number of consecutive calm intervals after which half as many steps are tried.
+constexpr int RELAXED_INTERVALS = 120;
+// Strain, relative to the limit, below which an interval is calm.
+constexpr double RELAXED_STRAIN_FRACTION = 0.125;
 // A strain counts as compliance if it exceeds the strain beyond the compliance by this factor.
-constexpr double COMPLIANT_RATIO = 2;
+constexpr double COMPLIANT_STRAIN_RATIO = 2;
 // Springs count as stiff if their compliance is below this fraction of the correction [1].
 constexpr double STIFF_FRACTION = 0.1;
 // Passes of strain limiting in a step.
-constexpr int LIMIT_PASSES = 4;
+constexpr int STRAIN_LIMIT_PASSES = 4;
 // Strain that contacts may cause, over the limit; and passes that reduce it.
-constexpr double CONTACT_LIMIT = 1.4;
+constexpr double CONTACT_STRAIN_FACTOR = 1.4;
 constexpr int CONTACT_PASSES = 2;
-// A cell is repeated in shorter steps if its strain exceeds the limit by this factor; shorter steps
-// help if they reduce the strain to this ratio.
-constexpr double MAX_EXCESS = 2, MIN_IMPROVEMENT = 0.7;
+// An interval is repeated in shorter steps if its strain exceeds the limit by this factor; shorter
+// steps help if they reduce the strain to this ratio.
+constexpr double MAX_STRAIN_EXCESS = 2, MAX_REDUCED_STRAIN_RATIO = 0.7;
 
 // Correction factors of a spring in a step of h: of its elongation, and of the change of its
 // elongation.
-struct Compliance {
+struct CorrectionFactors {
   double length, change;
 };
 
-Compliance compliance_of(double stiffness, double damping, double weight, double h) {
+CorrectionFactors correction_factors(double stiffness, double damping, double weight, double h) {
   const double k = stiffness * h * h, c = damping * h;
   const double divisor = (k + c) * weight + 1;
   return {k / divisor, c / divisor};
@@ -48,84 +48,89 @@ Compliance compliance_of(double stiffness, double damping, double weight, double
 // Advances a run by projecting springs.
 class Projection {
  public:
-  Projection(SpringRun& run, double cell, double limit, SpringContacts& contacts,
-             SelfContacts& self)
+  Projection(SpringRun& run, double interval_duration, double strain_limit,
+             SpringContacts& contacts, SelfContacts& self_contacts)
       : run_(run),
         contacts_(contacts),
-        self_(self),
-        cell_(cell),
-        limit_(limit),
+        self_contacts_(self_contacts),
+        interval_duration_(interval_duration),
+        strain_limit_(strain_limit),
         positions_before_(run.size) {}
 
-  // Advances a cell in a number of steps. Returns the largest strain of a spring that is not mostly
-  // due to its own compliance under load.
-  double advance_cell(std::int64_t index, double start, int substeps) {
+  // Advances an interval in a number of steps. Returns the largest strain of a spring that is not
+  // mostly due to its own compliance under load.
+  double advance_interval(std::int64_t index, double start, int substeps) {
     prepare(substeps);
-    const double h = cell_ / substeps;
-    contacts_.begin_cell(index, substeps, h);
-    self_.begin_cell(index, run_.x);
+    const double h = interval_duration_ / substeps;
+    contacts_.begin_interval(index, substeps, h);
+    self_contacts_.begin_interval(index, run_.x);
     for (int step = 0; step < substeps; ++step) {
       const double t = start + step * h;
       run_.sample_surroundings(t + h, h);
-      if (limit_ > 0) step_start_ = run_.x;
+      if (strain_limit_ > 0) step_start_ = run_.x;
       predict(h);
       run_.network.set_pinned(t + h, h, positions_before_.data(), run_.x.data(), run_.v.data());
       project(step + 1 < substeps ? nullptr : elongations_.data());
       pull_anchors();
-      limit_strains(limit_);
-      self_.separate(h, positions_before_, run_.x);
+      limit_strains(strain_limit_);
+      self_contacts_.separate(h, positions_before_, run_.x);
       resolve(step, h);
-      self_.record_piercings(positions_before_, run_.x);
-      const double rate = 1 / h;
+      self_contacts_.record_piercings(positions_before_, run_.x);
+      const double inverse_h = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k)
-        run_.v[k] = (run_.x[k] - positions_before_[k]) * rate;
+        run_.v[k] = (run_.x[k] - positions_before_[k]) * inverse_h;
       damp_stiff_springs();
     }
     return max_strain();
   }
 
-  // Recomputes the factors of springs before the next cell.
+  // Recomputes the factors of springs before the next interval.
   void invalidate() { prepared_substeps_ = 0; }
 
  private:
-  // Computes the factors of springs for a number of steps per cell.
+  // Computes the factors of springs for a number of steps per interval.
   void prepare(int substeps) {
     if (prepared_substeps_ == substeps) return;
     prepared_substeps_ = substeps;
-    const double h = cell_ / substeps;
-    const auto& masses = run_.network.inverse_masses;
+    const double h = interval_duration_ / substeps;
+    const auto& inverse_masses = run_.network.inverse_masses;
     length_factors_.clear();
     change_factors_.clear();
-    weights_.clear();
-    for (const Spring& spring : run_.lines().springs) {
-      weights_.push_back(masses[static_cast<std::size_t>(spring.i)]);
-      weights_.push_back(masses[static_cast<std::size_t>(spring.j)]);
-      const double weight_sum = *(weights_.end() - 2) + weights_.back();
-      const Compliance compliance = compliance_of(spring.stiffness, spring.damping, weight_sum, h);
-      length_factors_.push_back(compliance.length);
-      change_factors_.push_back(compliance.change);
+    inverse_masses_.clear();
+    for (const Spring& spring : run_.spring_set().springs) {
+      inverse_masses_.push_back(inverse_masses[static_cast<std::size_t>(spring.i)]);
+      inverse_masses_.push_back(inverse_masses[static_cast<std::size_t>(spring.j)]);
+      const double inverse_mass_sum = *(inverse_masses_.end() - 2) + inverse_masses_.back();
+      const CorrectionFactors factors =
+          correction_factors(spring.stiffness, spring.damping, inverse_mass_sum, h);
+      length_factors_.push_back(factors.length);
+      change_factors_.push_back(factors.change);
     }
     anchor_factors_.clear();
     for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
       anchor_factors_.push_back(
-          compliance_of(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
-                        masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
-    elongations_.assign(run_.lines().springs.size(), 0.0);
+          correction_factors(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
+                             inverse_masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
+    elongations_.assign(run_.spring_set().springs.size(), 0.0);
     collect_stiff_springs();
   }
 
-  // Collects stiff springs, with the weights of their ends.
+  // Collects stiff springs, with the inverse masses of their ends.
   void collect_stiff_springs() {
     stiff_springs_.clear();
-    if (!(limit_ > 0)) return;
-    for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
-      const Spring& spring = run_.lines().springs[s];
-      const double first_weight = weights_[2 * s], last_weight = weights_[2 * s + 1],
-                   weight_sum = first_weight + last_weight;
-      if (!(spring.rest > 0) || !(length_factors_[s] * weight_sum > 1 - STIFF_FRACTION)) continue;
-      stiff_springs_.push_back({ROW * static_cast<std::size_t>(spring.i),
-                                ROW * static_cast<std::size_t>(spring.j), spring.rest,
-                                first_weight / weight_sum, last_weight / weight_sum});
+    if (!(strain_limit_ > 0)) return;
+    for (std::size_t s = 0; s < run_.spring_set().springs.size(); ++s) {
+      const Spring& spring = run_.spring_set().springs[s];
+      const double first_inverse_mass = inverse_masses_[2 * s],
+                   last_inverse_mass = inverse_masses_[2 * s + 1],
+                   inverse_mass_sum = first_inverse_mass + last_inverse_mass;
+      if (!(spring.rest_length > 0) ||
+          !(length_factors_[s] * inverse_mass_sum > 1 - STIFF_FRACTION))
+        continue;
+      stiff_springs_.push_back({PARTICLE_STRIDE * static_cast<std::size_t>(spring.i),
+                                PARTICLE_STRIDE * static_cast<std::size_t>(spring.j),
+                                spring.rest_length, first_inverse_mass / inverse_mass_sum,
+                                last_inverse_mass / inverse_mass_sum});
     }
   }
 
@@ -142,51 +147,53 @@ class Projection {
     const double gravity_step[3] = {h * network.gravity[0], h * network.gravity[1],
                                     h * network.gravity[2]};
     double *x = run_.x.data(), *v = run_.v.data();
-    for (std::size_t n = 0; n < network.particles(); ++n) {
+    for (std::size_t n = 0; n < network.particle_count(); ++n) {
       const double inverse_mass = network.inverse_masses[n];
       if (inverse_mass == 0) continue;
       const double drag_factor = 1 / (1 + h * network.drags[n]);
       for (std::size_t k = 0; k < 3; ++k) {
-        double velocity = v[ROW * n + k] + gravity_step[k];
-        if (has_air_forces) velocity += h * inverse_mass * forces_[ROW * n + k];
-        x[ROW * n + k] += h * (velocity * drag_factor);
+        double velocity = v[PARTICLE_STRIDE * n + k] + gravity_step[k];
+        if (has_air_forces) velocity += h * inverse_mass * forces_[PARTICLE_STRIDE * n + k];
+        x[PARTICLE_STRIDE * n + k] += h * (velocity * drag_factor);
       }
     }
   }
 
   // Corrects all springs once; stores their elongations unless null.
   void project(double* elongations) {
-    const SpringLines& lines = run_.lines();
-    const ComplianceColumns columns{lines.ends.data(), lines.rest.data(), length_factors_.data(),
-                                    change_factors_.data(), weights_.data()};
-    spring_loops().project(columns, lines.runs.data(), lines.runs.size(), run_.x.data(),
-                           positions_before_.data(), elongations);
+    const SpringSet& spring_set = run_.spring_set();
+    const ComplianceColumns columns{spring_set.ends.data(), spring_set.rest_lengths.data(),
+                                    length_factors_.data(), change_factors_.data(),
+                                    inverse_masses_.data()};
+    spring_functions().project(columns, spring_set.runs.data(), spring_set.runs.size(),
+                               run_.x.data(), positions_before_.data(), elongations);
   }
 
   // Resolves contacts with colliders. If strain is limited, also prevents piercing, and reduces the
   // strain that contacts cause.
   void resolve(int step, double h) {
     contacts_.resolve(step, positions_before_, run_.x, nullptr);
-    if (!(limit_ > 0)) return;
+    if (!(strain_limit_ > 0)) return;
     const auto resolve_contacts = [&] {
       contacts_.resolve(step, positions_before_, run_.x, nullptr, &is_moved_);
     };
-    is_moved_.assign(run_.network.particles(), 1);
-    self_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_, resolve_contacts);
+    is_moved_.assign(run_.network.particle_count(), 1);
+    self_contacts_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_,
+                                    resolve_contacts);
     for (int pass = 0; pass < CONTACT_PASSES; ++pass) {
       std::fill(is_moved_.begin(), is_moved_.end(), 0);
-      if (!limit_strains(CONTACT_LIMIT * limit_, &is_moved_)) return;
+      if (!limit_strains(CONTACT_STRAIN_FACTOR * strain_limit_, &is_moved_)) return;
       resolve_contacts();
-      self_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_,
-                             resolve_contacts);
+      self_contacts_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_,
+                                      resolve_contacts);
     }
   }
 
   void pull_anchors() {
     const SpringNetwork& network = run_.network;
     for (std::size_t a = 0; a < network.anchors.size(); ++a) {
-      const std::size_t row = ROW * static_cast<std::size_t>(network.anchors[a]);
-      const double inverse_mass = network.inverse_masses[row / ROW];
+      const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(network.anchors[a]);
+      const double inverse_mass = network.inverse_masses[row / PARTICLE_STRIDE];
       for (std::size_t k = 0; k < 3; ++k) {
         const double offset = run_.anchor_points[3 * a + k] - run_.x[row + k];
         const double offset_change =
@@ -199,24 +206,24 @@ class Projection {
 
   // Clamps the strain of stiff springs. Both ends move, so that momentum is conserved. Returns
   // whether any particle moved, and marks those that did.
-  bool limit_strains(double limit, std::vector<std::uint8_t>* marks = nullptr) {
+  bool limit_strains(double strain_limit, std::vector<std::uint8_t>* marks = nullptr) {
     bool has_moved = false;
-    for (int pass = 0; pass < LIMIT_PASSES; ++pass) {
+    for (int pass = 0; pass < STRAIN_LIMIT_PASSES; ++pass) {
       bool has_corrected = false;
       for (const StiffSpring& spring : stiff_springs_) {
         double *p = run_.x.data() + spring.i, *q = run_.x.data() + spring.j;
         const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-        const double square = dot3(d, d), min_length = spring.rest_length * (1 - limit),
-                     max_length = spring.rest_length * (1 + limit);
+        const double square = dot3(d, d), min_length = spring.rest_length * (1 - strain_limit),
+                     max_length = spring.rest_length * (1 + strain_limit);
         if (!(square > max_length * max_length || (square < min_length * min_length && square > 0)))
           continue;
         const double length = std::sqrt(square);
         const double correction = (length - std::clamp(length, min_length, max_length)) / length;
         for (std::size_t k = 0; k < 3; ++k) {
-          p[k] += spring.first_weight * correction * d[k];
-          q[k] -= spring.last_weight * correction * d[k];
+          p[k] += spring.first_inverse_mass * correction * d[k];
+          q[k] -= spring.last_inverse_mass * correction * d[k];
         }
-        if (marks) (*marks)[spring.i / ROW] = (*marks)[spring.j / ROW] = 1;
+        if (marks) (*marks)[spring.i / PARTICLE_STRIDE] = (*marks)[spring.j / PARTICLE_STRIDE] = 1;
         has_corrected = true;
       }
       if (!has_corrected) break;
@@ -237,8 +244,8 @@ class Projection {
       if (!(square > 0)) continue;
       const double correction = dot3(d, relative) / square;
       for (std::size_t k = 0; k < 3; ++k) {
-        u[k] += spring.first_weight * correction * d[k];
-        v[k] -= spring.last_weight * correction * d[k];
+        u[k] += spring.first_inverse_mass * correction * d[k];
+        v[k] -= spring.last_inverse_mass * correction * d[k];
       }
     }
   }
@@ -246,19 +253,19 @@ class Projection {
   // Largest strain that is not mostly due to compliance.
   double max_strain() const {
     double largest = 0;
-    for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
-      const Spring& spring = run_.lines().springs[s];
-      if (!(spring.rest > 0) || !(spring.stiffness > 0)) continue;
-      const double* p = run_.x.data() + ROW * static_cast<std::size_t>(spring.i);
-      const double* q = run_.x.data() + ROW * static_cast<std::size_t>(spring.j);
+    for (std::size_t s = 0; s < run_.spring_set().springs.size(); ++s) {
+      const Spring& spring = run_.spring_set().springs[s];
+      if (!(spring.rest_length > 0) || !(spring.stiffness > 0)) continue;
+      const double* p = run_.x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+      const double* q = run_.x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
       const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-      const double square = dot3(d, d), bound = spring.rest * (1 + largest);
+      const double square = dot3(d, d), bound = spring.rest_length * (1 + largest);
       if (square <= bound * bound) continue;
-      const double elongation = std::sqrt(square) - spring.rest;
+      const double elongation = std::sqrt(square) - spring.rest_length;
       const double load_elongation = std::max(0.0, elongations_[s]);
-      largest =
-          std::max(largest, std::min(elongation, COMPLIANT_RATIO * (elongation - load_elongation)) /
-                                spring.rest);
+      largest = std::max(
+          largest, std::min(elongation, COMPLIANT_STRAIN_RATIO * (elongation - load_elongation)) /
+                       spring.rest_length);
       if (square != square) return std::numeric_limits<double>::infinity();
     }
     return largest;
@@ -266,82 +273,97 @@ class Projection {
 
   SpringRun& run_;
   SpringContacts& contacts_;
-  SelfContacts& self_;
-  double cell_, limit_;
+  SelfContacts& self_contacts_;
+  double interval_duration_, strain_limit_;
   int prepared_substeps_ = 0;
   struct StiffSpring {
     std::size_t i, j;  // offsets of rows
-    double rest_length, first_weight, last_weight;
+    double rest_length, first_inverse_mass, last_inverse_mass;
   };
   std::vector<StiffSpring> stiff_springs_;
   std::vector<double> step_start_;      // positions at the start of a step
   std::vector<std::uint8_t> is_moved_;  // particles moved since the last test
-  std::vector<double> positions_before_, forces_, length_factors_, change_factors_, weights_;
+  std::vector<double> positions_before_, forces_, length_factors_, change_factors_, inverse_masses_;
   std::vector<double> elongations_;  // elongation of springs right after their correction
-  std::vector<Compliance> anchor_factors_;
+  std::vector<CorrectionFactors> anchor_factors_;
 };
 
 }  // namespace
 
 SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> state,
-                                    In<std::uint8_t, 1> torn, double origin, std::int64_t first,
-                                    double cell, std::int64_t cells, int substeps, int calm,
-                                    int min_substeps, int max_substeps, double stretch,
+                                    In<std::uint8_t, 1> is_torn, double origin,
+                                    std::int64_t first_interval, double interval_duration,
+                                    std::int64_t interval_count, int substeps, int low_strain_count,
+                                    int min_substeps, int max_substeps, double repeat_strain,
                                     const std::optional<SpringColliders>& colliders,
-                                    const SpringLayers* layers, In<std::int64_t, 2> crossed,
-                                    double limit) {
-  const CellGrid grid{origin, first, cell, cells};
+                                    const SpringLayers* layers,
+                                    In<std::int64_t, 2> initial_piercings, double strain_limit) {
+  const IntervalGrid grid{origin, first_interval, interval_duration, interval_count};
   check::between("max_substeps", max_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
   check::between("min_substeps", min_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
-  check_cells(grid, substeps);
-  check_cells(grid, std::max(substeps, max_substeps));
-  check::between("calm", calm, 0, std::numeric_limits<int>::max() / 2);
-  if (!(stretch >= 0)) check::refuse("stretch", check::text(stretch) + " is not 0 or more");
-  check::not_negative("limit", limit);
+  check_intervals(grid, substeps);
+  check_intervals(grid, std::max(substeps, max_substeps));
+  check::between("calm", low_strain_count, 0, std::numeric_limits<int>::max() / 2);
+  if (!(repeat_strain >= 0))
+    check::refuse("stretch", check::text(repeat_strain) + " is not 0 or more");
+  check::not_negative("limit", strain_limit);
   check::finite("state", state);
-  SpringRun run = build_run(network, state, torn);
-  SpringContacts contacts(colliders, network, cells, limit > 0);
-  SelfContacts self(layers, network, crossed, limit > 0);
+  SpringRun run = build_run(network, state, is_torn);
+  SpringContacts contacts(colliders, network, interval_count, strain_limit > 0);
+  SelfContacts self_contacts(layers, network, initial_piercings, strain_limit > 0);
   double largest_strain = 0;
   std::int64_t total_steps = 0;
-  Projection projection(run, cell, limit, contacts, self);
+  Projection projection(run, interval_duration, strain_limit, contacts, self_contacts);
   std::vector<double> x, v;
-  for (std::int64_t i = 0; i < cells; ++i) {
+  for (std::int64_t i = 0; i < interval_count; ++i) {
     x = run.x;
     v = run.v;
-    double strain = projection.advance_cell(i, grid.start(i), substeps);
+    double strain = projection.advance_interval(i, grid.start(i), substeps);
     total_steps += substeps;
-    const double bound = limit > 0 ? std::max(stretch, MAX_EXCESS * limit) : stretch;
+    const double strain_bound = strain_limit > 0
+                                    ? std::max(repeat_strain, MAX_STRAIN_EXCESS * strain_limit)
+                                    : repeat_strain;
     const auto has_new_piercings = [&] {
-      return limit > 0 && self.piercing_count() > self.start_piercing_count();
+      return strain_limit > 0 &&
+             self_contacts.piercing_count() > self_contacts.start_piercing_count();
     };
     bool is_improving = true;
-    while ((!(strain <= bound) || has_new_piercings()) && substeps < max_substeps && is_improving) {
+    while ((!(strain <= strain_bound) || has_new_piercings()) && substeps < max_substeps &&
+           is_improving) {
       substeps = std::min(2 * substeps, max_substeps);
-      calm = 0;
+      low_strain_count = 0;
       run.x = x;
       run.v = v;
       const double previous_strain = strain;
-      strain = projection.advance_cell(i, grid.start(i), substeps);
+      strain = projection.advance_interval(i, grid.start(i), substeps);
       total_steps += substeps;
       // Shorter steps do not reduce the strain that contacts and pinned particles impose.
-      if (limit > 0)
-        is_improving = has_new_piercings() || strain <= MIN_IMPROVEMENT * previous_strain;
+      if (strain_limit > 0)
+        is_improving = has_new_piercings() || strain <= MAX_REDUCED_STRAIN_RATIO * previous_strain;
     }
-    if (limit > 0 && strain <= bound && !has_new_piercings() && substeps > min_substeps)
+    if (strain_limit > 0 && strain <= strain_bound && !has_new_piercings() &&
+        substeps > min_substeps)
       substeps = std::max(substeps / 2, min_substeps);
     largest_strain = std::max(largest_strain, strain);
-    self.update_max_counts();
-    calm = strain <= RELAXED_FRACTION * stretch ? calm + 1 : 0;
-    if (calm >= RELAXED_CELLS && substeps > min_substeps) {
+    self_contacts.update_max_counts();
+    low_strain_count = strain <= RELAXED_STRAIN_FRACTION * repeat_strain ? low_strain_count + 1 : 0;
+    if (low_strain_count >= RELAXED_INTERVALS && substeps > min_substeps) {
       substeps = std::max(substeps / 2, min_substeps);
-      calm = 0;
+      low_strain_count = 0;
     }
     if (run.tear()) projection.invalidate();
   }
-  return {copy_state(run),  copy_torn(run),    substeps,           calm,
-          largest_strain,   total_steps,       contacts.touched,   contacts.unresolved,
-          self.piercings(), self.max_counts(), contacts.impulses()};
+  return {copy_state(run),
+          copy_torn(run),
+          substeps,
+          low_strain_count,
+          largest_strain,
+          total_steps,
+          contacts.touched_count,
+          contacts.unresolved_count,
+          self_contacts.piercings(),
+          self_contacts.max_counts(),
+          contacts.impulses()};
 }
 
 }  // namespace animtool

@@ -3,6 +3,8 @@
 
 namespace animtool {
 
-const SpringLoops* springs_in_quads() { return has_quads() ? &spring_loops_on<Quads> : nullptr; }
+const SpringFunctions* springs_in_quads() {
+  return has_quads() ? &spring_functions_on<Quads> : nullptr;
+}
 
 }  // namespace animtool

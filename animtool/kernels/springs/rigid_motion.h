@@ -35,9 +35,9 @@ class RigidMotion {
         axis = axis + cross(columns_[c], moments[c]);
         trace += dot(columns_[c], moments[c]);
       }
-      axis = axis * (1 / (std::abs(trace) + EPSILON));
+      axis = axis * (1 / (std::abs(trace) + TRACE_EPSILON));
       const double angle = length(axis);
-      if (!(angle > MIN_ANGLE) || !std::isfinite(angle)) break;
+      if (!(angle > MIN_UPDATE_ANGLE) || !std::isfinite(angle)) break;
       rotate_columns(axis * (1 / angle), angle);
     }
   }
@@ -51,7 +51,7 @@ class RigidMotion {
  private:
   // Largest number of rotation updates, and the angle below which they stop [rad].
   static constexpr int MAX_UPDATES = 20;
-  static constexpr double MIN_ANGLE = 1e-10, EPSILON = 1e-300;
+  static constexpr double MIN_UPDATE_ANGLE = 1e-10, TRACE_EPSILON = 1e-300;
 
   void rotate_columns(Vec n, double angle) {
     const double cosine = std::cos(angle), sine = std::sin(angle);

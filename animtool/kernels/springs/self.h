@@ -28,13 +28,13 @@ class SelfContacts {
 
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
-  // Without layers nothing is done. `crossed` are piercings to resume with (C, 3), as `piercings`
-  // returns them. With `untangles`, tangles are resolved and tunnelling is prevented.
+  // Without layers nothing is done. `initial_piercings` are piercings to resume with (C, 3), as
+  // `piercings` returns them. With `untangles`, tangles are resolved and tunnelling is prevented.
   SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
-               const In<std::int64_t, 2>& crossed, bool untangles = false);
+               const In<std::int64_t, 2>& initial_piercings, bool untangles = false);
 
-  // Begins a cell of time, or repeats the current one.
-  void begin_cell(std::int64_t cell, const std::vector<double>& x);
+  // Begins an interval of time, or repeats the current one.
+  void begin_interval(std::int64_t interval, const std::vector<double>& x);
   // Separates elements at the end of a step. If they only return to the contact distance, the
   // previous positions move too, so that no velocity is added.
   void separate(double h, std::vector<double>& before, std::vector<double>& x);
@@ -52,13 +52,17 @@ class SelfContacts {
   // The remaining piercings (C, 3): particle, triangle and side; for edges, numbered after the
   // particles: edge, edge and side.
   Out<std::int64_t, 2> piercings() const;
-  // Number of piercings now, and at the start of the cell.
-  std::size_t piercing_count() const { return corners_.piercings.size() + edges_.piercings.size(); }
-  std::size_t start_piercing_count() const { return start_corners_.size() + start_edges_.size(); }
-  // Updates the largest numbers of piercings at the end of a cell.
+  // Number of piercings now, and at the start of the interval.
+  std::size_t piercing_count() const {
+    return corner_contacts_.piercings.size() + edge_contacts_.piercings.size();
+  }
+  std::size_t start_piercing_count() const {
+    return start_corner_piercings_.size() + start_edge_piercings_.size();
+  }
+  // Updates the largest numbers of piercings at the end of an interval.
   void update_max_counts();
   PiercingCounts max_counts() const {
-    return {max_corner_piercings_, max_edge_piercings_, required_rate_};
+    return {max_corner_piercings_, max_edge_piercings_, required_step_rate_};
   }
 
  private:
@@ -68,14 +72,14 @@ class SelfContacts {
     std::vector<double> positions;
     double distance = -1, drift = 0;
 
-    bool covers(double required) const { return required + drift <= distance; }
+    bool covers(double required_distance) const { return required_distance + drift <= distance; }
     void reset(const std::vector<double>& x, double distance0) {
       positions = x, distance = distance0, drift = 0;
     }
   };
 
   // Checks and reads piercings to resume with.
-  void read_piercings(const In<std::int64_t, 2>& crossed);
+  void read_piercings(const In<std::int64_t, 2>& initial_piercings);
   // Finds marked pairs that tunnel through each other in the step, and marks only their particles;
   // returns whether there are any.
   bool find_tunnelling(double h, const std::vector<double>& from, const std::vector<double>& x,
@@ -85,7 +89,8 @@ class SelfContacts {
   void separate_tunnelling(double h, std::vector<double>& before, std::vector<double>& x) const;
   // Measures the relative displacement of nearby elements in a step; `rebuild_cells` also rebuilds
   // the cells.
-  void measure(double h, const std::vector<double>& before, const std::vector<double>& x);
+  void measure_displacements(double h, const std::vector<double>& before,
+                             const std::vector<double>& x);
   void rebuild_cells(double h, const std::vector<double>& before, const std::vector<double>& x);
   // Whether all pairs that may become near in the step were in adjacent cells.
   bool are_cells_sufficient() const;
@@ -94,22 +99,22 @@ class SelfContacts {
 
   const SpringLayers* layers_;
   const SpringNetwork& network_;
-  LayerContacts<TrianglesAndCorners> corners_;
-  LayerContacts<EdgesAndEdges> edges_;
+  LayerContacts<TrianglesAndCorners> corner_contacts_;
+  LayerContacts<EdgesAndEdges> edge_contacts_;
   std::optional<Tangles> tangles_;
   std::optional<ImpactZones> zones_;
   std::vector<LayerHit> tunnelling_corners_, tunnelling_edges_;
-  std::vector<Piercing> start_corners_, start_edges_;
-  std::int64_t cell_ = -1, max_corner_piercings_ = 0, max_edge_piercings_ = 0;
+  std::vector<Piercing> start_corner_piercings_, start_edge_piercings_;
+  std::int64_t interval_ = -1, max_corner_piercings_ = 0, max_edge_piercings_ = 0;
 
   PairList pair_list_, near_list_;
-  RelativeMotion motion_;
+  RelativeMotion relative_motion_;
   std::vector<double>
       displacements_;        // since pairs were listed, relative to their common rigid motion
   double longest_edge_ = 0;  // longest edge when cells were built
   // Relative displacement of nearby elements in a step, and the tested part of it; the distance up
   // to which pairs are needed; and the step rate that would be needed.
-  double travel_ = 0, tested_travel_ = 0, required_distance_ = 0, required_rate_ = 0;
+  double travel_ = 0, tested_travel_ = 0, required_distance_ = 0, required_step_rate_ = 0;
   double total_drift_ =
       0;  // largest relative displacement of any two elements since pairs were listed
 };
@@ -120,8 +125,8 @@ void SelfContacts::prevent_piercing(double h, const std::vector<double>& from,
                                     std::vector<std::uint8_t>& is_moved,
                                     ResolveContacts resolve_contacts) {
   if (!layers_ || !tangles_ || pair_list_.distance < 0) return;
-  corners_.drop_resolved(*layers_, x);
-  edges_.drop_resolved(*layers_, x);
+  corner_contacts_.drop_resolved(*layers_, x);
+  edge_contacts_.drop_resolved(*layers_, x);
   for (int iteration = 0; find_tunnelling(h, from, x, is_moved); ++iteration) {
     if (iteration == MAX_ITERATIONS) return record_tunnelling();
     if (iteration < SEPARATION_ITERATIONS) {

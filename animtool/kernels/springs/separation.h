@@ -12,11 +12,11 @@ namespace animtool {
 
 // No particle moves by more than this many times the separation. Without this limit, a single free
 // particle with a small weight would be thrown far away.
-constexpr double MAX_RATIO = 10;
+constexpr double MAX_SHIFT_RATIO = 10;
 // Smallest effective weight, over the largest inverse mass; limits how far particles move.
-constexpr double MIN_WEIGHT = 1e-3;
+constexpr double MIN_EFFECTIVE_WEIGHT = 1e-3;
 // Elements count as separated if less than this fraction of the contact distance is missing.
-constexpr double TOLERANCE = 1e-2;
+constexpr double SEPARATION_TOLERANCE = 1e-2;
 
 // Two nearby elements, the side from which the first pierced the second (1 or -1, 0 if it did not),
 // their particles, their gap, their relative displacement in the step, and their contact distance.
@@ -30,16 +30,16 @@ struct LayerHit {
 // distance, the previous positions move too, so that no velocity is added.
 class Separation {
  public:
-  // `return_shift` is the largest separation in the step that adds no velocity. With `at_ends`,
-  // piercing edges are separated even if they are closest at an end.
+  // `return_shift` is the largest separation in the step that adds no velocity. With
+  // `separates_at_ends`, piercing edges are separated even if they are closest at an end.
   Separation(double friction, double return_shift, const std::vector<double>& inverse_masses,
-             std::vector<double>& before, std::vector<double>& x, bool at_ends = false)
+             std::vector<double>& before, std::vector<double>& x, bool separates_at_ends = false)
       : friction_(friction),
         max_return_(return_shift),
         inverse_masses_(inverse_masses),
         before_(before),
         x_(x),
-        at_ends_(at_ends) {}
+        separates_at_ends_(separates_at_ends) {}
 
   // Separates two elements; returns whether they were too close.
   template <class Shape>
@@ -58,7 +58,7 @@ class Separation {
   double friction_, max_return_;
   const std::vector<double>& inverse_masses_;
   std::vector<double>&before_, &x_;
-  bool at_ends_;
+  bool separates_at_ends_;
   std::vector<double> shifted_before_;  // previous positions, moved so that no velocity is added
   bool has_shifted_ = false;
 };
@@ -67,7 +67,7 @@ template <class Shape>
 bool Separation::separate(const LayerHit& hit) {
   const Shape current(hit.particles.data(), x_.data());
   const shapes::Nearest nearest = current.nearest();
-  if (!nearest.is_interior && !(at_ends_ && hit.side)) return false;
+  if (!nearest.is_interior && !(separates_at_ends_ && hit.side)) return false;
   double gap = length(nearest.offset);
   const double height = hit.side ? hit.side * current.height() : gap;
   if (!(std::min(height, gap) < hit.distance)) return false;
@@ -75,8 +75,8 @@ bool Separation::separate(const LayerHit& hit) {
   collide::Vec normal = nearest.offset * (1 / gap);
   if (has_pierced || !(gap > 0)) normal = collide::direction(current.normal(), {0, 0, 1});
   if (has_pierced) normal = normal * hit.side, gap = height;
-  const auto distance = [&](const std::vector<double>& rows) {
-    const Shape previous(hit.particles.data(), rows.data());
+  const auto distance = [&](const std::vector<double>& positions) {
+    const Shape previous(hit.particles.data(), positions.data());
     return has_pierced ? hit.side * previous.height() : length(previous.nearest().offset);
   };
   const double start_distance = distance(before_);
@@ -86,7 +86,7 @@ bool Separation::separate(const LayerHit& hit) {
   const double contact_shift = std::max(0.0, shifted_distance - gap);
   const double return_shift = std::max(0.0, target_distance - std::max(gap, shifted_distance));
   move(hit, nearest.coefficients, normal, contact_shift, return_shift);
-  return contact_shift + return_shift > hit.distance * TOLERANCE;
+  return contact_shift + return_shift > hit.distance * SEPARATION_TOLERANCE;
 }
 
 inline void Separation::move(const LayerHit& hit, const double* coefficients,
@@ -98,14 +98,15 @@ inline void Separation::move(const LayerHit& hit, const double* coefficients,
   collide::Vec slip;
   for (std::size_t k = 0; k < 4; ++k) {
     const auto particle = static_cast<std::size_t>(hit.particles[k]);
-    ends[k] = &x_[ROW * particle], starts[k] = &previous[ROW * particle];
+    ends[k] = &x_[PARTICLE_STRIDE * particle], starts[k] = &previous[PARTICLE_STRIDE * particle];
     weights[k] = inverse_masses_[particle] * coefficients[k];
     total_weight += weights[k] * coefficients[k];
     max_weight = std::max(max_weight, std::abs(weights[k]));
     max_inverse_mass = std::max(max_inverse_mass, inverse_masses_[particle]);
     slip = slip + (collide::load(ends[k]) - collide::load(starts[k])) * coefficients[k];
   }
-  total_weight = std::max({total_weight, max_weight / MAX_RATIO, max_inverse_mass * MIN_WEIGHT});
+  total_weight = std::max(
+      {total_weight, max_weight / MAX_SHIFT_RATIO, max_inverse_mass * MIN_EFFECTIVE_WEIGHT});
   if (!(total_weight > 0)) return;
   slip = slip - direction * dot(slip, direction);
   const double slip_length = length(slip), friction_limit = friction_ * contact_shift;

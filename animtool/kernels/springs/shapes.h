@@ -28,8 +28,8 @@ constexpr int MAX_ROOT_ITERATIONS = 8;
 constexpr double CROSSING_TOLERANCE = 1e-3;
 
 // The position in the row of a particle.
-inline Vec row_of(const double* rows, std::int32_t particle) {
-  return collide::load(rows + ROW * static_cast<std::size_t>(particle));
+inline Vec position_of(const double* positions, std::int32_t particle) {
+  return collide::load(positions + PARTICLE_STRIDE * static_cast<std::size_t>(particle));
 }
 inline Vec interpolate(Vec a, Vec b, double fraction) { return a + (b - a) * fraction; }
 
@@ -45,8 +45,10 @@ struct Triangle {
   Vec a, b, c;
 
   Triangle(Vec a0, Vec b0, Vec c0) : a(a0), b(b0), c(c0) {}
-  Triangle(const std::int32_t* corners, const double* rows)
-      : a(row_of(rows, corners[0])), b(row_of(rows, corners[1])), c(row_of(rows, corners[2])) {}
+  Triangle(const std::int32_t* corners, const double* positions)
+      : a(position_of(positions, corners[0])),
+        b(position_of(positions, corners[1])),
+        c(position_of(positions, corners[2])) {}
 
   // The closest point to p.
   Nearest nearest(Vec p) const {
@@ -63,8 +65,8 @@ struct Segment {
   Vec a, b;
 
   Segment(Vec a0, Vec b0) : a(a0), b(b0) {}
-  Segment(const std::int32_t* ends, const double* rows)
-      : a(row_of(rows, ends[0])), b(row_of(rows, ends[1])) {}
+  Segment(const std::int32_t* ends, const double* positions)
+      : a(position_of(positions, ends[0])), b(position_of(positions, ends[1])) {}
 
   Vec vector() const { return b - a; }
   Vec point_at(double fraction) const { return interpolate(a, b, fraction); }
@@ -75,8 +77,8 @@ struct CornerPair {
   Vec p;
   Triangle triangle;
 
-  CornerPair(const std::int32_t* particles, const double* rows)
-      : p(row_of(rows, particles[0])), triangle(particles + 1, rows) {}
+  CornerPair(const std::int32_t* particles, const double* positions)
+      : p(position_of(positions, particles[0])), triangle(particles + 1, positions) {}
   CornerPair(Vec p0, const Triangle& t) : p(p0), triangle(t) {}
 
   Nearest nearest() const { return triangle.nearest(p); }
@@ -111,8 +113,8 @@ struct CornerPair {
 struct EdgePair {
   Segment first, second;
 
-  EdgePair(const std::int32_t* particles, const double* rows)
-      : first(particles, rows), second(particles + 2, rows) {}
+  EdgePair(const std::int32_t* particles, const double* positions)
+      : first(particles, positions), second(particles + 2, positions) {}
   EdgePair(const Segment& first_edge, const Segment& second_edge)
       : first(first_edge), second(second_edge) {}
 
@@ -219,9 +221,9 @@ struct Volume {
     // The derivative over 3: a + b t + c t².
     const double a = coefficients[1] - coefficients[0], m = coefficients[2] - coefficients[1],
                  z = coefficients[3] - coefficients[2];
-    const double b = 2 * (m - a), c = a - 2 * m + z, square = b * b - 4 * a * c;
-    if (square >= 0) {
-      const double q = -(b + std::copysign(std::sqrt(square), b)) / 2;
+    const double b = 2 * (m - a), c = a - 2 * m + z, discriminant = b * b - 4 * a * c;
+    if (discriminant >= 0) {
+      const double q = -(b + std::copysign(std::sqrt(discriminant), b)) / 2;
       double first_root = c != 0 ? q / c : -1, second_root = q != 0 ? a / q : -1;
       if (first_root > second_root) std::swap(first_root, second_root);
       for (const double t : {first_root, second_root})
@@ -233,7 +235,7 @@ struct Volume {
   // The root in an interval at whose ends the volume has opposite signs.
   double root(double low, double high) const {
     const bool is_rising = (*this)(low) < 0;
-    for (int i = 0; i < BISECTIONS; ++i) {
+    for (int i = 0; i < ROOT_BISECTIONS; ++i) {
       const double middle = (low + high) / 2;
       (((*this)(middle) < 0) == is_rising ? low : high) = middle;
     }
@@ -241,7 +243,7 @@ struct Volume {
   }
 
  private:
-  static constexpr int BISECTIONS = 40;
+  static constexpr int ROOT_BISECTIONS = 40;
 };
 
 // Whether the bounding boxes of two elements' paths overlap; the first element has `first` of the
@@ -252,9 +254,10 @@ inline bool paths_overlap(const std::int32_t* particles, std::size_t first_count
     double low[2], high[2];
     for (std::size_t element = 0; element < 2; ++element) {
       const std::size_t begin = element ? first_count : 0, end = element ? 4 : first_count;
-      low[element] = high[element] = from[ROW * static_cast<std::size_t>(particles[begin]) + k];
+      low[element] = high[element] =
+          from[PARTICLE_STRIDE * static_cast<std::size_t>(particles[begin]) + k];
       for (std::size_t i = begin; i < end; ++i) {
-        const std::size_t index = ROW * static_cast<std::size_t>(particles[i]) + k;
+        const std::size_t index = PARTICLE_STRIDE * static_cast<std::size_t>(particles[i]) + k;
         low[element] = std::min({low[element], from[index], to[index]});
         high[element] = std::max({high[element], from[index], to[index]});
       }

@@ -17,10 +17,10 @@ namespace animtool {
 namespace {
 
 // Largest number of Newton corrections of a step, of halvings of a correction, and of times that
-// the number of steps of a cell is doubled.
+// the number of steps of an interval is doubled.
 constexpr int MAX_CORRECTIONS = 40, MAX_HALVINGS = 8, MAX_DOUBLINGS = 6;
 // Largest number of matrix products of a conjugate gradient solve.
-constexpr int MAX_PRODUCTS = 400;
+constexpr int MAX_MATRIX_PRODUCTS = 400;
 // Relative residual at which conjugate gradients stop: the next correction removes the remainder.
 constexpr double CG_TOLERANCE = 1e-3;
 
@@ -42,7 +42,7 @@ class ImplicitSolver {
         z_(run.size),
         p_(run.size),
         q_(run.size),
-        blocks_(9 * run.network.particles()),
+        blocks_(9 * run.network.particle_count()),
         trial_x_(run.size),
         trial_v_(run.size) {}
 
@@ -91,9 +91,9 @@ class ImplicitSolver {
                           const std::vector<double>& v) {
     run_.accelerate(x.data(), v.data(), residual_.data());
     double sum = 0;
-    for (std::size_t n = 0; n < run_.network.particles(); ++n) {
+    for (std::size_t n = 0; n < run_.network.particle_count(); ++n) {
       const double inverse_mass = run_.network.inverse_masses[n];
-      for (std::size_t k = ROW * n; k < ROW * n + 3; ++k) {
+      for (std::size_t k = PARTICLE_STRIDE * n; k < PARTICLE_STRIDE * n + 3; ++k) {
         if (inverse_mass == 0) {
           residual_[k] = 0;
           continue;
@@ -110,7 +110,7 @@ class ImplicitSolver {
   void assemble_stiffness(double s) {
     const SpringNetwork& network = run_.network;
     springs_.clear();
-    for (std::size_t n = 0; n < network.particles(); ++n) {
+    for (std::size_t n = 0; n < network.particle_count(); ++n) {
       double* block = blocks_.data() + 9 * n;
       std::fill_n(block, 9, 0.0);
       const double inverse_mass = network.inverse_masses[n];
@@ -123,22 +123,22 @@ class ImplicitSolver {
         block[4 * k] += s * s * network.anchor_stiffness[a] + s * network.anchor_damping[a];
     }
     add_air_damping(s);
-    diagonal_.resize(network.particles());
-    for (std::size_t n = 0; n < network.particles(); ++n) diagonal_[n] = blocks_[9 * n];
-    for (const Spring& spring : run_.lines().springs) add_spring(spring, s);
+    diagonal_.resize(network.particle_count());
+    for (std::size_t n = 0; n < network.particle_count(); ++n) diagonal_[n] = blocks_[9 * n];
+    for (const Spring& spring : run_.spring_set().springs) add_spring(spring, s);
     bandwidth_ = 0;
     for (const SpringStiffness& spring : springs_)
       bandwidth_ = std::max(bandwidth_, static_cast<std::size_t>(std::abs(spring.i - spring.j)));
     if (is_chain()) return factor_chain();
-    for (std::size_t n = 0; n < network.particles(); ++n) invert(blocks_.data() + 9 * n);
+    for (std::size_t n = 0; n < network.particle_count(); ++n) invert(blocks_.data() + 9 * n);
   }
 
   bool is_chain() const { return bandwidth_ <= MAX_CHAIN_WIDTH; }
 
   void factor_chain() {
     const SpringNetwork& network = run_.network;
-    chain_.reset(network.particles(), bandwidth_);
-    for (std::size_t n = 0; n < network.particles(); ++n)
+    chain_.reset(network.particle_count(), bandwidth_);
+    for (std::size_t n = 0; n < network.particle_count(); ++n)
       for (std::size_t row = 0; row < 3; ++row)
         for (std::size_t column = 0; column < 3; ++column)
           chain_.add(3 * n + row, 3 * n + column, blocks_[9 * n + 3 * row + column]);
@@ -164,9 +164,9 @@ class ImplicitSolver {
     const double *x = run_.x.data(), *v = run_.v.data();
     for (std::size_t t = 0; t < network.triangles.size(); t += 3) {
       const std::int32_t* corners = network.triangles.data() + t;
-      const std::size_t rows[3] = {ROW * static_cast<std::size_t>(corners[0]),
-                                   ROW * static_cast<std::size_t>(corners[1]),
-                                   ROW * static_cast<std::size_t>(corners[2])};
+      const std::size_t rows[3] = {PARTICLE_STRIDE * static_cast<std::size_t>(corners[0]),
+                                   PARTICLE_STRIDE * static_cast<std::size_t>(corners[1]),
+                                   PARTICLE_STRIDE * static_cast<std::size_t>(corners[2])};
       double a[3], b[3], flow[3];
       for (std::size_t k = 0; k < 3; ++k) {
         a[k] = x[rows[1] + k] - x[rows[0] + k];
@@ -185,14 +185,16 @@ class ImplicitSolver {
   }
 
   void add_spring(const Spring& spring, double s) {
-    const double* p = run_.x.data() + ROW * static_cast<std::size_t>(spring.i);
-    const double* q = run_.x.data() + ROW * static_cast<std::size_t>(spring.j);
+    const double* p = run_.x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+    const double* q = run_.x.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
     const double length = std::sqrt(dot3(d, d)), inverse_length = length > 0 ? 1 / length : 0;
     const double axial_stiffness = s * s * spring.stiffness;
     double transverse = axial_stiffness;
-    if (spring.rest > 0)
-      transverse = length > spring.rest ? axial_stiffness * (1 - spring.rest * inverse_length) : 0;
+    if (spring.rest_length > 0)
+      transverse = length > spring.rest_length
+                       ? axial_stiffness * (1 - spring.rest_length * inverse_length)
+                       : 0;
     SpringStiffness stiffness{
         spring.i, spring.j, transverse, axial_stiffness - transverse + s * spring.damping, {}};
     for (int k = 0; k < 3; ++k) stiffness.direction[k] = d[k] * inverse_length;
@@ -222,14 +224,14 @@ class ImplicitSolver {
 
   // Multiplies the matrix by a vector.
   void multiply(const std::vector<double>& in, std::vector<double>& out) const {
-    for (std::size_t k = 0; k < run_.size; ++k) out[k] = diagonal_[k / ROW] * in[k];
+    for (std::size_t k = 0; k < run_.size; ++k) out[k] = diagonal_[k / PARTICLE_STRIDE] * in[k];
     for (const SpringStiffness& spring : springs_) {
-      const double* a = in.data() + ROW * static_cast<std::size_t>(spring.i);
-      const double* b = in.data() + ROW * static_cast<std::size_t>(spring.j);
+      const double* a = in.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+      const double* b = in.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
       const double e[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
       const double axial = spring.axial * dot3(spring.direction, e);
-      double* f = out.data() + ROW * static_cast<std::size_t>(spring.i);
-      double* g = out.data() + ROW * static_cast<std::size_t>(spring.j);
+      double* f = out.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+      double* g = out.data() + PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
       for (int k = 0; k < 3; ++k) {
         const double force = spring.transverse * e[k] + axial * spring.direction[k];
         f[k] += force;
@@ -240,16 +242,16 @@ class ImplicitSolver {
   }
 
   void zero_pinned(std::vector<double>& values) const {
-    for (const std::int32_t n : run_.network.pinned)
-      std::fill_n(values.data() + ROW * static_cast<std::size_t>(n), 3, 0.0);
+    for (const std::int32_t n : run_.network.pinned_particles)
+      std::fill_n(values.data() + PARTICLE_STRIDE * static_cast<std::size_t>(n), 3, 0.0);
   }
 
   // Multiplies by an approximate inverse of the matrix; an exact one for chains.
   void precondition(const std::vector<double>& in, std::vector<double>& out) {
-    if (is_chain()) return chain_.solve(in, out, ROW);
-    for (std::size_t n = 0; n < run_.network.particles(); ++n) {
-      const double *block = blocks_.data() + 9 * n, *a = in.data() + ROW * n;
-      for (std::size_t k = 0; k < 3; ++k) out[ROW * n + k] = dot3(block + 3 * k, a);
+    if (is_chain()) return chain_.solve(in, out, PARTICLE_STRIDE);
+    for (std::size_t n = 0; n < run_.network.particle_count(); ++n) {
+      const double *block = blocks_.data() + 9 * n, *a = in.data() + PARTICLE_STRIDE * n;
+      for (std::size_t k = 0; k < 3; ++k) out[PARTICLE_STRIDE * n + k] = dot3(block + 3 * k, a);
     }
   }
 
@@ -267,7 +269,7 @@ class ImplicitSolver {
     p_ = z_;
     double squared_residual = dot_product(r_, z_);
     const double tolerance = CG_TOLERANCE * CG_TOLERANCE * squared_residual;
-    for (int i = 0; i < MAX_PRODUCTS && squared_residual > tolerance; ++i) {
+    for (int i = 0; i < MAX_MATRIX_PRODUCTS && squared_residual > tolerance; ++i) {
       multiply(p_, q_);
       const double fraction = squared_residual / dot_product(p_, q_);
       for (std::size_t k = 0; k < run_.size; ++k) {
@@ -305,12 +307,12 @@ struct State {
 class PinImpulses {
  public:
   PinImpulses(const SpringRun& run, const std::optional<In<double, 2>>& last_impulses)
-      : is_enabled(last_impulses), run_(run), pinned_(run.network.pinned) {
+      : is_enabled(last_impulses), run_(run), pinned_particles_(run.network.pinned_particles) {
     if (!is_enabled) return;
-    pin_indices_.resize(run.network.particles(), -1);
-    for (std::size_t p = 0; p < pinned_.size(); ++p)
-      pin_indices_[static_cast<std::size_t>(pinned_[p])] = static_cast<std::int32_t>(p);
-    check::numbers("pulls", *last_impulses, {pinned_.size(), SIZE});
+    pin_indices_.resize(run.network.particle_count(), -1);
+    for (std::size_t p = 0; p < pinned_particles_.size(); ++p)
+      pin_indices_[static_cast<std::size_t>(pinned_particles_[p])] = static_cast<std::int32_t>(p);
+    check::numbers("pulls", *last_impulses, {pinned_particles_.size(), IMPULSE_SIZE});
     last_impulses_.assign(last_impulses->data(), last_impulses->data() + last_impulses->size());
     total_impulses_.resize(last_impulses_.size());
     forces_.resize(run.size);
@@ -321,24 +323,24 @@ class PinImpulses {
     if (!is_enabled) return;
     const double *x = run_.x.data(), *v = run_.v.data();
     std::fill(forces_.begin(), forces_.end(), 0.0);
-    for (const Spring& spring : run_.lines().springs)
+    for (const Spring& spring : run_.spring_set().springs)
       if (pin_indices_[static_cast<std::size_t>(spring.i)] >= 0 ||
           pin_indices_[static_cast<std::size_t>(spring.j)] >= 0)
         add_spring_force(spring, x, v);
     run_.network.add_air_forces(run_.wind, x, v, forces_.data());
-    for (std::size_t p = 0; p < pinned_.size(); ++p) {
-      const std::size_t row = ROW * static_cast<std::size_t>(pinned_[p]);
+    for (std::size_t p = 0; p < pinned_particles_.size(); ++p) {
+      const std::size_t row = PARTICLE_STRIDE * static_cast<std::size_t>(pinned_particles_[p]);
       const double *r = x + row, *f = forces_.data() + row;
-      const double force_and_moment[SIZE] = {f[0],
-                                             f[1],
-                                             f[2],
-                                             r[1] * f[2] - r[2] * f[1],
-                                             r[2] * f[0] - r[0] * f[2],
-                                             r[0] * f[1] - r[1] * f[0]};
-      for (std::size_t k = 0; k < SIZE; ++k) {
-        double& impulse = last_impulses_[SIZE * p + k];
+      const double force_and_moment[IMPULSE_SIZE] = {f[0],
+                                                     f[1],
+                                                     f[2],
+                                                     r[1] * f[2] - r[2] * f[1],
+                                                     r[2] * f[0] - r[0] * f[2],
+                                                     r[0] * f[1] - r[1] * f[0]};
+      for (std::size_t k = 0; k < IMPULSE_SIZE; ++k) {
+        double& impulse = last_impulses_[IMPULSE_SIZE * p + k];
         impulse = fraction * impulse + h * force_and_moment[k];
-        total_impulses_[SIZE * p + k] += impulse;
+        total_impulses_[IMPULSE_SIZE * p + k] += impulse;
       }
     }
   }
@@ -350,7 +352,7 @@ class PinImpulses {
 
   // Returns the total and then the last impulses (2, H, 6).
   Out<double, 3> arrays() const {
-    Out<double, 3> result(2, total_impulses_.size() / SIZE, SIZE);
+    Out<double, 3> result(2, total_impulses_.size() / IMPULSE_SIZE, IMPULSE_SIZE);
     std::copy(total_impulses_.begin(), total_impulses_.end(), result.get());
     std::copy(last_impulses_.begin(), last_impulses_.end(), result.get() + total_impulses_.size());
     return result;
@@ -359,11 +361,11 @@ class PinImpulses {
   const bool is_enabled;
 
  private:
-  static constexpr std::size_t SIZE = 6;
+  static constexpr std::size_t IMPULSE_SIZE = 6;
 
   void add_spring_force(const Spring& spring, const double* x, const double* v) {
-    const std::size_t i = ROW * static_cast<std::size_t>(spring.i);
-    const std::size_t j = ROW * static_cast<std::size_t>(spring.j);
+    const std::size_t i = PARTICLE_STRIDE * static_cast<std::size_t>(spring.i);
+    const std::size_t j = PARTICLE_STRIDE * static_cast<std::size_t>(spring.j);
     double d[3], e[3];
     for (std::size_t k = 0; k < 3; ++k) {
       d[k] = x[j + k] - x[i + k];
@@ -372,7 +374,8 @@ class PinImpulses {
     const double length = std::sqrt(dot3(d, d));
     if (!(length > 0)) return;
     const double force =
-        (spring.stiffness * (length - spring.rest) + spring.damping * dot3(d, e) / length) / length;
+        (spring.stiffness * (length - spring.rest_length) + spring.damping * dot3(d, e) / length) /
+        length;
     for (std::size_t k = 0; k < 3; ++k) {
       forces_[i + k] += force * d[k];
       forces_[j + k] -= force * d[k];
@@ -380,26 +383,26 @@ class PinImpulses {
   }
 
   const SpringRun& run_;
-  const std::vector<std::int32_t>& pinned_;
+  const std::vector<std::int32_t>& pinned_particles_;
   std::vector<std::int32_t> pin_indices_;  // index of each particle among the pinned ones, or -1
   std::vector<double> last_impulses_, total_impulses_, forces_;
 };
 
-// Solves cells of time by implicit steps.
-class CellSolver {
+// Solves intervals of time by implicit steps.
+class IntervalSolver {
  public:
-  CellSolver(SpringRun& run, SpringContacts& contacts, double tolerance, bool use_bdf2,
-             PinImpulses& pin_impulses)
+  IntervalSolver(SpringRun& run, SpringContacts& contacts, double tolerance, bool uses_bdf2,
+                 PinImpulses& pin_impulses)
       : run_(run),
         contacts_(contacts),
         solver_(run, tolerance),
-        use_bdf2_(use_bdf2),
+        uses_bdf2_(uses_bdf2),
         pin_impulses_(pin_impulses) {}
 
-  // Solves a cell in a number of steps; returns whether all of them converged.
-  bool solve_cell(std::int64_t index, double start, double cell, int substeps) {
-    const double h = cell / substeps;
-    contacts_.begin_cell(index, substeps, h);
+  // Solves an interval in a number of steps; returns whether all of them converged.
+  bool solve_interval(std::int64_t index, double start, double interval_duration, int substeps) {
+    const double h = interval_duration / substeps;
+    contacts_.begin_interval(index, substeps, h);
     for (int step = 0; step < substeps; ++step) {
       const double t = start + (step + 1) * h;
       run_.sample_surroundings(t, h);
@@ -407,7 +410,7 @@ class CellSolver {
       double s = h;
       bx_ = current.x;
       bv_ = current.v;
-      if (use_bdf2_ && has_previous) {
+      if (uses_bdf2_ && has_previous) {
         s = h * (2.0 / 3.0);
         for (std::size_t k = 0; k < run_.size; ++k) {
           bx_[k] = (4 * current.x[k] - previous.x[k]) / 3;
@@ -416,12 +419,12 @@ class CellSolver {
         }
       }
       if (!solver_.solve(bx_, bv_, s, t)) return false;
-      pin_impulses_.add(s, use_bdf2_ && has_previous ? 1.0 / 3.0 : 0.0);
+      pin_impulses_.add(s, uses_bdf2_ && has_previous ? 1.0 / 3.0 : 0.0);
       run_.network.set_pinned(t, h, current.x.data(), run_.x.data(), run_.v.data());
       previous = current;
       // The two-step method needs a smooth history.
       const bool has_contacts = contacts_.resolve(step, current.x, run_.x, &run_.v);
-      has_previous = use_bdf2_ && !has_contacts;
+      has_previous = uses_bdf2_ && !has_contacts;
       ++steps;
     }
     return true;
@@ -437,7 +440,7 @@ class CellSolver {
   SpringRun& run_;
   SpringContacts& contacts_;
   ImplicitSolver solver_;
-  bool use_bdf2_;
+  bool uses_bdf2_;
   PinImpulses& pin_impulses_;
   std::vector<double> bx_, bv_;
 };
@@ -445,36 +448,38 @@ class CellSolver {
 }  // namespace
 
 SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> state,
-                                std::optional<In<double, 3>> earlier, In<std::uint8_t, 1> torn,
-                                double origin, std::int64_t first, double cell, std::int64_t cells,
-                                int substeps, bool two_steps, double tolerance,
-                                const std::optional<SpringColliders>& colliders,
+                                std::optional<In<double, 3>> earlier_state,
+                                In<std::uint8_t, 1> is_torn, double origin,
+                                std::int64_t first_interval, double interval_duration,
+                                std::int64_t interval_count, int substeps, bool uses_bdf2,
+                                double tolerance, const std::optional<SpringColliders>& colliders,
                                 std::optional<In<double, 2>> last_pin_impulses) {
-  const CellGrid grid{origin, first, cell, cells};
+  const IntervalGrid grid{origin, first_interval, interval_duration, interval_count};
   check::between("substeps", substeps, 1, static_cast<int>(MAX_SUBSTEPS >> MAX_DOUBLINGS));
-  check_cells(grid, substeps << MAX_DOUBLINGS);
+  check_intervals(grid, substeps << MAX_DOUBLINGS);
   check::positive("tolerance", tolerance);
   check::finite("state", state);
-  SpringRun run = build_run(network, state, torn);
-  if (earlier) {
-    check::numbers("before", *earlier, {2, network.particles(), 3});
+  SpringRun run = build_run(network, state, is_torn);
+  if (earlier_state) {
+    check::numbers("before", *earlier_state, {2, network.particle_count(), 3});
   }
-  SpringContacts contacts(colliders, network, cells);
+  SpringContacts contacts(colliders, network, interval_count);
   PinImpulses pin_impulses(run, last_pin_impulses);
-  CellSolver solver(run, contacts, tolerance, two_steps, pin_impulses);
+  IntervalSolver solver(run, contacts, tolerance, uses_bdf2, pin_impulses);
   solver.previous = {run.x, run.v};
-  std::int64_t unsolved = 0;
+  std::int64_t unsolved_count = 0;
   {
-    if (earlier && two_steps) {
-      const std::size_t row = 3 * network.particles();
-      const SpringRun previous_run(network, earlier->data(), earlier->data() + row, torn.data());
+    if (earlier_state && uses_bdf2) {
+      const std::size_t row = 3 * network.particle_count();
+      const SpringRun previous_run(network, earlier_state->data(), earlier_state->data() + row,
+                                   is_torn.data());
       solver.previous = {previous_run.x, previous_run.v};
       solver.has_previous = true;
     }
-    for (std::int64_t i = 0; i < cells && !unsolved; ++i) {
+    for (std::int64_t i = 0; i < interval_count && !unsolved_count; ++i) {
       const State start{run.x, run.v};
       const PinImpulses::Snapshot pin_snapshot = pin_impulses.snapshot();
-      if (!solver.solve_cell(i, grid.start(i), cell, substeps)) {
+      if (!solver.solve_interval(i, grid.start(i), interval_duration, substeps)) {
         // The equations of shorter steps are easier.
         bool is_solved = false;
         for (int doubling = 1; doubling <= MAX_DOUBLINGS && !is_solved; ++doubling) {
@@ -482,10 +487,11 @@ SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> stat
           run.v = start.v;
           pin_impulses.restore(pin_snapshot);
           solver.has_previous = false;
-          is_solved = solver.solve_cell(i, grid.start(i), cell, substeps << doubling);
+          is_solved =
+              solver.solve_interval(i, grid.start(i), interval_duration, substeps << doubling);
           solver.has_previous = false;
         }
-        unsolved += !is_solved;
+        unsolved_count += !is_solved;
         if (!is_solved) {
           run.x = start.x;
           run.v = start.v;
@@ -497,16 +503,10 @@ SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> stat
   SpringRun previous_run = run;
   previous_run.x = solver.previous.x;
   previous_run.v = solver.previous.v;
-  return {copy_state(run),
-          copy_state(previous_run),
-          solver.has_previous,
-          copy_torn(run),
-          solver.steps,
-          solver.corrections(),
-          unsolved,
-          contacts.unresolved,
-          contacts.impulses(),
-          pin_impulses.arrays()};
+  return {
+      copy_state(run),     copy_state(previous_run), solver.has_previous, copy_torn(run),
+      solver.steps,        solver.corrections(),     unsolved_count,      contacts.unresolved_count,
+      contacts.impulses(), pin_impulses.arrays()};
 }
 
 }  // namespace animtool

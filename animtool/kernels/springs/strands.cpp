@@ -37,64 +37,66 @@ std::vector<double> interleave(In<double, 2> rows, std::size_t strands, std::siz
   return result;
 }
 
-// The colliders of all steps of a frame, in the layout of bundle loops.
+// The colliders of all steps of a frame, as functions on bundles read them.
 class FrameColliders {
  public:
   // The common drift is the displacement of the first particle, whose path is given.
   FrameColliders(const MovingColliders& colliders, const std::optional<SpringColliders>& arrays,
-                 std::size_t cells, int substeps, double h, const double* targets,
+                 std::size_t interval_count, int substeps, double h, const double* targets,
                  std::size_t particles)
-      : colliders_(colliders), h_(h), count_(colliders.size()) {
+      : colliders_(colliders), h_(h), collider_count_(colliders.size()) {
     const auto surfaces = arrays ? std::get<5>(*arrays).size() : 0;
-    count_ += surfaces;
-    surfaces_.reserve(surfaces * cells);
+    collider_count_ += surfaces;
+    surfaces_.reserve(surfaces * interval_count);
     std::vector<StepCollider> rigid_steps;
-    for (std::size_t cell = 0; cell < cells; ++cell) {
-      const double* positions = targets + 3 * particles * cell;
+    for (std::size_t interval = 0; interval < interval_count; ++interval) {
+      const double* positions = targets + 3 * particles * interval;
       double drift[3];
       for (std::size_t k = 0; k < 3; ++k)
         drift[k] = (positions[3 * particles + k] - positions[k]) / substeps;
       rigid_steps.clear();
-      colliders.append_steps(static_cast<std::int64_t>(cell), substeps, h, rigid_steps);
+      colliders.append_steps(static_cast<std::int64_t>(interval), substeps, h, rigid_steps);
       for (std::size_t s = 0; s < surfaces; ++s) {
-        surfaces_.emplace_back(std::get<5>(*arrays)[s], static_cast<std::int64_t>(cells));
-        surfaces_.back().begin_cell(static_cast<std::int64_t>(cell), h * substeps);
+        surfaces_.emplace_back(std::get<5>(*arrays)[s], static_cast<std::int64_t>(interval_count));
+        surfaces_.back().begin_interval(static_cast<std::int64_t>(interval), h * substeps);
       }
       for (int step = 0; step < substeps; ++step) {
         const auto first =
             rigid_steps.begin() + step * static_cast<std::ptrdiff_t>(colliders.size());
-        steps_.insert(steps_.end(), first, first + static_cast<std::ptrdiff_t>(colliders.size()));
+        step_colliders_.insert(step_colliders_.end(), first,
+                               first + static_cast<std::ptrdiff_t>(colliders.size()));
         for (std::size_t s = 0; s < surfaces; ++s)
-          steps_.push_back(surface_step(surfaces_[surfaces_.size() - surfaces + s],
-                                        static_cast<std::int32_t>(s), step, substeps, load(drift)));
+          step_colliders_.push_back(surface_step(surfaces_[surfaces_.size() - surfaces + s],
+                                                 static_cast<std::int32_t>(s), step, substeps,
+                                                 load(drift)));
         drifts_.insert(drifts_.end(), drift, drift + 3);
       }
     }
-    for (const StepCollider& collider : steps_) capsules_.push_back(collider.capsule);
-    for (std::size_t c = 0; c < count_; ++c) {
-      thicknesses_.push_back(steps_[c].thickness(colliders.radius()));
-      is_capsule_.push_back(steps_[c].is_capsule);
-      is_bounded_.push_back(steps_[c].is_capsule || steps_[c].surface >= 0);
+    for (const StepCollider& collider : step_colliders_) capsules_.push_back(collider.capsule);
+    for (std::size_t c = 0; c < collider_count_; ++c) {
+      thicknesses_.push_back(step_colliders_[c].thickness(colliders.radius()));
+      is_capsule_.push_back(step_colliders_[c].is_capsule);
+      is_bounded_.push_back(step_colliders_[c].is_capsule || step_colliders_[c].surface >= 0);
     }
     fill_remaining_shifts();
   }
 
   const StepCollider& row(std::size_t step, std::size_t c) const {
-    return steps_[step * count_ + c];
+    return step_colliders_[step * collider_count_ + c];
   }
 
   // Sets the collider arrays of a frame.
   void fill(StrandSteps& plan) const {
-    plan.colliders = count_;
+    plan.collider_count = collider_count_;
     plan.capsules = capsules_.data();
     plan.is_capsule = is_capsule_.data();
     plan.is_bounded = is_bounded_.data();
-    plan.depth_rows = colliders_.depth_rows();
+    plan.depth_row_count = colliders_.depth_row_count();
     plan.thicknesses = thicknesses_.data();
     plan.drifts = drifts_.data();
     plan.remaining_shifts = remaining_shifts_.data();
     plan.general_colliders = {this, &FrameColliders::sample, &FrameColliders::sweep};
-    plan.tolerance = colliders_.tolerance();
+    plan.inside_tolerance = colliders_.inside_tolerance();
   }
 
  private:
@@ -116,23 +118,25 @@ class FrameColliders {
 
   // Sums bounds of the surface displacements from each step to the end of the frame.
   void fill_remaining_shifts() {
-    const std::size_t count = count_;
-    remaining_shifts_.assign(steps_.size() + count, 0.0);
-    for (std::size_t row = steps_.size(); row-- > 0;) {
+    const std::size_t count = collider_count_;
+    remaining_shifts_.assign(step_colliders_.size() + count, 0.0);
+    for (std::size_t row = step_colliders_.size(); row-- > 0;) {
       const Vec drift = load(&drifts_[3 * (row / count)]);
       remaining_shifts_[row] = remaining_shifts_[row + count];
-      if (steps_[row].is_capsule) remaining_shifts_[row] += steps_[row].max_displacement(drift);
-      if (steps_[row].surface >= 0) remaining_shifts_[row] += steps_[row].max_point_shift;
+      if (step_colliders_[row].is_capsule)
+        remaining_shifts_[row] += step_colliders_[row].max_displacement(drift);
+      if (step_colliders_[row].surface >= 0)
+        remaining_shifts_[row] += step_colliders_[row].max_point_shift;
     }
   }
 
-  static void sample(const void* context, std::size_t row, bool at_end, const double* point,
+  static void sample(const void* context, std::size_t row, bool is_at_end, const double* point,
                      double* distance_and_normal) {
     const auto& self = *static_cast<const FrameColliders*>(context);
-    const StepCollider& collider = self.steps_[row];
+    const StepCollider& collider = self.step_colliders_[row];
     const double radius = self.colliders_.radius();
-    const auto hit = at_end ? collider.sample_end(load(point), radius)
-                            : collider.sample_start(load(point), radius);
+    const auto hit = is_at_end ? collider.sample_end(load(point), radius)
+                               : collider.sample_start(load(point), radius);
     distance_and_normal[0] = hit.distance;
     store(hit.normal, distance_and_normal + 1);
   }
@@ -141,16 +145,17 @@ class FrameColliders {
     const auto& self = *static_cast<const FrameColliders*>(context);
     Vec end_position = load(to);
     const double radius = self.colliders_.radius();
-    if (!self.steps_[row].sweep(self.h_, radius, load(from), end_position, nullptr)) return false;
+    if (!self.step_colliders_[row].sweep(self.h_, radius, load(from), end_position, nullptr))
+      return false;
     store(end_position, to);
     return true;
   }
 
   const MovingColliders& colliders_;
   double h_;
-  std::size_t count_;                    // rigid colliders and moving meshes
-  std::vector<MovingSurface> surfaces_;  // (cells, S)
-  std::vector<StepCollider> steps_;      // (steps, C)
+  std::size_t collider_count_;                // rigid colliders and moving meshes
+  std::vector<MovingSurface> surfaces_;       // (intervals, S)
+  std::vector<StepCollider> step_colliders_;  // (steps, C)
   std::vector<collide::MovingCapsule> capsules_;
   std::vector<double> drifts_, remaining_shifts_, thicknesses_;
   std::vector<unsigned char> is_capsule_, is_bounded_;
@@ -166,23 +171,23 @@ class BundleWorker {
       : strands_(strands),
         plan_(plan),
         colliders_(colliders),
-        frame_(frame),
+        frame_colliders_(frame),
         targets_(targets),
         state_(state),
         out_(out),
         rows_(6 * width()),
-        goals_((plan.cells + 1) * width()),
-        path_buffers_(plan.points * (plan.colliders + 2)),
-        near_colliders_(plan.colliders),
-        touched_counts_(plan.cells * plan.substeps),
-        segment_particles_(plan.points),
-        strand_before_(ROW * plan.points),
-        strand_(ROW * plan.points) {
+        goals_((plan.interval_count + 1) * width()),
+        path_buffers_(plan.point_count * (plan.collider_count + 2)),
+        near_colliders_(plan.collider_count),
+        touched_counts_(plan.interval_count * plan.substeps),
+        segment_particles_(plan.point_count),
+        strand_positions_before_(PARTICLE_STRIDE * plan.point_count),
+        strand_positions_(PARTICLE_STRIDE * plan.point_count) {
     for (const SpringElements& elements : strands.segments()) {
       FaceContacts& segments = segments_.emplace_back(elements, colliders.radius());
       for (std::size_t c = 0; c < colliders.size(); ++c)
         if (c >= carrier_colliders.first && c < carrier_colliders.first + carrier_colliders.second)
-          segments.add_plain();
+          segments.add_without_features();
         else
           segments.add(colliders[c]);
     }
@@ -190,9 +195,9 @@ class BundleWorker {
 
   void advance(std::size_t index) {
     StrandBundle bundle = build_bundle(index);
-    spring_loops().advance_bundle(plan_, bundle);
+    spring_functions().advance_bundle(plan_, bundle);
     store_strands(index, bundle.x, out_);
-    store_strands(index, bundle.v, out_ + 3 * particles());
+    store_strands(index, bundle.v, out_ + 3 * particle_count());
     inside_count += bundle.inside_count;
     max_strain = std::max(max_strain, bundle.max_strain);
   }
@@ -202,8 +207,8 @@ class BundleWorker {
   double max_strain = 0;
 
  private:
-  std::size_t width() const { return FOUR_VEC_SIZE * plan_.points; }
-  std::size_t particles() const { return strands_.strands() * plan_.points; }
+  std::size_t width() const { return FOUR_VEC_SIZE * plan_.point_count; }
+  std::size_t particle_count() const { return strands_.strand_count() * plan_.point_count; }
 
   StrandBundle build_bundle(std::size_t index) {
     StrandBundle bundle{};
@@ -212,34 +217,34 @@ class BundleWorker {
     bundle.before = bundle.v + width();
     bundle.directions = bundle.before + width();
     bundle.matrix = bundle.directions + width();
-    bundle.references = bundle.matrix + width();
+    bundle.reference_positions = bundle.matrix + width();
     bundle.rest_lengths = strands_.rest_lengths(index);
     bundle.bend_lengths = strands_.bend_lengths(index);
     bundle.path_lengths = path_buffers_.data();
-    bundle.contact_paths = bundle.path_lengths + plan_.points;
-    bundle.collider_paths = bundle.contact_paths + plan_.points;
-    bundle.near = near_colliders_.data();
+    bundle.contact_paths = bundle.path_lengths + plan_.point_count;
+    bundle.collider_paths = bundle.contact_paths + plan_.point_count;
+    bundle.near_colliders = near_colliders_.data();
     bundle.touched_counts = touched_counts_.data();
     bundle.segment_particles = segment_particles_.data();
     first_strand_ = index * SIMD_WIDTH;
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
       const FaceContacts& segments = segments_of(l);
-      if (!segments.any()) continue;
+      if (!segments.has_features()) continue;
       const double search_distance =
           std::max(bundle.segments.search_distance, segments.search_distance());
       bundle.segments = {this, &BundleWorker::resolve_segments, search_distance};
     }
-    bundle.depth_stride = particles();
+    bundle.depth_stride = particle_count();
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
-      if (index * SIMD_WIDTH + l < strands_.strands()) bundle.strand_bits |= 1u << l;
+      if (index * SIMD_WIDTH + l < strands_.strand_count()) bundle.strand_bits |= 1u << l;
       if (!colliders_.depths()) continue;
-      const std::size_t strand = strand_of(index, l, strands_.strands());
-      bundle.depths[l] = colliders_.depths() + strand * plan_.points;
+      const std::size_t strand = strand_of(index, l, strands_.strand_count());
+      bundle.depths[l] = colliders_.depths() + strand * plan_.point_count;
     }
     load_strands(index, state_, bundle.x);
-    load_strands(index, state_ + 3 * particles(), bundle.v);
-    for (std::size_t k = 0; k <= plan_.cells; ++k)
-      load_strands(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
+    load_strands(index, state_ + 3 * particle_count(), bundle.v);
+    for (std::size_t k = 0; k <= plan_.interval_count; ++k)
+      load_strands(index, targets_ + k * 3 * particle_count(), goals_.data() + k * width());
     bundle.goals = goals_.data();
     return bundle;
   }
@@ -249,21 +254,23 @@ class BundleWorker {
                                std::size_t lane, std::size_t near_count) {
     auto& self = *static_cast<BundleWorker*>(context);
     FaceContacts& segments = self.segments_of(lane);
-    if (!segments.any()) return false;
-    const std::size_t points = self.plan_.points;
+    if (!segments.has_features()) return false;
+    const std::size_t points = self.plan_.point_count;
     self.near_particles_.assign(bundle.segment_particles, bundle.segment_particles + near_count);
     const auto for_each_coordinate = [&](auto&& copy) {
       for (std::size_t p = 0; p < points; ++p)
         for (std::size_t k = 0; k < 3; ++k)
-          copy(ROW * p + k, FOUR_VEC_SIZE * p + SIMD_WIDTH * k + lane);
+          copy(PARTICLE_STRIDE * p + k, FOUR_VEC_SIZE * p + SIMD_WIDTH * k + lane);
     };
     for_each_coordinate([&](std::size_t to, std::size_t from) {
-      self.strand_before_[to] = bundle.references[from], self.strand_[to] = bundle.x[from];
+      self.strand_positions_before_[to] = bundle.reference_positions[from],
+      self.strand_positions_[to] = bundle.x[from];
     });
     bool has_moved = false;
     for (std::size_t c = 0; c < self.colliders_.size(); ++c) {
-      if (!segments.resolve(c, self.frame_.row(step, c), self.plan_.h, self.near_particles_,
-                            {self.strand_before_, self.strand_, nullptr}))
+      if (!segments.resolve(c, self.frame_colliders_.row(step, c), self.plan_.h,
+                            self.near_particles_,
+                            {self.strand_positions_before_, self.strand_positions_, nullptr}))
         continue;
       has_moved = true;
       for (const FaceContacts::MovedParticle& moved_particle : segments.moved_particles)
@@ -272,35 +279,37 @@ class BundleWorker {
     }
     if (has_moved)
       for_each_coordinate([&](std::size_t from, std::size_t to) {
-        bundle.references[to] = self.strand_before_[from], bundle.x[to] = self.strand_[from];
+        bundle.reference_positions[to] = self.strand_positions_before_[from],
+        bundle.x[to] = self.strand_positions_[from];
       });
     return has_moved;
   }
 
   FaceContacts& segments_of(std::size_t lane) {
     return segments_[strands_.segments_of(
-        strand_of(first_strand_ / SIMD_WIDTH, lane, strands_.strands()))];
+        strand_of(first_strand_ / SIMD_WIDTH, lane, strands_.strand_count()))];
   }
 
   // Converts rows of particles (N, 3) to interleaved rows of a bundle, and back.
   void load_strands(std::size_t index, const double* rows, double* out) const {
     for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
-      const std::size_t strand = strand_of(index, l, strands_.strands());
-      const double* row = rows + 3 * plan_.points * strand;
-      for (std::size_t k = 0; k < 3 * plan_.points; ++k) out[SIMD_WIDTH * k + l] = row[k];
+      const std::size_t strand = strand_of(index, l, strands_.strand_count());
+      const double* row = rows + 3 * plan_.point_count * strand;
+      for (std::size_t k = 0; k < 3 * plan_.point_count; ++k) out[SIMD_WIDTH * k + l] = row[k];
     }
   }
   void store_strands(std::size_t index, const double* rows, double* out) const {
-    for (std::size_t l = 0; l < SIMD_WIDTH && index * SIMD_WIDTH + l < strands_.strands(); ++l) {
-      double* row = out + 3 * plan_.points * (index * SIMD_WIDTH + l);
-      for (std::size_t k = 0; k < 3 * plan_.points; ++k) row[k] = rows[SIMD_WIDTH * k + l];
+    for (std::size_t l = 0; l < SIMD_WIDTH && index * SIMD_WIDTH + l < strands_.strand_count();
+         ++l) {
+      double* row = out + 3 * plan_.point_count * (index * SIMD_WIDTH + l);
+      for (std::size_t k = 0; k < 3 * plan_.point_count; ++k) row[k] = rows[SIMD_WIDTH * k + l];
     }
   }
 
   const SpringStrands& strands_;
   const StrandSteps& plan_;
   const MovingColliders& colliders_;
-  const FrameColliders& frame_;
+  const FrameColliders& frame_colliders_;
   std::vector<FaceContacts> segments_;
   std::size_t first_strand_ = 0;  // of the bundle
   const double *targets_, *state_;
@@ -309,17 +318,17 @@ class BundleWorker {
   std::vector<std::size_t> near_colliders_;
   std::vector<std::int64_t> touched_counts_;
   std::vector<std::int32_t> segment_particles_, near_particles_;
-  std::vector<double> strand_before_, strand_;  // rows of one strand
+  std::vector<double> strand_positions_before_, strand_positions_;  // rows of one strand
 };
 
 // Smallest number of bundles per thread.
-constexpr std::size_t MIN_BUNDLES = 16;
+constexpr std::size_t MIN_BUNDLES_PER_THREAD = 16;
 
 // Advances all bundles in several threads; results do not depend on the number of threads.
-void advance_all(std::vector<BundleWorker>& workers, std::size_t bundles) {
+void advance_all(std::vector<BundleWorker>& workers, std::size_t bundle_count) {
   const auto run_worker = [&](std::size_t w) {
-    const std::size_t end = (w + 1) * bundles / workers.size();
-    for (std::size_t b = w * bundles / workers.size(); b < end; ++b) workers[w].advance(b);
+    const std::size_t end = (w + 1) * bundle_count / workers.size();
+    for (std::size_t b = w * bundle_count / workers.size(); b < end; ++b) workers[w].advance(b);
   };
   std::vector<std::thread> threads;
   threads.reserve(workers.size());
@@ -341,48 +350,51 @@ double correction_fraction(double stiffness, double damping, double weight, doub
 
 }  // namespace
 
-SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity,
-                             double drag, double stiffness, double fold_stiffness,
-                             double draw_stiffness, double draw_damping, double stretch)
-    : strands_(rests.shape(0)),
-      points_(rests.shape(1) + 1),
+SpringStrands::SpringStrands(In<double, 2> spring_rest_lengths, In<double, 2> fold_rest_lengths,
+                             In<double, 1> gravity, double drag, double stiffness,
+                             double fold_stiffness, double goal_stiffness, double goal_damping,
+                             double max_strain)
+    : strands_(spring_rest_lengths.shape(0)),
+      points_(spring_rest_lengths.shape(1) + 1),
       drag_(drag),
       stiffness_(stiffness),
       bend_stiffness_(fold_stiffness),
-      goal_stiffness_(draw_stiffness),
-      goal_damping_(draw_damping),
-      max_strain_(stretch) {
-  check::shape("rests", rests, {check::ANY, check::ANY});
+      goal_stiffness_(goal_stiffness),
+      goal_damping_(goal_damping),
+      max_strain_(max_strain) {
+  check::shape("rests", spring_rest_lengths, {check::ANY, check::ANY});
   if (strands_ == 0) check::refuse("rests", "there is no strand");
   check::at_most("rests", points_, check::MAX_ROWS / strands_);
-  for (std::size_t k = 0; k < rests.size(); ++k) check::not_negative("rests", rests.data()[k]);
-  check::shape("folds", folds, {strands_, points_ - std::min<std::size_t>(points_, 2)});
-  for (std::size_t k = 0; k < folds.size(); ++k) check::not_negative("folds", folds.data()[k]);
+  for (std::size_t k = 0; k < spring_rest_lengths.size(); ++k)
+    check::not_negative("rests", spring_rest_lengths.data()[k]);
+  check::shape("folds", fold_rest_lengths, {strands_, points_ - std::min<std::size_t>(points_, 2)});
+  for (std::size_t k = 0; k < fold_rest_lengths.size(); ++k)
+    check::not_negative("folds", fold_rest_lengths.data()[k]);
   check::numbers("gravity", gravity, {3});
   check::finite("drag", drag);
   check::not_negative("stiffness", stiffness);
   check::not_negative("fold_stiffness", fold_stiffness);
-  check::not_negative("draw_stiffness", draw_stiffness);
-  check::not_negative("draw_damping", draw_damping);
-  check::not_negative("stretch", stretch);
+  check::not_negative("draw_stiffness", goal_stiffness);
+  check::not_negative("draw_damping", goal_damping);
+  check::not_negative("stretch", max_strain);
   std::copy_n(gravity.data(), 3, gravity_);
-  rest_lengths_ = interleave(rests, strands_, springs());
-  bend_lengths_ = interleave(folds, strands_, points_);
-  group_segments(rests);
+  rest_lengths_ = interleave(spring_rest_lengths, strands_, spring_count());
+  bend_lengths_ = interleave(fold_rest_lengths, strands_, points_);
+  group_segments(spring_rest_lengths);
 }
 
 // Groups strands by their longest spring, for segment contacts. Lengths are rounded up to powers of
 // two, so that a strand collides as if it were alone.
-void SpringStrands::group_segments(In<double, 2> rests) {
+void SpringStrands::group_segments(In<double, 2> spring_rest_lengths) {
   SpringElements elements;
   elements.inverse_masses.assign(points_, 1.0);
   elements.inverse_masses.front() = 0;
-  for (std::size_t p = 0; p < springs(); ++p)
+  for (std::size_t p = 0; p < spring_count(); ++p)
     for (const std::size_t end : {p, p + 1})
       elements.edges.push_back(static_cast<std::int32_t>(end));
   for (std::size_t s = 0; s < strands_; ++s) {
-    const double* row = rests.data() + s * springs();
-    const double longest = springs() ? *std::max_element(row, row + springs()) : 0.0;
+    const double* row = spring_rest_lengths.data() + s * spring_count();
+    const double longest = spring_count() ? *std::max_element(row, row + spring_count()) : 0.0;
     int exponent = 0;
     if (longest > 0) std::frexp(longest, &exponent);
     elements.longest_edge = longest > 0 ? std::ldexp(1.0, exponent) : 0.0;
@@ -394,54 +406,60 @@ void SpringStrands::group_segments(In<double, 2> rests) {
   }
 }
 
-StrandSteps SpringStrands::plan_frame(std::size_t cells, std::size_t substeps, double span) const {
+StrandSteps SpringStrands::plan_frame(std::size_t interval_count, std::size_t substeps,
+                                      double frame_duration) const {
   StrandSteps result{};
-  result.points = points_;
-  result.cells = cells;
+  result.point_count = points_;
+  result.interval_count = interval_count;
   result.substeps = substeps;
-  const double h = span / static_cast<double>(cells * substeps);
+  const double h = frame_duration / static_cast<double>(interval_count * substeps);
   result.h = h;
   for (std::size_t k = 0; k < 3; ++k) result.gravity_step[k] = h * gravity_[k];
   result.drag_factor = 1 / (1 + h * drag_);
-  result.bend = correction_fraction(bend_stiffness_, 0, 2, h);
-  result.root_bend = correction_fraction(bend_stiffness_, 0, 1, h);
-  result.goal_pull = correction_fraction(goal_stiffness_, goal_damping_, 1, h);
-  result.goal_damping = goal_damping_ * h / ((goal_stiffness_ * h * h + goal_damping_ * h) + 1);
+  result.bend_factor = correction_fraction(bend_stiffness_, 0, 2, h);
+  result.root_bend_factor = correction_fraction(bend_stiffness_, 0, 1, h);
+  result.goal_pull_factor = correction_fraction(goal_stiffness_, goal_damping_, 1, h);
+  result.goal_damping_factor =
+      goal_damping_ * h / ((goal_stiffness_ * h * h + goal_damping_ * h) + 1);
   result.along_compliance = 1 / (stiffness_ * h * h);
   result.max_length_ratio = 1 + max_strain_;
   return result;
 }
 
 StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
-                            In<double, 3> state, double span, int substeps,
-                            const std::optional<SpringColliders>& colliders, std::size_t threads,
-                            const CarrierColliders& carrier_colliders) {
-  const std::size_t count = strands.strands() * strands.points();
+                            In<double, 3> state, double frame_duration, int substeps,
+                            const std::optional<SpringColliders>& colliders,
+                            std::size_t thread_count, const CarrierColliders& carrier_colliders) {
+  const std::size_t count = strands.strand_count() * strands.point_count();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
   if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
   check::finite("targets", targets);
-  if (threads < 1) check::refuse("threads", "0 is none");
-  const std::size_t cells = targets.shape(0) - 1;
-  check::positive("span", span);
-  check_cells({0, 0, span / static_cast<double>(cells), static_cast<std::int64_t>(cells)},
-              substeps);
-  const MovingColliders moving(colliders, count, static_cast<std::int64_t>(cells));
+  if (thread_count < 1) check::refuse("threads", "0 is none");
+  const std::size_t interval_count = targets.shape(0) - 1;
+  check::positive("span", frame_duration);
+  check_intervals({0, 0, frame_duration / static_cast<double>(interval_count),
+                   static_cast<std::int64_t>(interval_count)},
+                  substeps);
+  const MovingColliders moving_colliders(colliders, count,
+                                         static_cast<std::int64_t>(interval_count));
   Out<double, 3> out(2, count, 3);
   std::int64_t max_touched = 0, inside_count = 0;
   double max_strain = 0;
-  StrandSteps plan = strands.plan_frame(cells, static_cast<std::size_t>(substeps), span);
-  const FrameColliders frame(moving, colliders, cells, substeps, plan.h, targets.data(), count);
+  StrandSteps plan =
+      strands.plan_frame(interval_count, static_cast<std::size_t>(substeps), frame_duration);
+  const FrameColliders frame(moving_colliders, colliders, interval_count, substeps, plan.h,
+                             targets.data(), count);
   frame.fill(plan);
-  const std::size_t bundles = count_bundles(strands.strands());
-  const std::size_t max_workers = std::max<std::size_t>(1, bundles / MIN_BUNDLES);
+  const std::size_t bundle_count = count_bundles(strands.strand_count());
+  const std::size_t max_workers = std::max<std::size_t>(1, bundle_count / MIN_BUNDLES_PER_THREAD);
   std::vector<BundleWorker> workers;
-  workers.reserve(std::min(threads, max_workers));
-  while (workers.size() < std::min(threads, max_workers))
-    workers.emplace_back(strands, plan, moving, frame, carrier_colliders, targets.data(),
+  workers.reserve(std::min(thread_count, max_workers));
+  while (workers.size() < std::min(thread_count, max_workers))
+    workers.emplace_back(strands, plan, moving_colliders, frame, carrier_colliders, targets.data(),
                          state.data(), out.get());
-  advance_all(workers, bundles);
-  for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
+  advance_all(workers, bundle_count);
+  for (std::size_t step = 0; step < interval_count * static_cast<std::size_t>(substeps); ++step) {
     std::int64_t step_count = 0;
     for (const BundleWorker& worker : workers) step_count += worker.touched_count(step);
     max_touched = std::max(max_touched, step_count);

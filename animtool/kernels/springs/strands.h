@@ -21,31 +21,32 @@ using CarrierColliders = std::pair<std::size_t, std::size_t>;
 // Strands with equal numbers of particles, and their constants.
 class SpringStrands {
  public:
-  SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity, double drag,
-                double stiffness, double fold_stiffness, double draw_stiffness, double draw_damping,
-                double stretch);
+  SpringStrands(In<double, 2> spring_rest_lengths, In<double, 2> fold_rest_lengths,
+                In<double, 1> gravity, double drag, double stiffness, double fold_stiffness,
+                double goal_stiffness, double goal_damping, double max_strain);
 
-  std::size_t strands() const { return strands_; }
-  std::size_t points() const { return points_; }
+  std::size_t strand_count() const { return strands_; }
+  std::size_t point_count() const { return points_; }
 
   // Segments of strands, and the index of those of a strand; strands with similar spring lengths
   // share them.
   const std::vector<SpringElements>& segments() const { return segments_; }
   std::size_t segments_of(std::size_t strand) const { return group_of_strand_[strand]; }
 
-  // Constants of a frame that is divided into cells of several steps.
-  StrandSteps plan_frame(std::size_t cells, std::size_t substeps, double span) const;
+  // Constants of a frame that is divided into intervals of several steps.
+  StrandSteps plan_frame(std::size_t interval_count, std::size_t substeps,
+                         double frame_duration) const;
 
   // Rest lengths of the springs along and across the strands of a bundle.
   const double* rest_lengths(std::size_t bundle) const {
-    return rest_lengths_.data() + bundle * SIMD_WIDTH * springs();
+    return rest_lengths_.data() + bundle * SIMD_WIDTH * spring_count();
   }
   const double* bend_lengths(std::size_t bundle) const {
     return bend_lengths_.data() + bundle * SIMD_WIDTH * points_;
   }
 
  private:
-  std::size_t springs() const { return points_ - 1; }
+  std::size_t spring_count() const { return points_ - 1; }
 
   std::size_t strands_, points_;
   double gravity_[3], drag_, stiffness_, bend_stiffness_, goal_stiffness_, goal_damping_,
@@ -54,12 +55,12 @@ class SpringStrands {
   std::vector<SpringElements> segments_;
   std::vector<std::size_t> group_of_strand_;  // index in `segments_`
 
-  void group_segments(In<double, 2> rests);
+  void group_segments(In<double, 2> spring_rest_lengths);
 };
 
 StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
-                            In<double, 3> state, double span, int substeps,
-                            const std::optional<SpringColliders>& colliders, std::size_t threads,
-                            const CarrierColliders& carrier_colliders);
+                            In<double, 3> state, double frame_duration, int substeps,
+                            const std::optional<SpringColliders>& colliders,
+                            std::size_t thread_count, const CarrierColliders& carrier_colliders);
 
 }  // namespace animtool

@@ -28,33 +28,33 @@ double find_piercing(const shapes::Segment& edge, const shapes::Triangle& t) {
 std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
                                          const std::vector<std::int32_t>& ends,
                                          const std::vector<std::int32_t>& corners) {
-  const std::size_t edges = ends.size() / 2;
+  const std::size_t edge_count = ends.size() / 2;
   std::vector<EdgePiercing> piercings;
-  std::vector<double> midpoints(ROW * edges);
+  std::vector<double> midpoints(PARTICLE_STRIDE * edge_count);
   double max_length = 0, length_sum = 0;
   const auto segment = [&](std::size_t e) { return shapes::Segment(&ends[2 * e], x.data()); };
-  for (std::size_t e = 0; e < edges; ++e) {
-    store(segment(e).point_at(0.5), &midpoints[ROW * e]);
+  for (std::size_t e = 0; e < edge_count; ++e) {
+    store(segment(e).point_at(0.5), &midpoints[PARTICLE_STRIDE * e]);
     const double edge_length = length(segment(e).vector());
     max_length = std::max(max_length, edge_length), length_sum += edge_length;
   }
   if (!(length_sum > 0)) return piercings;
   PointGrid grid;
-  grid.build(midpoints.data(), edges, length_sum / static_cast<double>(edges));
+  grid.build(midpoints.data(), edge_count, length_sum / static_cast<double>(edge_count));
   for (std::size_t t = 0; t < corners.size(); t += 3) {
     const shapes::Triangle triangle(&corners[t], x.data());
     double low[3], high[3];
     for (std::size_t k = 0; k < 3; ++k) {
       const auto coordinate = [&](std::size_t i) {
-        return x[ROW * static_cast<std::size_t>(corners[t + i]) + k];
+        return x[PARTICLE_STRIDE * static_cast<std::size_t>(corners[t + i]) + k];
       };
       low[k] = std::min({coordinate(0), coordinate(1), coordinate(2)}) - max_length / 2;
       high[k] = std::max({coordinate(0), coordinate(1), coordinate(2)}) + max_length / 2;
     }
     grid.visit(low, high, [&](std::int32_t e, const double*) {
-      const std::int32_t* edge_length = &ends[2 * static_cast<std::size_t>(e)];
+      const std::int32_t* edge_ends = &ends[2 * static_cast<std::size_t>(e)];
       for (std::size_t k = t; k < t + 3; ++k)
-        if (corners[k] == edge_length[0] || corners[k] == edge_length[1]) return;
+        if (corners[k] == edge_ends[0] || corners[k] == edge_ends[1]) return;
       if (find_piercing(segment(static_cast<std::size_t>(e)), triangle) >= 0)
         piercings.push_back({e, static_cast<std::int32_t>(t / 3)});
     });
@@ -65,17 +65,17 @@ std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
 Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_masses)
     : layers_(layers),
       inverse_masses_(inverse_masses),
-      opposite_corners_(layers.edges(), {-1, -1}),
-      is_tangled_(layers.particles(), 0) {
-  for (std::size_t e = 0; e < layers.edges(); ++e)
+      opposite_corners_(layers.edge_count(), {-1, -1}),
+      is_tangled_(layers.particle_count(), 0) {
+  for (std::size_t e = 0; e < layers.edge_count(); ++e)
     ends_.insert(ends_.end(), layers.ends(e), layers.ends(e) + 2);
-  for (std::size_t t = 0; t < layers.triangles(); ++t)
+  for (std::size_t t = 0; t < layers.triangle_count(); ++t)
     triangles_.insert(triangles_.end(), layers.corners(t), layers.corners(t) + 3);
   for (std::size_t t = 0; t < triangles_.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k) {
       const auto [i, j] = std::minmax(triangles_[t + k], triangles_[t + (k + 1) % 3]);
       // Edges are sorted by their ends.
-      std::size_t low = 0, high = layers.edges();
+      std::size_t low = 0, high = layers.edge_count();
       while (low < high) {
         const std::size_t middle = (low + high) / 2;
         if (std::pair(ends_[2 * middle], ends_[2 * middle + 1]) < std::pair(i, j))
@@ -89,7 +89,7 @@ Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_
 }
 
 void Tangles::find(const std::vector<double>& x) {
-  if (any()) std::fill(is_tangled_.begin(), is_tangled_.end(), 0);
+  if (has_piercings()) std::fill(is_tangled_.begin(), is_tangled_.end(), 0);
   piercings_ = find_piercings(x, ends_, triangles_);
   for (const EdgePiercing& piercing : piercings_) {
     const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(piercing.edge));
@@ -110,7 +110,7 @@ Vec Tangles::shortening_direction(const EdgePiercing& piercing,
   Vec direction_sum;
   for (const std::int32_t corner : opposite_corners_[e]) {
     if (corner < 0) continue;
-    const Vec offset = shapes::row_of(x.data(), corner) - edge.a;
+    const Vec offset = shapes::position_of(x.data(), corner) - edge.a;
     const Vec inward = offset - edge_direction * dot(offset, edge_direction);
     Vec contour_direction = collide::direction(cross(cross(edge_direction, inward), normal), Vec{});
     if (dot(contour_direction, inward) < 0) contour_direction = -contour_direction;
@@ -141,14 +141,14 @@ void Tangles::untangle(double distance, std::vector<double>& before, std::vector
       total_weight += inverse_mass * coefficients[k] * coefficients[k];
       max_inverse_mass = std::max(max_inverse_mass, inverse_mass);
     }
-    total_weight = std::max(total_weight, max_inverse_mass / MAX_RATIO);
+    total_weight = std::max(total_weight, max_inverse_mass / MAX_SHIFT_RATIO);
     if (!(total_weight > 0)) continue;
     for (std::size_t k = 0; k < 5; ++k) {
       const auto n = static_cast<std::size_t>(particles[k]);
       const Vec correction =
           direction * (distance * inverse_masses_[n] * coefficients[k] / total_weight);
-      store(load(&x[ROW * n]) + correction, &x[ROW * n]);
-      store(load(&before[ROW * n]) + correction, &before[ROW * n]);
+      store(load(&x[PARTICLE_STRIDE * n]) + correction, &x[PARTICLE_STRIDE * n]);
+      store(load(&before[PARTICLE_STRIDE * n]) + correction, &before[PARTICLE_STRIDE * n]);
     }
   }
 }

@@ -34,9 +34,9 @@ class Tangles {
 
   // Finds all edges that pierce triangles, and marks their particles as tangled.
   void find(const std::vector<double>& x);
-  bool any() const { return !piercings_.empty(); }
+  bool has_piercings() const { return !piercings_.empty(); }
   bool is_tangled(std::int32_t particle) const {
-    return any() && is_tangled_[static_cast<std::size_t>(particle)];
+    return has_piercings() && is_tangled_[static_cast<std::size_t>(particle)];
   }
   // Moves elements that still pierce each other by a distance [m], together with their previous
   // positions.

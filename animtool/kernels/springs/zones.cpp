@@ -10,7 +10,7 @@ namespace animtool {
 
 using collide::store;
 using collide::Vec;
-using shapes::row_of;
+using shapes::position_of;
 
 namespace {
 
@@ -70,15 +70,15 @@ void ImpactZones::move_zone(const std::int32_t* members, std::size_t count,
   for (double& mass : masses)
     if (mass == 0) mass = pinned_mass;
   const RigidMotion motion(
-      count, [&](std::size_t i) { return row_of(from.data(), members[i]); },
-      [&](std::size_t i) { return row_of(x.data(), members[i]); },
+      count, [&](std::size_t i) { return position_of(from.data(), members[i]); },
+      [&](std::size_t i) { return position_of(x.data(), members[i]); },
       [&](std::size_t i) { return masses[i]; });
   for (std::size_t i = 0; i < count; ++i) {
     const auto n = static_cast<std::size_t>(members[i]);
     if (inverse_masses_[n] == 0) continue;
-    const Vec start_position = row_of(from.data(), members[i]);
-    store(motion(start_position), &x[ROW * n]);
-    store(start_position, &before[ROW * n]);
+    const Vec start_position = position_of(from.data(), members[i]);
+    store(motion(start_position), &x[PARTICLE_STRIDE * n]);
+    store(start_position, &before[PARTICLE_STRIDE * n]);
   }
 }
 
