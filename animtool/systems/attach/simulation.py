@@ -20,7 +20,12 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
-from animtool.systems.attach.actor import AttachmentActor, move_rigidly, up_direction
+from animtool.systems.attach.actor import (
+    AttachmentActor,
+    CycleSteering,
+    move_rigidly,
+    up_direction,
+)
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.chains import chain_rotations
 from animtool.systems.attach.colliders import CollisionSurroundings
@@ -36,7 +41,6 @@ from animtool.systems.attach.poses import (
 )
 from animtool.systems.attach.settings import AttachSettings, PreRoll, SimulateOptions
 from animtool.systems.attach.skins import FramePoses, SkinSurface, build_skins
-from animtool.systems.attach.stepping import CycleSteering
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock

@@ -36,8 +36,8 @@ from animtool.systems.attach.bodies import (
     ChainBody,
     SurfaceBody,
     build_bodies,
+    surface_defects,
 )
-from animtool.systems.attach.mass_spring import surface_defects
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     AttachSimulation,

@@ -13,14 +13,13 @@ from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import (
-    MIN_AUTO_STEP,
+from animtool.systems.springs.choosing import (
     STEP_SAFETY_FACTOR,
     SolverChoice,
-    SpringPlan,
     explicit_limit,
 )
+from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.solvers import MIN_AUTO_STEP, SpringPlan
 from animtool.systems.springs.system import SpringSystem
 
 # Largest residual force of an equilibrium, relative to the weight of a particle [1].

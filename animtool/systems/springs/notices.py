@@ -1,15 +1,25 @@
-"""Warnings about a motion of springs: its steps, strain and contacts."""
+"""Warnings about a motion of springs: its steps, strain, contacts and energy loss."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from animtool.core.errors import Fault, Severity, counted, excerpt, warning
+from animtool.core.errors import (
+    Fault,
+    Severity,
+    counted,
+    excerpt,
+    percent_text,
+    warning,
+)
 from animtool.core.quantities import floor_to_two_digits, length_text, plain_number
+from animtool.core.record import dataclass
+from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats, Status
+from animtool.systems.springs.choosing import SolverChoice
 from animtool.systems.springs.motion import TimeGrid, piercing_notices
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import SolverChoice, find_solvable_step
+from animtool.systems.springs.solvers import find_solvable_step
 from animtool.systems.springs.system import SpringSystem
 
 # Multiple of the xpbd strain limit above which compliance is reported: it is then at
@@ -17,6 +27,12 @@ from animtool.systems.springs.system import SpringSystem
 COMPLIANCE_FACTOR = 2
 # Bodies lighter than this fraction of the mass of attached springs are unstable [1].
 MIN_MASS_RATIO = 0.01
+# First-order solvers, which dissipate the energy of any motion.
+DAMPING_SOLVERS = frozenset({Solver.XPBD, Solver.IMPLICIT_EULER})
+# Smallest reported loss, relative to the kinetic energy [1].
+MIN_REPORTED_FRACTION = 0.02
+# Speed below which the system counts as at rest [m/s].
+REST_SPEED = 1e-3
 
 
 class _Simulation(Protocol):
@@ -134,3 +150,44 @@ def _no_solver_warning(simulation: _Simulation, stats: Stats) -> Fault:
     hint = "use less stiffness or more uniform masses, a larger "
     hint += f"stretch, or solver: {choice.solver}, which continues"
     return warning("SIM178", message + "is allowed", hint)
+
+
+@dataclass(slots=True)
+class EnergyLoss:
+    """Measures the numerical energy loss of a conservative system.
+
+    Attributes:
+        mass: Moving mass [kg].
+    """
+
+    mass: float
+    _begin: tuple[float, float] | None = None  # time [s] and energy [J]
+    _max_kinetic: float = 0.0  # largest kinetic energy so far [J]
+    _lost_energy: float = 0.0  # energy lost so far [J]
+    _duration: float = 0.0  # time since the start [s]
+
+    def record(self, t: float, energy: Energy) -> None:
+        """Record the energy at a time [s]."""
+        if self._begin is None:
+            self._begin = t, energy.total
+        begin, total = self._begin
+        self._max_kinetic = max(self._max_kinetic, energy.kinetic)
+        self._lost_energy, self._duration = total - energy.total, t - begin
+
+    @property
+    def fraction(self) -> float:
+        """Lost energy as a fraction of the largest kinetic energy so far [1]."""
+        if not self._max_kinetic > 0.5 * self.mass * REST_SPEED**2:
+            return 0.0
+        return max(self._lost_energy, 0.0) / max(self._lost_energy, self._max_kinetic)
+
+    def notices(self, solver: Solver) -> list[Fault]:
+        """Return a warning if a solver dissipates much energy (SIM196)."""
+        if not self.fraction >= MIN_REPORTED_FRACTION:
+            return []
+        loss = percent_text(self.fraction)
+        message = f"{solver} damps the motion: it dissipated {loss} of its energy "
+        message += f"within {plain_number(self._duration)} s, but no drag or "
+        message += "damping is given"
+        hint = "use auto or bdf2, which conserve it, or a shorter step"
+        return [warning("SIM196", message, hint)]

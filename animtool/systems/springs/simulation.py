@@ -25,13 +25,12 @@ from animtool.systems.framework.simulation import (
     StoppedError,
     TrialSettings,
 )
+from animtool.systems.springs.choosing import trial_settings
 from animtool.systems.springs.contacts import LOOKBACK_TIME
-from animtool.systems.springs.energy_loss import DAMPING_SOLVERS, EnergyLoss
 from animtool.systems.springs.motion import SpringState, TimeGrid
-from animtool.systems.springs.notices import motion_notices
+from animtool.systems.springs.notices import DAMPING_SOLVERS, EnergyLoss, motion_notices
 from animtool.systems.springs.records import Solver
 from animtool.systems.springs.solvers import SpringPlan
-from animtool.systems.springs.work_precision import trial_settings
 
 # Cells between two checks for divergence.
 CELLS_PER_CHECK = 120

@@ -16,16 +16,16 @@ from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.framework.simulation import Progress, SimContext, StoppedError
 from animtool.systems.springs.checks import check_options
+from animtool.systems.springs.choosing import (
+    SolverChoice,
+    choose_solver,
+    explicit_limit,
+)
 from animtool.systems.springs.equilibrium import find_xpbd_rest
 from animtool.systems.springs.motion import MAX_SUBSTEPS, SpringMotion, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.simulation import SpringSimulation, as_errors
-from animtool.systems.springs.solvers import (
-    SolverChoice,
-    SpringPlan,
-    choose_solver,
-    explicit_limit,
-)
+from animtool.systems.springs.solvers import SpringPlan
 from animtool.systems.springs.system import SpringSystem
 
 # Most halvings of the step to reach an error tolerance.

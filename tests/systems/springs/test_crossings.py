@@ -13,14 +13,14 @@ from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Plane, Sphere
 from animtool.systems.springs import Family, rope, sheet
-from animtool.systems.springs.crossings import (
+from animtool.systems.springs.drawing import CurveShape, FaceShape
+from animtool.systems.springs.view import (
     CHECKS_PER_MOTION,
     SelfCrossings,
     collider_thickness,
     thin_notices,
     widest_gap,
 )
-from animtool.systems.springs.drawing import CurveShape, FaceShape
 
 CLOTH = """\
 scene: animtool/1
