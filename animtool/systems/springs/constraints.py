@@ -84,7 +84,11 @@ def resample_to_shared_times(
     for times, path in paths:
         is_constant = len(times) == 1
         is_aligned = is_constant or np.array_equal(times, knots)
-        positions = path if is_aligned else _resample(times, path, knots)
+        positions = path
+        if not is_aligned:
+            positions = np.array(
+                [position_at((times, path), t) for t in knots.tolist()]
+            )
         resampled.append(np.ascontiguousarray(positions))
     return knots, resampled
 
@@ -130,15 +134,6 @@ def max_speed_and_travel(path: TimedPositions) -> tuple[float, float]:
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
     distances = np.linalg.norm(positions - positions[:1], axis=2)
     return speed, float(distances.max(initial=0.0))
-
-
-def _resample(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return path positions interpolated at the times ``knots`` ``(K, P, 3)`` [m]."""
-    after = np.clip(np.searchsorted(times, knots, "right"), 1, len(times) - 1)
-    begin, end = times[after - 1], times[after]
-    fraction = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
-    values: FloatArray = path[after - 1] + fraction * (path[after] - path[after - 1])
-    return np.where(fraction == 1, path[after], values)
 
 
 class Teleports:

@@ -10,7 +10,6 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 
 # Earliest time before a step at which surfaces of other systems are sampled [s].
@@ -79,18 +78,15 @@ def cell_colliders(
 def _poses_at_ends(collider: Collider, edges: FloatArray) -> FloatArray:
     """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
     times, rows = collider.poses.sample_times, collider.poses.rows
-    before = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
-    after = np.minimum(before + 1, len(times) - 1)
-    gaps = np.where(after > before, times[after] - times[before], 1.0)
-    fraction = np.clip((edges - times[before]) / gaps, 0.0, 1.0)
-    teleports = np.append(collider.teleports, False)
-    fraction = np.where(teleports[before], 0.0, fraction)[:, None]
-    origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * fraction
-    rotations = so3.slerp(rows[before, 3:], rows[after, 3:], fraction[:, 0])
-    poses = np.concatenate([origins, rotations], axis=1)
+    poses = collider.poses.at_times(edges)
+    intervals = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
+    is_teleport = np.append(collider.teleports, False)
+    # Within a teleport, a collider stays where it was.
+    stays = is_teleport[intervals]
+    poses[stays] = rows[intervals[stays]]
     ends = np.stack([poses[:-1], poses[1:]], axis=1)
     # A collider that teleports within a cell is at its goal from the start of it.
-    teleport_counts = np.cumsum(np.append(0, teleports))[before]
-    teleported = teleport_counts[1:] > teleport_counts[:-1]
-    ends[teleported, 0] = ends[teleported, 1]
+    teleport_counts = np.cumsum(np.append(0, is_teleport))[intervals]
+    has_teleported = teleport_counts[1:] > teleport_counts[:-1]
+    ends[has_teleported, 0] = ends[has_teleported, 1]
     return ends

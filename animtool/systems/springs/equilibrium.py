@@ -194,25 +194,13 @@ class _Configuration:
         return _Configuration(self._system, x)
 
 
-@dataclass(frozen=True, slots=True)
-class XpbdRest:
-    """Springs in the rest state of xpbd.
-
-    Attributes:
-        system: System that starts at rest.
-        choice: Solver with the steps of the rest state.
-        notices: Gap to the static equilibrium (SIM152, SIM179, SIM199).
-    """
-
-    system: SpringSystem
-    choice: SolverChoice
-    notices: tuple[Fault, ...]
-
-
 def find_xpbd_rest(
     system: SpringSystem, options: SpringOptions, choice: SolverChoice, t: float
-) -> XpbdRest:
+) -> SpringPlan:
     """Return springs that start in the rest state of xpbd, near static equilibrium.
+
+    The plan has the steps of that state, and warnings about the gap to the static
+    equilibrium (SIM152, SIM179, SIM199).
 
     A step of xpbd visits each spring once, so that long chains hang lower than in
     equilibrium and would fall at the start. The fall is simulated here, with velocities
@@ -234,7 +222,8 @@ def find_xpbd_rest(
         descent = _descend(frozen, options, replace(choice, substeps=substeps), work)
         work = descent.work
         if not np.isfinite(descent.speed):
-            return XpbdRest(system, choice, (_no_rest_notice(descent.speed),))
+            notices = [_no_rest_notice(descent.speed)]
+            return SpringPlan(system, options, choice, planning_notices=notices)
         is_improving = previous is None or descent.gap < GAP_REDUCTION * previous.gap
         if not is_improving and previous is not None:
             descent = previous
@@ -248,7 +237,8 @@ def find_xpbd_rest(
     if descent.gap > tolerance:
         notices.append(_gap_notice(descent.gap, is_auto=is_auto))
     rest_choice = replace(choice, substeps=descent.substeps)
-    return XpbdRest(system.starting_at(descent.rest), rest_choice, tuple(notices))
+    system = system.starting_at(descent.rest)
+    return SpringPlan(system, options, rest_choice, planning_notices=notices)
 
 
 @dataclass(frozen=True, slots=True)

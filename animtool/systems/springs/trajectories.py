@@ -202,12 +202,12 @@ def plan_springs(
         error, reason = motion.stats.error, motion.reason
         options = replace(options, solver=motion.solver, step=motion.step, error=None)
     choice = choose_solver(system, options, check_options(options), begin, system.state)
-    if starts_at_rest and choice.solver is Solver.XPBD:
-        xpbd_rest = find_xpbd_rest(system, options, choice, begin)
-        system, choice = xpbd_rest.system, xpbd_rest.choice
-        notices += xpbd_rest.notices
     choice = replace(choice, reason=reason or choice.reason)
-    return SpringPlan(system, options, choice, error, notices)
+    plan = SpringPlan(system, options, choice)
+    if starts_at_rest and choice.solver is Solver.XPBD:
+        plan = find_xpbd_rest(system, options, choice, begin)
+    all_notices = (*notices, *plan.planning_notices)
+    return replace(plan, error=error, planning_notices=all_notices)
 
 
 def _progress_by_motion(
