@@ -38,9 +38,8 @@ from animtool.systems.springs.body import TargetSprings
 from animtool.systems.springs.checks import tangle_notices
 from animtool.systems.springs.choosing import SolverChoice
 from animtool.systems.springs.constraints import Pins, PointTargets
-from animtool.systems.springs.contacts import Cells
 from animtool.systems.springs.records import Air, SelfContact, Solver, SpringOptions
-from animtool.systems.springs.solvers import SpringPlan
+from animtool.systems.springs.solvers import Cells, SpringPlan
 from animtool.systems.springs.system import SpringSystem
 
 # Design acceleration for the step rate [m/s²]: twice that of gravity.

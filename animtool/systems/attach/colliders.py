@@ -24,7 +24,7 @@ from animtool.systems.framework.meter import (
     closed_surfaces,
     collider_depths,
 )
-from animtool.systems.springs.contacts import (
+from animtool.systems.springs.solvers import (
     CellColliders,
     Cells,
     PosedColliders,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -17,8 +16,8 @@ from animtool.core.units import parse_length
 from animtool.maths import so3
 from animtool.motion.keyed import weights_at
 from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.parts import AttachKind
-from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import (
     AttachmentActor,
@@ -45,7 +44,7 @@ from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
 from animtool.systems.framework.simulation import growing
-from animtool.systems.springs.contacts import LOOKBACK_TIME
+from animtool.systems.springs.solvers import LOOKBACK_TIME
 
 # Most unsteered repeats of a cycle in a row that do not close it better.
 MAX_STALE_REPEATS = 3
@@ -105,12 +104,9 @@ class AttachSimulation:
 
     def __init__(
         self,
-        rig: Rig,
+        stream: TakeStream,
         bodies: Sequence[AttachedBody],
         options: SimulateOptions,
-        rate: Fraction,
-        start: Fraction,
-        step: Fraction,
         resumed: SavedFrame | None = None,
         prepended_frames: int = 0,
         progress: Callable[[float], None] | None = None,
@@ -118,12 +114,11 @@ class AttachSimulation:
     ) -> None:
         """Set up the simulation without reading the take.
 
-        Frames are ``step`` time codes apart, from ``start`` on. There are
-        ``prepended_frames`` before the take, with the pose of its first frame; a cycle
-        ignores them. The take starts at world time 0.
+        There are ``prepended_frames`` before the take, with the pose of its first
+        frame; a cycle ignores them. The take starts at world time 0.
         """
         self._world = Colliders(()) if world is None else world
-        self.rig, self.bodies, self.options = rig, bodies, options
+        self.rig, self.bodies, self.options = stream.rig, bodies, options
         # One for each body, from the first frame on.
         self.actors: list[AttachmentActor] = []
         # Requested states, with the steps per frame.
@@ -133,11 +128,11 @@ class AttachSimulation:
         self.loop_closure: LoopClosure | None = None  # result of a cycle
         self._skins: list[SkinSurface] = []  # collision meshes of the character
         if any(self._collides_with_skins(body) for body in bodies):
-            self._skins = build_skins(rig)
+            self._skins = build_skins(self.rig)
         # Largest rotations of last joints by name of the chain [rad].
         self.last_joint_angles: dict[str, float] = {}
-        self._rate, self._start, self._step = rate, start, step
-        self._prepended_frames = prepended_frames
+        self._rate, self._step = float(stream.fps / stream.step), stream.step
+        self._start, self._prepended_frames = stream.first_frame, prepended_frames
         # Index of the next frame; 0 is the first of the take.
         self._frame = 0 if options.loop else -prepended_frames
         self._progress = progress
@@ -208,7 +203,7 @@ class AttachSimulation:
 
     def _begin(self, pose: LocalPose, next_pose: LocalPose) -> None:
         """Create the actors, let them settle, and advance them to the first frame."""
-        options, rate = self.options, float(self._rate)
+        options, rate = self.options, self._rate
         preroll_frames = math.ceil(options.preroll * rate)
         extrapolates = PreRoll(options.lead) is PreRoll.EXTRAPOLATE
         start_pose = pose
@@ -221,7 +216,10 @@ class AttachSimulation:
             is_skinned = isinstance(body, SurfaceBody)
             sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
             layers = sheets if is_skinned else ()
-            settings, skins = AttachSettings(options, body.kind), self._skins_of(body)
+            settings, skins = (
+                AttachSettings.from_options(options, body.kind),
+                self._skins_of(body),
+            )
             actor = AttachmentActor(
                 self.rig, body, settings, 1 / rate, start_pose, skins, world, layers
             )
@@ -282,7 +280,7 @@ class AttachSimulation:
         self._frame += 1
         if not self.options.loop:
             # The next frame samples surfaces a little before its start.
-            earliest_time = self._frame / float(self._rate) - LOOKBACK_TIME
+            earliest_time = self._frame / self._rate - LOOKBACK_TIME
             for bodies in self._world.bodies:
                 bodies.forget(earliest_time)
             for sheet in self._world.sheets:

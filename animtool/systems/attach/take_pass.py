@@ -257,18 +257,9 @@ def simulate(
     if build_colliders is not None and names_colliders:
         lead = prepended_frames * frame_duration
         stream, world = build_colliders(stream, options, lead)
-    start = stream.first_frame
+    resumed = _load_states(bodies, options, folder)
     simulation = AttachSimulation(
-        stream.rig,
-        bodies,
-        options,
-        stream.fps / stream.step,
-        start,
-        stream.step,
-        _load_states(bodies, options, folder),
-        prepended_frames,
-        progress,
-        world,
+        stream, bodies, options, resumed, prepended_frames, progress, world
     )
     point_names = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(

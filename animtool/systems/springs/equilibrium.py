@@ -12,7 +12,6 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
-from animtool.systems.springs.body import Body
 from animtool.systems.springs.choosing import (
     STEP_SAFETY_FACTOR,
     SolverChoice,
@@ -121,18 +120,22 @@ def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configurati
 
     Sheets fold during the descent, where Newton's method needs many short steps.
     """
-    body = replace(system.body, positions=start.x)
-    size = float(np.linalg.norm(np.ptp(body.positions, axis=0)))
+    springs = system.body.springs
+    size = float(np.linalg.norm(np.ptp(start.x, axis=0)))
     gravity = float(np.linalg.norm(system.gravity))
-    if not size * gravity > 0 or not len(body.springs.rest):
+    if not size * gravity > 0 or not len(springs.rest):
         return start
     pendulum_rate = float(np.sqrt(gravity / size))
-    damped = system.frozen_at(0.0, _with_damping(body), 2 * pendulum_rate)
+    masses = system.body.masses[springs.ends].mean(axis=1)
+    damping = 2 * DESCENT_DAMPING * np.sqrt(springs.stiffness * masses)
+    damped_springs = replace(springs, damping=damping)
+    body = replace(system.body, positions=start.x, springs=damped_springs)
+    damped = system.frozen_at(0.0, body, 2 * pendulum_rate)
     step = STEP_SAFETY_FACTOR * explicit_limit(damped, 0.0, damped.state)
     step_count = DESCENT_PHASE / (pendulum_rate * step) if step > 0 else np.inf
     if not step_count <= MAX_DESCENT_STEPS:
         return start
-    if np.ceil(step_count) * len(body.springs.rest) > MAX_DESCENT_WORK:
+    if np.ceil(step_count) * len(springs.rest) > MAX_DESCENT_WORK:
         return start
     steps = int(np.ceil(step_count))
     native_steps = damped.native("symplectic_euler")
@@ -140,14 +143,6 @@ def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configurati
     x = native_steps(0.0, damped.state, step, steps)[0]
     end = _Configuration(system, x) if np.isfinite(x).all() else start
     return end if end.energy < start.energy else start
-
-
-def _with_damping(body: Body) -> Body:
-    """Return a body with strongly damped springs."""
-    springs = body.springs
-    masses = body.masses[springs.ends].mean(axis=1)
-    damping = 2 * DESCENT_DAMPING * np.sqrt(springs.stiffness * masses)
-    return replace(body, springs=replace(springs, damping=damping))
 
 
 class _Configuration:

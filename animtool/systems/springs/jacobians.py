@@ -66,34 +66,24 @@ def acceleration_jacobians(
     """
     from scipy.sparse import coo_array
 
-    columns_of_blocks = zip(*_blocks(forces, masses, wind, x, v), strict=True)
-    rows, columns, by_x, by_v = map(np.concatenate, columns_of_blocks)
+    eye, particles = np.eye(3), np.arange(len(x))
+    targets, *numbers = forces.target_springs
+    stiffness, damping = (values[:, None, None] for values in numbers)
+    drags = (forces.drags * masses)[:, None, None]
+    blocks = [
+        *_spring_blocks(forces.springs, x, v),
+        (targets, targets, -stiffness * eye, -damping * eye),
+        (particles, particles, np.zeros((len(x), 3, 3)), -drags * eye),
+        *(_air_blocks(forces, wind, x, v) if any(forces.air_coefficients) else ()),
+    ]
+    rows, columns, by_x, by_v = map(np.concatenate, zip(*blocks, strict=True))
     i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
                         (len(rows), 3, 3))  # fmt: skip
     j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), i.shape)
-    for blocks in (by_x, by_v):
-        values = forces.inverse_masses[rows][:, None, None] * blocks
+    for derivatives in (by_x, by_v):
+        values = forces.inverse_masses[rows][:, None, None] * derivatives
         indices = (i.ravel(), j.ravel())
         yield coo_array((values.ravel(), indices), shape=(x.size, x.size)).tocsc()
-
-
-def _blocks(
-    forces: SpringForces,
-    masses: FloatArray,
-    wind: FloatArray,
-    x: FloatArray,
-    v: FloatArray,
-) -> Iterator[_JacobianBlocks]:
-    """Yield Jacobian blocks of springs, targets, drag and air."""
-    eye, particles = np.eye(3), np.arange(len(x))
-    yield from _spring_blocks(forces.springs, x, v)
-    targets, *numbers = forces.target_springs
-    stiffness, damping = (values[:, None, None] for values in numbers)
-    yield targets, targets, -stiffness * eye, -damping * eye
-    drags = (forces.drags * masses)[:, None, None]
-    yield particles, particles, np.zeros((len(x), 3, 3)), -drags * eye
-    if any(forces.air_coefficients):
-        yield from _air_blocks(forces, wind, x, v)
 
 
 def _spring_blocks(

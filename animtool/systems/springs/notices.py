@@ -19,7 +19,7 @@ from animtool.sim.trajectory import Stats, Status
 from animtool.systems.springs.choosing import SolverChoice
 from animtool.systems.springs.motion import TimeGrid, piercing_notices
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import find_solvable_step
+from animtool.systems.springs.solvers import SpringPlan
 from animtool.systems.springs.system import SpringSystem
 
 # Multiple of the xpbd strain limit above which compliance is reported: it is then at
@@ -38,6 +38,7 @@ REST_SPEED = 1e-3
 class _Simulation(Protocol):
     """Springs in motion, with the counts that warnings report."""
 
+    plan: SpringPlan
     system: SpringSystem
     options: SpringOptions
     choice: SolverChoice
@@ -121,7 +122,7 @@ def _strain_notices(simulation: _Simulation) -> list[Fault]:
 def _convergence_hint(simulation: _Simulation) -> str:
     """Return a hint on what to change when Newton's method does not converge."""
     system, unsolved = simulation.system, simulation.unsolved_grid
-    step = None if unsolved is None else find_solvable_step(system, unsolved)
+    step = None if unsolved is None else simulation.plan.solvable_step(unsolved)
     coupling, hint = system.coupling, "use a shorter step"
     if step is not None:
         hint = f"step: {plain_number(floor_to_two_digits(step))}"

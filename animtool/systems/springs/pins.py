@@ -132,8 +132,11 @@ def _claim_particles(
     Particles that an earlier pin has with other keys are reported as a fault.
     """
     already_pinned = [n for n in particles.tolist() if n in pin_of_particle]
+    keys = model.model_dump(exclude={"particles"})
     conflicting_particles = sorted(
-        n for n in already_pinned if not _same_pin(model, pin_of_particle[n])
+        n
+        for n in already_pinned
+        if keys != pin_of_particle[n].model_dump(exclude={"particles"})
     )
     if conflicting_particles:
         message = "particles that another pin holds differently: "
@@ -143,12 +146,6 @@ def _claim_particles(
     new_particles = particles[~np.isin(particles, np.array(already_pinned, np.int64))]
     pin_of_particle.update(dict.fromkeys(new_particles.tolist(), model))
     return new_particles
-
-
-def _same_pin(first: PinModel, second: PinModel) -> bool:
-    """Return whether two pins are equal except for their particles."""
-    keys = [pin.model_dump(exclude={"particles"}) for pin in (first, second)]
-    return keys[0] == keys[1]
 
 
 def _particles_of(

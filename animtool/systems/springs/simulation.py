@@ -26,11 +26,10 @@ from animtool.systems.framework.simulation import (
     TrialSettings,
 )
 from animtool.systems.springs.choosing import trial_settings
-from animtool.systems.springs.contacts import LOOKBACK_TIME
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.notices import DAMPING_SOLVERS, EnergyLoss, motion_notices
 from animtool.systems.springs.records import Solver
-from animtool.systems.springs.solvers import SpringPlan
+from animtool.systems.springs.solvers import LOOKBACK_TIME, SpringPlan
 
 # Cells between two checks for divergence.
 CELLS_PER_CHECK = 120

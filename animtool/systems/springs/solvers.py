@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -13,14 +14,10 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
+from animtool.sim.colliders import Collider, Colliders
 from animtool.systems.framework.body_carriers import CarrierStep
-from animtool.systems.springs.body_coupling import (
-    BodyCoupling,
-    CoupledCell,
-    CoupledSprings,
-)
+from animtool.systems.springs.body_coupling import CoupledCell, CoupledSprings
 from animtool.systems.springs.choosing import SolverChoice
-from animtool.systems.springs.contacts import CellColliders, Cells, cell_colliders
 from animtool.systems.springs.motion import Piercing, SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
@@ -39,6 +36,85 @@ MAX_ANGLE, MAX_SUBCELLS = 0.125, 16
 # Refinement factors tried for an unsolved cell, and the safety factor of the proposed
 # step.
 REFINEMENTS, STEP_SAFETY = (2, 4, 8, 16), 4
+# Earliest time before a step at which surfaces of other systems are sampled [s].
+LOOKBACK_TIME = 1 / 240
+# Particles that start deeper than this in a collider are left inside [m].
+INSIDE_TOLERANCE = 1e-6
+
+# Kernel arguments of colliders for several cells; None without colliders.
+CellColliders: TypeAlias = tuple[Any, ...] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Consecutive time cells of equal length."""
+
+    origin: float  # start time of cell 0 [s]
+    length: float  # length of each cell [s]
+    index: int  # index of the first cell
+    count: int
+
+
+class PosedColliders(NamedTuple):
+    """Poses of the last C colliders, which follow joints, and of moving skin meshes."""
+
+    sizes: FloatArray  # sizes in the layout of kernels ``(C, 13)`` [m]
+    poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
+    # Signed distances, at most 0, that particles may have from rigid colliders and
+    # skin meshes ``(R, N)`` [m].
+    depths: FloatArray
+    skins: Sequence[Any]  # kernel surfaces of skins; they come before world surfaces
+    inside_depth: float  # depth below which particles stay inside [m]
+
+
+def cell_colliders(
+    colliders: Colliders,
+    radius: float,
+    cells: Cells,
+    posed: PosedColliders | None = None,
+) -> CellColliders:
+    """Return kernel arguments of colliders over ``cells``; None without colliders."""
+    if not colliders.has_any and (posed is None or not posed.skins):
+        return None
+    origin, index, count = cells.origin, cells.index, cells.count
+    steps = index + np.arange(count + 1)
+    edges = np.asarray(origin + steps * cells.length, np.float64)
+    poses = np.zeros((count, len(colliders.rigid), 2, 7))
+    world_count = len(colliders) - (0 if posed is None else len(posed.sizes))
+    for i in range(world_count):
+        poses[:, i] = _poses_at_ends(colliders[i], edges)
+    for cell, (begin, end) in enumerate(pairwise(edges.tolist())):
+        poses[cell, len(colliders) :] = colliders.body_ends(begin, end)
+    start = float(edges[0])
+    arrays = colliders.arrays(start, start)
+    surfaces = colliders.surfaces.kernel_arrays(origin, cells.length, index, count)
+    if posed is None:
+        return arrays, poses, radius, None, INSIDE_TOLERANCE, surfaces
+    kinds, sizes, *materials = arrays
+    sizes = sizes.copy()
+    sizes[world_count : len(colliders)] = posed.sizes
+    poses[:, world_count : len(colliders)] = posed.poses
+    arrays, surfaces = (kinds, sizes, *materials), [*posed.skins, *surfaces]
+    missing_rows = len(colliders.rigid) + len(surfaces) - len(posed.depths)
+    depths = np.pad(posed.depths, ((0, missing_rows), (0, 0)))
+    return arrays, poses, radius, depths, posed.inside_depth, surfaces
+
+
+def _poses_at_ends(collider: Collider, edges: FloatArray) -> FloatArray:
+    """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
+    times, rows = collider.poses.sample_times, collider.poses.rows
+    poses = collider.poses.at_times(edges)
+    intervals = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
+    is_teleport = np.append(collider.teleports, False)
+    # Within a teleport, a collider stays where it was.
+    stays = is_teleport[intervals]
+    poses[stays] = rows[intervals[stays]]
+    ends = np.stack([poses[:-1], poses[1:]], axis=1)
+    # A collider that teleports within a cell is at its goal from the start of it.
+    teleport_counts = np.cumsum(np.append(0, is_teleport))[intervals]
+    has_teleported = teleport_counts[1:] > teleport_counts[:-1]
+    ends[has_teleported, 0] = ends[has_teleported, 1]
+    return ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,27 +145,192 @@ class SpringPlan:
 
         None uses the colliders of the system at the times of the grid.
         """
-        system, options = self.system, self.options
+        system = self.system
         if system.coupling is not None and cells:
-            return _advance_coupled(system, grid, system.coupling)
+            return self._advance_coupled(grid)
         if colliders is None:
-            colliders = _cell_colliders(system, grid, cells)
+            colliders = self._colliders(grid, cells)
         if grid.solver is Solver.XPBD and system.body.strands:
-            return _advance_strands(system, options, grid, cells, colliders)
+            return self._advance_strands(grid, cells, colliders)
         network = system.network(system.teleports.cell_stage(grid))
         if grid.solver is Solver.SYMPLECTIC_EULER:
             return _advance_explicit(network, grid, cells, colliders)
         if grid.solver is Solver.XPBD:
-            layers = system.kernel_self_contact
-            return _advance_xpbd(network, options, grid, cells, colliders, layers)
+            return self._advance_xpbd(network, grid, cells, colliders)
         tolerance = NEWTON_TOLERANCE * system.mean_rest_length
         return _advance_implicit(network, grid, cells, colliders, tolerance).grid
 
+    def _colliders(self, grid: TimeGrid, count: int) -> CellColliders:
+        """Return the kernel arguments of colliders over the next ``count`` cells."""
+        cells = Cells(grid.origin, grid.cell, grid.index, count)
+        return cell_colliders(self.system.colliders, self.system.radius, cells)
 
-def _cell_colliders(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
-    """Return the kernel arguments of colliders over the next ``count`` cells."""
-    cells = Cells(grid.origin, grid.cell, grid.index, count)
-    return cell_colliders(system.colliders, system.radius, cells)
+    def _advance_xpbd(
+        self,
+        network: _kernels.SpringNetwork,
+        grid: TimeGrid,
+        cells: int,
+        colliders: CellColliders,
+    ) -> TimeGrid:
+        """Advance by ``cells`` cells of xpbd (extended position-based dynamics).
+
+        A cell whose springs are strained beyond the limit and their compliance is
+        repeated with more steps.
+        """
+        state, options = grid.state, self.options
+        max_substeps = options.max_substeps
+        if max_substeps is None:
+            shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
+            max_substeps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
+        (
+            motion, torn, substeps, calm, excess_strain, steps, contact_count, inside,
+            passages, piercing, pushes,
+        ) = _kernels.project_springs(
+            network, state.motion, state.torn, grid.origin, grid.index, grid.cell,
+            cells, state.substeps, state.calm, state.least,
+            max(state.least, max_substeps), options.stretch, colliders,
+            self.system.kernel_self_contact, state.passages, options.clamped_strain,
+        )  # fmt: skip
+        after = SpringState(
+            motion, torn, substeps, state.least, calm, state.before, passages
+        )
+        return replace(
+            grid.after_cells(cells, after, steps, steps, inside, pushes),
+            piercing=grid.piercing.maximum(Piercing(*piercing)),
+            stretch=max(grid.stretch, excess_strain),
+            max_contacts=max(grid.max_contacts, contact_count),
+        )
+
+    def _advance_strands(
+        self, grid: TimeGrid, cells: int, colliders: CellColliders
+    ) -> TimeGrid:
+        """Advance strands by ``cells`` cells of xpbd, with a direct solver per strand.
+
+        Segments collide with rigid colliders too, except those that follow joints.
+        """
+        state, system = grid.state, self.system
+        span, path = system.particle_path
+        motion, contact_count, inside, strain = _kernels.follow_strands(
+            system.kernel_strands(self.options.stretch), path, state.motion, span,
+            state.substeps, colliders, thread_count(), system.joint_colliders,
+        )  # fmt: skip
+        steps, after = cells * state.substeps, replace(state, motion=motion)
+        return replace(
+            grid.after_cells(cells, after, steps, steps, inside, grid.pushes),
+            stretch=max(grid.stretch, strain),
+            max_contacts=max(grid.max_contacts, contact_count),
+        )
+
+    def _carrier_steps(self, grid: TimeGrid) -> list[CarrierStep]:
+        """Return the next cell of the bodies that carry pins, without springs."""
+        assert self.system.coupling is not None
+        t1 = grid.origin + (grid.index + 1) * grid.cell
+        carriers = self.system.coupling.carriers
+        return [carrier.step_over(grid.time, t1) for carrier in carriers]
+
+    def _advance_coupled(self, grid: TimeGrid) -> TimeGrid:
+        """Advance springs by one cell, coupled to the bodies that carry their pins.
+
+        The cell is split into subcells if bodies rotate fast or no solution is found.
+        """
+        steps, subcells = self._carrier_steps(grid), 1
+        angle = max(step.max_angle for step in steps)
+        while subcells < MAX_SUBCELLS and angle > MAX_ANGLE * subcells:
+            subcells *= 2
+        while True:
+            after = self._advance_in_subcells(grid, steps, subcells)
+            if not after.unsolved or subcells >= MAX_SUBCELLS:
+                return replace(
+                    after, origin=grid.origin, cell=grid.cell, index=grid.index + 1
+                )
+            subcells *= 2
+
+    def solvable_step(self, grid: TimeGrid) -> float | None:
+        """Return a step that solves a failed cell, with a safety factor [s]; else None.
+
+        With pins on rigid bodies, this is a step of the bodies.
+        """
+        system, state = self.system, grid.state
+        if system.coupling is not None:
+            steps = self._carrier_steps(grid)
+            min_step = min(carrier.step for carrier in system.coupling.carriers)
+            for k in REFINEMENTS:
+                trial = self._advance_in_subcells(grid, steps, k * MAX_SUBCELLS)
+                if not trial.unsolved:
+                    return min_step / (STEP_SAFETY * k)
+            return None
+        colliders = self._colliders(grid, 1)
+        network = system.network(system.teleports.cell_stage(grid))
+        tolerance = NEWTON_TOLERANCE * system.mean_rest_length
+        for k in REFINEMENTS:
+            fine = replace(state, substeps=k * state.substeps, before=None)
+            trial = replace(grid, state=fine)
+            trial = _advance_implicit(network, trial, 1, colliders, tolerance).grid
+            if not trial.unsolved:
+                return grid.cell / (STEP_SAFETY * fine.substeps)
+        return None
+
+    def _advance_in_subcells(
+        self, grid: TimeGrid, steps: Sequence[CarrierStep], subcells: int
+    ) -> TimeGrid:
+        """Advance springs and coupled bodies by one cell, split into equal subcells."""
+        if subcells == 1:
+            return self._advance_subcell(grid, steps)[0]
+        start_state, substeps = grid.state, -(-grid.state.substeps // subcells)
+        if substeps * subcells != start_state.substeps:
+            start_state = replace(start_state, before=None)
+        state = replace(start_state, substeps=substeps)
+        current = replace(
+            grid, origin=grid.time, cell=grid.cell / subcells, index=0, state=state
+        )
+        bodies, pushes = [step.start_state for step in steps], []
+        for _ in range(subcells):
+            subcell_steps = [
+                step.subcell(state, current.time, current.cell)
+                for step, state in zip(steps, bodies, strict=True)
+            ]
+            current, bodies = self._advance_subcell(current, subcell_steps)
+            pushes.append(current.pushes)
+            if current.unsolved:
+                break
+        ends = zip(steps, bodies, strict=True)
+        body_pushes = tuple(step.push_to(state) for step, state in ends)
+        total_push = np.sum(pushes, axis=0)
+        total_push[:, 6] = np.max(pushes, axis=0)[:, 6]
+        end_state = replace(current.state, substeps=grid.state.substeps)
+        if substeps * subcells != end_state.substeps:
+            end_state = replace(end_state, before=None)
+        return replace(
+            current, state=end_state, body_wrenches=body_pushes, pushes=total_push
+        )
+
+    def _advance_subcell(
+        self, grid: TimeGrid, steps: Sequence[CarrierStep]
+    ) -> tuple[TimeGrid, list[Any]]:
+        """Advance springs and bodies by a cell; return the grid and body states."""
+        system, coupling = self.system, self.system.coupling
+        assert coupling is not None
+        t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
+        stage = system.teleports.cell_stage(grid)
+        network, prescribed = system.cell_network(stage, t0, t1)
+        pinned = prescribed.pin_positions
+        colliders = self._colliders(grid, 1)
+        columns = np.concatenate([row.columns for row in coupling.attachments])
+        fraction = ((prescribed.knots - t0) / (t1 - t0))[:, None, None]
+
+        def solve_springs(begins: FloatArray, ends: FloatArray) -> CoupledSprings:
+            pinned[:, columns] = begins + fraction * (ends - begins)
+            network.set_paths(pinned, prescribed.target_positions)
+            tolerance = COUPLED_TOLERANCE * coupling.spring_length
+            pulls = grid.state.pulls
+            return _advance_implicit(network, grid, 1, colliders, tolerance, pulls)
+
+        cell = CoupledCell(coupling, steps, solve_springs)
+        solution = cell.solve(grid.state.known)
+        state = replace(solution.grid.state, known=solution.warm_start)
+        wrenches = solution.wrenches
+        bodies = [step.pushed(w)[0] for step, w in zip(steps, wrenches, strict=True)]
+        return replace(solution.grid, state=state, body_wrenches=wrenches), bodies
 
 
 def _advance_explicit(
@@ -108,66 +349,6 @@ def _advance_explicit(
     return grid.after_cells(cells, after, steps, steps, inside, pushes)
 
 
-def _advance_xpbd(
-    network: _kernels.SpringNetwork,
-    options: SpringOptions,
-    grid: TimeGrid,
-    cells: int,
-    colliders: CellColliders,
-    layers: _kernels.SpringLayers | None,
-) -> TimeGrid:
-    """Advance a motion by ``cells`` cells of xpbd (extended position-based dynamics).
-
-    A cell whose springs are strained beyond the limit and their compliance is repeated
-    with more steps.
-    """
-    state, max_substeps = grid.state, options.max_substeps
-    if max_substeps is None:
-        shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
-        max_substeps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
-    (
-        motion, torn, substeps, calm, excess_strain, steps, contact_count, inside,
-        passages, piercing, pushes,
-    ) = _kernels.project_springs(
-        network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, state.calm, state.least, max(state.least, max_substeps),
-        options.stretch, colliders, layers, state.passages, options.clamped_strain,
-    )  # fmt: skip
-    after = SpringState(
-        motion, torn, substeps, state.least, calm, state.before, passages
-    )
-    return replace(
-        grid.after_cells(cells, after, steps, steps, inside, pushes),
-        piercing=grid.piercing.maximum(Piercing(*piercing)),
-        stretch=max(grid.stretch, excess_strain),
-        max_contacts=max(grid.max_contacts, contact_count),
-    )
-
-
-def _advance_strands(
-    system: SpringSystem,
-    options: SpringOptions,
-    grid: TimeGrid,
-    cells: int,
-    colliders: CellColliders,
-) -> TimeGrid:
-    """Advance strands by ``cells`` cells of xpbd, with a direct solver per strand.
-
-    Segments collide with rigid colliders too, except those that follow joints.
-    """
-    state, (span, path) = grid.state, system.particle_path
-    motion, contact_count, inside, strain = _kernels.follow_strands(
-        system.kernel_strands(options.stretch), path, state.motion, span,
-        state.substeps, colliders, thread_count(), system.joint_colliders,
-    )  # fmt: skip
-    steps, after = cells * state.substeps, replace(state, motion=motion)
-    return replace(
-        grid.after_cells(cells, after, steps, steps, inside, grid.pushes),
-        stretch=max(grid.stretch, strain),
-        max_contacts=max(grid.max_contacts, contact_count),
-    )
-
-
 def thread_count() -> int:
     """Return the thread count: ``OMP_NUM_THREADS``, else the number of processors.
 
@@ -177,126 +358,6 @@ def thread_count() -> int:
     if setting.isdecimal() and int(setting) > 0:
         return int(setting)
     return os.cpu_count() or 1
-
-
-def _advance_coupled(
-    system: SpringSystem, grid: TimeGrid, coupling: BodyCoupling
-) -> TimeGrid:
-    """Advance springs by one cell, coupled to the rigid bodies that carry their pins.
-
-    The cell is split into subcells if bodies rotate fast or no solution is found.
-    """
-    t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
-    steps = [carrier.step_over(t0, t1) for carrier in coupling.carriers]
-    angle, subcells = max(step.max_angle for step in steps), 1
-    while subcells < MAX_SUBCELLS and angle > MAX_ANGLE * subcells:
-        subcells *= 2
-    while True:
-        after = _advance_in_subcells(system, grid, coupling, steps, subcells)
-        if not after.unsolved or subcells >= MAX_SUBCELLS:
-            return replace(after, origin=grid.origin, cell=grid.cell,
-                           index=grid.index + 1)  # fmt: skip
-        subcells *= 2
-
-
-def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
-    """Return a step that solves a failed cell, with a safety factor [s]; None if none.
-
-    With pins on rigid bodies, this is a step of the bodies.
-    """
-    coupling, state = system.coupling, grid.state
-    if coupling is not None:
-        t1 = grid.origin + (grid.index + 1) * grid.cell
-        steps = [carrier.step_over(grid.time, t1) for carrier in coupling.carriers]
-        min_step = min(carrier.step for carrier in coupling.carriers)
-        for k in REFINEMENTS:
-            subcells = k * MAX_SUBCELLS
-            if not _advance_in_subcells(
-                system, grid, coupling, steps, subcells
-            ).unsolved:
-                return min_step / (STEP_SAFETY * k)
-        return None
-    colliders = _cell_colliders(system, grid, 1)
-    network = system.network(system.teleports.cell_stage(grid))
-    tolerance = NEWTON_TOLERANCE * system.mean_rest_length
-    for k in REFINEMENTS:
-        fine_state = replace(state, substeps=k * state.substeps, before=None)
-        trial = replace(grid, state=fine_state)
-        if not _advance_implicit(network, trial, 1, colliders, tolerance).grid.unsolved:
-            return grid.cell / (STEP_SAFETY * fine_state.substeps)
-    return None
-
-
-def _advance_in_subcells(
-    system: SpringSystem,
-    grid: TimeGrid,
-    coupling: BodyCoupling,
-    steps: Sequence[CarrierStep],
-    subcells: int,
-) -> TimeGrid:
-    """Advance springs and coupled bodies by one cell, split into equal subcells."""
-    if subcells == 1:
-        return _advance_subcell(system, grid, coupling, steps)[0]
-    start_state, substeps = grid.state, -(-grid.state.substeps // subcells)
-    if substeps * subcells != start_state.substeps:
-        start_state = replace(start_state, before=None)
-    state = replace(start_state, substeps=substeps)
-    current = replace(
-        grid, origin=grid.time, cell=grid.cell / subcells, index=0, state=state
-    )
-    bodies, pushes = [step.start_state for step in steps], []
-    for _ in range(subcells):
-        subcell_steps = [
-            step.subcell(state, current.time, current.cell)
-            for step, state in zip(steps, bodies, strict=True)
-        ]
-        current, bodies = _advance_subcell(system, current, coupling, subcell_steps)
-        pushes.append(current.pushes)
-        if current.unsolved:
-            break
-    ends = zip(steps, bodies, strict=True)
-    body_pushes = tuple(step.push_to(state) for step, state in ends)
-    total_push = np.sum(pushes, axis=0)
-    total_push[:, 6] = np.max(pushes, axis=0)[:, 6]
-    end_state = replace(current.state, substeps=grid.state.substeps)
-    if substeps * subcells != end_state.substeps:
-        end_state = replace(end_state, before=None)
-    return replace(
-        current, state=end_state, body_wrenches=body_pushes, pushes=total_push
-    )
-
-
-def _advance_subcell(
-    system: SpringSystem,
-    grid: TimeGrid,
-    coupling: BodyCoupling,
-    steps: Sequence[CarrierStep],
-) -> tuple[TimeGrid, list[Any]]:
-    """Advance springs and bodies by a cell; return the grid and body states."""
-    t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
-    stage = system.teleports.cell_stage(grid)
-    network, prescribed = system.cell_network(stage, t0, t1)
-    pinned = prescribed.pin_positions
-    colliders = _cell_colliders(system, grid, 1)
-    columns = np.concatenate(
-        [attachment.columns for attachment in coupling.attachments]
-    )
-    fraction = ((prescribed.knots - t0) / (t1 - t0))[:, None, None]
-
-    def solve_springs(begins: FloatArray, ends: FloatArray) -> CoupledSprings:
-        pinned[:, columns] = begins + fraction * (ends - begins)
-        network.set_paths(pinned, prescribed.target_positions)
-        tolerance, pulls = COUPLED_TOLERANCE * coupling.spring_length, grid.state.pulls
-        return _advance_implicit(network, grid, 1, colliders, tolerance, pulls)
-
-    solution = CoupledCell(coupling, steps).solve(solve_springs, grid.state.known)
-    end_grid = solution.grid
-    state = replace(end_grid.state, known=solution.warm_start)
-    bodies = [
-        step.pushed(wrenches)[0]
-        for step, wrenches in zip(steps, solution.wrenches, strict=True)
-    ]
-    return replace(end_grid, state=state, body_wrenches=solution.wrenches), bodies
 
 
 def _advance_implicit(

@@ -254,10 +254,6 @@ class SpringSystem(SecondOrder):
         cell_motion = PrescribedMotion(knots, *positions)
         return self._network(cell_motion), cell_motion
 
-    def has_faces(self, particles: IntArray) -> bool:
-        """Return whether any of the particles is a corner of a colliding face."""
-        return bool(np.isin(self.body.triangles, particles).any())
-
     @property
     def forces(self) -> SpringForces:
         """Properties of particles, springs and air that determine the forces."""

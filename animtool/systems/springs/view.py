@@ -237,11 +237,13 @@ class SpringView:
         simulation, body, name = self.simulation, self.body, self.member.name
         crossings = self._self_crossings
         notices = [] if crossings is None else crossings.notices(name)
-        has_faces = simulation.system.has_faces(self.rows)
+        # Whether any of its particles is a corner of a colliding face.
+        triangles = simulation.system.body.triangles
+        has_faces = bool(np.isin(triangles, self.rows).any())
         if has_faces and not notices:
             return notices
         # Edges of ropes and strands collide too, but not with balls.
-        has_edges = not len(simulation.system.body.triangles)
+        has_edges = not len(triangles)
         gap = widest_gap(body.shape, body.body.positions)
         colliders, radius = list(simulation.system.colliders), simulation.system.radius
         return notices + thin_notices(
