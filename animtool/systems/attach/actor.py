@@ -168,13 +168,11 @@ class AttachmentActor:
         kernel_cells = Cells(0.0, self.grid.cell, frame * cells, cells)
         colliders = self._colliders.kernel_arguments(frame_poses, kernel_cells)
         begin_points = self.positions
-        goals, duration = targets, self._frame_duration
+        goals = targets
         if steering is not None and steering.weight > 0:
-            system, goals = with_steering(
-                plan.system, self.settings, targets, steering, duration
-            )
+            system, goals = self._steered(targets, steering)
             plan = replace(plan, system=system)
-        plan.system.set_constraint_paths(duration, goals)
+        plan.system.set_constraint_paths(self._frame_duration, goals)
         if not plan.system.body.strands:
             # Paths start at cell 0; strands always take the same steps.
             state = replace(grid.state, substeps=plan.choice.substeps, calm=0)
@@ -192,6 +190,26 @@ class AttachmentActor:
         self._time = (frame + 1) * self._frame_duration
         self._move_sheet((frame * self._frame_duration, self._time), begin_points)
         self.seconds += time.perf_counter() - start_seconds
+
+    def _steered(
+        self, targets: FloatArray, steering: CycleSteering
+    ) -> tuple[SpringSystem, FloatArray]:
+        """Return a system that is also pulled to another motion, and its targets.
+
+        A single pull replaces both. The target is the mean of the animated particles
+        ``(K, N, 3)`` [m] and that motion over the frame, weighted by stiffness.
+        """
+        system, settings = self._plan.system, self.settings
+        steering_frequency = steering.weight * STEERING_FREQUENCY
+        stiffness = settings.frequency**2 + steering_frequency**2
+        frequency = math.sqrt(stiffness)
+        damping = settings.options.ratio * settings.frequency + steering_frequency
+        free = np.flatnonzero(~system.is_pinned)
+        pull = _pull(system.body.masses, free, frequency, damping / frequency)
+        motion = steering.positions(len(targets) - 1, self._frame_duration)
+        fraction, goals = steering_frequency**2 / stiffness, targets.copy()
+        goals[:, free] += fraction * (motion[:, free] - goals[:, free])
+        return system.with_target_springs(pull), goals
 
     def surroundings(self) -> CollisionSurroundings:
         """Return the surfaces around the attachment at the end of the frame."""
@@ -309,12 +327,15 @@ def self_contact_distance(
     return min(settings.radius or math.inf, distance)
 
 
-def build_system(
-    network: MassSpringNetwork, settings: AttachSettings, down: FloatArray
-) -> SpringSystem:
-    """Return the spring system of a network, with pins and targets at bind.
+def build_plan(
+    network: MassSpringNetwork,
+    settings: AttachSettings,
+    down: FloatArray,
+    duration: float,
+) -> SpringPlan:
+    """Return the springs of a network at bind, with their steps in a frame, by xpbd.
 
-    ``down`` is the direction of gravity ``(3,)``.
+    ``down`` is the direction of gravity ``(3,)``; the frame has a duration [s].
     """
     options, thickness = settings.options, self_contact_distance(network, settings)
     body = network.body(options.diagonals, settings.bend)
@@ -323,7 +344,7 @@ def build_system(
     # Air acts on the triangles of cloth; other kinds have linear drag.
     wind, is_cloth = np.array(options.wind), len(network.triangles) > 0
     linear_drag = 0.0 if is_cloth else options.drag
-    return SpringSystem(
+    system = SpringSystem(
         body,
         pins=Pins(network.pinned),
         targets=PointTargets(pulled, body.positions[pulled], *pull[1:]),
@@ -332,52 +353,17 @@ def build_system(
         air=Air(wind, options.drag, options.drag / 2) if is_cloth else None,
         self_contact=SelfContact(thickness, options.friction) if thickness else None,
     )
-
-
-def build_plan(
-    network: MassSpringNetwork,
-    settings: AttachSettings,
-    down: FloatArray,
-    duration: float,
-) -> SpringPlan:
-    """Return the spring system of a network with its steps in a frame [s], by xpbd."""
     min_steps = math.ceil(step_rate(network, settings) * duration - 1e-9)
     cell_count, substeps = cells_and_substeps(max(1, min_steps))
-    has_rate = settings.options.rate is not None
-    options = SpringOptions(
+    spring_options = SpringOptions(
         Solver.XPBD,
         stretch=settings.stretch,
-        max_substeps=substeps if has_rate else MAX_REFINEMENT * substeps,
+        max_substeps=substeps * (MAX_REFINEMENT if options.rate is None else 1),
         # The strain of stiff cloth springs is clamped too.
-        clamped_strain=settings.stretch if len(network.triangles) else 0.0,
+        clamped_strain=settings.stretch if is_cloth else 0.0,
     )
     choice = SolverChoice(Solver.XPBD, duration / cell_count, substeps, "", math.inf)
-    return SpringPlan(build_system(network, settings, down), options, choice)
-
-
-def with_steering(
-    system: SpringSystem,
-    settings: AttachSettings,
-    targets: FloatArray,
-    steering: CycleSteering,
-    duration: float,
-) -> tuple[SpringSystem, FloatArray]:
-    """Return a system that is also pulled to another motion, and its targets.
-
-    A single pull replaces both. The target is the mean of the animated particles
-    ``(K, N, 3)`` [m] and that motion over the frame [s], weighted by stiffness.
-    """
-    pull_stiffness = settings.frequency**2
-    steering_frequency = steering.weight * STEERING_FREQUENCY
-    stiffness = pull_stiffness + steering_frequency**2
-    frequency = math.sqrt(stiffness)
-    damping = settings.options.ratio * settings.frequency + steering_frequency
-    free = np.flatnonzero(~system.is_pinned)
-    pull = _pull(system.body.masses, free, frequency, damping / frequency)
-    goals, motion = targets.copy(), steering.positions(len(targets) - 1, duration)
-    fraction = steering_frequency**2 / stiffness
-    goals[:, free] += fraction * (motion[:, free] - goals[:, free])
-    return system.with_target_springs(pull), goals
+    return SpringPlan(system, spring_options, choice)
 
 
 def _pull(

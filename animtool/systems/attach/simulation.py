@@ -429,16 +429,14 @@ class AttachSimulation:
 
 def _first_block_of_two(blocks: Iterator[Motion]) -> Iterator[Motion]:
     """Yield blocks of frames, merged so that the first has two frames or more."""
-    pending: list[Motion] = []
+    first_blocks: list[Motion] = []
     for block in blocks:
-        pending.append(block)
-        if sum(motion.frames for motion in pending) < 2:
-            continue
-        yield Motion.concatenate(pending) if len(pending) > 1 else pending[0]
-        yield from blocks
-        return
-    if pending:
-        yield Motion.concatenate(pending)
+        first_blocks.append(block)
+        if sum(motion.frames for motion in first_blocks) >= 2:
+            break
+    if first_blocks:
+        yield Motion.concatenate(first_blocks)
+    yield from blocks
 
 
 def _moved_to_start(motion: FloatArray, travel: CycleShift) -> FloatArray:

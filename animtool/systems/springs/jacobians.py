@@ -113,7 +113,7 @@ def _spring_blocks(
 def _air_blocks(
     forces: SpringForces, wind: FloatArray, x: FloatArray, v: FloatArray
 ) -> Iterator[_JacobianBlocks]:
-    """Yield Jacobian blocks of air forces, by finite differences."""
+    """Yield Jacobian blocks of air forces, by central finite differences."""
     triangles, no_positions = forces.triangles, np.zeros((1, 0, 3))
     unit_masses, no_drags = np.ones(triangles.size), np.zeros(triangles.size)
     faces, air = np.arange(triangles.size).reshape(-1, 3), forces.air_coefficients
@@ -123,34 +123,31 @@ def _air_blocks(
     prescribed = PrescribedMotion(np.zeros(1), no_positions, no_positions, wind[None])
     network = separate_forces.network(prescribed)
     state = np.stack([x[triangles.ravel()], v[triangles.ravel()]])
-    for column in range(3):
-        derivatives = [
-            _finite_differences(network, state, variable, column)
-            for variable in range(2)
-        ]
-        for row in range(3):
-            by_x, by_v = (derivative[:, row] + 0.0 for derivative in derivatives)
-            yield triangles[:, row], triangles[:, column], by_x, by_v
-
-
-def _finite_differences(
-    network: _kernels.SpringNetwork, state: FloatArray, variable: int, corner: int
-) -> FloatArray:
-    """Return the Jacobian of corner forces by central finite differences.
-
-    ``(T, 3, 3, 3)``: triangle, corner, force component, position component.
-    """
     untorn_flags = np.zeros(0, np.uint8)
-    magnitude = float(np.abs(state[variable]).max(initial=0.0))
-    increment = DIFFERENCE_STEP * max(magnitude, 1e-3)
-    columns = []
-    for k in range(3):
-        values = []
-        for sign in (1.0, -1.0):
-            shifted = state.copy()
-            shifted[variable, corner::3, k] += sign * increment
-            values.append(
-                _kernels.spring_accelerations(network, 0.0, 1.0, shifted, untorn_flags)
-            )
-        columns.append((values[0] - values[1]) / (2 * increment))
-    return np.stack(columns, axis=-1).reshape(-1, 3, 3, 3)
+
+    def derivative(variable: int, corner: int) -> FloatArray:
+        """Return the Jacobian of corner forces ``(T, 3, 3, 3)``.
+
+        The axes are triangle, corner, force component and position component.
+        """
+        magnitude = float(np.abs(state[variable]).max(initial=0.0))
+        increment = DIFFERENCE_STEP * max(magnitude, 1e-3)
+        columns = []
+        for k in range(3):
+            values = []
+            for sign in (1.0, -1.0):
+                moved = state.copy()
+                moved[variable, corner::3, k] += sign * increment
+                values.append(
+                    _kernels.spring_accelerations(
+                        network, 0.0, 1.0, moved, untorn_flags
+                    )
+                )
+            columns.append((values[0] - values[1]) / (2 * increment))
+        return np.stack(columns, axis=-1).reshape(-1, 3, 3, 3)
+
+    for column in range(3):
+        derivatives = [derivative(variable, column) for variable in range(2)]
+        for row in range(3):
+            by_x, by_v = (values[:, row] + 0.0 for values in derivatives)
+            yield triangles[:, row], triangles[:, column], by_x, by_v

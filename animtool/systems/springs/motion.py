@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,7 @@ MAX_SUBSTEPS = 4096
 MAX_RATE = 1e6
 
 
-@dataclass(frozen=True, slots=True)
-class Piercing:
+class Piercing(NamedTuple):
     """Maximum self-piercing counts of a surface over time."""
 
     passed: int = 0  # number of particles through triangles, not yet resolved
@@ -31,13 +31,10 @@ class Piercing:
     # Step rate needed to detect all fast contacts [1/s]; 0 if the current one suffices.
     rate: float = 0.0
 
-    def maximum(self, more: Piercing) -> Piercing:
-        """Return the element-wise maximum of these counts and those of ``more``."""
-        return Piercing(
-            max(self.passed, more.passed),
-            max(self.cut, more.cut),
-            max(self.rate, more.rate),
-        )
+    def maximum(self, more: tuple[int, int, float]) -> Piercing:
+        """Return the element-wise maximum of these counts and others."""
+        passed, cut = max(self.passed, more[0]), max(self.cut, more[1])
+        return Piercing(passed, cut, max(self.rate, more[2]))
 
 
 @dataclass(frozen=True, slots=True)

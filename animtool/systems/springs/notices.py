@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from animtool.core.errors import (
     Fault,
     Severity,
@@ -16,11 +14,9 @@ from animtool.core.quantities import floor_to_two_digits, length_text, plain_num
 from animtool.core.record import dataclass
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats, Status
-from animtool.systems.springs.choosing import SolverChoice
 from animtool.systems.springs.motion import TimeGrid, piercing_notices
-from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.records import Solver
 from animtool.systems.springs.solvers import SpringPlan
-from animtool.systems.springs.system import SpringSystem
 
 # Multiple of the xpbd strain limit above which compliance is reported: it is then at
 # least three quarters of the strain.
@@ -35,27 +31,42 @@ MIN_REPORTED_FRACTION = 0.02
 REST_SPEED = 1e-3
 
 
-class _Simulation(Protocol):
-    """Springs in motion, with the counts that warnings report."""
+class MotionCounts:
+    """Springs in motion, with the counts that warnings report.
 
-    plan: SpringPlan
-    system: SpringSystem
-    options: SpringOptions
-    choice: SolverChoice
-    grid: TimeGrid
-    unsolved_grid: TimeGrid | None
-    min_applied_fraction: float
-    longest: float
+    Attributes:
+        grid: Current grid position, with counts over all cells so far.
+        unsolved_grid: Grid at the start of the cell that was not solved.
+        longest: Longest xpbd spring relative to its rest length.
+        min_applied_fraction: Smallest applied fraction of an impulse on a body.
+        max_substeps: Most steps in a cell so far.
+    """
+
+    unsolved_grid: TimeGrid | None = None
+    longest = min_applied_fraction = 1.0
+
+    def __init__(self, plan: SpringPlan, start_grid: TimeGrid) -> None:
+        self.plan, self.grid = plan, start_grid
+        self.system, self.options, self.choice = plan.system, plan.options, plan.choice
+        self.max_substeps = start_grid.state.substeps
 
     @property
-    def is_auto(self) -> bool: ...
+    def is_auto(self) -> bool:
+        """Whether the solver is chosen automatically."""
+        return self.options.solver == Solver.AUTO
+
     @property
-    def is_overstrained(self) -> bool: ...
+    def is_overstrained(self) -> bool:
+        """Whether xpbd strains springs beyond their limit and compliance."""
+        return not self.grid.stretch <= self.options.stretch
+
     @property
-    def shortest_step(self) -> float: ...
+    def shortest_step(self) -> float:
+        """Shortest step taken so far [s]."""
+        return self.grid.cell / self.max_substeps
 
 
-def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
+def motion_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
     """Return warnings about the motion so far, with the reason of a stop last."""
     notices = [
         *simulation.system.colliders.surfaces.notices(),
@@ -78,7 +89,7 @@ def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     return notices + piercing_notices(simulation.grid.piercing)
 
 
-def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
+def _step_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
     """Return warnings about unstable steps, and the reason of a stop."""
     notices, choice = [], simulation.choice
     limit, h = choice.limit, choice.cell / choice.substeps
@@ -100,7 +111,7 @@ def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     return notices
 
 
-def _strain_notices(simulation: _Simulation) -> list[Fault]:
+def _strain_notices(simulation: MotionCounts) -> list[Fault]:
     """Return warnings about springs that xpbd strains too far."""
     options = simulation.options
     if simulation.is_overstrained and not simulation.is_auto:
@@ -119,7 +130,7 @@ def _strain_notices(simulation: _Simulation) -> list[Fault]:
     return []
 
 
-def _convergence_hint(simulation: _Simulation) -> str:
+def _convergence_hint(simulation: MotionCounts) -> str:
     """Return a hint on what to change when Newton's method does not converge."""
     system, unsolved = simulation.system, simulation.unsolved_grid
     step = None if unsolved is None else simulation.plan.solvable_step(unsolved)
@@ -140,7 +151,7 @@ def _convergence_hint(simulation: _Simulation) -> str:
     return hint
 
 
-def _no_solver_warning(simulation: _Simulation, stats: Stats) -> Fault:
+def _no_solver_warning(simulation: MotionCounts, stats: Stats) -> Fault:
     """Return a warning that no solver suits ``auto``, with alternatives (SIM178)."""
     choice, strain = simulation.choice, simulation.grid.stretch
     message = f"auto finds no solver for it: {choice.solver}, chosen because "

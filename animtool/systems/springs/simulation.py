@@ -27,7 +27,12 @@ from animtool.systems.framework.simulation import (
 )
 from animtool.systems.springs.choosing import trial_settings
 from animtool.systems.springs.motion import SpringState, TimeGrid
-from animtool.systems.springs.notices import DAMPING_SOLVERS, EnergyLoss, motion_notices
+from animtool.systems.springs.notices import (
+    DAMPING_SOLVERS,
+    EnergyLoss,
+    MotionCounts,
+    motion_notices,
+)
 from animtool.systems.springs.records import Solver
 from animtool.systems.springs.solvers import LOOKBACK_TIME, SpringPlan
 
@@ -39,25 +44,19 @@ STOP_CODES = {"SIM102", "SIM105"}
 MAX_LENGTH_RATIO = 2.0
 
 
-class SpringSimulation:
+class SpringSimulation(MotionCounts):
     """Simulates springs in time cells; counters are used for warnings only.
 
     Attributes:
-        grid: Current grid position, with counts over all cells so far.
         intact_system: The system without torn springs.
         wrenches: Impulses on rigid bodies of other systems in the last cells.
-        unsolved_grid: Grid at the start of the cell that was not solved.
-        longest: Longest xpbd spring relative to its rest length.
-        min_applied_fraction: Smallest applied fraction of an impulse on a body.
         stretch: Largest strain of springs in sampled states.
     """
 
     checked = True
     views: Sequence[Any] = ()  # a `SpringView` for each entry
     status, stop_reason = Status.OK, ""
-    longest = min_applied_fraction = 1.0
     stretch = 0.0
-    unsolved_grid: TimeGrid | None = None
     # Whether surfaces of other systems may release states before the current time.
     releases_states = True
 
@@ -68,15 +67,11 @@ class SpringSimulation:
         last_time: float,
         clock: Progress = None,
     ) -> None:
-        self.plan = plan
-        self.system, self.options, self.choice = plan.system, plan.options, plan.choice
-        self.error = plan.error
+        super().__init__(plan, start_grid)
         self.begin, self.last, self.clock = start_grid.origin, last_time, clock
         self.step_length = start_grid.cell
-        self.grid, self.wrenches = start_grid, list[Wrenches]()
-        self._start, self._planning_notices = start_grid, plan.planning_notices
+        self._start, self.wrenches = start_grid, list[Wrenches]()
         self._start_notices = [] if start_grid.index else self.system.notices()
-        self._max_substeps = start_grid.state.substeps
         # Pushed bodies react before the next cell.
         is_coupled = self.system.colliders.bodies or self.system.coupling is not None
         self._max_cells_per_call = 1 if is_coupled else CELLS_PER_CHECK
@@ -190,7 +185,7 @@ class SpringSimulation:
         with np.errstate(all="ignore"):
             self.grid = self.plan.advance(start_grid, cells)
             t, state = self.grid.time, self.grid.state
-            self._max_substeps = max(self._max_substeps, state.substeps)
+            self.max_substeps = max(self.max_substeps, state.substeps)
             self._exclude_torn()
             reason = self._energy_watch.divergence(t, state.motion)
             if start_grid.solver is Solver.XPBD:
@@ -240,21 +235,6 @@ class SpringSimulation:
             # A constant force over a cell moves bodies as an impulse at its middle.
             wrenches.append(Wrenches(impulses, self.grid.cell / 2 * impulses))
         return wrenches
-
-    @property
-    def is_auto(self) -> bool:
-        """Whether the solver is chosen automatically."""
-        return self.options.solver == Solver.AUTO
-
-    @property
-    def is_overstrained(self) -> bool:
-        """Whether xpbd strains springs beyond their limit and compliance."""
-        return not self.grid.stretch <= self.options.stretch
-
-    @property
-    def shortest_step(self) -> float:
-        """Shortest step taken so far [s]."""
-        return self.grid.cell / self._max_substeps
 
     def stats(self, reached: float) -> Stats:
         """Return the statistics up to a time [s]."""
@@ -330,7 +310,8 @@ class SpringSimulation:
             *motion_notices(self, self.stats(self.grid.time)),
         ]
         codes = {fault.code for fault in current}
-        notices = [fault for fault in self._planning_notices if fault.code not in codes]
+        planning_notices = self.plan.planning_notices
+        notices = [fault for fault in planning_notices if fault.code not in codes]
         notices += [*current, *self._energy_loss.notices(self.choice.solver)]
         return list({str(fault): fault for fault in notices}.values())
 

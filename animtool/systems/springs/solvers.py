@@ -18,7 +18,7 @@ from animtool.sim.colliders import Collider, Colliders
 from animtool.systems.framework.body_carriers import CarrierStep
 from animtool.systems.springs.body_coupling import CoupledCell, CoupledSprings
 from animtool.systems.springs.choosing import SolverChoice
-from animtool.systems.springs.motion import Piercing, SpringState, TimeGrid
+from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
 
@@ -196,7 +196,7 @@ class SpringPlan:
         )
         return replace(
             grid.after_cells(cells, after, steps, steps, inside, pushes),
-            piercing=grid.piercing.maximum(Piercing(*piercing)),
+            piercing=grid.piercing.maximum(piercing),
             stretch=max(grid.stretch, excess_strain),
             max_contacts=max(grid.max_contacts, contact_count),
         )

@@ -297,7 +297,7 @@ class SpringView:
             "torn": int(self.torn(state).sum()),
             "unresolved": simulation.grid.unresolved,
         }
-        error = simulation.error
+        error = simulation.plan.error
         if error is not None:
             values["error"] = error if math.isfinite(error) else None
         if self._measured_surface is not None:
@@ -326,8 +326,9 @@ class SpringView:
             f"shortest step {plain_number(simulation.shortest_step)} s",
             f"springs stretch by up to {percent_text(simulation.stretch)}",
         ]
-        if simulation.error is not None and math.isfinite(simulation.error):
-            phrases.append(f"error {length_text(simulation.error)}")
+        error = simulation.plan.error
+        if error is not None and math.isfinite(error):
+            phrases.append(f"error {length_text(error)}")
         if torn_count:
             phrases.append(f"{counted(torn_count, 'spring')} torn")
         if self._meter.text:
