@@ -204,11 +204,13 @@ class AttachmentActor:
         stiffness = settings.frequency**2 + steering_frequency**2
         frequency = math.sqrt(stiffness)
         damping = settings.options.ratio * settings.frequency + steering_frequency
-        free = np.flatnonzero(~system.is_pinned)
-        pull = _pull(system.body.masses, free, frequency, damping / frequency)
+        free_particles = np.flatnonzero(~system.is_pinned)
+        pull = _pull(system.body.masses, free_particles, frequency, damping / frequency)
         motion = steering.positions(len(targets) - 1, self._frame_duration)
         fraction, goals = steering_frequency**2 / stiffness, targets.copy()
-        goals[:, free] += fraction * (motion[:, free] - goals[:, free])
+        goals[:, free_particles] += fraction * (
+            motion[:, free_particles] - goals[:, free_particles]
+        )
         return system.with_target_springs(pull), goals
 
     def surroundings(self) -> CollisionSurroundings:
@@ -280,9 +282,9 @@ def check_motion(motion: FloatArray) -> None:
         return
     magnitudes = np.abs(motion[0])
     magnitudes = np.where(np.isnan(magnitudes), np.inf, magnitudes)
-    particle = int(np.argmax(magnitudes.max(axis=-1)))
-    message = f"the simulation blew up: particle {particle} is at "
-    message += f"{np.array2string(motion[0, particle], precision=3)} m"
+    particle_index = int(np.argmax(magnitudes.max(axis=-1)))
+    message = f"the simulation blew up: particle {particle_index} is at "
+    message += f"{np.array2string(motion[0, particle_index], precision=3)} m"
     hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
     raise ToleranceError(Fault("SIM102", message, hint=hint))
 
@@ -333,7 +335,7 @@ def build_plan(
     down: FloatArray,
     duration: float,
 ) -> SpringPlan:
-    """Return the springs of a network at bind, with their steps in a frame, by xpbd.
+    """Return the xpbd plan of a network: its spring system, and the steps of a frame.
 
     ``down`` is the direction of gravity ``(3,)``; the frame has a duration [s].
     """

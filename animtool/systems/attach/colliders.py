@@ -136,7 +136,7 @@ class CharacterColliders:
         )
         if skins:
             # Joints with a skin collide with that instead of their capsules.
-            has_skin = np.any([skin.joints for skin in skins], axis=0)
+            has_skin = np.any([skin.has_joint_weight for skin in skins], axis=0)
             capsules = capsules.select(~has_skin[capsules.joints])
         self._capsules, self._radius, self._world = capsules, radius, world
         capsule_collider = Collider(

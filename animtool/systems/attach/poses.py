@@ -88,9 +88,10 @@ def _lerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
 
 def _slerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
     rotations = np.repeat(a[None], len(fractions), axis=0)
-    changed = np.flatnonzero((a != b).any(axis=-1))
-    rotations[:, changed] = so3.slerp(a[changed], b[changed], fractions[:, None])
-    rotations[0, changed], rotations[-1, changed] = a[changed], b[changed]
+    changed_joints = np.flatnonzero((a != b).any(axis=-1))
+    before, after = a[changed_joints], b[changed_joints]
+    rotations[:, changed_joints] = so3.slerp(before, after, fractions[:, None])
+    rotations[0, changed_joints], rotations[-1, changed_joints] = before, after
     return rotations
 
 
@@ -141,8 +142,8 @@ def advance_cycle(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
     """Return a pose transformed by the travel of one cycle."""
     translations, rotations = pose.translations.copy(), pose.rotations.copy()
     roots = np.array(rig.roots)
-    rotated = so3.rotate(travel.rotation, translations[roots])
-    translations[roots] = rotated + travel.shift
+    rotated_roots = so3.rotate(travel.rotation, translations[roots])
+    translations[roots] = rotated_roots + travel.shift
     rotations[roots] = so3.multiply(travel.rotation, rotations[roots])
     return replace(pose, translations=translations, rotations=rotations)
 

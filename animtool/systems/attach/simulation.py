@@ -91,8 +91,8 @@ class LoopClosure:
 class _AttachmentFrames:
     """Simulated and animated points of one attachment, by frame."""
 
-    simulated: list[FloatArray]
-    targets: list[FloatArray]
+    simulated_points: list[FloatArray]
+    animated_points: list[FloatArray]
     # Surroundings in a cycle, for contact measurement after the seam is blended.
     surroundings: list[CollisionSurroundings] = field(default_factory=list)
     # States in a cycle, to which the next one may be steered ``(2, N, 3)`` [m, m/s].
@@ -122,7 +122,7 @@ class AttachSimulation:
         # One for each body, from the first frame on.
         self.actors: list[AttachmentActor] = []
         # Requested states, with the steps per frame.
-        self.saved: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
+        self.saved_states: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
         self.codes: list[float] = []  # visited time codes
         self.resumed = resumed  # states to resume from
         self.loop_closure: LoopClosure | None = None  # result of a cycle
@@ -192,8 +192,8 @@ class AttachSimulation:
             for row, actor in zip(rows, self.actors, strict=True):
                 surroundings = actor.surroundings()
                 actor.measure(float(codes[i]), actor.positions, surroundings)
-                row.simulated.append(actor.positions)
-                row.targets.append(actor.target)
+                row.simulated_points.append(actor.positions)
+                row.animated_points.append(actor.target)
         self._frames_done += block.frames
         self.codes += codes.tolist()
         return self._blend(block, codes, rows)
@@ -299,7 +299,7 @@ class AttachSimulation:
                 positions, velocities = actor.grid.state.motion
                 passages = actor.grid.state.passages
                 state = AttachState(positions, velocities, passages)
-                self.saved[name] = clock, ReachedState(actor.steps, state)
+                self.saved_states[name] = clock, ReachedState(actor.steps, state)
 
     def _close_cycle(self, motion: Motion) -> Motion:
         """Return a cycle in which all attachments end in the state they start in."""
@@ -319,8 +319,8 @@ class AttachSimulation:
         rows: list[_AttachmentFrames] = []
         for repeat in range(1, max_repeats + 1):
             start_positions = [actor.positions for actor in self.actors]
-            gives_up = repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
-            is_steered = bool(rows) and gives_up
+            is_last_try = repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
+            is_steered = bool(rows) and is_last_try
             rows = self._simulate_cycle(poses, rows if is_steered else [])
             motions = [actor.grid.state.motion for actor in self.actors]
             end_states = [_moved_to_start(state, travel) for state in motions]
@@ -340,11 +340,13 @@ class AttachSimulation:
             # blended, its edges would be strained by that.
             if not (is_steered and len(actor.body.network.triangles)):
                 offset = so3.rotate(travel.rotation, gap)
-                frames = zip(row.simulated, weights.tolist(), strict=True)
-                row.simulated = [points + weight * offset for points, weight in frames]
+                frames = zip(row.simulated_points, weights.tolist(), strict=True)
+                row.simulated_points = [
+                    points + weight * offset for points, weight in frames
+                ]
             actor.meter = ContactMeter()
             for time_code, points, surroundings in zip(
-                self.codes, row.simulated, row.surroundings, strict=True
+                self.codes, row.simulated_points, row.surroundings, strict=True
             ):
                 actor.measure(time_code, points, surroundings)
         return self._blend(motion, self._codes(self._prepended_frames, count), rows)
@@ -367,9 +369,9 @@ class AttachSimulation:
         for i, (pose, next_pose) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
                 row.surroundings.append(actor.surroundings())
-                row.simulated.append(actor.positions)
+                row.simulated_points.append(actor.positions)
                 row.motions.append(actor.grid.state.motion)
-                row.targets.append(actor.target)
+                row.animated_points.append(actor.target)
             steering = [
                 CycleSteering(np.stack(row.motions[i : i + 2]), weights[i + 1])
                 for row in last_frames
@@ -391,7 +393,8 @@ class AttachSimulation:
             weights = np.where(codes < self.resumed.frame, 0.0, weights)
         rotations = block.rotations.dense()
         for body, row in zip(self.bodies, rows, strict=True):
-            points, targets = np.stack(row.simulated), np.stack(row.targets)
+            points = np.stack(row.simulated_points)
+            targets = np.stack(row.animated_points)
             if isinstance(body, ChainBody):
                 simulated = self._blend_rotations(
                     rotations, body, points, targets, weights
@@ -411,20 +414,19 @@ class AttachSimulation:
         weights: FloatArray,
     ) -> FloatArray:
         """Return chain rotations that aim bones at simulated points ``(F, C, 4)``."""
-        animated = rotations[:, body.joints]
-        simulated = chain_rotations(self.rig, body.joints, rotations, targets, points)
-        interpolated = so3.slerp(animated, simulated, weights[:, None])
-        blended = np.where((weights == 1)[:, None, None], simulated, interpolated)
-        first = int(body.joints[0])
-        reference = self._last_rotations.get(first, animated[0])
-        aligned = so3.align_signs(blended, reference)
-        self._last_rotations[first] = aligned[-1]
-        angles = so3.angle_between(animated[:, -1], aligned[:, -1])
+        joints, first = body.joints, int(body.joints[0])
+        before = rotations[:, joints]
+        simulated = chain_rotations(self.rig, joints, rotations, targets, points)
+        after = so3.slerp(before, simulated, weights[:, None])
+        after = np.where((weights == 1)[:, None, None], simulated, after)
+        after = so3.align_signs(after, self._last_rotations.get(first, before[0]))
+        self._last_rotations[first] = after[-1]
+        angles = so3.angle_between(before[:, -1], after[:, -1])
         largest = float((angles * (weights != 0)).max(initial=0.0))
         earlier = self.last_joint_angles.get(body.name, 0.0)
         self.last_joint_angles[body.name] = max(earlier, largest)
         # With weight 0 keep the animation bit for bit.
-        return np.where((weights == 0)[:, None, None], animated, aligned)
+        return np.where((weights == 0)[:, None, None], before, after)
 
 
 def _first_block_of_two(blocks: Iterator[Motion]) -> Iterator[Motion]:

@@ -32,7 +32,7 @@ class SkinSurface:
     triangles: IntArray  # counter-clockwise ``(T, 3)``; border centres from V on
     border_points: IntArray  # points at borders ``(P,)``
     borders: IntArray  # border index of each border point ``(P,)``
-    joints: BoolArray  # mask of joints with skin weight ``(J,)``
+    has_joint_weight: BoolArray  # mask of joints with skin weight ``(J,)``
 
     def points(self, samples: PoseSamples) -> FloatArray:
         """Return deformed points, then border centres ``(K, V + B, 3)`` [m]."""
@@ -121,14 +121,9 @@ def triangulate_capped(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Triangulate polygons, and close each border with a triangle fan.
 
-    Args:
-        counts: Corners of each polygon ``(M,)``.
-        indices: Corners, polygon by polygon.
-        point_count: Number of points.
-
-    Returns:
-        Triangles ``(T, 3)``, with border middles numbered after the points; border
-        points ``(P,)``; and the border index of each.
+    Polygons have ``counts`` corners ``(M,)``, listed in ``indices``. Returns triangles
+    ``(T, 3)``, with border middles numbered after the points; border points ``(P,)``;
+    and the border index of each.
 
     >>> corners = np.array([0, 1, 2, 3])
     >>> triangles, points, borders = triangulate_capped(np.array([4]), corners, 4)

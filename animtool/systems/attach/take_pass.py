@@ -73,10 +73,14 @@ def named_frame_notices(simulation: AttachSimulation) -> list[Fault]:
         frames_by_option["resume"] = (resumed.frame,)
     visited_codes, notices = set(codes), []
     for option, frames in frames_by_option.items():
-        missing = [f"{frame:g}" for frame in frames if frame not in visited_codes]
-        if missing:
-            noun = "frame" if len(missing) == 1 else "frames"
-            message = f"{option} names {noun} {listed(missing)}, but the take has "
+        missing_frames = [
+            f"{frame:g}" for frame in frames if frame not in visited_codes
+        ]
+        if missing_frames:
+            noun = "frame" if len(missing_frames) == 1 else "frames"
+            message = (
+                f"{option} names {noun} {listed(missing_frames)}, but the take has "
+            )
             message += f"{codes[0]:g} to {codes[-1]:g}"
             hint = "frames are time codes of the take"
             notices.append(warning("SIM185", message, hint))
@@ -230,16 +234,10 @@ def simulate(
     caches. Cloth and strands also collide with earlier named cloth that has
     self-contact, without affecting that cloth.
 
-    Args:
-        stream: The take.
-        options: Attachments and settings.
-        folder: Base of relative paths.
-        prepended_frames: Frames before the take, with the pose of its first frame; a
-            cycle ignores them.
-        saves_states: Whether requested states are saved.
-        progress: Called with the fraction done of each block, 0 to 1.
-        build_colliders: Builds the characters, systems and meshes named by options;
-            None uses only ``colliders``.
+    Paths are relative to a folder. ``prepended_frames`` come before the take, with the
+    pose of its first frame; a cycle ignores them. Requested states are written if
+    ``saves_states``. Progress is the fraction done of each block, 0 to 1. Without
+    ``build_colliders``, characters, systems and meshes of the options are left out.
     """
     refusals = Refusals()
     for name, check in option_checks(options).items():
@@ -275,7 +273,7 @@ def _blocks(
     """Yield simulated blocks, then write states and collect notices."""
     yield from simulation.blocks(stream.blocks)
     if simulation.options.save and folder is not None:
-        write_states(folder / simulation.options.save, simulation.saved)
+        write_states(folder / simulation.options.save, simulation.saved_states)
     stream.notices.extend(simulation_notices(simulation))
     stream.simulated.extend(map(attachment_report, simulation.actors))
 

@@ -22,7 +22,7 @@ TornFlags: TypeAlias = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Springs(Rows):
-    """S springs.
+    """Properties of S springs, one row for each.
 
     Attributes:
         ends: Indices of both end particles ``(S, 2)``.

@@ -73,7 +73,7 @@ class BodyCoupling:
 
 
 class CoupledSprings(NamedTuple):
-    """Springs after a cell."""
+    """Springs after a cell, and what they did to the pinned particles."""
 
     grid: TimeGrid
     # Impulses and moments about the origin on pinned particles ``(H, 6)``.
@@ -174,7 +174,7 @@ class CoupledCell:
 
     @property
     def _scale(self) -> FloatArray:
-        """Factors from velocity changes to displacements ``(6 U,)`` [s, m s]."""
+        """Displacement in a cell per velocity change ``(6 U,)`` [s, m s]."""
         rows = [[1.0] * 3 + [body.radius] * 3 for body in self._solved_bodies]
         return self._h * np.array(rows).reshape(-1)
 
@@ -194,7 +194,7 @@ class CoupledCell:
         spring_length, scale = self._coupling.spring_length, self._scale
         displacement, is_rebuilt = np.inf, False
         for _ in range(MAX_CORRECTIONS):
-            if current.springs.grid.unsolved:
+            if current.springs.grid.is_unsolved:
                 break
             if jacobian is None:
                 steps = DIFFERENCE_STEP * spring_length / scale
@@ -221,9 +221,10 @@ class CoupledCell:
             jacobian = jacobian + np.outer(gap, change) / float(change @ change)
             is_rebuilt = False
         grid = current.springs.grid
-        is_unsolved = grid.unsolved or not displacement <= MAX_RESIDUAL * spring_length
+        is_unsolved = grid.is_unsolved
+        is_unsolved |= not displacement <= MAX_RESIDUAL * spring_length
         next_warm_start = None if jacobian is None else np.column_stack([jacobian, y])
-        grid = replace(grid, unsolved=is_unsolved)
+        grid = replace(grid, is_unsolved=is_unsolved)
         return CoupledSolution(grid, tuple(current.wrenches), next_warm_start)
 
     def _jacobian(
@@ -251,7 +252,8 @@ class CoupledCell:
         displacement = float(np.abs(change * scale).max())
         for _ in range(MAX_HALVINGS):
             trial = self._trial(y + fraction * change)
-            if not trial.springs.grid.unsolved and np.isfinite(trial.residuals).all():
+            is_solved = not trial.springs.grid.is_unsolved
+            if is_solved and np.isfinite(trial.residuals).all():
                 next_change = _newton_correction(jacobian, trial)
                 next_size = float(np.abs(next_change * scale).max())
                 limit = (1 - fraction / 4) * displacement

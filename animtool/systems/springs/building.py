@@ -212,13 +212,9 @@ class _SystemBuilder:
 def _stands_on_pins(system: SpringSystem) -> bool:
     """Return whether all free particles are above the pins, as in an upright rope."""
     heights = -system.body.positions @ system.gravity
-    is_free = np.ones(len(heights), np.bool_)
-    is_free[system.pinned] = False
-    return bool(
-        is_free.any()
-        and not is_free.all()
-        and heights[is_free].min() > heights[~is_free].max()
-    )
+    free_heights, pin_heights = heights[~system.is_pinned], heights[system.is_pinned]
+    has_both = len(free_heights) > 0 and len(pin_heights) > 0
+    return has_both and bool(free_heights.min() > pin_heights.max())
 
 
 def _uses_faces(entry: SpringEntry) -> bool:

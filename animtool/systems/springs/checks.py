@@ -32,8 +32,10 @@ def excerpt_numbers(numbers: IntArray) -> str:
 def check_body(body: Body, pinned: IntArray, target_particles: IntArray) -> None:
     """Raise OptionError for invalid particles, springs, pins or targets."""
     count = len(body.positions)
-    nonfinite = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
-    faults = _particle_faults("SIM041", "its position is not finite", nonfinite)
+    nonfinite_particles = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
+    faults = _particle_faults(
+        "SIM041", "its position is not finite", nonfinite_particles
+    )
     faults += _unknown_particle_faults(pinned, "pins", count)
     pinned_particles, counts = np.unique(pinned, return_counts=True)
     pinned_twice = pinned_particles[counts > 1]
@@ -72,8 +74,8 @@ def check_path(
     elif not np.isfinite(knots).all() or (np.diff(knots) <= 0).any():
         message = "times must be finite and ascend"
     elif not np.isfinite(path).all():
-        row = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
-        message = f"positions at {knots[row]:g} s are not finite"
+        row_index = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
+        message = f"positions at {knots[row_index]:g} s are not finite"
     if message:
         refuse("SIM044", message, name)
     return knots, path

@@ -203,7 +203,7 @@ def trial_settings(
         choice = choose_solver(system, solver_options, solver, begin, system.state)
         return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
-    configured = setting_of(Solver(options.solver), options)
+    current = setting_of(Solver(options.solver), options)
     defaults: dict[str, Setting] = {}
     for solver in Solver:
         # Solvers that cannot simulate the springs are left out.
@@ -214,27 +214,28 @@ def trial_settings(
         row
         for method, setting in defaults.items()
         for row in step_settings(
-            method, (configured if method == configured.method else setting)["step"]
+            method,
+            (current if method == current.method else setting)["step"],
         )
     ]
     # Finer steps of bdf2, of explicit Euler, and of the chosen solver.
     reference_steps: dict[str, float] = {}
     if REFERENCE_SOLVER in defaults:
-        step = min(configured["step"], defaults[REFERENCE_SOLVER]["step"])
+        step = min(current["step"], defaults[REFERENCE_SOLVER]["step"])
         reference_steps[REFERENCE_SOLVER] = step
     if STIFF_REFERENCE_SOLVER in defaults:
         step = defaults[STIFF_REFERENCE_SOLVER]["step"]
         reference_steps[STIFF_REFERENCE_SOLVER] = step
-    if configured.method not in {REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER}:
-        reference_steps[configured.method] = configured["step"]
+    if current.method not in {REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER}:
+        reference_steps[current.method] = current["step"]
     references = [
         step_settings(method, step, REFERENCE_FACTORS)
         for method, step in reference_steps.items()
     ]
 
     def changed_keys(setting: Setting) -> Mapping[str, Any]:
-        if setting == configured:
+        if setting == current:
             return {"error": None, "solver": options.solver, "step": options.step}
         return {"error": None, "solver": setting.method, "step": setting["step"]}
 
-    return TrialSettings(configured, lambda: settings, lambda: references, changed_keys)
+    return TrialSettings(current, lambda: settings, lambda: references, changed_keys)

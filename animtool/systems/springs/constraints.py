@@ -80,7 +80,7 @@ def resample_to_shared_times(
     """
     moving_times = [times for times, _ in paths if len(times) > 1]
     knots = np.unique(np.concatenate(moving_times)) if moving_times else np.zeros(1)
-    resampled = []
+    resampled_paths = []
     for times, path in paths:
         is_constant = len(times) == 1
         is_aligned = is_constant or np.array_equal(times, knots)
@@ -89,30 +89,32 @@ def resample_to_shared_times(
             positions = np.array(
                 [position_at((times, path), t) for t in knots.tolist()]
             )
-        resampled.append(np.ascontiguousarray(positions))
-    return knots, resampled
+        resampled_paths.append(np.ascontiguousarray(positions))
+    return knots, resampled_paths
 
 
 def merge_constraints(
     constraints: Sequence[Pins | PointTargets], kind: type[Constraint]
 ) -> Constraint | None:
     """Merge timed pins or targets of a kind into one record; None if there are none."""
-    merged = [row for row in constraints if isinstance(row, kind)]
-    if not merged:
+    matching = [row for row in constraints if isinstance(row, kind)]
+    if not matching:
         return None
     names = {field.name for field in fields(kind)} - {"positions", "times"}
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(row, name) for row in merged]) for name in names
+        name: np.concatenate([getattr(row, name) for row in matching]) for name in names
     }
-    paths: list[Any] = [(row.times, row.positions) for row in merged]
+    paths: list[Any] = [(row.times, row.positions) for row in matching]
     times, positions = _merge_paths(paths)
     return kind(positions=positions, times=times, **columns)
 
 
 def _merge_paths(paths: Sequence[TimedPositions]) -> TimedPositions:
     """Concatenate paths along their particles, over shared times."""
-    knots, resampled = resample_to_shared_times(paths)
-    rows = [np.broadcast_to(path, (len(knots), *path.shape[1:])) for path in resampled]
+    knots, resampled_paths = resample_to_shared_times(paths)
+    rows = [
+        np.broadcast_to(path, (len(knots), *path.shape[1:])) for path in resampled_paths
+    ]
     return knots, np.concatenate(rows, axis=1)
 
 
@@ -161,10 +163,12 @@ class Teleports:
         if is_too_fast.any():
             self._group_of_particle = _connected_groups(body)
         groups = self._group_of_particle[driven_particles]
-        self._teleporting = _teleports_by_group(is_too_fast, groups)
-        self._teleport_knots: IntArray = np.flatnonzero(self._teleporting.any(axis=1))
+        self._is_teleporting = _teleports_by_group(is_too_fast, groups)
+        self._teleport_knot_indices: IntArray = np.flatnonzero(
+            self._is_teleporting.any(axis=1)
+        )
         # Times of the teleports ``(J,)`` [s].
-        self.times: FloatArray = self._knots[self._teleport_knots + 1]
+        self.times: FloatArray = self._knots[self._teleport_knot_indices + 1]
 
     def __len__(self) -> int:
         """Return the number of teleports."""
@@ -192,10 +196,10 @@ class Teleports:
         """Return times and positions of pins, and of targets, in a stage."""
         first_knots = np.zeros(len(self._driven_particles), np.int64)
         last_knots = np.full(len(self._driven_particles), len(self._knots) - 1)
-        for begin in self._teleport_knots[:stage].tolist():
-            first_knots[self._teleporting[begin]] = begin + 1
-        for begin in self._teleport_knots[stage:][::-1].tolist():
-            last_knots[self._teleporting[begin]] = begin
+        for begin in self._teleport_knot_indices[:stage].tolist():
+            first_knots[self._is_teleporting[begin]] = begin + 1
+        for begin in self._teleport_knot_indices[stage:][::-1].tolist():
+            last_knots[self._is_teleporting[begin]] = begin
         rows = np.clip(np.arange(len(self._knots))[:, None], first_knots, last_knots)
         positions = self._positions[rows, np.arange(len(self._driven_particles))]
         return [
@@ -206,29 +210,31 @@ class Teleports:
     def apply(self, state: FloatArray, begin: int, end: int) -> FloatArray:
         """Return a state ``(2, N, 3)`` after the teleports between two stages."""
         result = state.copy() if end > begin else state
-        for row in self._teleport_knots[begin:end].tolist():
-            particles = self._driven_particles[self._teleporting[row]]
+        for row in self._teleport_knot_indices[begin:end].tolist():
+            particles = self._driven_particles[self._is_teleporting[row]]
             for group in np.unique(self._group_of_particle[particles]):
                 self._move_group(result, row, int(group))
         return result
 
     def _move_group(self, state: FloatArray, row: int, group: int) -> None:
         """Move a group of particles over a teleport, in place."""
-        rows = np.flatnonzero(self._group_of_particle[self._driven_particles] == group)
-        before, after = self._positions[row : row + 2, rows]
+        driven_indices = np.flatnonzero(
+            self._group_of_particle[self._driven_particles] == group
+        )
+        before, after = self._positions[row : row + 2, driven_indices]
         rotation, shift = rigid_motion(before, after)
         is_member = self._group_of_particle == group
         state[0, is_member] = so3.rotate(rotation, state[0, is_member]) + shift
         state[1, is_member] = so3.rotate(rotation, state[1, is_member])
-        is_pin = rows < self._pin_count
-        state[0, self._driven_particles[rows[is_pin]]] = after[is_pin]
-        state[1, self._driven_particles[rows[is_pin]]] = 0.0
+        is_pin = driven_indices < self._pin_count
+        state[0, self._driven_particles[driven_indices[is_pin]]] = after[is_pin]
+        state[1, self._driven_particles[driven_indices[is_pin]]] = 0.0
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport of pins or targets."""
         notices = []
         for has_teleported, t in zip(
-            self._teleporting[self._teleport_knots], self.times, strict=True
+            self._is_teleporting[self._teleport_knot_indices], self.times, strict=True
         ):
             names = ["pins"] if has_teleported[: self._pin_count].any() else []
             names += ["targets"] if has_teleported[self._pin_count :].any() else []

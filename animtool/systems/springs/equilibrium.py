@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,8 +94,8 @@ def find_rest(
     -1.1
     """
     start = system.settle(t, 1.0, system.state, system.state)[0]
-    frozen = system.frozen_at(t, replace(system.body, positions=start))
-    current, has_descended = _Configuration(frozen, start), False
+    frozen_system = system.frozen_at(t, replace(system.body, positions=start))
+    current, has_descended = _Configuration(frozen_system, start), False
     regularization, steps = current.typical_stiffness, 0
     while not current.solved and steps < MAX_STEPS:
         steps += 1
@@ -109,7 +109,7 @@ def find_rest(
         elif has_descended:
             regularization *= REGULARIZATION_INCREASE
         else:
-            current, has_descended = _damped_descent(frozen, current), True
+            current, has_descended = _damped_descent(frozen_system, current), True
         if progress is not None:
             progress(current.progress)
     return Rest(current.x, current.residual, steps, current.solved)
@@ -130,17 +130,17 @@ def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configurati
     damping = 2 * DESCENT_DAMPING * np.sqrt(springs.stiffness * masses)
     damped_springs = replace(springs, damping=damping)
     body = replace(system.body, positions=start.x, springs=damped_springs)
-    damped = system.frozen_at(0.0, body, 2 * pendulum_rate)
-    step = STEP_SAFETY_FACTOR * explicit_limit(damped, 0.0, damped.state)
+    damped_system = system.frozen_at(0.0, body, 2 * pendulum_rate)
+    step = STEP_SAFETY_FACTOR * explicit_limit(damped_system, 0.0, damped_system.state)
     step_count = DESCENT_PHASE / (pendulum_rate * step) if step > 0 else np.inf
     if not step_count <= MAX_DESCENT_STEPS:
         return start
     if np.ceil(step_count) * len(springs.rest) > MAX_DESCENT_WORK:
         return start
     steps = int(np.ceil(step_count))
-    native_steps = damped.native("symplectic_euler")
+    native_steps = damped_system.native("symplectic_euler")
     assert native_steps is not None
-    x = native_steps(0.0, damped.state, step, steps)[0]
+    x = native_steps(0.0, damped_system.state, step, steps)[0]
     end = _Configuration(system, x) if np.isfinite(x).all() else start
     return end if end.energy < start.energy else start
 
@@ -151,7 +151,7 @@ class _Configuration:
     def __init__(self, system: SpringSystem, x: FloatArray) -> None:
         self._system, self.x = system, x
         self._zero_velocities = np.zeros_like(x)
-        self._free = np.flatnonzero(~system.is_pinned)
+        self._free_particles = np.flatnonzero(~system.is_pinned)
         self._masses = system.free_masses
         self.energy = system.energy(0.0, np.array((x, self._zero_velocities))).potential
         accelerations = system.acceleration(0.0, x, self._zero_velocities)
@@ -173,14 +173,15 @@ class _Configuration:
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
-        rows = (3 * self._free[:, None] + np.arange(3)).ravel()
+        rows = (3 * self._free_particles[:, None] + np.arange(3)).ravel()
         matrix: Any = self._system.stiffness(0.0, self.x)[rows][:, rows]
-        regularized = (matrix + diags_array(np.full(len(rows), regularization))).tocsc()
+        matrix = matrix + diags_array(np.full(len(rows), regularization))
+        forces = self._forces.ravel()[rows]
         try:
-            step = splu(regularized, **LU_OPTIONS).solve(self._forces.ravel()[rows])
+            step = splu(matrix.tocsc(), **LU_OPTIONS).solve(forces)
         except RuntimeError:
             return None
-        descent = step @ self._forces.ravel()[rows]
+        descent = step @ forces
         # Reject steps that raise the energy or are not finite.
         if not np.isfinite(step).all() or not 0 < descent < np.inf:
             return None
@@ -200,21 +201,17 @@ def find_xpbd_rest(
     A step of xpbd visits each spring once, so that long chains hang lower than in
     equilibrium and would fall at the start. The fall is simulated here, with velocities
     reset whenever the kinetic energy peaks, until they rest. With `auto`, steps are
-    halved as long as that reduces the gap.
-
-    Args:
-        system: Springs that start in equilibrium.
-        options: Limits of the simulation.
-        choice: Steps of xpbd.
-        t: Time at which pins are sampled [s].
+    halved as long as that reduces the gap. The system starts in equilibrium, with pins
+    sampled at a time [s].
     """
-    frozen = system.frozen_at(t, system.body)
+    frozen_system = system.frozen_at(t, system.body)
     size = float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
     tolerance = MAX_RELATIVE_GAP * size
     substeps, work, is_auto = choice.substeps, 0, options.solver == Solver.AUTO
     previous: _Descent | None = None
     while True:
-        descent = _descend(frozen, options, replace(choice, substeps=substeps), work)
+        trial_choice = replace(choice, substeps=substeps)
+        descent = _descend(frozen_system, options, trial_choice, work)
         work = descent.work
         if not np.isfinite(descent.speed):
             notices = [_no_rest_notice(descent.speed)]
@@ -236,8 +233,7 @@ def find_xpbd_rest(
     return SpringPlan(system, options, rest_choice, planning_notices=notices)
 
 
-@dataclass(frozen=True, slots=True)
-class _Descent:
+class _Descent(NamedTuple):
     """Result of a descent with kinetic damping: velocities are repeatedly set to 0."""
 
     rest: FloatArray  # final positions (N, 3) [m]
@@ -248,12 +244,12 @@ class _Descent:
 
 
 def _descend(
-    frozen: SpringSystem, options: SpringOptions, choice: SolverChoice, work: int
+    frozen_system: SpringSystem, options: SpringOptions, choice: SolverChoice, work: int
 ) -> _Descent:
     """Return the rest state of springs with frozen pins, by kinetic damping."""
-    plan = SpringPlan(frozen, options, choice)
+    plan = SpringPlan(frozen_system, options, choice)
     grid = plan.start(0.0)
-    masses, previous_energy, cells = frozen.free_masses, 0.0, 0
+    masses, previous_energy, cells = frozen_system.free_masses, 0.0, 0
     speed, initial_work = np.inf, work
     while speed > REST_SPEED and cells < MAX_REST_CELLS and work < MAX_REST_WORK:
         cells += 1
@@ -261,7 +257,7 @@ def _descend(
             grid = plan.advance(grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
         speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
-        work = initial_work + grid.steps * len(frozen.body.springs.rest)
+        work = initial_work + grid.steps * len(frozen_system.body.springs.rest)
         if not np.isfinite(speed):
             break
         # A later change to fewer steps would move it again.
@@ -272,7 +268,7 @@ def _descend(
             state, energy = replace(state, motion=at_rest), 0.0
         previous_energy, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
-    gap = float(np.linalg.norm(rest - frozen.state[0], axis=1).max(initial=0.0))
+    gap = float(np.linalg.norm(rest - frozen_system.state[0], axis=1).max(initial=0.0))
     return _Descent(rest, speed, grid.state.substeps, work, gap)
 
 

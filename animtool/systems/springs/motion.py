@@ -71,7 +71,7 @@ class TimeGrid:
     stretch: float = 0.0
     steps: int = 0
     evaluations: int = 0  # number of evaluations of all spring forces
-    unsolved: bool = False  # whether the last cell could not be solved
+    is_unsolved: bool = False  # whether the last cell could not be solved
     max_contacts: int = 0  # maximum number of xpbd particles in contact at one time
     unresolved: int = 0  # maximum number of particles left inside colliders
     # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the

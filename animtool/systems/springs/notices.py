@@ -132,8 +132,10 @@ def _strain_notices(simulation: MotionCounts) -> list[Fault]:
 
 def _convergence_hint(simulation: MotionCounts) -> str:
     """Return a hint on what to change when Newton's method does not converge."""
-    system, unsolved = simulation.system, simulation.unsolved_grid
-    step = None if unsolved is None else simulation.plan.solvable_step(unsolved)
+    system, unsolved_grid = simulation.system, simulation.unsolved_grid
+    step = (
+        None if unsolved_grid is None else simulation.plan.solvable_step(unsolved_grid)
+    )
     coupling, hint = system.coupling, "use a shorter step"
     if step is not None:
         hint = f"step: {plain_number(floor_to_two_digits(step))}"
@@ -166,13 +168,9 @@ def _no_solver_warning(simulation: MotionCounts, stats: Stats) -> Fault:
 
 @dataclass(slots=True)
 class EnergyLoss:
-    """Measures the numerical energy loss of a conservative system.
+    """Measures the numerical energy loss of a conservative system."""
 
-    Attributes:
-        mass: Moving mass [kg].
-    """
-
-    mass: float
+    mass: float  # moving mass [kg]
     _begin: tuple[float, float] | None = None  # time [s] and energy [J]
     _max_kinetic: float = 0.0  # largest kinetic energy so far [J]
     _lost_energy: float = 0.0  # energy lost so far [J]

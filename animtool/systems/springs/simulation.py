@@ -193,7 +193,7 @@ class SpringSimulation(MotionCounts):
                 self.longest = max(self.longest, length_ratio or 0.0)
         if reason:
             self._stop(Status.UNSTABLE, reason)
-        if self.grid.unsolved:
+        if self.grid.is_unsolved:
             self.unsolved_grid = start_grid
             self._stop(Status.NOT_SOLVED, "Newton's method did not converge")
         if self.is_auto and self.is_overstrained:
@@ -236,13 +236,13 @@ class SpringSimulation(MotionCounts):
             wrenches.append(Wrenches(impulses, self.grid.cell / 2 * impulses))
         return wrenches
 
-    def stats(self, reached: float) -> Stats:
+    def stats(self, reached_time: float) -> Stats:
         """Return the statistics up to a time [s]."""
         grid = self.grid
         stable = self.choice.limit if self.status is Status.UNSTABLE else None
         return Stats(
             self.status,
-            grid.time if self.stop_reason else reached,
+            grid.time if self.stop_reason else reached_time,
             self.stop_reason,
             grid.steps,
             None,
@@ -255,8 +255,10 @@ class SpringSimulation(MotionCounts):
 
     def energy_of(self, t: float, motion: FloatArray) -> float:
         """Return the energy of a state, without torn springs [J]."""
-        cached = self._energy_watch.energy if motion is self.grid.state.motion else None
-        return (cached or self.intact_system.energy(t, motion)).total
+        cached_energy = (
+            self._energy_watch.energy if motion is self.grid.state.motion else None
+        )
+        return (cached_energy or self.intact_system.energy(t, motion)).total
 
     def measure(self, state: SpringState, t: float) -> None:
         """Record the strain and energy of a sampled state."""

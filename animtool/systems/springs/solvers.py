@@ -239,7 +239,7 @@ class SpringPlan:
             subcells *= 2
         while True:
             after = self._advance_in_subcells(grid, steps, subcells)
-            if not after.unsolved or subcells >= MAX_SUBCELLS:
+            if not after.is_unsolved or subcells >= MAX_SUBCELLS:
                 return replace(
                     after, origin=grid.origin, cell=grid.cell, index=grid.index + 1
                 )
@@ -256,7 +256,7 @@ class SpringPlan:
             min_step = min(carrier.step for carrier in system.coupling.carriers)
             for k in REFINEMENTS:
                 trial = self._advance_in_subcells(grid, steps, k * MAX_SUBCELLS)
-                if not trial.unsolved:
+                if not trial.is_unsolved:
                     return min_step / (STEP_SAFETY * k)
             return None
         colliders = self._colliders(grid, 1)
@@ -266,7 +266,7 @@ class SpringPlan:
             fine = replace(state, substeps=k * state.substeps, before=None)
             trial = replace(grid, state=fine)
             trial = _advance_implicit(network, trial, 1, colliders, tolerance).grid
-            if not trial.unsolved:
+            if not trial.is_unsolved:
                 return grid.cell / (STEP_SAFETY * fine.substeps)
         return None
 
@@ -291,7 +291,7 @@ class SpringPlan:
             ]
             current, bodies = self._advance_subcell(current, subcell_steps)
             pushes.append(current.pushes)
-            if current.unsolved:
+            if current.is_unsolved:
                 break
         ends = zip(steps, bodies, strict=True)
         body_pushes = tuple(step.push_to(state) for step, state in ends)
@@ -386,4 +386,4 @@ def _advance_implicit(
         pulls=state.pulls if pulls is None else impulses[1],
     )  # fmt: skip
     end_grid = grid.after_cells(cells, after, steps, corrections, inside, pushes)
-    return CoupledSprings(replace(end_grid, unsolved=failed_cells > 0), impulses[0])
+    return CoupledSprings(replace(end_grid, is_unsolved=failed_cells > 0), impulses[0])

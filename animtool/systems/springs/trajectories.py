@@ -106,8 +106,8 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
     if state.shape != shape:
         message = f"the start must have shape {shape}, not {state.shape}"
     elif not np.isfinite(state).all():
-        particle = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
-        message = f"particle {particle} is not finite at the start"
+        particle_index = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
+        message = f"particle {particle_index} is not finite at the start"
     if message:
         refuse("SIM003", message, "state")
 

@@ -39,21 +39,13 @@ MAX_NAMED = 3
 
 @dataclass(slots=True)
 class SelfCrossings:
-    """Counts edges that pass through faces of a surface without self-contact.
+    """Counts edges that pass through faces of a surface without self-contact."""
 
-    Attributes:
-        triangles: Corners ``(T, 3)``.
-        begin: The first time [s].
-        last: The last time [s].
-        max_crossings: Largest number of edges through faces, minus the initial number.
-        time_of_max: Time of the largest number [s].
-    """
-
-    triangles: IntArray
-    begin: float
-    last: float
-    max_crossings: int = 0
-    time_of_max: float = 0.0
+    triangles: IntArray  # corners ``(T, 3)``
+    begin: float  # the first time [s]
+    last: float  # the last time [s]
+    max_crossings: int = 0  # most edges through faces, minus the initial number
+    time_of_max: float = 0.0  # time of the largest number [s]
     _initial_count: int | None = None
     _next_time: float = -np.inf
 
