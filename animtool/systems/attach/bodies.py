@@ -216,8 +216,8 @@ class SurfaceBody(AttachedBody):
         return samples.deform(self.mesh)
 
 
-def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
-    """Return attachments of a rig by name; raise SIM030 for unknown ones."""
+def build_bodies(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
+    """Return named attachments of a rig as particles; raise SIM030 for unknown ones."""
     by_name = {entry.name: entry for entry in rig.attach}
     kinds = [str(kind) for kind in AttachKind]
     faults = []
@@ -234,16 +234,11 @@ def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
             faults.append(Fault("SIM030", message, hint=allowed))
     if faults:
         raise OptionError(faults)
-    return [by_name[name] for name in names]
-
-
-def build_bodies(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
-    """Return the named attachments of a rig as particles."""
     bodies: list[AttachedBody] = []
     refusals = Refusals()
-    for entry in find_attachments(rig, names):
+    for name in names:
         with refusals.collect():
-            bodies.append(_BUILDERS[AttachKind(entry.kind)](rig, entry))
+            bodies.append(_BUILDERS[AttachKind(by_name[name].kind)](rig, by_name[name]))
     refusals.check()
     return bodies
 

@@ -84,22 +84,6 @@ def capsule_distances(
     return np.asarray(np.sqrt((radial * radial).sum(axis=1)) - radius)
 
 
-def bind_depths(
-    capsules: JointCapsules, rig: Rig, points: FloatArray, margin: float
-) -> FloatArray:
-    """Return signed distances of points from capsules at bind ``(C, N)`` [m].
-
-    Distances are at most 0.
-    Capsules may be thicker than the body, so that points on the body start inside. They
-    may stay that deep.
-    """
-    bind_ends = capsules.world_ends(bind_world(rig))[0]
-    depths = np.zeros((len(capsules), len(points)))
-    for c, radius in enumerate((capsules.radii + margin).tolist()):
-        depths[c] = np.minimum(capsule_distances(points, bind_ends[c], radius), 0.0)
-    return depths
-
-
 class CollisionSurroundings(NamedTuple):
     """Surfaces around an attachment at the end of a frame, to measure contact."""
 
@@ -150,9 +134,14 @@ class CharacterColliders:
         capsule_rows = slice(len(world), len(self._colliders))
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][capsule_rows].copy()
         self._sizes[:, 6] = capsules.world_radii(start.world)
+        # Capsules may be thicker than the body: points of it that start inside at bind
+        # may stay that deep. Allowed signed distances, at most 0 ``(C, N)`` [m].
         points = body.network.points
-        depths = bind_depths(capsules, rig, points, radius / scale)
-        # Allowed signed distances from capsules, at most 0 ``(C, N)`` [m].
+        depths = np.zeros((len(capsules), len(points)))
+        bind_ends = capsules.world_ends(bind_world(rig))[0]
+        for c, bind_radius in enumerate((capsules.radii + radius / scale).tolist()):
+            distances = capsule_distances(points, bind_ends[c], bind_radius)
+            depths[c] = np.minimum(distances, 0.0)
         self._allowed_depths = scale * depths
         rigid_depths = np.zeros((len(self._colliders.rigid), len(points)))
         rigid_depths[capsule_rows] = self._allowed_depths

@@ -206,11 +206,12 @@ class AttachSimulation:
         options, rate = self.options, self._rate
         preroll_frames = math.ceil(options.preroll * rate)
         extrapolates = PreRoll(options.lead) is PreRoll.EXTRAPOLATE
-        start_pose = pose
+        poses = [pose] * (preroll_frames + 1)
         if extrapolates:
-            start_pose = extrapolate_roots(self.rig, pose, next_pose, preroll_frames)
+            frames = range(preroll_frames, -1, -1)
+            poses = [extrapolate_roots(self.rig, pose, next_pose, n) for n in frames]
+        start_pose, world = poses[0], self._world
         self.actors = []
-        world = self._world
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
             is_skinned = isinstance(body, SurfaceBody)
@@ -232,12 +233,7 @@ class AttachSimulation:
         self._total_frames += settle_frames + preroll_frames
         for _ in range(settle_frames):
             self._advance_actors(static_poses)
-        poses = [pose] * (preroll_frames + 1)
         if extrapolates and preroll_frames:
-            poses = [
-                extrapolate_roots(self.rig, pose, next_pose, preroll_frames - i)
-                for i in range(preroll_frames + 1)
-            ]
             root = self.rig.roots[0]
             step = next_pose.translations[root] - pose.translations[root]
             for actor in self.actors:

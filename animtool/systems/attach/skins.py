@@ -18,6 +18,7 @@ from animtool.sim.colliders import Collider, Colliders, Mesh
 from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.systems.attach.poses import LocalPose, PoseSamples, interpolate_poses
 from animtool.systems.framework.meter import ClosedSurface
+from animtool.systems.springs.shapes import connected_groups
 
 # Minimum distance of cloth from skins, relative to its edge length [1]. It limits how
 # deep an edge cuts into a limb.
@@ -130,9 +131,6 @@ def triangulate_capped(
     >>> triangles[2:].tolist(), points.tolist(), borders.tolist()
     ([[1, 0, 4], [2, 1, 4], [3, 2, 4], [0, 3, 4]], [0, 1, 2, 3], [0, 0, 0, 0])
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     triangles = triangulate(counts, indices)
     edge_corners = directed_edges(counts, indices)
     edge_keys = np.sort(edge_corners, axis=1) @ [point_count, 1]
@@ -140,11 +138,7 @@ def triangulate_capped(
     border_edges = edge_corners[uses[numbers.reshape(-1)] == 1]
     points, edge_points = np.unique(border_edges, return_inverse=True)
     edge_points = edge_points.reshape(-1, 2)
-    count = len(points)
-    graph = coo_array((np.ones(len(edge_points)), edge_points.T), (count, count))
-    borders = np.zeros(0, np.int64)
-    if len(points):
-        borders = connected_components(graph, directed=False)[1].astype(np.int64)
+    borders = connected_groups(len(points), edge_points) if len(points) else points
     middles = point_count + borders[edge_points[:, 0]]
     fans = np.stack([border_edges[:, 1], border_edges[:, 0], middles], axis=1)
     return np.concatenate([triangles, fans]), points, borders

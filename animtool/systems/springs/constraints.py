@@ -16,6 +16,7 @@ from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
 from animtool.systems.springs.motion import TimeGrid
+from animtool.systems.springs.shapes import connected_groups
 
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 TimedPositions: TypeAlias = tuple[FloatArray, FloatArray]
@@ -161,7 +162,8 @@ class Teleports:
         is_too_fast = distances > max_speed * np.diff(self._knots)[:, None]
         self._group_of_particle = np.zeros(len(body.positions), np.int64)
         if is_too_fast.any():
-            self._group_of_particle = _connected_groups(body)
+            count, ends = len(body.positions), body.springs.ends
+            self._group_of_particle = connected_groups(count, ends)
         groups = self._group_of_particle[driven_particles]
         self._is_teleporting = _teleports_by_group(is_too_fast, groups)
         self._teleport_knot_indices: IntArray = np.flatnonzero(
@@ -245,18 +247,6 @@ class Teleports:
             hint = "raise the speed limit if they should pull it along"
             notices.append(warning("SIM122", message, hint, names[0]))
         return notices
-
-
-def _connected_groups(body: Body) -> IntArray:
-    """Return the connected component of each particle ``(N,)``."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    count, ends = len(body.positions), body.springs.ends
-    weights = np.ones(len(ends), np.int8)
-    graph = coo_array((weights, (ends[:, 0], ends[:, 1])), shape=(count, count))
-    labels: IntArray = connected_components(graph, directed=False)[1]
-    return labels.astype(np.int64)
 
 
 def _teleports_by_group(is_too_fast: BoolArray, groups: IntArray) -> BoolArray:

@@ -320,3 +320,17 @@ def _grid_surface(grid: IntArray) -> IntArray:
         for end, flip in ((0, axis != 1), (-1, axis == 1))
     ]
     return np.concatenate(sides)
+
+
+def connected_groups(count: int, pairs: IntArray) -> IntArray:
+    """Return the group of each of ``count`` points that pairs connect ``(N,)``.
+
+    >>> connected_groups(4, np.array([[0, 2], [1, 3]])).tolist()
+    [0, 1, 0, 1]
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs)), pairs.T), (count, count))
+    groups: IntArray = connected_components(graph, directed=False)[1]
+    return groups.astype(np.int64)

@@ -88,7 +88,14 @@ def simulate_springs(
     t = float(sample_times[0])
     start = system.state if checkpoint is None else checkpoint.state
     state = np.ascontiguousarray(start)
-    _check_start(system, state)
+    shape, message = system.state.shape, ""
+    if state.shape != shape:
+        message = f"the start must have shape {shape}, not {state.shape}"
+    elif not np.isfinite(state).all():
+        particle_index = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
+        message = f"particle {particle_index} is not finite at the start"
+    if message:
+        refuse("SIM003", message, "state")
     choice = choose_solver(system, options, solver, t, state)
 
     def simulate_with(substeps: int) -> SpringMotion:
@@ -98,18 +105,6 @@ def simulate_springs(
     if options.error is None:
         return simulate_with(choice.substeps)
     return _refine_until(simulate_with, choice, options.error)
-
-
-def _check_start(system: SpringSystem, state: FloatArray) -> None:
-    """Raise SIM003 if a state is not finite or has another shape."""
-    shape, message = system.state.shape, ""
-    if state.shape != shape:
-        message = f"the start must have shape {shape}, not {state.shape}"
-    elif not np.isfinite(state).all():
-        particle_index = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
-        message = f"particle {particle_index} is not finite at the start"
-    if message:
-        refuse("SIM003", message, "state")
 
 
 def _refine_until(
