@@ -38,6 +38,7 @@ from animtool.systems.springs.body import TargetSprings
 from animtool.systems.springs.checks import tangle_notices
 from animtool.systems.springs.choosing import SolverChoice
 from animtool.systems.springs.constraints import Pins, PointTargets
+from animtool.systems.springs.motion import at_rest
 from animtool.systems.springs.records import Air, SelfContact, Solver, SpringOptions
 from animtool.systems.springs.solvers import Cells, SpringPlan
 from animtool.systems.springs.system import SpringSystem
@@ -92,8 +93,8 @@ class AttachmentActor:
         network = replace(body.network, points=scale * body.network.points)
         down = -up_direction(rig)
         self._plan = build_plan(network, settings, down, frame_duration)
-        self._cells = round(frame_duration / self._plan.choice.cell)
-        self.steps = self._cells * self._plan.choice.substeps
+        self._cells_per_frame = round(frame_duration / self._plan.choice.cell)
+        self.steps_per_frame = self._cells_per_frame * self._plan.choice.substeps
         self.teleport_count = 0
         self.seconds = 0.0
         self._frame_duration = frame_duration
@@ -113,20 +114,18 @@ class AttachmentActor:
         self._colliders = CharacterColliders(
             rig, body, settings, start_samples, scale, margin, skins, world, layers
         )
-        self.target = body.targets(start_samples)[0]
+        self.animated_positions = positions = body.targets(start_samples)[0]
         self._joint_transforms, self._time = start_samples.world, 0.0
-        self.coincident_links = coincident_link_count(network, self.target)
+        self.coincident_links = coincident_link_count(network, positions)
         self._plan.system.joint_colliders = self._colliders.character_range
-        motion = np.stack([self.target, np.zeros_like(self.target)])
-        self.grid = self._plan.start(0.0, motion)
+        self.grid = self._plan.start(0.0, at_rest(positions))
         self.tangle_warnings: list[Fault] = []
         # Cloth with self-contact, as a collider of later attachments.
-        self._cloth_motion = ClothMotion(network.triangles, self.target, self.target)
+        self._cloth_motion = ClothMotion(network.triangles, positions, positions)
         self.sheet: Sheet | None = None
         if thickness:
-            self.tangle_warnings = tangle_notices(
-                self.target, network.triangles, f"the cloth {body.name}"
-            )
+            subject = f"the cloth {body.name}"
+            self.tangle_warnings = tangle_notices(positions, network.triangles, subject)
             self.sheet = Sheet(
                 self._cloth_motion,
                 thickness / 2,
@@ -162,7 +161,7 @@ class AttachmentActor:
     ) -> None:
         """Advance the simulation by a frame; frame 0 is the first frame of the take."""
         start_seconds = time.perf_counter()
-        plan, grid, cells = self._plan, self.grid, self._cells
+        plan, grid, cells = self._plan, self.grid, self._cells_per_frame
         motion = frame_poses.sample(cells)
         targets = self.body.targets(motion)
         kernel_cells = Cells(0.0, self.grid.cell, frame * cells, cells)
@@ -183,9 +182,9 @@ class AttachmentActor:
         if not plan.system.body.strands:
             # Compliance is included, as in the strain that kernels measure for strands.
             strains = surface.lengths(end.state.motion[0]) / surface.rest_lengths - 1
-            stretch = max(grid.stretch, float(strains.max(initial=0.0)))
-            self.grid = replace(end, stretch=stretch)
-        self.target = targets[-1]
+            max_strain = max(grid.max_strain, float(strains.max(initial=0.0)))
+            self.grid = replace(end, max_strain=max_strain)
+        self.animated_positions = targets[-1]
         self._joint_transforms = motion.world
         self._time = (frame + 1) * self._frame_duration
         self._move_sheet((frame * self._frame_duration, self._time), begin_points)
@@ -228,23 +227,24 @@ class AttachmentActor:
 
     def follow_animation(self, frame_poses: FramePoses) -> None:
         """Follow the animation for a frame, without simulation."""
-        self.target = self.body.targets(frame_poses.sample(1))[-1]
-        motion = np.stack([self.target, np.zeros_like(self.target)])
-        self.set_motion(motion, self.grid.state.passages[:0])
+        self.animated_positions = self.body.targets(frame_poses.sample(1))[-1]
+        no_piercings = self.grid.state.passages[:0]
+        self.set_motion(at_rest(self.animated_positions), no_piercings)
         self._move_sheet((0.0, 0.0), self.positions)
 
     def set_target(self, pose: LocalPose) -> None:
         """Set the animated positions from a pose; the simulated state is unchanged."""
-        self.target = self.body.targets(FramePoses(self._rig, pose, pose).sample(1))[0]
+        samples = interpolate_poses(self._rig, pose, pose, 1)
+        self.animated_positions = self.body.targets(samples)[0]
 
     def teleport(self, frame_poses: FramePoses) -> None:
         """Advance over a teleport: all particles move rigidly with their joint."""
         motion = frame_poses.sample(1)
-        self.target = self.body.targets(motion)[-1]
+        self.animated_positions = self.body.targets(motion)[-1]
         shift, rotation = _joint_motion(motion.world, self.body.carrier)
         state = move_rigidly(self.grid.state.motion, shift, rotation)
         pinned = self.body.network.pinned
-        state[0, pinned] = self.target[pinned]
+        state[0, pinned] = self.animated_positions[pinned]
         self.set_motion(state)
         self._move_sheet((0.0, 0.0), self.positions)
         self.teleport_count += 1

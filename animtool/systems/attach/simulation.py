@@ -123,7 +123,7 @@ class AttachSimulation:
         self.actors: list[AttachmentActor] = []
         # Requested states, with the steps per frame.
         self.saved_states: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
-        self.codes: list[float] = []  # visited time codes
+        self.visited_codes: list[float] = []  # time codes of the frames so far
         self.resumed = resumed  # states to resume from
         self.loop_closure: LoopClosure | None = None  # result of a cycle
         self._skins: list[SkinSurface] = []  # collision meshes of the character
@@ -193,9 +193,9 @@ class AttachSimulation:
                 surroundings = actor.surroundings()
                 actor.measure(float(codes[i]), actor.positions, surroundings)
                 row.simulated_points.append(actor.positions)
-                row.animated_points.append(actor.target)
+                row.animated_points.append(actor.animated_positions)
         self._frames_done += block.frames
-        self.codes += codes.tolist()
+        self.visited_codes += codes.tolist()
         return self._blend(block, codes, rows)
 
     def _codes(self, first: int, count: int) -> FloatArray:
@@ -295,7 +295,8 @@ class AttachSimulation:
                 positions, velocities = actor.grid.state.motion
                 passages = actor.grid.state.passages
                 state = AttachState(positions, velocities, passages)
-                self.saved_states[name] = clock, ReachedState(actor.steps, state)
+                reached_state = ReachedState(actor.steps_per_frame, state)
+                self.saved_states[name] = clock, reached_state
 
     def _close_cycle(self, motion: Motion) -> Motion:
         """Return a cycle in which all attachments end in the state they start in."""
@@ -342,7 +343,7 @@ class AttachSimulation:
                 ]
             actor.meter = ContactMeter()
             for time_code, points, surroundings in zip(
-                self.codes, row.simulated_points, row.surroundings, strict=True
+                self.visited_codes, row.simulated_points, row.surroundings, strict=True
             ):
                 actor.measure(time_code, points, surroundings)
         return self._blend(motion, self._codes(self._prepended_frames, count), rows)
@@ -357,7 +358,7 @@ class AttachSimulation:
         """
         rows = [_AttachmentFrames([], []) for _ in self.bodies]
         codes = self._codes(self._prepended_frames, len(poses)).tolist()
-        self.codes = codes[:-1]
+        self.visited_codes = codes[:-1]
         self._frame = 0
         for actor in self.actors:
             actor.set_target(poses[0])
@@ -367,7 +368,7 @@ class AttachSimulation:
                 row.surroundings.append(actor.surroundings())
                 row.simulated_points.append(actor.positions)
                 row.motions.append(actor.grid.state.motion)
-                row.animated_points.append(actor.target)
+                row.animated_points.append(actor.animated_positions)
             steering = [
                 CycleSteering(np.stack(row.motions[i : i + 2]), weights[i + 1])
                 for row in last_frames

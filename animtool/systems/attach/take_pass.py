@@ -65,7 +65,8 @@ def named_frame_notices(simulation: AttachSimulation) -> list[Fault]:
     Frames missing in the take have no effect (SIM185). Frames before a resumed one are
     those of the take (SIM186).
     """
-    options, codes, resumed = simulation.options, simulation.codes, simulation.resumed
+    options, resumed = simulation.options, simulation.resumed
+    codes = simulation.visited_codes
     if not codes:
         return []
     frames_by_option = {"save_at": options.save_at, "teleports": options.teleports}
@@ -95,9 +96,9 @@ def attachment_report(actor: AttachmentActor) -> dict[str, object]:
     """Return the result of an attachment up to the current frame, by report key."""
     grid, target_strain = actor.grid, actor.settings.stretch
     status = "ok"
-    if grid.stretch > STRAIN_TOLERANCE * target_strain:
+    if grid.max_strain > STRAIN_TOLERANCE * target_strain:
         status = "stretched"
-    if grid.unresolved or grid.piercing.passed or grid.piercing.cut:
+    if grid.unresolved_count or grid.piercing.passed or grid.piercing.cut:
         # Particles stay inside a collider or passed through the cloth.
         status = "unresolved"
     return {
@@ -105,13 +106,13 @@ def attachment_report(actor: AttachmentActor) -> dict[str, object]:
         "kind": actor.body.kind,
         "status": status,
         "particles": actor.body.network.count,
-        "steps": actor.steps,  # per frame
-        "stretch": grid.stretch,  # largest strain of a spring [1]
+        "steps": actor.steps_per_frame,  # per frame
+        "stretch": grid.max_strain,  # largest strain of a spring [1]
         "aimed": target_strain,  # [1]
         # Maximum numbers of particles at one time: in contact, left inside colliders,
         # passing through the cloth; and of edge pairs that pass through each other.
-        "contacts": grid.max_contacts,
-        "unresolved": grid.unresolved,
+        "contacts": grid.max_contact_count,
+        "unresolved": grid.unresolved_count,
         "passed": grid.piercing.passed,
         "cut": grid.piercing.cut,
         **actor.meter.values,
@@ -140,11 +141,11 @@ def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
 def _summary_notice(actor: AttachmentActor) -> Fault:
     """Return a note about steps, strain and contact of an attachment (SIM130)."""
     phrases = [
-        f"{actor.body.name}: {counted(actor.steps, 'step')} per frame",
-        f"springs stretch by up to {percent_text(actor.grid.stretch)}",
+        f"{actor.body.name}: {counted(actor.steps_per_frame, 'step')} per frame",
+        f"springs stretch by up to {percent_text(actor.grid.max_strain)}",
     ]
-    if actor.grid.max_contacts:
-        particles = counted(actor.grid.max_contacts, "particle")
+    if actor.grid.max_contact_count:
+        particles = counted(actor.grid.max_contact_count, "particle")
         phrases.append(f"up to {particles} in contact")
     if actor.meter.text:
         phrases.append(actor.meter.text)
@@ -190,13 +191,14 @@ def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
     """Return warnings about strain and particles inside colliders (SIM131, SIM132)."""
     warnings, name, grid = [], actor.body.name, actor.grid
     target_strain = actor.settings.stretch
-    if grid.stretch > STRAIN_TOLERANCE * target_strain:
-        message = f"{name}: springs stretch by up to {percent_text(grid.stretch)}, but "
+    if grid.max_strain > STRAIN_TOLERANCE * target_strain:
+        strain = percent_text(grid.max_strain)
+        message = f"{name}: springs stretch by up to {strain}, but "
         message += f"{100 * target_strain:g}% was the target"
         hint = "use a higher rate, or let it settle from a pose that it can hold"
         warnings.append(warning("SIM131", message, hint))
-    if grid.unresolved:
-        points = counted(grid.unresolved, "particle")
+    if grid.unresolved_count:
+        points = counted(grid.unresolved_count, "particle")
         message = f"{name}: {points} remain inside colliders"
         hint = "closing colliders leave them no way out"
         warnings.append(warning("SIM132", message, hint))

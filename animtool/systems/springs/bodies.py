@@ -60,8 +60,8 @@ class BodyEntry:
     checked. Any other fault prevents the body from being built.
     """
 
-    spec: Any
-    parts: Mapping[str, Any]
+    spec: Any  # keys of the entry
+    parts: Mapping[str, Any]  # what its keys name in files, such as arrays and meshes
     # Spring families by name; None for omitted ones.
     families: Mapping[str, Family | None] = field(default_factory=dict)
     mass: float = 1.0  # [kg]

@@ -17,6 +17,7 @@ from animtool.systems.springs.choosing import (
     SolverChoice,
     explicit_limit,
 )
+from animtool.systems.springs.motion import at_rest
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import MIN_AUTO_STEP, SpringPlan
 from animtool.systems.springs.system import SpringSystem
@@ -150,11 +151,11 @@ class _Configuration:
 
     def __init__(self, system: SpringSystem, x: FloatArray) -> None:
         self._system, self.x = system, x
-        self._zero_velocities = np.zeros_like(x)
         self._free_particles = np.flatnonzero(~system.is_pinned)
         self._masses = system.free_masses
-        self.energy = system.energy(0.0, np.array((x, self._zero_velocities))).potential
-        accelerations = system.acceleration(0.0, x, self._zero_velocities)
+        motion = at_rest(x)
+        self.energy = system.energy(0.0, motion).potential
+        accelerations = system.acceleration(0.0, *motion)
         self._forces = accelerations * self._masses[:, None]
         self.residual = float(np.abs(self._forces).max(initial=0.0))
         weights = self._masses * np.linalg.norm(system.gravity)
@@ -257,15 +258,14 @@ def _descend(
             grid = plan.advance(grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
         speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
-        work = initial_work + grid.steps * len(frozen_system.body.springs.rest)
+        work = initial_work + grid.step_count * len(frozen_system.body.springs.rest)
         if not np.isfinite(speed):
             break
         # A later change to fewer steps would move it again.
         state = replace(state, least=state.substeps)
         energy = float(masses @ (velocities * velocities).sum(axis=1))
         if energy < previous_energy:
-            at_rest = np.stack([state.motion[0], np.zeros_like(velocities)])
-            state, energy = replace(state, motion=at_rest), 0.0
+            state, energy = replace(state, motion=at_rest(state.motion[0])), 0.0
         previous_energy, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
     gap = float(np.linalg.norm(rest - frozen_system.state[0], axis=1).max(initial=0.0))

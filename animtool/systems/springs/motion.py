@@ -68,12 +68,12 @@ class TimeGrid:
     index: int  # index of the next cell
     state: SpringState  # state at the start of the current cell
     # Largest strain of xpbd springs beyond their compliance [1].
-    stretch: float = 0.0
-    steps: int = 0
-    evaluations: int = 0  # number of evaluations of all spring forces
+    max_strain: float = 0.0
+    step_count: int = 0
+    evaluation_count: int = 0  # evaluations of all spring forces
     is_unsolved: bool = False  # whether the last cell could not be solved
-    max_contacts: int = 0  # maximum number of xpbd particles in contact at one time
-    unresolved: int = 0  # maximum number of particles left inside colliders
+    max_contact_count: int = 0  # most xpbd particles in contact at one time
+    unresolved_count: int = 0  # maximum number of particles left inside colliders
     # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the
     # origin, and the largest mass in contact at one time.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
@@ -101,11 +101,16 @@ class TimeGrid:
             self,
             index=self.index + cells,
             state=state,
-            steps=self.steps + steps,
-            evaluations=self.evaluations + evaluations,
-            unresolved=max(self.unresolved, inside),
+            step_count=self.step_count + steps,
+            evaluation_count=self.evaluation_count + evaluations,
+            unresolved_count=max(self.unresolved_count, inside),
             pushes=pushes,
         )
+
+
+def at_rest(positions: FloatArray) -> FloatArray:
+    """Return a state ``(2, N, 3)`` with particles at rest in positions [m]."""
+    return np.stack([positions, np.zeros_like(positions)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,7 +58,7 @@ class MotionCounts:
     @property
     def is_overstrained(self) -> bool:
         """Whether xpbd strains springs beyond their limit and compliance."""
-        return not self.grid.stretch <= self.options.stretch
+        return not self.grid.max_strain <= self.options.stretch
 
     @property
     def shortest_step(self) -> float:
@@ -73,8 +73,8 @@ def motion_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
         *_step_notices(simulation, stats),
         *_strain_notices(simulation),
     ]
-    if simulation.grid.unresolved:
-        particles = counted(simulation.grid.unresolved, "particle")
+    if simulation.grid.unresolved_count:
+        particles = counted(simulation.grid.unresolved_count, "particle")
         message = f"{particles} could not be pushed out of colliders at once"
         hint = f"they keep {length_text(simulation.system.radius)} away (radius), and "
         hint += "start inside, as below a floor, or colliders close in on them from "
@@ -100,7 +100,7 @@ def _step_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
         hint = f"semi-implicit Euler is stable with steps up to {plain_number(limit)} s"
-        if simulation.grid.unresolved:
+        if simulation.grid.unresolved_count:
             hint = "colliders push it from inside; see SIM123"
         notices.append(warning("SIM102", message, hint))
     elif stats.status is Status.NOT_SOLVED and simulation.is_overstrained:
@@ -115,7 +115,7 @@ def _strain_notices(simulation: MotionCounts) -> list[Fault]:
     """Return warnings about springs that xpbd strains too far."""
     options = simulation.options
     if simulation.is_overstrained and not simulation.is_auto:
-        message = f"a spring was strained by {simulation.grid.stretch:.1%}, beyond "
+        message = f"a spring was strained by {simulation.grid.max_strain:.1%}, beyond "
         message += f"its own compliance; the limit is {options.stretch:.1%}"
         hint = "use auto or bdf2, or less stiffness or mass"
         if simulation.system.self_contact is not None:
@@ -155,7 +155,7 @@ def _convergence_hint(simulation: MotionCounts) -> str:
 
 def _no_solver_warning(simulation: MotionCounts, stats: Stats) -> Fault:
     """Return a warning that no solver suits ``auto``, with alternatives (SIM178)."""
-    choice, strain = simulation.choice, simulation.grid.stretch
+    choice, strain = simulation.choice, simulation.grid.max_strain
     message = f"auto finds no solver for it: {choice.solver}, chosen because "
     message += f"{choice.reason}, leaves a spring strained by {strain:.2%} "
     message += f"at {stats.time:.6g} s, in steps of "

@@ -50,13 +50,13 @@ class SpringSimulation(MotionCounts):
     Attributes:
         intact_system: The system without torn springs.
         wrenches: Impulses on rigid bodies of other systems in the last cells.
-        stretch: Largest strain of springs in sampled states.
+        max_strain: Largest strain of springs in sampled states.
     """
 
     checked = True
     views: Sequence[Any] = ()  # a `SpringView` for each entry
     status, stop_reason = Status.OK, ""
-    stretch = 0.0
+    max_strain = 0.0
     # Whether surfaces of other systems may release states before the current time.
     releases_states = True
 
@@ -82,7 +82,7 @@ class SpringSimulation(MotionCounts):
         self._measured_motion: FloatArray | None = None
         self._energy_loss = EnergyLoss(float(self.system.free_masses.sum()))
         self.measure(start_grid.state, start_grid.time)
-        self._initial_stretch = self.stretch
+        self._initial_strain = self.max_strain
 
     def _divergence_limits(self) -> IntegrateOptions:
         """Return limits of energy and length beyond which the motion diverges.
@@ -197,7 +197,7 @@ class SpringSimulation(MotionCounts):
             self.unsolved_grid = start_grid
             self._stop(Status.NOT_SOLVED, "Newton's method did not converge")
         if self.is_auto and self.is_overstrained:
-            reason = f"a spring is strained by {self.grid.stretch:.2%}"
+            reason = f"a spring is strained by {self.grid.max_strain:.2%}"
             self._stop(Status.NOT_SOLVED, reason)
         self.wrenches = [*self._contact_wrenches(), *self.grid.body_wrenches]
 
@@ -244,9 +244,9 @@ class SpringSimulation(MotionCounts):
             self.status,
             grid.time if self.stop_reason else reached_time,
             self.stop_reason,
-            grid.steps,
+            grid.step_count,
             None,
-            grid.evaluations,
+            grid.evaluation_count,
             self.shortest_step,
             grid.cell / self.choice.substeps,
             None,
@@ -269,8 +269,8 @@ class SpringSimulation(MotionCounts):
         is_intact = ~self.system.torn(state.torn) & (springs.rest > 0)
         if is_intact.any():
             lengths = springs.lengths(state.motion[0])[is_intact]
-            max_strain = float((lengths / springs.rest[is_intact]).max()) - 1.0
-            self.stretch = max(self.stretch, max_strain)
+            strain = float((lengths / springs.rest[is_intact]).max()) - 1.0
+            self.max_strain = max(self.max_strain, strain)
         if self.choice.solver in DAMPING_SOLVERS and self.system.self_contact is None:
             energy = self._energy(state, t)
             if energy is not None:
@@ -300,8 +300,8 @@ class SpringSimulation(MotionCounts):
         return Diagnostics(
             self._energy(state, t),
             notices=self.notices,
-            steps=self.grid.steps,
-            stretch=self.stretch if has_lengths else None,
+            steps=self.grid.step_count,
+            stretch=self.max_strain if has_lengths else None,
         )
 
     @property
@@ -344,8 +344,8 @@ class SpringSimulation(MotionCounts):
     def is_overlong(self) -> bool:
         """Whether the strain is excessive in a body whose springs cannot tear."""
         can_tear = np.isfinite(self.system.body.springs.limit).any()
-        max_length = MAX_LENGTH_RATIO * (1 + self._initial_stretch)
-        return bool(not can_tear and 1 + self.stretch > max_length)
+        max_length = MAX_LENGTH_RATIO * (1 + self._initial_strain)
+        return bool(not can_tear and 1 + self.max_strain > max_length)
 
 
 def as_errors(notices: Sequence[Fault]) -> list[Fault]:

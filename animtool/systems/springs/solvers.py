@@ -197,8 +197,8 @@ class SpringPlan:
         return replace(
             grid.after_cells(cells, after, steps, steps, inside, pushes),
             piercing=grid.piercing.maximum(piercing),
-            stretch=max(grid.stretch, excess_strain),
-            max_contacts=max(grid.max_contacts, contact_count),
+            max_strain=max(grid.max_strain, excess_strain),
+            max_contact_count=max(grid.max_contact_count, contact_count),
         )
 
     def _advance_strands(
@@ -217,8 +217,8 @@ class SpringPlan:
         steps, after = cells * state.substeps, replace(state, motion=motion)
         return replace(
             grid.after_cells(cells, after, steps, steps, inside, grid.pushes),
-            stretch=max(grid.stretch, strain),
-            max_contacts=max(grid.max_contacts, contact_count),
+            max_strain=max(grid.max_strain, strain),
+            max_contact_count=max(grid.max_contact_count, contact_count),
         )
 
     def _carrier_steps(self, grid: TimeGrid) -> list[CarrierStep]:

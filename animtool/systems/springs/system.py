@@ -47,6 +47,7 @@ from animtool.systems.springs.constraints import (
     resample_to_shared_times,
 )
 from animtool.systems.springs.jacobians import acceleration_jacobians, mode_bounds
+from animtool.systems.springs.motion import at_rest
 from animtool.systems.springs.records import Air, SelfContact
 
 # Interval for estimating target velocities when no step is given [s].
@@ -411,7 +412,7 @@ class SpringSystem(SecondOrder):
         points = as_floats(positions, self.body.positions.shape, "positions")
         result = copy(self)
         result.body = replace(self.body, positions=points)
-        result._state = np.stack([points, np.zeros_like(points)])
+        result._state = at_rest(points)
         return result
 
     # Overflow gives an infinite energy.

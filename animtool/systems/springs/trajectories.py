@@ -166,9 +166,9 @@ def _run_plan(
         solver=plan.choice.solver,
         reason=plan.choice.reason,
         step=simulation.shortest_step,
-        stretch=grid.stretch,
+        stretch=grid.max_strain,
         torn=plan.system.torn(grid.state.torn),
-        unresolved=grid.unresolved,
+        unresolved=grid.unresolved_count,
         passed=grid.piercing.passed,
         cut=grid.piercing.cut,
     )

@@ -243,7 +243,7 @@ class SpringView:
             colliders,
             radius,
             gap,
-            simulation.stretch,
+            simulation.max_strain,
             has_faces=has_faces,
             has_edges=has_edges,
         )
@@ -284,10 +284,10 @@ class SpringView:
             "solver": str(simulation.choice.solver),
             "reason": simulation.choice.reason,
             "step": simulation.shortest_step,
-            "steps": simulation.grid.steps,
-            "stretch": simulation.stretch,
+            "steps": simulation.grid.step_count,
+            "stretch": simulation.max_strain,
             "torn": int(self.torn(state).sum()),
-            "unresolved": simulation.grid.unresolved,
+            "unresolved": simulation.grid.unresolved_count,
         }
         error = simulation.plan.error
         if error is not None:
@@ -302,7 +302,7 @@ class SpringView:
         if self.is_first:
             notices += simulation.notices
             if simulation.is_overlong:
-                strain = percent_text(simulation.stretch)
+                strain = percent_text(simulation.max_strain)
                 message = f"{name}: springs stretch {strain} beyond their length "
                 hint = "raise the stiffness [N/m] of each spring, or "
                 hint += "lower the mass [kg]"
@@ -316,7 +316,7 @@ class SpringView:
         phrases = [
             f"{simulation.choice.solver} ({simulation.choice.reason})",
             f"shortest step {plain_number(simulation.shortest_step)} s",
-            f"springs stretch by up to {percent_text(simulation.stretch)}",
+            f"springs stretch by up to {percent_text(simulation.max_strain)}",
         ]
         error = simulation.plan.error
         if error is not None and math.isfinite(error):
