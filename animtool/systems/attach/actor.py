@@ -40,7 +40,7 @@ from animtool.systems.springs.choosing import SolverChoice
 from animtool.systems.springs.constraints import Pins, PointTargets
 from animtool.systems.springs.motion import at_rest
 from animtool.systems.springs.records import Air, SelfContact, Solver, SpringOptions
-from animtool.systems.springs.solvers import Cells, SpringPlan
+from animtool.systems.springs.solvers import SpringPlan
 from animtool.systems.springs.system import SpringSystem
 
 # Design acceleration for the step rate [m/s²]: twice that of gravity.
@@ -164,8 +164,9 @@ class AttachmentActor:
         plan, grid, cells = self._plan, self.grid, self._cells_per_frame
         motion = frame_poses.sample(cells)
         targets = self.body.targets(motion)
-        kernel_cells = Cells(0.0, self.grid.cell, frame * cells, cells)
-        colliders = self._colliders.kernel_arguments(frame_poses, kernel_cells)
+        # Colliders are sampled at times of the take, which starts at 0.
+        take_grid = replace(grid, index=frame * cells)
+        colliders = self._colliders.kernel_arguments(frame_poses, take_grid, cells)
         begin_points = self.positions
         goals = targets
         if steering is not None and steering.weight > 0:

@@ -24,17 +24,15 @@ from animtool.systems.framework.meter import (
     closed_surfaces,
     collider_depths,
 )
+from animtool.systems.springs.motion import TimeGrid
 from animtool.systems.springs.solvers import (
     CellColliders,
-    Cells,
     PosedColliders,
     cell_colliders,
 )
 
 # Speed at which particles that start inside a collider are moved out [m/s].
 DEPENETRATION_SPEED = 1.0
-# Particles that stay deeper than this count as unresolved [m].
-UNRESOLVED_DEPTH = 1e-3
 
 
 @dataclass(eq=False)
@@ -188,16 +186,18 @@ class CharacterColliders:
         ]
         return CollisionSurroundings(world, t, solids, layers)
 
-    def kernel_arguments(self, frame_poses: FramePoses, cells: Cells) -> CellColliders:
+    def kernel_arguments(
+        self, frame_poses: FramePoses, grid: TimeGrid, count: int
+    ) -> CellColliders:
         """Return kernel arguments for the cells of a frame; None without colliders."""
-        world = frame_poses.sample(cells.count).world
+        world = frame_poses.sample(count).world
         rows, ends = self._capsules.joint_poses_and_ends(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        skins = self._kernel_skins(frame_poses, cells.count)
-        posed = PosedColliders(sizes, poses, self._depths, skins, UNRESOLVED_DEPTH)
-        return cell_colliders(self._colliders, self._radius, cells, posed)
+        skins = self._kernel_skins(frame_poses, count)
+        posed = PosedColliders(sizes, poses, self._depths, skins)
+        return cell_colliders(self._colliders, self._radius, grid, count, posed)
 
     def _kernel_skins(
         self, frame_poses: FramePoses, steps: int

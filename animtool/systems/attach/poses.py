@@ -71,11 +71,10 @@ def interpolate_poses(
     fractions = np.arange(steps + 1) / steps
     translations = _lerp(before.translations, after.translations, fractions)
     rotations = _slerp(before.rotations, after.rotations, fractions)
-    scales, weights = None, None
-    if before.scales is not None and after.scales is not None:
-        scales = _lerp(before.scales, after.scales, fractions)
-    if before.weights is not None and after.weights is not None:
-        weights = _lerp(before.weights, after.weights, fractions)
+    scales, weights = (
+        None if a is None or b is None else _lerp(a, b, fractions)
+        for a, b in ((before.scales, after.scales), (before.weights, after.weights))
+    )
     world = forward_kinematics(rig, translations, rotations, scales)
     return PoseSamples(world, weights)
 

@@ -40,7 +40,7 @@ STEP_COSTS = {
     # Forces of neighbouring springs are computed four at a time.
     Solver.SYMPLECTIC_EULER: 2.8e-9,
     # Newton corrections of about ten matrix products each; more for stiff systems, see
-    # `implicit_cost`.
+    # `bdf2_step_cost`.
     Solver.BDF2: 150e-9,
 }
 # The same for chains, which are solved directly [s].

@@ -40,19 +40,11 @@ REFINEMENTS, STEP_SAFETY = (2, 4, 8, 16), 4
 LOOKBACK_TIME = 1 / 240
 # Particles that start deeper than this in a collider are left inside [m].
 INSIDE_TOLERANCE = 1e-6
+# The same with colliders that follow joints; deeper particles count as unresolved [m].
+UNRESOLVED_DEPTH = 1e-3
 
 # Kernel arguments of colliders for several cells; None without colliders.
 CellColliders: TypeAlias = tuple[Any, ...] | None
-
-
-@dataclass(frozen=True, slots=True)
-class Cells:
-    """Consecutive time cells of equal length."""
-
-    origin: float  # start time of cell 0 [s]
-    length: float  # length of each cell [s]
-    index: int  # index of the first cell
-    count: int
 
 
 class PosedColliders(NamedTuple):
@@ -64,21 +56,23 @@ class PosedColliders(NamedTuple):
     # skin meshes ``(R, N)`` [m].
     depths: FloatArray
     skins: Sequence[Any]  # kernel surfaces of skins; they come before world surfaces
-    inside_depth: float  # depth below which particles stay inside [m]
 
 
 def cell_colliders(
     colliders: Colliders,
     radius: float,
-    cells: Cells,
+    grid: TimeGrid,
+    count: int,
     posed: PosedColliders | None = None,
 ) -> CellColliders:
-    """Return kernel arguments of colliders over ``cells``; None without colliders."""
+    """Return kernel arguments of colliders over the next ``count`` cells of a grid.
+
+    Particles keep a radius [m]. Returns None without colliders.
+    """
     if not colliders.has_any and (posed is None or not posed.skins):
         return None
-    origin, index, count = cells.origin, cells.index, cells.count
-    steps = index + np.arange(count + 1)
-    edges = np.asarray(origin + steps * cells.length, np.float64)
+    steps = grid.index + np.arange(count + 1)
+    edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
     poses = np.zeros((count, len(colliders.rigid), 2, 7))
     world_count = len(colliders) - (0 if posed is None else len(posed.sizes))
     for i in range(world_count):
@@ -87,7 +81,9 @@ def cell_colliders(
         poses[cell, len(colliders) :] = colliders.body_ends(begin, end)
     start = float(edges[0])
     arrays = colliders.arrays(start, start)
-    surfaces = colliders.surfaces.kernel_arrays(origin, cells.length, index, count)
+    surfaces = colliders.surfaces.kernel_arrays(
+        grid.origin, grid.cell, grid.index, count
+    )
     if posed is None:
         return arrays, poses, radius, None, INSIDE_TOLERANCE, surfaces
     kinds, sizes, *materials = arrays
@@ -97,7 +93,7 @@ def cell_colliders(
     arrays, surfaces = (kinds, sizes, *materials), [*posed.skins, *surfaces]
     missing_rows = len(colliders.rigid) + len(surfaces) - len(posed.depths)
     depths = np.pad(posed.depths, ((0, missing_rows), (0, 0)))
-    return arrays, poses, radius, depths, posed.inside_depth, surfaces
+    return arrays, poses, radius, depths, UNRESOLVED_DEPTH, surfaces
 
 
 def _poses_at_ends(collider: Collider, edges: FloatArray) -> FloatArray:
@@ -149,7 +145,7 @@ class SpringPlan:
         if system.coupling is not None and cells:
             return self._advance_coupled(grid)
         if colliders is None:
-            colliders = self._colliders(grid, cells)
+            colliders = cell_colliders(system.colliders, system.radius, grid, cells)
         if grid.solver is Solver.XPBD and system.body.strands:
             return self._advance_strands(grid, cells, colliders)
         network = system.network(system.teleports.cell_stage(grid))
@@ -159,11 +155,6 @@ class SpringPlan:
             return self._advance_xpbd(network, grid, cells, colliders)
         tolerance = NEWTON_TOLERANCE * system.mean_rest_length
         return _advance_implicit(network, grid, cells, colliders, tolerance).grid
-
-    def _colliders(self, grid: TimeGrid, count: int) -> CellColliders:
-        """Return the kernel arguments of colliders over the next ``count`` cells."""
-        cells = Cells(grid.origin, grid.cell, grid.index, count)
-        return cell_colliders(self.system.colliders, self.system.radius, cells)
 
     def _advance_xpbd(
         self,
@@ -259,7 +250,7 @@ class SpringPlan:
                 if not trial.is_unsolved:
                     return min_step / (STEP_SAFETY * k)
             return None
-        colliders = self._colliders(grid, 1)
+        colliders = cell_colliders(system.colliders, system.radius, grid, 1)
         network = system.network(system.teleports.cell_stage(grid))
         tolerance = NEWTON_TOLERANCE * system.mean_rest_length
         for k in REFINEMENTS:
@@ -314,7 +305,7 @@ class SpringPlan:
         stage = system.teleports.cell_stage(grid)
         network, prescribed = system.cell_network(stage, t0, t1)
         pinned = prescribed.pin_positions
-        colliders = self._colliders(grid, 1)
+        colliders = cell_colliders(system.colliders, system.radius, grid, 1)
         columns = np.concatenate([row.columns for row in coupling.attachments])
         fraction = ((prescribed.knots - t0) / (t1 - t0))[:, None, None]
 
