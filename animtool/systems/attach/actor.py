@@ -38,7 +38,7 @@ from animtool.systems.springs.body import TargetSprings
 from animtool.systems.springs.checks import tangle_notices
 from animtool.systems.springs.choosing import SolverChoice
 from animtool.systems.springs.constraints import Pins, PointTargets
-from animtool.systems.springs.motion import at_rest
+from animtool.systems.springs.motion import at_rest, move_rigidly
 from animtool.systems.springs.records import Air, SelfContact, Solver, SpringOptions
 from animtool.systems.springs.solvers import SpringPlan
 from animtool.systems.springs.system import SpringSystem
@@ -376,15 +376,6 @@ def _pull(
     moving_masses, omega = masses[particles], 2 * math.pi * frequency
     stiffness = moving_masses * omega**2
     return TargetSprings(particles, stiffness, moving_masses * (2 * ratio * omega))
-
-
-def move_rigidly(
-    motion: FloatArray, shift: FloatArray, rotation: FloatArray
-) -> FloatArray:
-    """Return a state ``(2, N, 3)`` rotated about the origin and then shifted."""
-    result = so3.rotate(rotation, motion)
-    result[0] += shift
-    return result
 
 
 def _joint_motion(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:

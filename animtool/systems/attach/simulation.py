@@ -22,7 +22,6 @@ from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import (
     AttachmentActor,
     CycleSteering,
-    move_rigidly,
     up_direction,
 )
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
@@ -44,6 +43,7 @@ from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
 from animtool.systems.framework.simulation import growing
+from animtool.systems.springs.motion import move_rigidly
 from animtool.systems.springs.solvers import LOOKBACK_TIME
 
 # Most unsteered repeats of a cycle in a row that do not close it better.

@@ -12,10 +12,9 @@ import numpy as np
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, warning
 from animtool.core.record import dataclass
-from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.motion import TimeGrid
+from animtool.systems.springs.motion import TimeGrid, move_rigidly
 from animtool.systems.springs.shapes import connected_groups
 
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
@@ -226,8 +225,7 @@ class Teleports:
         before, after = self._positions[row : row + 2, driven_indices]
         rotation, shift = rigid_motion(before, after)
         is_member = self._group_of_particle == group
-        state[0, is_member] = so3.rotate(rotation, state[0, is_member]) + shift
-        state[1, is_member] = so3.rotate(rotation, state[1, is_member])
+        state[:, is_member] = move_rigidly(state[:, is_member], shift, rotation)
         is_pin = driven_indices < self._pin_count
         state[0, self._driven_particles[driven_indices[is_pin]]] = after[is_pin]
         state[1, self._driven_particles[driven_indices[is_pin]]] = 0.0

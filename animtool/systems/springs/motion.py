@@ -11,6 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, counted, warning
 from animtool.core.record import dataclass
+from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.trajectory import Trajectory
 from animtool.systems.framework.simulation import growing, later
@@ -111,6 +112,15 @@ class TimeGrid:
 def at_rest(positions: FloatArray) -> FloatArray:
     """Return a state ``(2, N, 3)`` with particles at rest in positions [m]."""
     return np.stack([positions, np.zeros_like(positions)])
+
+
+def move_rigidly(
+    motion: FloatArray, shift: FloatArray, rotation: FloatArray
+) -> FloatArray:
+    """Return a state ``(2, N, 3)`` rotated about the origin and then shifted."""
+    result = so3.rotate(rotation, motion)
+    result[0] += shift
+    return result
 
 
 @dataclass(frozen=True, slots=True)
