@@ -14,7 +14,6 @@ from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders, Sheet
 from animtool.systems.attach.bodies import (
@@ -89,7 +88,10 @@ class AttachmentActor:
         self.body, self.settings = body, settings
         self._rig = rig
         start_samples = interpolate_poses(rig, pose, pose, 1)
-        scale = _joint_scale(start_samples.world, body.carrier)
+        volume = abs(np.linalg.det(start_samples.world.linear[0, body.carrier]))
+        scale = float(np.cbrt(volume))
+        # Rotations have a determinant of 1 up to rounding.
+        scale = scale if abs(scale - 1) > 1e-9 else 1.0
         network = replace(body.network, points=scale * body.network.points)
         down = -up_direction(rig)
         self._plan = build_plan(network, settings, down, frame_duration)
@@ -150,11 +152,6 @@ class AttachmentActor:
         """Set the motion of the attachment's own cloth collider over a frame."""
         motion = self._cloth_motion
         motion.begin, motion.end, motion.times = begin, self.positions, times
-
-    def add_velocity(self, velocity: FloatArray) -> None:
-        """Add a velocity ``(3,)`` [m/s] to all particles."""
-        motion = self.grid.state.motion
-        self.set_motion(np.stack([motion[0], motion[1] + velocity]))
 
     def advance_frame(
         self, frame_poses: FramePoses, frame: int, steering: CycleSteering | None = None
@@ -242,7 +239,11 @@ class AttachmentActor:
         """Advance over a teleport: all particles move rigidly with their joint."""
         motion = frame_poses.sample(1)
         self.animated_positions = self.body.targets(motion)[-1]
-        shift, rotation = _joint_motion(motion.world, self.body.carrier)
+        world, joint = motion.world, self.body.carrier
+        before, after = so3.split_scale(world.linear[:, joint])[0]
+        rotation = so3.multiply(after, so3.conjugate(before))
+        origin, goal = world.positions[:, joint]
+        shift = goal - so3.rotate(rotation, origin)
         state = move_rigidly(self.grid.state.motion, shift, rotation)
         pinned = self.body.network.pinned
         state[0, pinned] = self.animated_positions[pinned]
@@ -376,18 +377,3 @@ def _pull(
     moving_masses, omega = masses[particles], 2 * math.pi * frequency
     stiffness = moving_masses * omega**2
     return TargetSprings(particles, stiffness, moving_masses * (2 * ratio * omega))
-
-
-def _joint_motion(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return the displacement and rotation of a joint from first to last time."""
-    rotations = so3.split_scale(world.linear[:, joint])[0]
-    rotation = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
-    positions = world.positions[:, joint]
-    return positions[-1] - so3.rotate(rotation, positions[0]), rotation
-
-
-def _joint_scale(world: WorldTransforms, joint: int) -> float:
-    """Return the animated scale of a joint [1]."""
-    scale = float(np.cbrt(abs(np.linalg.det(world.linear[0, joint]))))
-    # Rotations have a determinant of 1 up to rounding.
-    return scale if abs(scale - 1) > 1e-9 else 1.0

@@ -237,7 +237,8 @@ class AttachSimulation:
             root = self.rig.roots[0]
             step = next_pose.translations[root] - pose.translations[root]
             for actor in self.actors:
-                actor.add_velocity(step * rate)
+                positions, velocities = actor.grid.state.motion
+                actor.set_motion(np.stack([positions, velocities + step * rate]))
         for earlier, later in pairwise(poses):
             self._advance_actors(FramePoses(self.rig, earlier, later))
 

@@ -130,7 +130,7 @@ class CoupledCell:
     ) -> None:
         self._coupling, self._steps, self._h = coupling, steps, steps[0].duration
         self._solve_springs = solve_springs
-        self._positions = self._carried_points([step.start_poses for step in steps])
+        self._positions = self._attached_points([step.start_poses for step in steps])
         self._solved_bodies = list(self._bodies())
         # Velocities of carried particles at the start, by body.
         self._start_velocities = [
@@ -143,8 +143,8 @@ class CoupledCell:
             for body in self._solved_bodies
         ]
 
-    def _carried_points(self, poses: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return carried points of attachments, with poses of bodies by system."""
+    def _attached_points(self, poses: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return points of attachments in the world, with poses of bodies by system."""
         return [
             local_to_world(poses[row.carrier][row.body], row.local_points)
             for row in self._coupling.attachments
@@ -272,7 +272,7 @@ class CoupledCell:
             step.pushed(step.wrenches(rows))
             for step, rows in zip(self._steps, pulls, strict=True)
         ]
-        end_points = self._carried_points([poses for _, poses in ends])
+        end_points = self._attached_points([poses for _, poses in ends])
         begins = np.concatenate(self._positions)
         springs = self._solve_springs(begins, np.concatenate(end_points))
         totals = [np.zeros_like(rows) for rows in pulls]
