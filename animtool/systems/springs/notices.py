@@ -115,16 +115,17 @@ def _strain_notices(simulation: MotionCounts) -> list[Fault]:
     """Return warnings about springs that xpbd strains too far."""
     options = simulation.options
     if simulation.is_overstrained and not simulation.is_auto:
-        message = f"a spring was strained by {simulation.grid.max_strain:.1%}, beyond "
-        message += f"its own compliance; the limit is {options.stretch:.1%}"
+        strain = percent_text(simulation.grid.max_strain)
+        message = f"a spring was strained by {strain}, beyond its own compliance; the "
+        message += f"limit is {percent_text(options.stretch)}"
         hint = "use auto or bdf2, or less stiffness or mass"
         if simulation.system.self_contact is not None:
             hint = "use less stiffness or mass, or a larger stretch"
         return [warning("SIM131", message, hint)]
     if simulation.longest > 1 + COMPLIANCE_FACTOR * options.stretch:
-        strain_text = f"{COMPLIANCE_FACTOR * options.stretch:.3g}"
-        message = f"springs are strained by {strain_text} of that or more, "
-        message += "mostly by their own compliance: more steps do not change that"
+        strain = percent_text(COMPLIANCE_FACTOR * options.stretch)
+        message = f"springs are strained by {strain} or more, mostly by their own "
+        message += "compliance: more steps do not change that"
         hint = "raise their stiffness, or reduce the attached mass"
         return [Fault("SIM161", message, hint=hint, severity=Severity.NOTE)]
     return []
