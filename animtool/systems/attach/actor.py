@@ -291,16 +291,16 @@ def check_motion(motion: FloatArray) -> None:
     raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
-def cells_and_substeps(steps: int) -> tuple[int, int]:
+def cells_and_substeps(step_count: int) -> tuple[int, int]:
     """Return cells per frame and substeps per cell, at least ``steps`` steps in total.
 
     >>> cells_and_substeps(3), cells_and_substeps(10), cells_and_substeps(46)
     ((3, 1), (5, 2), (8, 6))
     """
-    if steps <= MAX_CELLS:
-        return steps, 1
+    if step_count <= MAX_CELLS:
+        return step_count, 1
     cell_counts = range(MAX_CELLS, MIN_CELLS - 1, -1)
-    candidates = [(count, math.ceil(steps / count)) for count in cell_counts]
+    candidates = [(count, math.ceil(step_count / count)) for count in cell_counts]
     return min(candidates, key=math.prod)
 
 
@@ -343,15 +343,16 @@ def build_plan(
     """
     options, thickness = settings.options, self_contact_distance(network, settings)
     body = network.body(options.diagonals, settings.bend)
-    pulled = np.flatnonzero(~network.is_pinned & bool(settings.frequency))
-    pull = _pull(body.masses, pulled, settings.frequency, options.ratio)
+    pulled_particles = np.flatnonzero(~network.is_pinned & bool(settings.frequency))
+    pull = _pull(body.masses, pulled_particles, settings.frequency, options.ratio)
+    pulled_positions = body.positions[pulled_particles]
     # Air acts on the triangles of cloth; other kinds have linear drag.
     wind, is_cloth = np.array(options.wind), len(network.triangles) > 0
     linear_drag = 0.0 if is_cloth else options.drag
     system = SpringSystem(
         body,
         pins=Pins(network.pinned),
-        targets=PointTargets(pulled, body.positions[pulled], *pull[1:]),
+        targets=PointTargets(pulled_particles, pulled_positions, *pull[1:]),
         gravity=options.gravity * down + linear_drag * wind,
         drag=linear_drag,
         air=Air(wind, options.drag, options.drag / 2) if is_cloth else None,

@@ -149,7 +149,7 @@ class CharacterColliders:
                 ClosedSurface(skin.points(start)[0], skin.triangles),
                 targets,
                 radius + margin,
-                inside=isinstance(body, ChainBody),
+                keeps_inside=isinstance(body, ChainBody),
             )
             for skin in skins
         ]
@@ -196,14 +196,16 @@ class CharacterColliders:
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
         skins = self._kernel_skins(frame_poses, count)
-        posed = PosedColliders(sizes, poses, self._depths, skins)
-        return cell_colliders(self._colliders, self._radius, grid, count, posed)
+        posed_colliders = PosedColliders(sizes, poses, self._depths, skins)
+        return cell_colliders(
+            self._colliders, self._radius, grid, count, posed_colliders
+        )
 
     def _kernel_skins(
-        self, frame_poses: FramePoses, steps: int
+        self, frame_poses: FramePoses, step_count: int
     ) -> list[tuple[Any, ...]]:
         """Return kernel arguments of the skins, and store their end as solids."""
-        points = [frame_poses.skin_points(skin, steps) for skin in self._skins]
+        points = [frame_poses.skin_points(skin, step_count) for skin in self._skins]
         if not self._skin_kernels:
             self._skin_kernels = [
                 _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))

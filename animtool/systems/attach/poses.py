@@ -61,14 +61,14 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
 
 
 def interpolate_poses(
-    rig: Rig, before: LocalPose, after: LocalPose, steps: int
+    rig: Rig, before: LocalPose, after: LocalPose, step_count: int
 ) -> PoseSamples:
     """Return the poses of a character at evenly spaced times between two poses.
 
     Local rotations are interpolated by slerp and other values linearly, as for motion
     blur.
     """
-    fractions = np.arange(steps + 1) / steps
+    fractions = np.arange(step_count + 1) / step_count
     translations = _lerp(before.translations, after.translations, fractions)
     rotations = _slerp(before.rotations, after.rotations, fractions)
     scales, weights = (

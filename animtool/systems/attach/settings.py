@@ -144,8 +144,8 @@ class AttachSettings:
     def from_options(options: SimulateOptions, kind: str) -> AttachSettings:
         """Return the settings of an attachment of a kind."""
         values = dict(_DEFAULTS[AttachKind(kind)])
-        specified = {name: getattr(options, name) for name in values}
-        values |= {name: v for name, v in specified.items() if v is not None}
+        specified_values = {name: getattr(options, name) for name in values}
+        values |= {name: v for name, v in specified_values.items() if v is not None}
         thickness = None
         if not options.self_contact or kind != AttachKind.CLOTH:
             thickness = 0.0

@@ -81,7 +81,7 @@ def state_name_and_clock(body: AttachedBody, frame: float) -> tuple[str, StateCl
 class LoopClosure:
     """Result of closing a simulated cycle."""
 
-    repeats: int  # number of repeats
+    repeat_count: int  # number of repeats
     residual: float  # distance between end and start of the last repeat [m]
     tolerance: float  # requested tolerance [m]
     is_steered: bool  # whether the cycle was steered towards the cycle before

@@ -56,19 +56,19 @@ class FramePoses:
     _by_steps: dict[int, PoseSamples] = field(default_factory=dict)
     _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
-    def sample(self, steps: int) -> PoseSamples:
-        """Return the poses at the start and end of each of ``steps`` equal steps."""
-        if steps not in self._by_steps:
-            self._by_steps[steps] = interpolate_poses(
-                self.rig, self.before, self.after, steps
+    def sample(self, step_count: int) -> PoseSamples:
+        """Return the poses at the ends of ``step_count`` equal steps."""
+        if step_count not in self._by_steps:
+            self._by_steps[step_count] = interpolate_poses(
+                self.rig, self.before, self.after, step_count
             )
-        return self._by_steps[steps]
+        return self._by_steps[step_count]
 
-    def skin_points(self, skin: SkinSurface, steps: int) -> FloatArray:
+    def skin_points(self, skin: SkinSurface, step_count: int) -> FloatArray:
         """Return the points of a skin at the ends of the steps ``(K, P, 3)`` [m]."""
-        key = id(skin), steps
+        key = id(skin), step_count
         if key not in self._skin_points:
-            self._skin_points[key] = skin.points(self.sample(steps))
+            self._skin_points[key] = skin.points(self.sample(step_count))
         return self._skin_points[key]
 
 
@@ -156,15 +156,19 @@ def skin_margin(edge: float, radius: float) -> float:
 
 
 def contact_offsets(
-    surface: ClosedSurface, points: FloatArray, distance: float, *, inside: bool = False
+    surface: ClosedSurface,
+    points: FloatArray,
+    distance: float,
+    *,
+    keeps_inside: bool = False,
 ) -> FloatArray:
     """Return offsets of the contact distance for points near a skin ``(N,)`` [m].
 
     Offsets are at most 0: points that start closer keep their initial distance. With
-    ``inside``, points that start inside may stay as deep.
+    ``keeps_inside``, points that start inside may stay as deep.
     """
     mesh = Mesh(surface.points, surface.triangles, closed=True)
     samples = Colliders([Collider(mesh)]).sample(points, 0.0, 1.0)
     distances = samples.distances[0]
-    min_distance = -np.inf if inside else 0.0
+    min_distance = -np.inf if keeps_inside else 0.0
     return np.asarray(np.clip(distances, min_distance, distance) - distance)

@@ -207,7 +207,7 @@ def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
 
 def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
     """Return a note or warning with the remaining gap of a cycle (SIM130, SIM133)."""
-    times = counted(loop_closure.repeats, "time")
+    times = counted(loop_closure.repeat_count, "time")
     message = f"{names}: the cycle was simulated {times}; "
     if loop_closure.is_steered:
         message += "it did not close by itself and was steered to the cycle before; "

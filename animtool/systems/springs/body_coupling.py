@@ -233,9 +233,9 @@ class CoupledCell:
         """Return the finite-difference Jacobian of the residuals ``(6 U, 6 U)``."""
         columns = []
         for k, step in enumerate(steps.tolist()):
-            shifted = y.copy()
-            shifted[k] += step
-            residuals = self._trial(shifted).residuals
+            shifted_y = y.copy()
+            shifted_y[k] += step
+            residuals = self._trial(shifted_y).residuals
             columns.append((residuals - current.residuals) / step)
         return np.stack(columns, axis=1)
 

@@ -94,16 +94,16 @@ class _SystemBuilder:
             pins = [(pin, pin.poses(self._context.poses)) for pin in entry.pins]
             points = align_to_pins(pins, body.positions, begin)
             constraints.append(constraints_of(pins, points))
-            pinned = points.copy()
+            pinned_points = points.copy()
             for pin, poses in pins:
                 if pin.model.stiffness is None:
-                    pinned[pin.particles] = pin.start(poses, points, begin)
-            gap = float(np.linalg.norm(pinned - points, axis=1).max())
+                    pinned_points[pin.particles] = pin.start(poses, points, begin)
+            gap = float(np.linalg.norm(pinned_points - points, axis=1).max())
             self._warn_gap("pins hold particles", gap)
             # With several entries, wind acts on the faces of those that request it.
             has_wind = not any_uses_faces or _uses_faces(entry)
             triangles = body.triangles if has_wind else body.triangles[:0]
-            bodies.append(replace(body, positions=pinned, triangles=triangles))
+            bodies.append(replace(body, positions=pinned_points, triangles=triangles))
         return bodies, constraints
 
     def _build_system(

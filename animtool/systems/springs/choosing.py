@@ -76,25 +76,27 @@ def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:
 def choose_solver(
     system: SpringSystem,
     options: SpringOptions,
-    requested: Solver,
+    requested_solver: Solver,
     t: float,
     state: FloatArray,
 ) -> SolverChoice:
     """Return the requested solver with its steps; for ``auto``, the fastest."""
     limit = explicit_limit(system, t, state)
     rate = 1 / (STEP_SAFETY_FACTOR * limit) if limit > 0 else math.inf
-    solver, reason = requested, "it was requested"
+    solver, reason = requested_solver, "it was requested"
     if system.self_contact is not None:
-        check_supports_self_contact(requested)
-        if requested is Solver.AUTO:
+        check_supports_self_contact(requested_solver)
+        if requested_solver is Solver.AUTO:
             solver, reason = Solver.XPBD, "it has self-contact"
     elif system.coupling is not None:
-        return choose_coupled_solver(system.coupling, options, requested, t, limit)
-    elif requested is Solver.AUTO:
+        return choose_coupled_solver(
+            system.coupling, options, requested_solver, t, limit
+        )
+    elif requested_solver is Solver.AUTO:
         solver, reason = _choose_cheapest(system, options, rate)
     if options.step is not None:
         steps = 1
-        if requested is Solver.AUTO and solver is Solver.SYMPLECTIC_EULER:
+        if requested_solver is Solver.AUTO and solver is Solver.SYMPLECTIC_EULER:
             steps = max(1, math.ceil(options.step * rate))
         return SolverChoice(solver, options.step, steps, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
@@ -112,13 +114,13 @@ def choose_solver(
 def choose_coupled_solver(
     coupling: BodyCoupling,
     options: SpringOptions,
-    requested: Solver,
+    requested_solver: Solver,
     begin: float,
     limit: float,
 ) -> SolverChoice:
     """Return a solver whose cells align with the steps of bodies that carry pins."""
-    solver, reason = requested, "it was requested"
-    if requested is Solver.AUTO:
+    solver, reason = requested_solver, "it was requested"
+    if requested_solver is Solver.AUTO:
         solver, reason = Solver.BDF2, "rigid bodies hold its pins"
     lengths = sorted({carrier.step for carrier in coupling.carriers})
     max_length = lengths[-1]

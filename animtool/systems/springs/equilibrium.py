@@ -98,7 +98,7 @@ def find_rest(
     frozen_system = system.frozen_at(t, replace(system.body, positions=start))
     current, has_descended = _Configuration(frozen_system, start), False
     regularization, steps = current.typical_stiffness, 0
-    while not current.solved and steps < MAX_STEPS:
+    while not current.is_solved and steps < MAX_STEPS:
         steps += 1
         candidate = current.newton_step(regularization)
         if (
@@ -113,7 +113,7 @@ def find_rest(
             current, has_descended = _damped_descent(frozen_system, current), True
         if progress is not None:
             progress(current.progress)
-    return Rest(current.x, current.residual, steps, current.solved)
+    return Rest(current.x, current.residual, steps, current.is_solved)
 
 
 def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configuration:
@@ -160,7 +160,7 @@ class _Configuration:
         self.residual = float(np.abs(self._forces).max(initial=0.0))
         weights = self._masses * np.linalg.norm(system.gravity)
         max_weight = float(weights.max(initial=0.0))
-        self.solved = self.residual <= RESIDUAL_TOLERANCE * max_weight
+        self.is_solved = self.residual <= RESIDUAL_TOLERANCE * max_weight
         decades = np.log10(max(self.residual, 1e-300) / max(max_weight, 1e-300))
         # Progress from the weight of a particle down to rounding level [1].
         self.progress = float(np.clip(decades / np.log10(RESIDUAL_TOLERANCE), 0.0, 1.0))

@@ -136,11 +136,11 @@ def _air_blocks(
         for k in range(3):
             values = []
             for sign in (1.0, -1.0):
-                moved = state.copy()
-                moved[variable, corner::3, k] += sign * increment
+                shifted_state = state.copy()
+                shifted_state[variable, corner::3, k] += sign * increment
                 values.append(
                     _kernels.spring_accelerations(
-                        network, 0.0, 1.0, moved, untorn_flags
+                        network, 0.0, 1.0, shifted_state, untorn_flags
                     )
                 )
             columns.append((values[0] - values[1]) / (2 * increment))

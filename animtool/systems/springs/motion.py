@@ -90,17 +90,17 @@ class TimeGrid:
 
     def after_cells(
         self,
-        cells: int,
+        cell_count: int,
         state: SpringState,
         steps: int,
         evaluations: int,
         inside: int,
         pushes: FloatArray,
     ) -> TimeGrid:
-        """Return the time grid ``cells`` cells later, with a new state."""
+        """Return the time grid ``cell_count`` cells later, with a new state."""
         return replace(
             self,
-            index=self.index + cells,
+            index=self.index + cell_count,
             state=state,
             step_count=self.step_count + steps,
             evaluation_count=self.evaluation_count + evaluations,

@@ -203,10 +203,10 @@ def _check_exclusive_keys(
 ) -> None:
     """Report keys that conflict with the carrier key of a pin."""
     keys = {"moves", *CARRIER_KEYS, "to", "stiffness", "damping"}
-    allowed = {carrier_key}
+    allowed_keys = {carrier_key}
     if carrier_key not in {"to", "body"}:
-        allowed |= {"stiffness", "damping"}
-    for key in sorted((keys & model.model_fields_set) - allowed):
+        allowed_keys |= {"stiffness", "damping"}
+    for key in sorted((keys & model.model_fields_set) - allowed_keys):
         message = f"{key} does not apply to a pin that has {carrier_key}"
         entry.report_fault("SIM052", message, *location, key)
 
@@ -259,8 +259,8 @@ def align_to_pins(pins: PinPoses, points: FloatArray, begin: float) -> FloatArra
     goal_centre, pin_centre = goal_points.mean(axis=0), pin_points.mean(axis=0)
     covariance = (goal_points - goal_centre).T @ (pin_points - pin_centre)
     rotation = polar_rotations(covariance, np.maximum(np.abs(covariance).max(), 1.0))
-    aligned: FloatArray = goal_centre + (points - pin_centre) @ rotation.T
-    return aligned
+    aligned_points: FloatArray = goal_centre + (points - pin_centre) @ rotation.T
+    return aligned_points
 
 
 def air_of(wind: FaceWindModel) -> Air:

@@ -303,11 +303,11 @@ def grid_pairs(grid: IntArray, *offsets: int) -> IntArray:
     return np.stack([grid[first_slices].ravel(), grid[second_slices].ravel()], axis=1)
 
 
-def _grid_triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
-    """Return two triangles for each cell of a grid ``(T, 3)``; flip reverses them."""
+def _grid_triangles(grid: IntArray, *, is_flipped: bool = False) -> IntArray:
+    """Return two triangles for each cell of a grid ``(T, 3)``, reversed if flipped."""
     a, b = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
     c, d = grid[1:, 1:].ravel(), grid[1:, :-1].ravel()
-    if flip:
+    if is_flipped:
         b, d = d, b
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
@@ -315,9 +315,9 @@ def _grid_triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
 def _grid_surface(grid: IntArray) -> IntArray:
     """Return the outward-facing triangles around a grid of particles ``(T, 3)``."""
     sides = [
-        _grid_triangles(np.take(grid, end, axis), flip=flip)
+        _grid_triangles(np.take(grid, end, axis), is_flipped=is_flipped)
         for axis in range(3)
-        for end, flip in ((0, axis != 1), (-1, axis == 1))
+        for end, is_flipped in ((0, axis != 1), (-1, axis == 1))
     ]
     return np.concatenate(sides)
 

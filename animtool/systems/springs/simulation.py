@@ -178,12 +178,13 @@ class SpringSimulation(MotionCounts):
             self.intact_system = self.system.without_springs(self.system.torn(torn))
             self._energy_watch.set_system(self.intact_system)
 
-    def _advance(self, cells: int) -> None:
-        """Advance by at most ``cells`` cells; raise if the solver cannot continue."""
+    def _advance(self, cell_count: int) -> None:
+        """Advance by at most ``cell_count`` cells; raise if the solver must stop."""
         start_grid, self.wrenches = self._after_teleports(), []
-        cells = int(min(cells, self.system.teleports.cells_until_next(start_grid)))
+        max_count = self.system.teleports.cells_until_next(start_grid)
+        cell_count = int(min(cell_count, max_count))
         with np.errstate(all="ignore"):
-            self.grid = self.plan.advance(start_grid, cells)
+            self.grid = self.plan.advance(start_grid, cell_count)
             t, state = self.grid.time, self.grid.state
             self.max_substeps = max(self.max_substeps, state.substeps)
             self._exclude_torn()

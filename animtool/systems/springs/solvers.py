@@ -63,18 +63,20 @@ def cell_colliders(
     radius: float,
     grid: TimeGrid,
     count: int,
-    posed: PosedColliders | None = None,
+    posed_colliders: PosedColliders | None = None,
 ) -> CellColliders:
     """Return kernel arguments of colliders over the next ``count`` cells of a grid.
 
     Particles keep a radius [m]. Returns None without colliders.
     """
-    if not colliders.has_any and (posed is None or not posed.skins):
+    if not colliders.has_any and (posed_colliders is None or not posed_colliders.skins):
         return None
     steps = grid.index + np.arange(count + 1)
     edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
     poses = np.zeros((count, len(colliders.rigid), 2, 7))
-    world_count = len(colliders) - (0 if posed is None else len(posed.sizes))
+    world_count = len(colliders)
+    if posed_colliders is not None:
+        world_count -= len(posed_colliders.sizes)
     for i in range(world_count):
         poses[:, i] = _poses_at_ends(colliders[i], edges)
     for cell, (begin, end) in enumerate(pairwise(edges.tolist())):
@@ -84,15 +86,15 @@ def cell_colliders(
     surfaces = colliders.surfaces.kernel_arrays(
         grid.origin, grid.cell, grid.index, count
     )
-    if posed is None:
+    if posed_colliders is None:
         return arrays, poses, radius, None, INSIDE_TOLERANCE, surfaces
     kinds, sizes, *materials = arrays
     sizes = sizes.copy()
-    sizes[world_count : len(colliders)] = posed.sizes
-    poses[:, world_count : len(colliders)] = posed.poses
-    arrays, surfaces = (kinds, sizes, *materials), [*posed.skins, *surfaces]
-    missing_rows = len(colliders.rigid) + len(surfaces) - len(posed.depths)
-    depths = np.pad(posed.depths, ((0, missing_rows), (0, 0)))
+    sizes[world_count : len(colliders)] = posed_colliders.sizes
+    poses[:, world_count : len(colliders)] = posed_colliders.poses
+    arrays, surfaces = (kinds, sizes, *materials), [*posed_colliders.skins, *surfaces]
+    missing_rows = len(colliders.rigid) + len(surfaces) - len(posed_colliders.depths)
+    depths = np.pad(posed_colliders.depths, ((0, missing_rows), (0, 0)))
     return arrays, poses, radius, depths, UNRESOLVED_DEPTH, surfaces
 
 
@@ -135,35 +137,36 @@ class SpringPlan:
         return TimeGrid(choice.solver, begin, choice.cell, 0, state)
 
     def advance(
-        self, grid: TimeGrid, cells: int, colliders: CellColliders = None
+        self, grid: TimeGrid, cell_count: int, colliders: CellColliders = None
     ) -> TimeGrid:
-        """Advance a motion by ``cells`` cells with the solver of the grid.
+        """Advance a motion by ``cell_count`` cells with the solver of the grid.
 
         None uses the colliders of the system at the times of the grid.
         """
         system = self.system
-        if system.coupling is not None and cells:
+        if system.coupling is not None and cell_count:
             return self._advance_coupled(grid)
         if colliders is None:
-            colliders = cell_colliders(system.colliders, system.radius, grid, cells)
+            radius = system.radius
+            colliders = cell_colliders(system.colliders, radius, grid, cell_count)
         if grid.solver is Solver.XPBD and system.body.strands:
-            return self._advance_strands(grid, cells, colliders)
+            return self._advance_strands(grid, cell_count, colliders)
         network = system.network(system.teleports.cell_stage(grid))
         if grid.solver is Solver.SYMPLECTIC_EULER:
-            return _advance_explicit(network, grid, cells, colliders)
+            return _advance_explicit(network, grid, cell_count, colliders)
         if grid.solver is Solver.XPBD:
-            return self._advance_xpbd(network, grid, cells, colliders)
+            return self._advance_xpbd(network, grid, cell_count, colliders)
         tolerance = NEWTON_TOLERANCE * system.mean_rest_length
-        return _advance_implicit(network, grid, cells, colliders, tolerance).grid
+        return _advance_implicit(network, grid, cell_count, colliders, tolerance).grid
 
     def _advance_xpbd(
         self,
         network: _kernels.SpringNetwork,
         grid: TimeGrid,
-        cells: int,
+        cell_count: int,
         colliders: CellColliders,
     ) -> TimeGrid:
-        """Advance by ``cells`` cells of xpbd (extended position-based dynamics).
+        """Advance by ``cell_count`` cells of xpbd (extended position-based dynamics).
 
         A cell whose springs are strained beyond the limit and their compliance is
         repeated with more steps.
@@ -178,7 +181,7 @@ class SpringPlan:
             passages, piercing, pushes,
         ) = _kernels.project_springs(
             network, state.motion, state.torn, grid.origin, grid.index, grid.cell,
-            cells, state.substeps, state.calm, state.least,
+            cell_count, state.substeps, state.calm, state.least,
             max(state.least, max_substeps), options.stretch, colliders,
             self.system.kernel_self_contact, state.passages, options.clamped_strain,
         )  # fmt: skip
@@ -186,16 +189,16 @@ class SpringPlan:
             motion, torn, substeps, state.least, calm, state.before, passages
         )
         return replace(
-            grid.after_cells(cells, after, steps, steps, inside, pushes),
+            grid.after_cells(cell_count, after, steps, steps, inside, pushes),
             piercing=grid.piercing.maximum(piercing),
             max_strain=max(grid.max_strain, excess_strain),
             max_contact_count=max(grid.max_contact_count, contact_count),
         )
 
     def _advance_strands(
-        self, grid: TimeGrid, cells: int, colliders: CellColliders
+        self, grid: TimeGrid, cell_count: int, colliders: CellColliders
     ) -> TimeGrid:
-        """Advance strands by ``cells`` cells of xpbd, with a direct solver per strand.
+        """Advance strands by ``cell_count`` cells of xpbd, each with a direct solver.
 
         Segments collide with rigid colliders too, except those that follow joints.
         """
@@ -205,9 +208,9 @@ class SpringPlan:
             system.kernel_strands(self.options.stretch), path, state.motion, span,
             state.substeps, colliders, thread_count(), system.joint_colliders,
         )  # fmt: skip
-        steps, after = cells * state.substeps, replace(state, motion=motion)
+        steps, after = cell_count * state.substeps, replace(state, motion=motion)
         return replace(
-            grid.after_cells(cells, after, steps, steps, inside, grid.pushes),
+            grid.after_cells(cell_count, after, steps, steps, inside, grid.pushes),
             max_strain=max(grid.max_strain, strain),
             max_contact_count=max(grid.max_contact_count, contact_count),
         )
@@ -224,17 +227,17 @@ class SpringPlan:
 
         The cell is split into subcells if bodies rotate fast or no solution is found.
         """
-        steps, subcells = self._carrier_steps(grid), 1
+        steps, subcell_count = self._carrier_steps(grid), 1
         angle = max(step.max_angle for step in steps)
-        while subcells < MAX_SUBCELLS and angle > MAX_ANGLE * subcells:
-            subcells *= 2
+        while subcell_count < MAX_SUBCELLS and angle > MAX_ANGLE * subcell_count:
+            subcell_count *= 2
         while True:
-            after = self._advance_in_subcells(grid, steps, subcells)
-            if not after.is_unsolved or subcells >= MAX_SUBCELLS:
+            after = self._advance_in_subcells(grid, steps, subcell_count)
+            if not after.is_unsolved or subcell_count >= MAX_SUBCELLS:
                 return replace(
                     after, origin=grid.origin, cell=grid.cell, index=grid.index + 1
                 )
-            subcells *= 2
+            subcell_count *= 2
 
     def solvable_step(self, grid: TimeGrid) -> float | None:
         """Return a step that solves a failed cell, with a safety factor [s]; else None.
@@ -262,20 +265,20 @@ class SpringPlan:
         return None
 
     def _advance_in_subcells(
-        self, grid: TimeGrid, steps: Sequence[CarrierStep], subcells: int
+        self, grid: TimeGrid, steps: Sequence[CarrierStep], subcell_count: int
     ) -> TimeGrid:
         """Advance springs and coupled bodies by one cell, split into equal subcells."""
-        if subcells == 1:
+        if subcell_count == 1:
             return self._advance_subcell(grid, steps)[0]
-        start_state, substeps = grid.state, -(-grid.state.substeps // subcells)
-        if substeps * subcells != start_state.substeps:
+        start_state, substeps = grid.state, -(-grid.state.substeps // subcell_count)
+        if substeps * subcell_count != start_state.substeps:
             start_state = replace(start_state, before=None)
         state = replace(start_state, substeps=substeps)
         current = replace(
-            grid, origin=grid.time, cell=grid.cell / subcells, index=0, state=state
+            grid, origin=grid.time, cell=grid.cell / subcell_count, index=0, state=state
         )
         bodies, pushes = [step.start_state for step in steps], []
-        for _ in range(subcells):
+        for _ in range(subcell_count):
             subcell_steps = [
                 step.subcell(state, current.time, current.cell)
                 for step, state in zip(steps, bodies, strict=True)
@@ -289,7 +292,7 @@ class SpringPlan:
         total_push = np.sum(pushes, axis=0)
         total_push[:, 6] = np.max(pushes, axis=0)[:, 6]
         end_state = replace(current.state, substeps=grid.state.substeps)
-        if substeps * subcells != end_state.substeps:
+        if substeps * subcell_count != end_state.substeps:
             end_state = replace(end_state, before=None)
         return replace(
             current, state=end_state, body_wrenches=body_pushes, pushes=total_push
@@ -304,14 +307,14 @@ class SpringPlan:
         t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
         stage = system.teleports.cell_stage(grid)
         network, prescribed = system.cell_network(stage, t0, t1)
-        pinned = prescribed.pin_positions
+        pin_positions = prescribed.pin_positions
         colliders = cell_colliders(system.colliders, system.radius, grid, 1)
         columns = np.concatenate([row.columns for row in coupling.attachments])
         fraction = ((prescribed.knots - t0) / (t1 - t0))[:, None, None]
 
         def solve_springs(begins: FloatArray, ends: FloatArray) -> CoupledSprings:
-            pinned[:, columns] = begins + fraction * (ends - begins)
-            network.set_paths(pinned, prescribed.target_positions)
+            pin_positions[:, columns] = begins + fraction * (ends - begins)
+            network.set_paths(pin_positions, prescribed.target_positions)
             tolerance = COUPLED_TOLERANCE * coupling.spring_length
             pulls = grid.state.pulls
             return _advance_implicit(network, grid, 1, colliders, tolerance, pulls)
@@ -327,17 +330,17 @@ class SpringPlan:
 def _advance_explicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
-    cells: int,
+    cell_count: int,
     colliders: CellColliders,
 ) -> TimeGrid:
-    """Advance a motion by ``cells`` cells of semi-implicit (symplectic) Euler."""
+    """Advance a motion by ``cell_count`` cells of semi-implicit (symplectic) Euler."""
     state = grid.state
     motion, torn, inside, pushes = _kernels.step_springs(
-        network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, colliders,
+        network, state.motion, state.torn, grid.origin, grid.index, grid.cell,
+        cell_count, state.substeps, colliders,
     )  # fmt: skip
-    after, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
-    return grid.after_cells(cells, after, steps, steps, inside, pushes)
+    after, steps = replace(state, motion=motion, torn=torn), cell_count * state.substeps
+    return grid.after_cells(cell_count, after, steps, steps, inside, pushes)
 
 
 def thread_count() -> int:
@@ -354,12 +357,12 @@ def thread_count() -> int:
 def _advance_implicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
-    cells: int,
+    cell_count: int,
     colliders: CellColliders,
     tolerance: float,
     pulls: FloatArray | None = None,
 ) -> CoupledSprings:
-    """Advance a motion by ``cells`` cells of BDF2 or implicit Euler.
+    """Advance a motion by ``cell_count`` cells of BDF2 or implicit Euler.
 
     With the ``pulls`` of the last step, also returns the impulses on pinned particles.
     """
@@ -369,12 +372,12 @@ def _advance_implicit(
         pushes, impulses,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
-        grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance,
+        grid.cell, cell_count, state.substeps, grid.solver is Solver.BDF2, tolerance,
         colliders, pulls,
     )  # fmt: skip
     after = replace(
         state, motion=motion, before=before if has_previous else None, torn=torn,
         pulls=state.pulls if pulls is None else impulses[1],
     )  # fmt: skip
-    end_grid = grid.after_cells(cells, after, steps, corrections, inside, pushes)
+    end_grid = grid.after_cells(cell_count, after, steps, corrections, inside, pushes)
     return CoupledSprings(replace(end_grid, is_unsolved=failed_cells > 0), impulses[0])

@@ -44,7 +44,7 @@ class SelfCrossings:
     triangles: IntArray  # corners ``(T, 3)``
     begin: float  # the first time [s]
     last: float  # the last time [s]
-    max_crossings: int = 0  # most edges through faces, minus the initial number
+    max_crossing_count: int = 0  # most edges through faces, minus the initial number
     time_of_max: float = 0.0  # time of the largest number [s]
     _initial_count: int | None = None
     _next_time: float = -np.inf
@@ -59,14 +59,14 @@ class SelfCrossings:
         count = _kernels.pierced_edges(np.ascontiguousarray(points), corners)
         if self._initial_count is None:
             self._initial_count = count
-        if count - self._initial_count > self.max_crossings:
-            self.max_crossings, self.time_of_max = count - self._initial_count, t
+        if count - self._initial_count > self.max_crossing_count:
+            self.max_crossing_count, self.time_of_max = count - self._initial_count, t
 
     def notices(self, name: str) -> list[Fault]:
         """Return a note if a surface passed through itself (SIM194)."""
-        if not self.max_crossings:
+        if not self.max_crossing_count:
             return []
-        pairs = counted(self.max_crossings, "pair")
+        pairs = counted(self.max_crossing_count, "pair")
         message = f"{name} passed through itself: {pairs} of an edge and a face, at "
         message += f"{plain_number(self.time_of_max)} s, as its self_contact is off"
         hint = "set self_contact with a thickness, such as half an edge"
