@@ -22,8 +22,8 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.file import load_rig
 from animtool.rig.parts import LoadedArray
 from animtool.rig.skeleton import Rig
+from animtool.systems.attach.actor import cells_and_substeps
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.stepping import cells_and_substeps
 from animtool.systems.attach.take_pass import simulate
 
 STRANDS, POINTS = 1000, 32

@@ -1,24 +1,175 @@
-"""Attachments of a rig as particles."""
+"""Attachments of a rig as particles and springs."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from dataclasses import field
 from itertools import pairwise
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, RefusalCollector, listed, refuse
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    RefusalCollector,
+    counted,
+    listed,
+    refuse,
+)
 from animtool.core.record import dataclass
-from animtool.maths.faces import edges, triangulate
+from animtool.maths.faces import edge_counts, edges, triangulate
 from animtool.rig.kinematics import bind_matrices, bind_world
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, strands_of, surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
-from animtool.systems.attach.mass_spring import MassSpringNetwork
 from animtool.systems.attach.poses import PoseSamples
+from animtool.systems.springs.body import Body, build_body
+from animtool.systems.springs.records import Family
 from animtool.systems.springs.shapes import face_diagonals, grid_pairs, hinge_pairs
+
+# Frequency of springs that are treated as rigid [rad/s].
+RIGID_FREQUENCY = 1e6
+# Area density of cloth [kg/m²], and smallest particle mass relative to the largest [1].
+CLOTH_AREA_DENSITY = 0.3
+MIN_MASS_FRACTION = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MassSpringNetwork:
+    """The particles of an attachment at bind time, and the springs between them."""
+
+    points: FloatArray  # bind positions ``(N, 3)`` [m]
+    pinned: IntArray  # points that follow the animation ``(P,)``, ascending
+    structural: IntArray  # ends of structural springs, along edges ``(L, 2)``
+    # Ends of springs along face diagonals, against shear ``(L, 2)``.
+    shear: IntArray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    # Ends of springs across edges, against bending ``(L, 2)``.
+    bend: IntArray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    # Corners of surface triangles ``(T, 3)``.
+    triangles: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    # Number of strands with equally many particles, stored one after the other from
+    # their pinned roots; 0 for a surface.
+    strands: int = 0
+
+    @property
+    def count(self) -> int:
+        """Number of particles N."""
+        return len(self.points)
+
+    @property
+    def is_pinned(self) -> BoolArray:
+        """Mask of the pinned particles ``(N,)``."""
+        return np.isin(np.arange(self.count), self.pinned)
+
+    @property
+    def rest_lengths(self) -> FloatArray:
+        """Rest lengths of structural springs ``(L,)`` [m]."""
+        first, second = self.points[self.structural].swapaxes(0, 1)
+        return np.asarray(np.linalg.norm(second - first, axis=-1))
+
+    @property
+    def median_edge_length(self) -> float:
+        """Median length of structural springs [m]; 0 without any."""
+        lengths = self.rest_lengths
+        return float(np.median(lengths[lengths > 0])) if lengths.any() else 0.0
+
+    @property
+    def triangle_normals(self) -> FloatArray:
+        """Normals of triangles, twice as long as their area ``(T, 3)`` [m²]."""
+        a, b, c = self.points[self.triangles].swapaxes(0, 1)
+        return np.cross(b - a, c - a)
+
+    @property
+    def masses(self) -> FloatArray:
+        """Particle masses ``(N,)`` [kg]: by area for cloth, else 1 each."""
+        if not len(self.triangles):
+            return np.ones(self.count)
+        areas = np.linalg.norm(self.triangle_normals, axis=1) / 2
+        corner_masses = np.repeat(areas * (CLOTH_AREA_DENSITY / 3), 3)
+        masses = np.bincount(self.triangles.ravel(), corner_masses, self.count)
+        # Particles with degenerate faces alone get a small mass.
+        min_mass = MIN_MASS_FRACTION * float(masses.max(initial=0.0))
+        return np.maximum(masses, min_mass if min_mass > 0 else 1.0)
+
+    def body(self, diagonals: float, bends: float) -> Body:
+        """Return the spring body, with shear and bend frequencies [Hz]."""
+        families = (
+            (self.structural, RIGID_FREQUENCY / (2 * math.pi)),
+            (self.shear, diagonals),
+            (self.bend, bends),
+        )
+        springs = [
+            (ends[~self.is_pinned[ends].all(axis=1)], Family(frequency=frequency))
+            for ends, frequency in families
+            if frequency
+        ]
+        points, strands = self.points, self.strands
+        return build_body(points, self.masses, springs, self.triangles, strands)
+
+
+def max_pin_hops(network: MassSpringNetwork) -> int:
+    """Return the largest number of springs from a pinned particle to any other.
+
+    Without pinned particles, springs are counted from the first particle.
+
+    >>> line = np.array([[0, 1], [1, 2]])
+    >>> max_pin_hops(MassSpringNetwork(np.eye(3), np.array([0]), line))
+    2
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    count, starts = network.count, network.pinned if len(network.pinned) else [0]
+    graph = coo_array(
+        (np.ones(len(network.structural)), network.structural.T), (count, count)
+    )
+    hops = dijkstra(
+        graph, directed=False, indices=starts, unweighted=True, min_only=True
+    )
+    return int(hops[np.isfinite(hops)].max(initial=0.0))
+
+
+def coincident_link_count(network: MassSpringNetwork, points: FloatArray) -> int:
+    """Return the number of springs whose ends coincide at points ``(N, 3)``.
+
+    Springs of rest length 0 do not count, unless all have it.
+
+    >>> line = np.array([[0, 1], [1, 2]])
+    >>> network = MassSpringNetwork(np.eye(3), np.array([0]), line)
+    >>> coincident_link_count(network, np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]]))
+    1
+    """
+    i, j = network.structural.T
+    is_coincident = (points[i] == points[j]).all(axis=1)
+    lengths = network.rest_lengths
+    return int((is_coincident & ((lengths > 0) | ~lengths.any())).sum())
+
+
+def surface_defects(network: MassSpringNetwork) -> list[str]:
+    """Return defects of a surface as text: degenerate triangles, shared edges.
+
+    >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
+    >>> points, pinned = np.eye(5, 3), np.array([0])
+    >>> network = MassSpringNetwork(points, pinned, fan[:, :2], triangles=fan)
+    >>> surface_defects(network)
+    ['1 edge of more than two triangles']
+    """
+    corners = network.triangles
+    if not len(corners):
+        return []
+    degenerate_count = int((~network.triangle_normals.any(axis=1)).sum())
+    face_counts = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
+    nonmanifold_count = int((face_counts > 2).sum())
+    defects = {
+        f"{counted(degenerate_count, 'triangle')} without area": degenerate_count,
+        f"{counted(nonmanifold_count, 'edge')} of more than two triangles": (
+            nonmanifold_count
+        ),
+    }
+    return [defect for defect, count in defects.items() if count]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +223,8 @@ class SurfaceBody(AttachedBody):
         return samples.deform(self.mesh)
 
 
-def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
-    """Return attachments of a rig by name; raise SIM030 for unknown ones."""
+def build_bodies(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
+    """Return named attachments of a rig as particles; raise SIM030 for unknown ones."""
     by_name = {entry.name: entry for entry in rig.attach}
     kinds = [str(kind) for kind in AttachKind]
     faults = []
@@ -90,16 +241,11 @@ def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
             faults.append(Fault("SIM030", message, hint=allowed))
     if faults:
         raise OptionError(faults)
-    return [by_name[name] for name in names]
-
-
-def build_bodies(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
-    """Return the named attachments of a rig as particles."""
     bodies: list[AttachedBody] = []
     refusals = RefusalCollector()
-    for entry in find_attachments(rig, names):
+    for name in names:
         with refusals.collect():
-            bodies.append(_BUILDERS[AttachKind(entry.kind)](rig, entry))
+            bodies.append(_BUILDERS[AttachKind(by_name[name].kind)](rig, by_name[name]))
     refusals.check()
     return bodies
 

@@ -44,8 +44,8 @@ def chain_rotations(
     rig: Rig,
     joints: IntArray,
     rotations: FloatArray,
-    animated: FloatArray,
-    simulated: FloatArray,
+    animated_points: FloatArray,
+    simulated_points: FloatArray,
 ) -> FloatArray:
     """Return local rotations ``(F, C, 4)`` that align bones with simulated points.
 
@@ -64,10 +64,10 @@ def chain_rotations(
     for k, joint in enumerate(joints.tolist()):
         animated_local = rotations[:, joint]
         parent = so3.multiply(relative_rotation, world)
-        animated_bone = animated[:, k + 1] - animated[:, k]
+        animated_bone = animated_points[:, k + 1] - animated_points[:, k]
         swing = shortest_rotations(
             so3.rotate(relative_rotation, animated_bone),
-            simulated[:, k + 1] - simulated[:, k],
+            simulated_points[:, k + 1] - simulated_points[:, k],
         )
         goal_rotation = so3.multiply(swing, so3.multiply(parent, animated_local))
         local = so3.normalize(so3.multiply(so3.conjugate(parent), goal_rotation))

@@ -24,17 +24,15 @@ from animtool.systems.framework.meter import (
     closed_surfaces,
     collider_depths,
 )
-from animtool.systems.springs.contacts import (
+from animtool.systems.springs.motion import TimeGrid
+from animtool.systems.springs.solvers import (
     CellColliders,
-    Cells,
     PosedColliders,
     cell_colliders,
 )
 
 # Speed at which particles that start inside a collider are moved out [m/s].
 DEPENETRATION_SPEED = 1.0
-# Particles that stay deeper than this count as unresolved [m].
-UNRESOLVED_DEPTH = 1e-3
 
 
 @dataclass(eq=False)
@@ -84,22 +82,6 @@ def capsule_distances(
     return np.asarray(np.sqrt((radial * radial).sum(axis=1)) - radius)
 
 
-def bind_depths(
-    capsules: JointCapsules, rig: Rig, points: FloatArray, margin: float
-) -> FloatArray:
-    """Return signed distances of points from capsules at bind ``(C, N)`` [m].
-
-    Distances are at most 0.
-    Capsules may be thicker than the body, so that points on the body start inside. They
-    may stay that deep.
-    """
-    bind_ends = capsules.world_ends(bind_world(rig))[0]
-    depths = np.zeros((len(capsules), len(points)))
-    for c, radius in enumerate((capsules.radii + margin).tolist()):
-        depths[c] = np.minimum(capsule_distances(points, bind_ends[c], radius), 0.0)
-    return depths
-
-
 class CollisionSurroundings(NamedTuple):
     """Surfaces around an attachment at the end of a frame, to measure contact."""
 
@@ -136,7 +118,7 @@ class CharacterColliders:
         )
         if skins:
             # Joints with a skin collide with that instead of their capsules.
-            has_skin = np.any([skin.joints for skin in skins], axis=0)
+            has_skin = np.any([skin.has_joint_weight for skin in skins], axis=0)
             capsules = capsules.select(~has_skin[capsules.joints])
         self._capsules, self._radius, self._world = capsules, radius, world
         capsule_collider = Collider(
@@ -150,9 +132,14 @@ class CharacterColliders:
         capsule_rows = slice(len(world), len(self._colliders))
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][capsule_rows].copy()
         self._sizes[:, 6] = capsules.world_radii(start.world)
+        # Capsules may be thicker than the body: points of it that start inside at bind
+        # may stay that deep. Allowed signed distances, at most 0 ``(C, N)`` [m].
         points = body.network.points
-        depths = bind_depths(capsules, rig, points, radius / scale)
-        # Allowed signed distances from capsules, at most 0 ``(C, N)`` [m].
+        depths = np.zeros((len(capsules), len(points)))
+        bind_ends = capsules.world_ends(bind_world(rig))[0]
+        for c, bind_radius in enumerate((capsules.radii + radius / scale).tolist()):
+            distances = capsule_distances(points, bind_ends[c], bind_radius)
+            depths[c] = np.minimum(distances, 0.0)
         self._allowed_depths = scale * depths
         rigid_depths = np.zeros((len(self._colliders.rigid), len(points)))
         rigid_depths[capsule_rows] = self._allowed_depths
@@ -162,7 +149,7 @@ class CharacterColliders:
                 ClosedSurface(skin.points(start)[0], skin.triangles),
                 targets,
                 radius + margin,
-                inside=isinstance(body, ChainBody),
+                keeps_inside=isinstance(body, ChainBody),
             )
             for skin in skins
         ]
@@ -199,22 +186,26 @@ class CharacterColliders:
         ]
         return CollisionSurroundings(world, t, solids, layers)
 
-    def kernel_arguments(self, frame_poses: FramePoses, cells: Cells) -> CellColliders:
+    def kernel_arguments(
+        self, frame_poses: FramePoses, grid: TimeGrid, count: int
+    ) -> CellColliders:
         """Return kernel arguments for the cells of a frame; None without colliders."""
-        world = frame_poses.sample(cells.count).world
+        world = frame_poses.sample(count).world
         rows, ends = self._capsules.joint_poses_and_ends(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        skins = self._kernel_skins(frame_poses, cells.count)
-        posed = PosedColliders(sizes, poses, self._depths, skins, UNRESOLVED_DEPTH)
-        return cell_colliders(self._colliders, self._radius, cells, posed)
+        skins = self._kernel_skins(frame_poses, count)
+        posed_colliders = PosedColliders(sizes, poses, self._depths, skins)
+        return cell_colliders(
+            self._colliders, self._radius, grid, count, posed_colliders
+        )
 
     def _kernel_skins(
-        self, frame_poses: FramePoses, steps: int
+        self, frame_poses: FramePoses, step_count: int
     ) -> list[tuple[Any, ...]]:
         """Return kernel arguments of the skins, and store their end as solids."""
-        points = [frame_poses.skin_points(skin, steps) for skin in self._skins]
+        points = [frame_poses.skin_points(skin, step_count) for skin in self._skins]
         if not self._skin_kernels:
             self._skin_kernels = [
                 _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))

@@ -61,21 +61,20 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
 
 
 def interpolate_poses(
-    rig: Rig, before: LocalPose, after: LocalPose, steps: int
+    rig: Rig, before: LocalPose, after: LocalPose, step_count: int
 ) -> PoseSamples:
     """Return the poses of a character at evenly spaced times between two poses.
 
     Local rotations are interpolated by slerp and other values linearly, as for motion
     blur.
     """
-    fractions = np.arange(steps + 1) / steps
+    fractions = np.arange(step_count + 1) / step_count
     translations = _lerp(before.translations, after.translations, fractions)
     rotations = _slerp(before.rotations, after.rotations, fractions)
-    scales, weights = None, None
-    if before.scales is not None and after.scales is not None:
-        scales = _lerp(before.scales, after.scales, fractions)
-    if before.weights is not None and after.weights is not None:
-        weights = _lerp(before.weights, after.weights, fractions)
+    scales, weights = (
+        None if a is None or b is None else _lerp(a, b, fractions)
+        for a, b in ((before.scales, after.scales), (before.weights, after.weights))
+    )
     world = forward_kinematics(rig, translations, rotations, scales)
     return PoseSamples(world, weights)
 
@@ -88,9 +87,10 @@ def _lerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
 
 def _slerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
     rotations = np.repeat(a[None], len(fractions), axis=0)
-    changed = np.flatnonzero((a != b).any(axis=-1))
-    rotations[:, changed] = so3.slerp(a[changed], b[changed], fractions[:, None])
-    rotations[0, changed], rotations[-1, changed] = a[changed], b[changed]
+    changed_joints = np.flatnonzero((a != b).any(axis=-1))
+    before, after = a[changed_joints], b[changed_joints]
+    rotations[:, changed_joints] = so3.slerp(before, after, fractions[:, None])
+    rotations[0, changed_joints], rotations[-1, changed_joints] = before, after
     return rotations
 
 
@@ -141,8 +141,8 @@ def advance_cycle(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
     """Return a pose transformed by the travel of one cycle."""
     translations, rotations = pose.translations.copy(), pose.rotations.copy()
     roots = np.array(rig.roots)
-    rotated = so3.rotate(travel.rotation, translations[roots])
-    translations[roots] = rotated + travel.shift
+    rotated_roots = so3.rotate(travel.rotation, translations[roots])
+    translations[roots] = rotated_roots + travel.shift
     rotations[roots] = so3.multiply(travel.rotation, rotations[roots])
     return replace(pose, translations=translations, rotations=rotations)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -134,39 +133,28 @@ class AttachSettings:
 
     options: SimulateOptions
     kind: str  # one of `AttachKind`
+    frequency: float  # frequency of the pull to the animated pose [Hz]
+    bend: float  # bending frequency [Hz]
+    stretch: float  # strain limit [1]
+    radius: float  # distance from colliders [m]
+    # Self-contact distance [m]; 0 is off, None depends on edge lengths.
+    thickness: float | None
 
-    def _value(self, name: str) -> float:
-        """Return the value of an option, or its default for the kind."""
-        value: float | None = getattr(self.options, name)
-        return _DEFAULTS[AttachKind(self.kind)][name] if value is None else value
-
-    @property
-    def frequency(self) -> float:
-        """Frequency of the pull to the animated pose [Hz]."""
-        return self._value("frequency")
-
-    @property
-    def bend(self) -> float:
-        """Bending frequency [Hz]."""
-        return self._value("bend")
-
-    @property
-    def stretch(self) -> float:
-        """Strain limit [1]."""
-        return self._value("stretch")
-
-    @property
-    def radius(self) -> float:
-        """Distance from colliders [m]."""
-        return length_in_metres(self.options.radius)
-
-    @property
-    def thickness(self) -> float | None:
-        """Self-contact distance [m]; 0 is off, None depends on edge lengths."""
-        if not self.options.self_contact or self.kind != AttachKind.CLOTH:
-            return 0.0
-        thickness = self.options.thickness
-        return None if thickness is None else length_in_metres(thickness)
+    @staticmethod
+    def from_options(options: SimulateOptions, kind: str) -> AttachSettings:
+        """Return the settings of an attachment of a kind."""
+        values = dict(_DEFAULTS[AttachKind(kind)])
+        specified_values = {name: getattr(options, name) for name in values}
+        values |= {name: v for name, v in specified_values.items() if v is not None}
+        thickness = None
+        if not options.self_contact or kind != AttachKind.CLOTH:
+            thickness = 0.0
+        elif options.thickness is not None:
+            thickness = length_in_metres(options.thickness)
+        radius = length_in_metres(options.radius)
+        return AttachSettings(
+            options, kind, radius=radius, thickness=thickness, **values
+        )
 
 
 def length_in_metres(value: str | float) -> float:
@@ -181,27 +169,27 @@ def length_in_metres(value: str | float) -> float:
 
 def option_checks(options: SimulateOptions) -> OptionChecks:
     """Return the checks of options that need no take, by option."""
-    checks: dict[str, Callable[[], object]] = {
-        name: partial(_check_range, options, name)
-        for name in ranges_of(SimulateOptions)
+    interpolation = options.interpolation
+    return {
+        **{
+            name: partial(_check_range, options, name)
+            for name in ranges_of(SimulateOptions)
+        },
+        "radius": partial(_check_length, options, "radius"),
+        "loop_tolerance": partial(_check_length, options, "loop_tolerance"),
+        "thickness": partial(_check_thickness, options),
+        "what": partial(_check_names, options),
+        "wind": partial(_check_finite, options.wind, "wind"),
+        "teleports": partial(_check_finite, options.teleports, "teleports"),
+        "lead": partial(parse_choice, PreRoll, options.lead, "lead"),
+        "weight": partial(weights_at, options.weight, np.zeros(1)),
+        "interpolation": partial(
+            parse_choice, KeyInterpolation, interpolation, "interpolation"
+        ),
+        "save": partial(_check_save, options),
+        "save_at": partial(_check_finite, options.save_at, "save_at"),
+        "loop": partial(_check_loop, options),
     }
-    checks |= {
-        name: partial(_check_length, options, name)
-        for name in ("radius", "loop_tolerance")
-    }
-    checks["thickness"] = partial(_check_thickness, options)
-    checks["what"] = partial(_check_names, options)
-    checks["wind"] = partial(_check_finite, options.wind, "wind")
-    checks["teleports"] = partial(_check_finite, options.teleports, "teleports")
-    checks["lead"] = partial(parse_choice, PreRoll, options.lead, "lead")
-    checks["weight"] = partial(weights_at, options.weight, np.zeros(1))
-    checks["interpolation"] = partial(
-        parse_choice, KeyInterpolation, options.interpolation, "interpolation"
-    )
-    checks["save"] = partial(_check_save, options)
-    checks["save_at"] = partial(_check_finite, options.save_at, "save_at")
-    checks["loop"] = partial(_check_loop, options)
-    return checks
 
 
 def _check_names(options: SimulateOptions) -> None:

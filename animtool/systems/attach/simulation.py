@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -17,10 +16,14 @@ from animtool.core.units import parse_length
 from animtool.maths import so3
 from animtool.motion.keyed import weights_at
 from animtool.motion.motion import Channel, Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.parts import AttachKind
-from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
-from animtool.systems.attach.actor import AttachmentActor, move_rigidly, up_direction
+from animtool.systems.attach.actor import (
+    AttachmentActor,
+    CycleSteering,
+    up_direction,
+)
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.chains import chain_rotations
 from animtool.systems.attach.colliders import CollisionSurroundings
@@ -36,12 +39,12 @@ from animtool.systems.attach.poses import (
 )
 from animtool.systems.attach.settings import AttachSettings, PreRoll, SimulateOptions
 from animtool.systems.attach.skins import FramePoses, SkinSurface, build_skins
-from animtool.systems.attach.stepping import CycleSteering
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
 from animtool.systems.framework.simulation import growing
-from animtool.systems.springs.contacts import LOOKBACK_TIME
+from animtool.systems.springs.motion import move_rigidly
+from animtool.systems.springs.solvers import LOOKBACK_TIME
 
 # Most unsteered repeats of a cycle in a row that do not close it better.
 MAX_STALE_REPEATS = 3
@@ -78,7 +81,7 @@ def state_name_and_clock(body: AttachedBody, frame: float) -> tuple[str, StateCl
 class LoopClosure:
     """Result of closing a simulated cycle."""
 
-    repeats: int  # number of repeats
+    repeat_count: int  # number of repeats
     residual: float  # distance between end and start of the last repeat [m]
     tolerance: float  # requested tolerance [m]
     is_steered: bool  # whether the cycle was steered towards the cycle before
@@ -88,8 +91,8 @@ class LoopClosure:
 class _AttachmentFrames:
     """Simulated and animated points of one attachment, by frame."""
 
-    simulated: list[FloatArray]
-    targets: list[FloatArray]
+    simulated_points: list[FloatArray]
+    animated_points: list[FloatArray]
     # Surroundings in a cycle, for contact measurement after the seam is blended.
     surroundings: list[CollisionSurroundings] = field(default_factory=list)
     # States in a cycle, to which the next one may be steered ``(2, N, 3)`` [m, m/s].
@@ -101,12 +104,9 @@ class AttachSimulation:
 
     def __init__(
         self,
-        rig: Rig,
+        stream: TakeStream,
         bodies: Sequence[AttachedBody],
         options: SimulateOptions,
-        rate: Fraction,
-        start: Fraction,
-        step: Fraction,
         resumed: SavedFrame | None = None,
         prepended_frames: int = 0,
         progress: Callable[[float], None] | None = None,
@@ -114,26 +114,25 @@ class AttachSimulation:
     ) -> None:
         """Set up the simulation without reading the take.
 
-        Frames are ``step`` time codes apart, from ``start`` on. There are
-        ``prepended_frames`` before the take, with the pose of its first frame; a cycle
-        ignores them. The take starts at world time 0.
+        There are ``prepended_frames`` before the take, with the pose of its first
+        frame; a cycle ignores them. The take starts at world time 0.
         """
         self._world = Colliders(()) if world is None else world
-        self.rig, self.bodies, self.options = rig, bodies, options
+        self.rig, self.bodies, self.options = stream.rig, bodies, options
         # One for each body, from the first frame on.
         self.actors: list[AttachmentActor] = []
         # Requested states, with the steps per frame.
-        self.saved: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
-        self.codes: list[float] = []  # visited time codes
+        self.saved_states: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
+        self.visited_codes: list[float] = []  # time codes of the frames so far
         self.resumed = resumed  # states to resume from
         self.loop_closure: LoopClosure | None = None  # result of a cycle
         self._skins: list[SkinSurface] = []  # collision meshes of the character
         if any(self._collides_with_skins(body) for body in bodies):
-            self._skins = build_skins(rig)
+            self._skins = build_skins(self.rig)
         # Largest rotations of last joints by name of the chain [rad].
         self.last_joint_angles: dict[str, float] = {}
-        self._rate, self._start, self._step = rate, start, step
-        self._prepended_frames = prepended_frames
+        self._rate, self._step = float(stream.fps / stream.step), stream.step
+        self._start, self._prepended_frames = stream.first_frame, prepended_frames
         # Index of the next frame; 0 is the first of the take.
         self._frame = 0 if options.loop else -prepended_frames
         self._progress = progress
@@ -193,10 +192,10 @@ class AttachSimulation:
             for row, actor in zip(rows, self.actors, strict=True):
                 surroundings = actor.surroundings()
                 actor.measure(float(codes[i]), actor.positions, surroundings)
-                row.simulated.append(actor.positions)
-                row.targets.append(actor.target)
+                row.simulated_points.append(actor.positions)
+                row.animated_points.append(actor.animated_positions)
         self._frames_done += block.frames
-        self.codes += codes.tolist()
+        self.visited_codes += codes.tolist()
         return self._blend(block, codes, rows)
 
     def _codes(self, first: int, count: int) -> FloatArray:
@@ -204,20 +203,24 @@ class AttachSimulation:
 
     def _begin(self, pose: LocalPose, next_pose: LocalPose) -> None:
         """Create the actors, let them settle, and advance them to the first frame."""
-        options, rate = self.options, float(self._rate)
+        options, rate = self.options, self._rate
         preroll_frames = math.ceil(options.preroll * rate)
         extrapolates = PreRoll(options.lead) is PreRoll.EXTRAPOLATE
-        start_pose = pose
+        poses = [pose] * (preroll_frames + 1)
         if extrapolates:
-            start_pose = extrapolate_roots(self.rig, pose, next_pose, preroll_frames)
+            frames = range(preroll_frames, -1, -1)
+            poses = [extrapolate_roots(self.rig, pose, next_pose, n) for n in frames]
+        start_pose, world = poses[0], self._world
         self.actors = []
-        world = self._world
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
             is_skinned = isinstance(body, SurfaceBody)
             sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
             layers = sheets if is_skinned else ()
-            settings, skins = AttachSettings(options, body.kind), self._skins_of(body)
+            settings, skins = (
+                AttachSettings.from_options(options, body.kind),
+                self._skins_of(body),
+            )
             actor = AttachmentActor(
                 self.rig, body, settings, 1 / rate, start_pose, skins, world, layers
             )
@@ -230,16 +233,12 @@ class AttachSimulation:
         self._total_frames += settle_frames + preroll_frames
         for _ in range(settle_frames):
             self._advance_actors(static_poses)
-        poses = [pose] * (preroll_frames + 1)
         if extrapolates and preroll_frames:
-            poses = [
-                extrapolate_roots(self.rig, pose, next_pose, preroll_frames - i)
-                for i in range(preroll_frames + 1)
-            ]
             root = self.rig.roots[0]
             step = next_pose.translations[root] - pose.translations[root]
             for actor in self.actors:
-                actor.add_velocity(step * rate)
+                positions, velocities = actor.grid.state.motion
+                actor.set_motion(np.stack([positions, velocities + step * rate]))
         for earlier, later in pairwise(poses):
             self._advance_actors(FramePoses(self.rig, earlier, later))
 
@@ -278,7 +277,7 @@ class AttachSimulation:
         self._frame += 1
         if not self.options.loop:
             # The next frame samples surfaces a little before its start.
-            earliest_time = self._frame / float(self._rate) - LOOKBACK_TIME
+            earliest_time = self._frame / self._rate - LOOKBACK_TIME
             for bodies in self._world.bodies:
                 bodies.forget(earliest_time)
             for sheet in self._world.sheets:
@@ -297,7 +296,8 @@ class AttachSimulation:
                 positions, velocities = actor.grid.state.motion
                 passages = actor.grid.state.passages
                 state = AttachState(positions, velocities, passages)
-                self.saved[name] = clock, ReachedState(actor.steps, state)
+                reached_state = ReachedState(actor.steps_per_frame, state)
+                self.saved_states[name] = clock, reached_state
 
     def _close_cycle(self, motion: Motion) -> Motion:
         """Return a cycle in which all attachments end in the state they start in."""
@@ -317,8 +317,8 @@ class AttachSimulation:
         rows: list[_AttachmentFrames] = []
         for repeat in range(1, max_repeats + 1):
             start_positions = [actor.positions for actor in self.actors]
-            gives_up = repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
-            is_steered = bool(rows) and gives_up
+            is_last_try = repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
+            is_steered = bool(rows) and is_last_try
             rows = self._simulate_cycle(poses, rows if is_steered else [])
             motions = [actor.grid.state.motion for actor in self.actors]
             end_states = [_moved_to_start(state, travel) for state in motions]
@@ -338,11 +338,13 @@ class AttachSimulation:
             # blended, its edges would be strained by that.
             if not (is_steered and len(actor.body.network.triangles)):
                 offset = so3.rotate(travel.rotation, gap)
-                frames = zip(row.simulated, weights.tolist(), strict=True)
-                row.simulated = [points + weight * offset for points, weight in frames]
+                frames = zip(row.simulated_points, weights.tolist(), strict=True)
+                row.simulated_points = [
+                    points + weight * offset for points, weight in frames
+                ]
             actor.meter = ContactMeter()
             for time_code, points, surroundings in zip(
-                self.codes, row.simulated, row.surroundings, strict=True
+                self.visited_codes, row.simulated_points, row.surroundings, strict=True
             ):
                 actor.measure(time_code, points, surroundings)
         return self._blend(motion, self._codes(self._prepended_frames, count), rows)
@@ -357,7 +359,7 @@ class AttachSimulation:
         """
         rows = [_AttachmentFrames([], []) for _ in self.bodies]
         codes = self._codes(self._prepended_frames, len(poses)).tolist()
-        self.codes = codes[:-1]
+        self.visited_codes = codes[:-1]
         self._frame = 0
         for actor in self.actors:
             actor.set_target(poses[0])
@@ -365,9 +367,9 @@ class AttachSimulation:
         for i, (pose, next_pose) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
                 row.surroundings.append(actor.surroundings())
-                row.simulated.append(actor.positions)
+                row.simulated_points.append(actor.positions)
                 row.motions.append(actor.grid.state.motion)
-                row.targets.append(actor.target)
+                row.animated_points.append(actor.animated_positions)
             steering = [
                 CycleSteering(np.stack(row.motions[i : i + 2]), weights[i + 1])
                 for row in last_frames
@@ -389,7 +391,8 @@ class AttachSimulation:
             weights = np.where(codes < self.resumed.frame, 0.0, weights)
         rotations = block.rotations.dense()
         for body, row in zip(self.bodies, rows, strict=True):
-            points, targets = np.stack(row.simulated), np.stack(row.targets)
+            points = np.stack(row.simulated_points)
+            targets = np.stack(row.animated_points)
             if isinstance(body, ChainBody):
                 simulated = self._blend_rotations(
                     rotations, body, points, targets, weights
@@ -409,34 +412,31 @@ class AttachSimulation:
         weights: FloatArray,
     ) -> FloatArray:
         """Return chain rotations that aim bones at simulated points ``(F, C, 4)``."""
-        animated = rotations[:, body.joints]
-        simulated = chain_rotations(self.rig, body.joints, rotations, targets, points)
-        interpolated = so3.slerp(animated, simulated, weights[:, None])
-        blended = np.where((weights == 1)[:, None, None], simulated, interpolated)
-        first = int(body.joints[0])
-        reference = self._last_rotations.get(first, animated[0])
-        aligned = so3.align_signs(blended, reference)
-        self._last_rotations[first] = aligned[-1]
-        angles = so3.angle_between(animated[:, -1], aligned[:, -1])
+        joints, first = body.joints, int(body.joints[0])
+        before = rotations[:, joints]
+        simulated = chain_rotations(self.rig, joints, rotations, targets, points)
+        after = so3.slerp(before, simulated, weights[:, None])
+        after = np.where((weights == 1)[:, None, None], simulated, after)
+        after = so3.align_signs(after, self._last_rotations.get(first, before[0]))
+        self._last_rotations[first] = after[-1]
+        angles = so3.angle_between(before[:, -1], after[:, -1])
         largest = float((angles * (weights != 0)).max(initial=0.0))
         earlier = self.last_joint_angles.get(body.name, 0.0)
         self.last_joint_angles[body.name] = max(earlier, largest)
         # With weight 0 keep the animation bit for bit.
-        return np.where((weights == 0)[:, None, None], animated, aligned)
+        return np.where((weights == 0)[:, None, None], before, after)
 
 
 def _first_block_of_two(blocks: Iterator[Motion]) -> Iterator[Motion]:
     """Yield blocks of frames, merged so that the first has two frames or more."""
-    pending: list[Motion] = []
+    first_blocks: list[Motion] = []
     for block in blocks:
-        pending.append(block)
-        if sum(motion.frames for motion in pending) < 2:
-            continue
-        yield Motion.concatenate(pending) if len(pending) > 1 else pending[0]
-        yield from blocks
-        return
-    if pending:
-        yield Motion.concatenate(pending)
+        first_blocks.append(block)
+        if sum(motion.frames for motion in first_blocks) >= 2:
+            break
+    if first_blocks:
+        yield Motion.concatenate(first_blocks)
+    yield from blocks
 
 
 def _moved_to_start(motion: FloatArray, travel: CycleShift) -> FloatArray:

@@ -18,6 +18,7 @@ from animtool.sim.colliders import Collider, Colliders, Mesh
 from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.systems.attach.poses import LocalPose, PoseSamples, interpolate_poses
 from animtool.systems.framework.meter import ClosedSurface
+from animtool.systems.springs.shapes import connected_groups
 
 # Minimum distance of cloth from skins, relative to its edge length [1]. It limits how
 # deep an edge cuts into a limb.
@@ -32,7 +33,7 @@ class SkinSurface:
     triangles: IntArray  # counter-clockwise ``(T, 3)``; border centres from V on
     border_points: IntArray  # points at borders ``(P,)``
     borders: IntArray  # border index of each border point ``(P,)``
-    joints: BoolArray  # mask of joints with skin weight ``(J,)``
+    has_joint_weight: BoolArray  # mask of joints with skin weight ``(J,)``
 
     def points(self, samples: PoseSamples) -> FloatArray:
         """Return deformed points, then border centres ``(K, V + B, 3)`` [m]."""
@@ -55,19 +56,19 @@ class FramePoses:
     _by_steps: dict[int, PoseSamples] = field(default_factory=dict)
     _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
-    def sample(self, steps: int) -> PoseSamples:
-        """Return the poses at the start and end of each of ``steps`` equal steps."""
-        if steps not in self._by_steps:
-            self._by_steps[steps] = interpolate_poses(
-                self.rig, self.before, self.after, steps
+    def sample(self, step_count: int) -> PoseSamples:
+        """Return the poses at the ends of ``step_count`` equal steps."""
+        if step_count not in self._by_steps:
+            self._by_steps[step_count] = interpolate_poses(
+                self.rig, self.before, self.after, step_count
             )
-        return self._by_steps[steps]
+        return self._by_steps[step_count]
 
-    def skin_points(self, skin: SkinSurface, steps: int) -> FloatArray:
+    def skin_points(self, skin: SkinSurface, step_count: int) -> FloatArray:
         """Return the points of a skin at the ends of the steps ``(K, P, 3)`` [m]."""
-        key = id(skin), steps
+        key = id(skin), step_count
         if key not in self._skin_points:
-            self._skin_points[key] = skin.points(self.sample(steps))
+            self._skin_points[key] = skin.points(self.sample(step_count))
         return self._skin_points[key]
 
 
@@ -121,23 +122,15 @@ def triangulate_capped(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Triangulate polygons, and close each border with a triangle fan.
 
-    Args:
-        counts: Corners of each polygon ``(M,)``.
-        indices: Corners, polygon by polygon.
-        point_count: Number of points.
-
-    Returns:
-        Triangles ``(T, 3)``, with border middles numbered after the points; border
-        points ``(P,)``; and the border index of each.
+    Polygons have ``counts`` corners ``(M,)``, listed in ``indices``. Returns triangles
+    ``(T, 3)``, with border middles numbered after the points; border points ``(P,)``;
+    and the border index of each.
 
     >>> corners = np.array([0, 1, 2, 3])
     >>> triangles, points, borders = triangulate_capped(np.array([4]), corners, 4)
     >>> triangles[2:].tolist(), points.tolist(), borders.tolist()
     ([[1, 0, 4], [2, 1, 4], [3, 2, 4], [0, 3, 4]], [0, 1, 2, 3], [0, 0, 0, 0])
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     triangles = triangulate(counts, indices)
     edge_corners = directed_edges(counts, indices)
     edge_keys = np.sort(edge_corners, axis=1) @ [point_count, 1]
@@ -145,11 +138,7 @@ def triangulate_capped(
     border_edges = edge_corners[uses[numbers.reshape(-1)] == 1]
     points, edge_points = np.unique(border_edges, return_inverse=True)
     edge_points = edge_points.reshape(-1, 2)
-    count = len(points)
-    graph = coo_array((np.ones(len(edge_points)), edge_points.T), (count, count))
-    borders = np.zeros(0, np.int64)
-    if len(points):
-        borders = connected_components(graph, directed=False)[1].astype(np.int64)
+    borders = connected_groups(len(points), edge_points) if len(points) else points
     middles = point_count + borders[edge_points[:, 0]]
     fans = np.stack([border_edges[:, 1], border_edges[:, 0], middles], axis=1)
     return np.concatenate([triangles, fans]), points, borders
@@ -167,15 +156,19 @@ def skin_margin(edge: float, radius: float) -> float:
 
 
 def contact_offsets(
-    surface: ClosedSurface, points: FloatArray, distance: float, *, inside: bool = False
+    surface: ClosedSurface,
+    points: FloatArray,
+    distance: float,
+    *,
+    keeps_inside: bool = False,
 ) -> FloatArray:
     """Return offsets of the contact distance for points near a skin ``(N,)`` [m].
 
     Offsets are at most 0: points that start closer keep their initial distance. With
-    ``inside``, points that start inside may stay as deep.
+    ``keeps_inside``, points that start inside may stay as deep.
     """
     mesh = Mesh(surface.points, surface.triangles, closed=True)
     samples = Colliders([Collider(mesh)]).sample(points, 0.0, 1.0)
     distances = samples.distances[0]
-    min_distance = -np.inf if inside else 0.0
+    min_distance = -np.inf if keeps_inside else 0.0
     return np.asarray(np.clip(distances, min_distance, distance) - distance)

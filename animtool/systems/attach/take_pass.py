@@ -36,8 +36,8 @@ from animtool.systems.attach.bodies import (
     ChainBody,
     SurfaceBody,
     build_bodies,
+    surface_defects,
 )
-from animtool.systems.attach.mass_spring import surface_defects
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     AttachSimulation,
@@ -65,7 +65,8 @@ def named_frame_notices(simulation: AttachSimulation) -> list[Fault]:
     Frames missing in the take have no effect (SIM185). Frames before a resumed one are
     those of the take (SIM186).
     """
-    options, codes, resumed = simulation.options, simulation.codes, simulation.resumed
+    options, resumed = simulation.options, simulation.resumed
+    codes = simulation.visited_codes
     if not codes:
         return []
     frames_by_option = {"save_at": options.save_at, "teleports": options.teleports}
@@ -73,10 +74,14 @@ def named_frame_notices(simulation: AttachSimulation) -> list[Fault]:
         frames_by_option["resume"] = (resumed.frame,)
     visited_codes, notices = set(codes), []
     for option, frames in frames_by_option.items():
-        missing = [f"{frame:g}" for frame in frames if frame not in visited_codes]
-        if missing:
-            noun = "frame" if len(missing) == 1 else "frames"
-            message = f"{option} names {noun} {listed(missing)}, but the take has "
+        missing_frames = [
+            f"{frame:g}" for frame in frames if frame not in visited_codes
+        ]
+        if missing_frames:
+            noun = "frame" if len(missing_frames) == 1 else "frames"
+            message = (
+                f"{option} names {noun} {listed(missing_frames)}, but the take has "
+            )
             message += f"{codes[0]:g} to {codes[-1]:g}"
             hint = "frames are time codes of the take"
             notices.append(warning("SIM185", message, hint))
@@ -91,9 +96,9 @@ def attachment_report(actor: AttachmentActor) -> dict[str, object]:
     """Return the result of an attachment up to the current frame, by report key."""
     grid, target_strain = actor.grid, actor.settings.stretch
     status = "ok"
-    if grid.stretch > STRAIN_TOLERANCE * target_strain:
+    if grid.max_strain > STRAIN_TOLERANCE * target_strain:
         status = "stretched"
-    if grid.unresolved or grid.piercing.passed or grid.piercing.cut:
+    if grid.unresolved_count or grid.piercing.passed or grid.piercing.cut:
         # Particles stay inside a collider or passed through the cloth.
         status = "unresolved"
     return {
@@ -101,13 +106,13 @@ def attachment_report(actor: AttachmentActor) -> dict[str, object]:
         "kind": actor.body.kind,
         "status": status,
         "particles": actor.body.network.count,
-        "steps": actor.steps,  # per frame
-        "stretch": grid.stretch,  # largest strain of a spring [1]
+        "steps": actor.steps_per_frame,  # per frame
+        "stretch": grid.max_strain,  # largest strain of a spring [1]
         "aimed": target_strain,  # [1]
         # Maximum numbers of particles at one time: in contact, left inside colliders,
         # passing through the cloth; and of edge pairs that pass through each other.
-        "contacts": grid.max_contacts,
-        "unresolved": grid.unresolved,
+        "contacts": grid.max_contact_count,
+        "unresolved": grid.unresolved_count,
         "passed": grid.piercing.passed,
         "cut": grid.piercing.cut,
         **actor.meter.values,
@@ -136,11 +141,11 @@ def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
 def _summary_notice(actor: AttachmentActor) -> Fault:
     """Return a note about steps, strain and contact of an attachment (SIM130)."""
     phrases = [
-        f"{actor.body.name}: {counted(actor.steps, 'step')} per frame",
-        f"springs stretch by up to {percent_text(actor.grid.stretch)}",
+        f"{actor.body.name}: {counted(actor.steps_per_frame, 'step')} per frame",
+        f"springs stretch by up to {percent_text(actor.grid.max_strain)}",
     ]
-    if actor.grid.max_contacts:
-        particles = counted(actor.grid.max_contacts, "particle")
+    if actor.grid.max_contact_count:
+        particles = counted(actor.grid.max_contact_count, "particle")
         phrases.append(f"up to {particles} in contact")
     if actor.meter.text:
         phrases.append(actor.meter.text)
@@ -186,13 +191,14 @@ def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
     """Return warnings about strain and particles inside colliders (SIM131, SIM132)."""
     warnings, name, grid = [], actor.body.name, actor.grid
     target_strain = actor.settings.stretch
-    if grid.stretch > STRAIN_TOLERANCE * target_strain:
-        message = f"{name}: springs stretch by up to {percent_text(grid.stretch)}, but "
+    if grid.max_strain > STRAIN_TOLERANCE * target_strain:
+        strain = percent_text(grid.max_strain)
+        message = f"{name}: springs stretch by up to {strain}, but "
         message += f"{100 * target_strain:g}% was the target"
         hint = "use a higher rate, or let it settle from a pose that it can hold"
         warnings.append(warning("SIM131", message, hint))
-    if grid.unresolved:
-        points = counted(grid.unresolved, "particle")
+    if grid.unresolved_count:
+        points = counted(grid.unresolved_count, "particle")
         message = f"{name}: {points} remain inside colliders"
         hint = "closing colliders leave them no way out"
         warnings.append(warning("SIM132", message, hint))
@@ -201,7 +207,7 @@ def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
 
 def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
     """Return a note or warning with the remaining gap of a cycle (SIM130, SIM133)."""
-    times = counted(loop_closure.repeats, "time")
+    times = counted(loop_closure.repeat_count, "time")
     message = f"{names}: the cycle was simulated {times}; "
     if loop_closure.is_steered:
         message += "it did not close by itself and was steered to the cycle before; "
@@ -230,16 +236,10 @@ def simulate(
     caches. Cloth and strands also collide with earlier named cloth that has
     self-contact, without affecting that cloth.
 
-    Args:
-        stream: The take.
-        options: Attachments and settings.
-        folder: Base of relative paths.
-        prepended_frames: Frames before the take, with the pose of its first frame; a
-            cycle ignores them.
-        saves_states: Whether requested states are saved.
-        progress: Called with the fraction done of each block, 0 to 1.
-        build_colliders: Builds the characters, systems and meshes named by options;
-            None uses only ``colliders``.
+    Paths are relative to a folder. ``prepended_frames`` come before the take, with the
+    pose of its first frame; a cycle ignores them. Requested states are written if
+    ``saves_states``. Progress is the fraction done of each block, 0 to 1. Without
+    ``build_colliders``, characters, systems and meshes of the options are left out.
     """
     refusals = RefusalCollector()
     for name, check in option_checks(options).items():
@@ -257,18 +257,9 @@ def simulate(
     if build_colliders is not None and names_colliders:
         lead = prepended_frames * frame_duration
         stream, world = build_colliders(stream, options, lead)
-    start = stream.first_frame
+    resumed = _load_states(bodies, options, folder)
     simulation = AttachSimulation(
-        stream.rig,
-        bodies,
-        options,
-        stream.fps / stream.step,
-        start,
-        stream.step,
-        _load_states(bodies, options, folder),
-        prepended_frames,
-        progress,
-        world,
+        stream, bodies, options, resumed, prepended_frames, progress, world
     )
     point_names = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
@@ -284,7 +275,7 @@ def _blocks(
     """Yield simulated blocks, then write states and collect notices."""
     yield from simulation.blocks(stream.blocks)
     if simulation.options.save and folder is not None:
-        write_states(folder / simulation.options.save, simulation.saved)
+        write_states(folder / simulation.options.save, simulation.saved_states)
     stream.notices.extend(simulation_notices(simulation))
     stream.simulated.extend(map(attachment_report, simulation.actors))
 

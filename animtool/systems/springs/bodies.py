@@ -60,8 +60,8 @@ class BodyEntry:
     checked. Any other fault prevents the body from being built.
     """
 
-    spec: Any
-    parts: Mapping[str, Any]
+    spec: Any  # keys of the entry
+    parts: Mapping[str, Any]  # what its keys name in files, such as arrays and meshes
     # Spring families by name; None for omitted ones.
     families: Mapping[str, Family | None] = field(default_factory=dict)
     mass: float = 1.0  # [kg]
@@ -69,12 +69,12 @@ class BodyEntry:
     can_build: bool = True  # whether the body can be built
 
     def add_fault(
-        self, fault: Fault, *keys: str | int, recoverable: bool = False
+        self, fault: Fault, *keys: str | int, is_recoverable: bool = False
     ) -> None:
         """Add a fault at a key of the entry, extended by the location in the fault."""
         subkeys = (fault.where,) if fault.where else ()
         self.faults.append(replace(fault, where=location_text((*keys, *subkeys))))
-        self.can_build &= recoverable
+        self.can_build &= is_recoverable
 
     def report_fault(
         self, code: str, message: str, *keys: str | int, hint: str | None = None
@@ -86,9 +86,9 @@ class BodyEntry:
         """Return a mass [kg]; report a fault and return 1 if it is not positive."""
         if mass >= MIN_MASS:
             return mass
-        allowed = "above 0" if mass <= 0 else f"{MIN_MASS:g} kg or more"
-        message = f"its mass must be {allowed}, not {mass:g} kg"
-        self.add_fault(Fault("SIM040", message), key, recoverable=True)
+        allowed_range = "above 0" if mass <= 0 else f"{MIN_MASS:g} kg or more"
+        message = f"its mass must be {allowed_range}, not {mass:g} kg"
+        self.add_fault(Fault("SIM040", message), key, is_recoverable=True)
         return 1.0
 
 
@@ -192,9 +192,9 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
         return None
     faces: tuple[IntArray, IntArray] = mesh.counts, mesh.indices
     fractions, flat_faces = _area_fractions(mesh.points, *faces)
-    massless = np.flatnonzero(fractions == 0)
-    if len(massless):
-        points = excerpt_numbers(massless)
+    massless_points = np.flatnonzero(fractions == 0)
+    if len(massless_points):
+        points = excerpt_numbers(massless_points)
         message = f"points of {prim} are in no face with an area: {points}"
         entry.report_fault("SIM051", message, "mesh", "prim")
     if not entry.can_build:
@@ -237,19 +237,20 @@ def _mesh_warnings(
     _, unique_indices, counts = np.unique(
         points, axis=0, return_inverse=True, return_counts=True
     )
-    duplicates = np.flatnonzero(counts[unique_indices.reshape(-1)] > 1)
+    duplicate_points = np.flatnonzero(counts[unique_indices.reshape(-1)] > 1)
     hints = {}
     if len(flat_faces):
         text = f"faces without an area: {excerpt_numbers(flat_faces)}"
         hints[text] = "the air does not act on them"
-    if len(duplicates):
+    if len(duplicate_points):
         text = "points at the same position that nothing connects: "
-        text += excerpt_numbers(duplicates)
+        text += excerpt_numbers(duplicate_points)
         hints[text] = "merge them"
-    nonmanifold = edge_table[0][edge_table[1] > 2]
-    if len(nonmanifold):
-        text = f"{counted(len(nonmanifold), 'edge')} of more than two faces, such as "
-        text += f"{nonmanifold[0, 0]} to {nonmanifold[0, 1]}"
+    nonmanifold_edges = edge_table[0][edge_table[1] > 2]
+    if len(nonmanifold_edges):
+        edges, (first, second) = len(nonmanifold_edges), nonmanifold_edges[0]
+        text = f"{counted(edges, 'edge')} of more than two faces, such as "
+        text += f"{first} to {second}"
         hints[text] = "it bends less there"
     return tuple(
         warning("SIM153", f"{prim} has {text}", hint) for text, hint in hints.items()
@@ -312,9 +313,11 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
         return f"cells have the shape (tetrahedra, 4), not {cells.shape}"
     if cells.min() < 0 or cells.max() >= len(points):
         return f"a corner is outside the {len(points)} points"
-    massless = np.flatnonzero(_volume_fractions(points, cells.astype(np.int64)) == 0)
-    if len(massless):
-        numbers = excerpt_numbers(massless)
+    massless_points = np.flatnonzero(
+        _volume_fractions(points, cells.astype(np.int64)) == 0
+    )
+    if len(massless_points):
+        numbers = excerpt_numbers(massless_points)
         return f"points are in no tetrahedron with a volume: {numbers}"
     return ""
 
@@ -337,14 +340,15 @@ def _skin_shape(body: Body) -> FaceShape:
 
 
 def _corner_fractions(
-    sizes: FloatArray, counts: IntArray, corners: IntArray, points: int
+    sizes: FloatArray, counts: IntArray, corners: IntArray, point_count: int
 ) -> FloatArray:
     """Distribute cell sizes to their corners; return fractions ``(N,)`` [1].
 
     Cells have sizes ``(M,)`` and corner counts ``(M,)``, cell by cell. Fractions add up
     to 1, or are all 0 if every cell has size 0.
     """
-    sizes_by_point = np.bincount(corners, np.repeat(sizes / counts, counts), points)
+    corner_sizes = np.repeat(sizes / counts, counts)
+    sizes_by_point = np.bincount(corners, corner_sizes, point_count)
     total = float(sizes_by_point.sum())
     return np.asarray(sizes_by_point / (total if total > 0 else 1.0), np.float64)
 

@@ -22,7 +22,7 @@ TornFlags: TypeAlias = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Springs(Rows):
-    """S springs.
+    """Properties of S springs, one row for each.
 
     Attributes:
         ends: Indices of both end particles ``(S, 2)``.
@@ -200,8 +200,8 @@ def weld(body: Body, pairs: ArrayLike) -> Welded:
     masses = np.zeros(len(remaining))
     np.add.at(masses, rows, body.masses)
     springs = replace(body.springs, ends=rows[body.springs.ends])
-    welded = Body(body.positions[remaining], masses, springs, rows[body.triangles])
-    return Welded(welded, rows, float(gaps.max(initial=0.0)))
+    welded_body = Body(body.positions[remaining], masses, springs, rows[body.triangles])
+    return Welded(welded_body, rows, float(gaps.max(initial=0.0)))
 
 
 class TargetSprings(NamedTuple):

@@ -63,18 +63,17 @@ class BodyCoupling:
         """Name and mass [kg] of the lightest dynamic body; None without one."""
         masses = []
         for attachment in self.attachments:
-            system = self.carriers[attachment.carrier].system.shared
-            rows = np.flatnonzero(system.dynamic == attachment.body)
-            mass = float(
-                self.carriers[attachment.carrier].masses[rows].min(initial=np.inf)
-            )
+            carrier = self.carriers[attachment.carrier]
+            system = carrier.system.shared
+            is_body = system.dynamic == attachment.body
+            mass = float(carrier.masses[is_body].min(initial=np.inf))
             masses.append((mass, system.names[attachment.body]))
         mass, name = min(masses)
         return None if mass == np.inf else (name, mass)
 
 
 class CoupledSprings(NamedTuple):
-    """Springs after a cell."""
+    """Springs after a cell, and what they did to the pinned particles."""
 
     grid: TimeGrid
     # Impulses and moments about the origin on pinned particles ``(H, 6)``.
@@ -123,15 +122,15 @@ def _newton_correction(jacobian: FloatArray, trial: _CellTrial) -> FloatArray:
 class CoupledCell:
     """Solves a cell of springs together with the bodies that carry its pins."""
 
-    def __init__(self, coupling: BodyCoupling, steps: Sequence[CarrierStep]) -> None:
+    def __init__(
+        self,
+        coupling: BodyCoupling,
+        steps: Sequence[CarrierStep],
+        solve_springs: SolveSprings,
+    ) -> None:
         self._coupling, self._steps, self._h = coupling, steps, steps[0].duration
-        poses = [step.start_poses for step in steps]
-        self._positions = [
-            local_to_world(
-                poses[attachment.carrier][attachment.body], attachment.local_points
-            )
-            for attachment in coupling.attachments
-        ]
+        self._solve_springs = solve_springs
+        self._positions = self._attached_points([step.start_poses for step in steps])
         self._solved_bodies = list(self._bodies())
         # Velocities of carried particles at the start, by body.
         self._start_velocities = [
@@ -144,17 +143,22 @@ class CoupledCell:
             for body in self._solved_bodies
         ]
 
+    def _attached_points(self, poses: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return points of attachments in the world, with poses of bodies by system."""
+        return [
+            local_to_world(poses[row.carrier][row.body], row.local_points)
+            for row in self._coupling.attachments
+        ]
+
     def _bodies(self) -> Any:
         """Yield the dynamic bodies that carry particles."""
         carriers = self._coupling.carriers
         for k, step in enumerate(self._steps):
             dynamic = carriers[k].system.shared.dynamic
             for index, body in enumerate(dynamic.tolist()):
-                attachments = self._coupling.attachments
+                attachments = enumerate(self._coupling.attachments)
                 indices = [
-                    i
-                    for i, attachment in enumerate(attachments)
-                    if (attachment.carrier, attachment.body) == (k, body)
+                    i for i, row in attachments if (row.carrier, row.body) == (k, body)
                 ]
                 if not indices or not step.is_free[index]:
                     continue
@@ -170,41 +174,37 @@ class CoupledCell:
 
     @property
     def _scale(self) -> FloatArray:
-        """Factors from velocity changes to displacements ``(6 U,)`` [s, m s]."""
+        """Displacement in a cell per velocity change ``(6 U,)`` [s, m s]."""
         rows = [[1.0] * 3 + [body.radius] * 3 for body in self._solved_bodies]
         return self._h * np.array(rows).reshape(-1)
 
-    def solve(
-        self, solve_springs: SolveSprings, warm_start: FloatArray | None
-    ) -> CoupledSolution:
+    def solve(self, warm_start: FloatArray | None) -> CoupledSolution:
         """Solve the coupled cell by Newton's method; return springs and body impulses.
 
         ``warm_start`` is the Jacobian and solution of the last cell.
         """
         count = 6 * len(self._solved_bodies)
         if not count:
-            current = self._trial(np.zeros(0), solve_springs)
+            current = self._trial(np.zeros(0))
             return CoupledSolution(current.springs.grid, tuple(current.wrenches), None)
         y, jacobian = np.zeros(count), None
         if warm_start is not None and warm_start.shape == (count, count + 1):
             y, jacobian = warm_start[:, -1].copy(), warm_start[:, :-1]
-        current = self._trial(y, solve_springs)
+        current = self._trial(y)
         spring_length, scale = self._coupling.spring_length, self._scale
         displacement, is_rebuilt = np.inf, False
         for _ in range(MAX_CORRECTIONS):
-            if current.springs.grid.unsolved:
+            if current.springs.grid.is_unsolved:
                 break
             if jacobian is None:
                 steps = DIFFERENCE_STEP * spring_length / scale
-                jacobian = self._jacobian(y, current, steps, solve_springs)
+                jacobian = self._jacobian(y, current, steps)
                 is_rebuilt = True
             change = _newton_correction(jacobian, current)
             displacement = float(np.abs(change * scale).max())
             if displacement <= CONVERGENCE_TOLERANCE * spring_length:
                 break
-            fraction, next_size, next_trial = self._line_search(
-                y, change, jacobian, solve_springs
-            )
+            fraction, next_size, next_trial = self._line_search(y, change, jacobian)
             if next_trial is None:
                 if is_rebuilt or displacement <= MIN_REBUILD_CORRECTION * spring_length:
                     break
@@ -221,33 +221,26 @@ class CoupledCell:
             jacobian = jacobian + np.outer(gap, change) / float(change @ change)
             is_rebuilt = False
         grid = current.springs.grid
-        is_unsolved = grid.unsolved or not displacement <= MAX_RESIDUAL * spring_length
+        is_unsolved = grid.is_unsolved
+        is_unsolved |= not displacement <= MAX_RESIDUAL * spring_length
         next_warm_start = None if jacobian is None else np.column_stack([jacobian, y])
-        grid = replace(grid, unsolved=is_unsolved)
+        grid = replace(grid, is_unsolved=is_unsolved)
         return CoupledSolution(grid, tuple(current.wrenches), next_warm_start)
 
     def _jacobian(
-        self,
-        y: FloatArray,
-        current: _CellTrial,
-        steps: FloatArray,
-        solve_springs: SolveSprings,
+        self, y: FloatArray, current: _CellTrial, steps: FloatArray
     ) -> FloatArray:
         """Return the finite-difference Jacobian of the residuals ``(6 U, 6 U)``."""
         columns = []
         for k, step in enumerate(steps.tolist()):
-            shifted = y.copy()
-            shifted[k] += step
-            residuals = self._trial(shifted, solve_springs).residuals
+            shifted_y = y.copy()
+            shifted_y[k] += step
+            residuals = self._trial(shifted_y).residuals
             columns.append((residuals - current.residuals) / step)
         return np.stack(columns, axis=1)
 
     def _line_search(
-        self,
-        y: FloatArray,
-        change: FloatArray,
-        jacobian: FloatArray,
-        solve_springs: SolveSprings,
+        self, y: FloatArray, change: FloatArray, jacobian: FloatArray
     ) -> tuple[float, float, _CellTrial | None]:
         """Return the accepted fraction of a Newton correction, and the result there.
 
@@ -258,8 +251,9 @@ class CoupledCell:
         fraction = 1.0
         displacement = float(np.abs(change * scale).max())
         for _ in range(MAX_HALVINGS):
-            trial = self._trial(y + fraction * change, solve_springs)
-            if not trial.springs.grid.unsolved and np.isfinite(trial.residuals).all():
+            trial = self._trial(y + fraction * change)
+            is_solved = not trial.springs.grid.is_unsolved
+            if is_solved and np.isfinite(trial.residuals).all():
                 next_change = _newton_correction(jacobian, trial)
                 next_size = float(np.abs(next_change * scale).max())
                 limit = (1 - fraction / 4) * displacement
@@ -268,7 +262,7 @@ class CoupledCell:
             fraction /= 2
         return fraction, np.inf, None
 
-    def _trial(self, y: FloatArray, solve_springs: SolveSprings) -> _CellTrial:
+    def _trial(self, y: FloatArray) -> _CellTrial:
         """Return residuals and springs at velocity changes ``(6 U,)`` of bodies."""
         pulls = [np.zeros((carrier.count, 6)) for carrier in self._coupling.carriers]
         for body, velocity in zip(self._solved_bodies, y.reshape(-1, 6), strict=True):
@@ -278,14 +272,9 @@ class CoupledCell:
             step.pushed(step.wrenches(rows))
             for step, rows in zip(self._steps, pulls, strict=True)
         ]
-        end_points = [
-            local_to_world(
-                ends[attachment.carrier][1][attachment.body], attachment.local_points
-            )
-            for attachment in self._coupling.attachments
-        ]
+        end_points = self._attached_points([poses for _, poses in ends])
         begins = np.concatenate(self._positions)
-        springs = solve_springs(begins, np.concatenate(end_points))
+        springs = self._solve_springs(begins, np.concatenate(end_points))
         totals = [np.zeros_like(rows) for rows in pulls]
         residuals = []
         for i, velocity in enumerate(y.reshape(-1, 6)):

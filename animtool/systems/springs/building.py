@@ -94,16 +94,16 @@ class _SystemBuilder:
             pins = [(pin, pin.poses(self._context.poses)) for pin in entry.pins]
             points = align_to_pins(pins, body.positions, begin)
             constraints.append(constraints_of(pins, points))
-            pinned = points.copy()
+            pinned_points = points.copy()
             for pin, poses in pins:
                 if pin.model.stiffness is None:
-                    pinned[pin.particles] = pin.start(poses, points, begin)
-            gap = float(np.linalg.norm(pinned - points, axis=1).max())
+                    pinned_points[pin.particles] = pin.start(poses, points, begin)
+            gap = float(np.linalg.norm(pinned_points - points, axis=1).max())
             self._warn_gap("pins hold particles", gap)
             # With several entries, wind acts on the faces of those that request it.
             has_wind = not any_uses_faces or _uses_faces(entry)
             triangles = body.triangles if has_wind else body.triangles[:0]
-            bodies.append(replace(body, positions=pinned, triangles=triangles))
+            bodies.append(replace(body, positions=pinned_points, triangles=triangles))
         return bodies, constraints
 
     def _build_system(
@@ -212,13 +212,9 @@ class _SystemBuilder:
 def _stands_on_pins(system: SpringSystem) -> bool:
     """Return whether all free particles are above the pins, as in an upright rope."""
     heights = -system.body.positions @ system.gravity
-    is_free = np.ones(len(heights), np.bool_)
-    is_free[system.pinned] = False
-    return bool(
-        is_free.any()
-        and not is_free.all()
-        and heights[is_free].min() > heights[~is_free].max()
-    )
+    free_heights, pin_heights = heights[~system.is_pinned], heights[system.is_pinned]
+    has_both = len(free_heights) > 0 and len(pin_heights) > 0
+    return has_both and bool(free_heights.min() > pin_heights.max())
 
 
 def _uses_faces(entry: SpringEntry) -> bool:

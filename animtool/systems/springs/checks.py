@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import (
     Fault,
     OptionError,
@@ -32,27 +32,27 @@ def excerpt_numbers(numbers: IntArray) -> str:
 def check_body(body: Body, pinned: IntArray, target_particles: IntArray) -> None:
     """Raise OptionError for invalid particles, springs, pins or targets."""
     count = len(body.positions)
-    nonfinite = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
-    faults = _faults_by_particle("SIM041", "its position is not finite", nonfinite)
-    faults += _particle_faults(pinned, "pins", count)
+    nonfinite_particles = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
+    faults = _particle_faults(
+        "SIM041", "its position is not finite", nonfinite_particles
+    )
+    faults += _unknown_particle_faults(pinned, "pins", count)
     pinned_particles, counts = np.unique(pinned, return_counts=True)
     pinned_twice = pinned_particles[counts > 1]
-    faults += _faults_by_particle("SIM043", "it is pinned twice", pinned_twice)
-    faults += _particle_faults(target_particles, "targets", count)
+    faults += _particle_faults("SIM043", "it is pinned twice", pinned_twice)
+    faults += _unknown_particle_faults(target_particles, "targets", count)
     is_free = np.ones(count, bool)
     is_free[pinned[(pinned >= 0) & (pinned < count)]] = False
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         # Forces are divided by the mass: its inverse must be finite too.
         has_finite_mass = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
         is_massless = ~((body.masses > 0) & has_finite_mass) & is_free
-    hint = "pin it, or give it a mass above 0"
-    faults += _faults_by_particle(
-        "SIM040", "its mass must be above 0", np.flatnonzero(is_massless), hint
-    )
+    message, hint = "its mass must be above 0", "pin it, or give it a mass above 0"
+    faults += _particle_faults("SIM040", message, np.flatnonzero(is_massless), hint)
     faults += _spring_faults(body.springs, count)
     has_unknown_corner = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
     message = "triangle {} has a corner that does not exist"
-    faults += _faults_by_row(message, has_unknown_corner)
+    faults += _row_faults("SIM042", message, np.flatnonzero(has_unknown_corner))
     if faults:
         raise OptionError(faults)
 
@@ -74,8 +74,8 @@ def check_path(
     elif not np.isfinite(knots).all() or (np.diff(knots) <= 0).any():
         message = "times must be finite and ascend"
     elif not np.isfinite(path).all():
-        row = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
-        message = f"positions at {knots[row]:g} s are not finite"
+        row_index = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
+        message = f"positions at {knots[row_index]:g} s are not finite"
     if message:
         refuse("SIM044", message, name)
     return knots, path
@@ -98,57 +98,69 @@ def start_notices(body: Body) -> list[Fault]:
     return [warning("SIM140", message, None, "body")]
 
 
-def _faults_by_particle(
+def _row_faults(
+    code: str,
+    message: str,
+    rows: IntArray,
+    where: str = "body",
+    hint: str | None = None,
+) -> list[Fault]:
+    """Return a fault for each of the first few rows, numbered in the message."""
+    return [
+        Fault(code, message.format(i), where=where, hint=hint)
+        for i in rows[:MAX_NAMED].tolist()
+    ]
+
+
+def _particle_faults(
     code: str, message: str, particles: IntArray, hint: str | None = None
 ) -> list[Fault]:
     """Return a fault for each of the first few particles, and one for the others."""
-    faults = [
-        Fault(code, f"particle {i}: {message}", where="body", hint=hint)
-        for i in particles[:MAX_NAMED].tolist()
-    ]
+    faults = _row_faults(code, f"particle {{}}: {message}", particles, hint=hint)
     more = len(particles) - MAX_NAMED
     if more > 0:
         faults.append(Fault(code, f"{more} more particles: {message}", where="body"))
     return faults
 
 
-def _faults_by_row(message: str, is_invalid: BoolArray | np.bool) -> list[Fault]:
-    """Return a fault (SIM042) for each of the first few invalid rows."""
-    return [
-        Fault("SIM042", message.format(i), where="body")
-        for i in np.flatnonzero(is_invalid)[:MAX_NAMED].tolist()
-    ]
-
-
-def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]:
+def _unknown_particle_faults(
+    particles: IntArray, where: str, count: int
+) -> list[Fault]:
     """Return a fault (SIM043) for each of the first few unknown particles."""
-    unknown_particles = particles[(particles < 0) | (particles >= count)]
     message = f"unknown particle {{}}: they are 0 to {count - 1}"
-    return [
-        Fault("SIM043", message.format(i), where=where)
-        for i in unknown_particles[:MAX_NAMED].tolist()
-    ]
+    is_unknown = (particles < 0) | (particles >= count)
+    return _row_faults("SIM043", message, particles[is_unknown], where)
 
 
 def _spring_faults(springs: Springs, count: int) -> list[Fault]:
     """Return faults of springs with unknown ends or invalid properties (SIM042)."""
-    has_unknown_end = ((springs.ends < 0) | (springs.ends >= count)).any(axis=1)
-    message = "spring {} joins a particle that does not exist"
-    faults = _faults_by_row(message, has_unknown_end)
-    joins_itself = springs.ends[:, 0] == springs.ends[:, 1]
-    faults += _faults_by_row("spring {} joins a particle to itself", joins_itself)
+    ends = springs.ends
+    numbers = {
+        "rest length": springs.rest,
+        "stiffness": springs.stiffness,
+        "damping": springs.damping,
+    }
     with np.errstate(invalid="ignore"):
-        for values, name in (
-            (springs.rest, "rest length"),
-            (springs.stiffness, "stiffness"),
-            (springs.damping, "damping"),
-        ):
-            is_invalid = ~((values >= 0) & np.isfinite(values))
-            message = f"spring {{}} has a {name} below 0 or not finite"
-            faults += _faults_by_row(message, is_invalid)
-        has_invalid_limit = ~(springs.limit >= springs.rest)
-    message = "spring {} tears before it is stretched"
-    return faults + _faults_by_row(message, has_invalid_limit)
+        is_invalid = {
+            "joins a particle that does not exist": (
+                ((ends < 0) | (ends >= count)).any(axis=1)
+            ),
+            "joins a particle to itself": ends[:, 0] == ends[:, 1],
+            **{
+                f"has a {name} below 0 or not finite": (
+                    ~((values >= 0) & np.isfinite(values))
+                )
+                for name, values in numbers.items()
+            },
+            "tears before it is stretched": ~(springs.limit >= springs.rest),
+        }
+    return [
+        fault
+        for message, mask in is_invalid.items()
+        for fault in _row_faults(
+            "SIM042", f"spring {{}} {message}", np.flatnonzero(mask)
+        )
+    ]
 
 
 def check_self_contact(contact: SelfContact, body: Body) -> None:

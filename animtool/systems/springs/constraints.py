@@ -12,10 +12,10 @@ import numpy as np
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, warning
 from animtool.core.record import dataclass
-from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.motion import TimeGrid
+from animtool.systems.springs.motion import TimeGrid, move_rigidly
+from animtool.systems.springs.shapes import connected_groups
 
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 TimedPositions: TypeAlias = tuple[FloatArray, FloatArray]
@@ -80,35 +80,41 @@ def resample_to_shared_times(
     """
     moving_times = [times for times, _ in paths if len(times) > 1]
     knots = np.unique(np.concatenate(moving_times)) if moving_times else np.zeros(1)
-    resampled = []
+    resampled_paths = []
     for times, path in paths:
         is_constant = len(times) == 1
         is_aligned = is_constant or np.array_equal(times, knots)
-        positions = path if is_aligned else _resample(times, path, knots)
-        resampled.append(np.ascontiguousarray(positions))
-    return knots, resampled
+        positions = path
+        if not is_aligned:
+            positions = np.array(
+                [position_at((times, path), t) for t in knots.tolist()]
+            )
+        resampled_paths.append(np.ascontiguousarray(positions))
+    return knots, resampled_paths
 
 
 def merge_constraints(
     constraints: Sequence[Pins | PointTargets], kind: type[Constraint]
 ) -> Constraint | None:
     """Merge timed pins or targets of a kind into one record; None if there are none."""
-    merged = [row for row in constraints if isinstance(row, kind)]
-    if not merged:
+    matching = [row for row in constraints if isinstance(row, kind)]
+    if not matching:
         return None
     names = {field.name for field in fields(kind)} - {"positions", "times"}
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(row, name) for row in merged]) for name in names
+        name: np.concatenate([getattr(row, name) for row in matching]) for name in names
     }
-    paths: list[Any] = [(row.times, row.positions) for row in merged]
+    paths: list[Any] = [(row.times, row.positions) for row in matching]
     times, positions = _merge_paths(paths)
     return kind(positions=positions, times=times, **columns)
 
 
 def _merge_paths(paths: Sequence[TimedPositions]) -> TimedPositions:
     """Concatenate paths along their particles, over shared times."""
-    knots, resampled = resample_to_shared_times(paths)
-    rows = [np.broadcast_to(path, (len(knots), *path.shape[1:])) for path in resampled]
+    knots, resampled_paths = resample_to_shared_times(paths)
+    rows = [
+        np.broadcast_to(path, (len(knots), *path.shape[1:])) for path in resampled_paths
+    ]
     return knots, np.concatenate(rows, axis=1)
 
 
@@ -130,15 +136,6 @@ def max_speed_and_travel(path: TimedPositions) -> tuple[float, float]:
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
     distances = np.linalg.norm(positions - positions[:1], axis=2)
     return speed, float(distances.max(initial=0.0))
-
-
-def _resample(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return path positions interpolated at the times ``knots`` ``(K, P, 3)`` [m]."""
-    after = np.clip(np.searchsorted(times, knots, "right"), 1, len(times) - 1)
-    begin, end = times[after - 1], times[after]
-    fraction = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
-    values: FloatArray = path[after - 1] + fraction * (path[after] - path[after - 1])
-    return np.where(fraction == 1, path[after], values)
 
 
 class Teleports:
@@ -164,12 +161,15 @@ class Teleports:
         is_too_fast = distances > max_speed * np.diff(self._knots)[:, None]
         self._group_of_particle = np.zeros(len(body.positions), np.int64)
         if is_too_fast.any():
-            self._group_of_particle = _connected_groups(body)
+            count, ends = len(body.positions), body.springs.ends
+            self._group_of_particle = connected_groups(count, ends)
         groups = self._group_of_particle[driven_particles]
-        self._teleporting = _teleports_by_group(is_too_fast, groups)
-        self._teleport_knots: IntArray = np.flatnonzero(self._teleporting.any(axis=1))
+        self._is_teleporting = _teleports_by_group(is_too_fast, groups)
+        self._teleport_knot_indices: IntArray = np.flatnonzero(
+            self._is_teleporting.any(axis=1)
+        )
         # Times of the teleports ``(J,)`` [s].
-        self.times: FloatArray = self._knots[self._teleport_knots + 1]
+        self.times: FloatArray = self._knots[self._teleport_knot_indices + 1]
 
     def __len__(self) -> int:
         """Return the number of teleports."""
@@ -197,10 +197,10 @@ class Teleports:
         """Return times and positions of pins, and of targets, in a stage."""
         first_knots = np.zeros(len(self._driven_particles), np.int64)
         last_knots = np.full(len(self._driven_particles), len(self._knots) - 1)
-        for begin in self._teleport_knots[:stage].tolist():
-            first_knots[self._teleporting[begin]] = begin + 1
-        for begin in self._teleport_knots[stage:][::-1].tolist():
-            last_knots[self._teleporting[begin]] = begin
+        for begin in self._teleport_knot_indices[:stage].tolist():
+            first_knots[self._is_teleporting[begin]] = begin + 1
+        for begin in self._teleport_knot_indices[stage:][::-1].tolist():
+            last_knots[self._is_teleporting[begin]] = begin
         rows = np.clip(np.arange(len(self._knots))[:, None], first_knots, last_knots)
         positions = self._positions[rows, np.arange(len(self._driven_particles))]
         return [
@@ -211,29 +211,30 @@ class Teleports:
     def apply(self, state: FloatArray, begin: int, end: int) -> FloatArray:
         """Return a state ``(2, N, 3)`` after the teleports between two stages."""
         result = state.copy() if end > begin else state
-        for row in self._teleport_knots[begin:end].tolist():
-            particles = self._driven_particles[self._teleporting[row]]
+        for row in self._teleport_knot_indices[begin:end].tolist():
+            particles = self._driven_particles[self._is_teleporting[row]]
             for group in np.unique(self._group_of_particle[particles]):
                 self._move_group(result, row, int(group))
         return result
 
     def _move_group(self, state: FloatArray, row: int, group: int) -> None:
         """Move a group of particles over a teleport, in place."""
-        rows = np.flatnonzero(self._group_of_particle[self._driven_particles] == group)
-        before, after = self._positions[row : row + 2, rows]
+        driven_indices = np.flatnonzero(
+            self._group_of_particle[self._driven_particles] == group
+        )
+        before, after = self._positions[row : row + 2, driven_indices]
         rotation, shift = rigid_motion(before, after)
         is_member = self._group_of_particle == group
-        state[0, is_member] = so3.rotate(rotation, state[0, is_member]) + shift
-        state[1, is_member] = so3.rotate(rotation, state[1, is_member])
-        is_pin = rows < self._pin_count
-        state[0, self._driven_particles[rows[is_pin]]] = after[is_pin]
-        state[1, self._driven_particles[rows[is_pin]]] = 0.0
+        state[:, is_member] = move_rigidly(state[:, is_member], shift, rotation)
+        is_pin = driven_indices < self._pin_count
+        state[0, self._driven_particles[driven_indices[is_pin]]] = after[is_pin]
+        state[1, self._driven_particles[driven_indices[is_pin]]] = 0.0
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport of pins or targets."""
         notices = []
         for has_teleported, t in zip(
-            self._teleporting[self._teleport_knots], self.times, strict=True
+            self._is_teleporting[self._teleport_knot_indices], self.times, strict=True
         ):
             names = ["pins"] if has_teleported[: self._pin_count].any() else []
             names += ["targets"] if has_teleported[self._pin_count :].any() else []
@@ -244,18 +245,6 @@ class Teleports:
             hint = "raise the speed limit if they should pull it along"
             notices.append(warning("SIM122", message, hint, names[0]))
         return notices
-
-
-def _connected_groups(body: Body) -> IntArray:
-    """Return the connected component of each particle ``(N,)``."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    count, ends = len(body.positions), body.springs.ends
-    weights = np.ones(len(ends), np.int8)
-    graph = coo_array((weights, (ends[:, 0], ends[:, 1])), shape=(count, count))
-    labels: IntArray = connected_components(graph, directed=False)[1]
-    return labels.astype(np.int64)
 
 
 def _teleports_by_group(is_too_fast: BoolArray, groups: IntArray) -> BoolArray:

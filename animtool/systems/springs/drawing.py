@@ -164,7 +164,7 @@ class Tearing:
     def frame(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> MeshFrame:
-        """Return the mesh frame, as `FaceShape.row` does."""
+        """Return the mesh frame, as `FaceShape.frame` does."""
         return MeshFrame(
             self.points(points, torn),
             self.velocities(points, velocities, torn),
@@ -187,8 +187,8 @@ class Tearing:
         for k, sign in ((0, 1.0), (1, -1.0)):
             ends = self.ends[is_torn, k]
             rotations = neighbour_rotations[self.rotations.rows(ends)]
-            rotated = np.einsum("eij,ej->ei", rotations, half_edges)
-            halves[is_torn, k] = particles[ends] + sign * rotated
+            rotated_edges = np.einsum("eij,ej->ei", rotations, half_edges)
+            halves[is_torn, k] = particles[ends] + sign * rotated_edges
         middles = [
             middle.positions(particles, torn, self.rotations, neighbour_rotations)
             for middle in self.middles
@@ -263,10 +263,10 @@ class _FaceMiddle:
         group_of_run = np.mod(np.cumsum(is_torn) - is_torn, group_count)
         corner_rotations = rotations[neighbours.rows(self.corners)]
         offsets = np.einsum("cij,cj->ci", corner_rotations, self.rest_offsets)
-        predicted = particles[self.corners] + offsets
+        predicted_middles = particles[self.corners] + offsets
         group_of_corner = group_of_run[self.run_of_corner]
         sums = np.zeros((group_count, 3))
-        np.add.at(sums, group_of_corner, predicted)
+        np.add.at(sums, group_of_corner, predicted_middles)
         counts = np.bincount(group_of_corner)
         centres: FloatArray = sums[group_of_run] / counts[group_of_run][:, None]
         return centres

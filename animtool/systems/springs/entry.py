@@ -201,28 +201,28 @@ def _families(entry: BodyEntry) -> dict[str, Family | None]:
     if not any(families.values()):
         message = "it has no springs, so its particles fall separately"
         fault = Fault("SIM050", message, hint=f"add some of {', '.join(models)}")
-        entry.add_fault(fault, "springs", recoverable=True)
+        entry.add_fault(fault, "springs", is_recoverable=True)
     return families
 
 
 def _family(entry: BodyEntry, name: str, model: Any) -> Family:
     """Return a spring family; a family with invalid numbers has no force."""
     keys = ("stiffness", "frequency", "axial_stiffness")
-    specified = [key for key in keys if getattr(model, key, None) is not None]
+    specified_keys = [key for key in keys if getattr(model, key, None) is not None]
     family = record_of(Family, model)
     hint = "stiffness [N/m] of each spring, frequency [Hz] of its oscillation"
     if "axial_stiffness" in type(model).model_fields:
         hint += ", or axial_stiffness [N], force over strain"
     message = ""
-    if not specified:
+    if not specified_keys:
         message = "it has no stiffness"
-    elif len(specified) > 1:
-        message = f"it has {' and '.join(specified)}; write one of them"
-    elif specified == ["axial_stiffness"] and family.rest == 0:
+    elif len(specified_keys) > 1:
+        message = f"it has {' and '.join(specified_keys)}; write one of them"
+    elif specified_keys == ["axial_stiffness"] and family.rest == 0:
         message = "springs of rest length 0 have no axial_stiffness"
         hint = "use stiffness, or a rest above 0"
     if message:
-        where = specified[-1] if specified else None
+        where = specified_keys[-1] if specified_keys else None
         faults = [Fault("SIM190", message, hint=f"give {hint}", where=where)]
     else:
         faults = range_faults(family, ENTRY_RANGE_MESSAGE)
@@ -230,7 +230,7 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
             message, hint = "springs of rest length 0 tear at once", "remove tear"
             faults.append(Fault("SIM042", message, hint=hint, where="tear"))
     for fault in faults:
-        entry.add_fault(fault, "springs", name, recoverable=True)
+        entry.add_fault(fault, "springs", name, is_recoverable=True)
     return Family() if faults else family
 
 

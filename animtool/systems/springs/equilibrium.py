@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,15 +12,14 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
-from animtool.systems.springs.body import Body
-from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import (
-    MIN_AUTO_STEP,
+from animtool.systems.springs.choosing import (
     STEP_SAFETY_FACTOR,
     SolverChoice,
-    SpringPlan,
     explicit_limit,
 )
+from animtool.systems.springs.motion import at_rest
+from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.solvers import MIN_AUTO_STEP, SpringPlan
 from animtool.systems.springs.system import SpringSystem
 
 # Largest residual force of an equilibrium, relative to the weight of a particle [1].
@@ -96,10 +95,10 @@ def find_rest(
     -1.1
     """
     start = system.settle(t, 1.0, system.state, system.state)[0]
-    frozen = system.frozen_at(t, replace(system.body, positions=start))
-    current, has_descended = _Configuration(frozen, start), False
+    frozen_system = system.frozen_at(t, replace(system.body, positions=start))
+    current, has_descended = _Configuration(frozen_system, start), False
     regularization, steps = current.typical_stiffness, 0
-    while not current.solved and steps < MAX_STEPS:
+    while not current.is_solved and steps < MAX_STEPS:
         steps += 1
         candidate = current.newton_step(regularization)
         if (
@@ -111,10 +110,10 @@ def find_rest(
         elif has_descended:
             regularization *= REGULARIZATION_INCREASE
         else:
-            current, has_descended = _damped_descent(frozen, current), True
+            current, has_descended = _damped_descent(frozen_system, current), True
         if progress is not None:
             progress(current.progress)
-    return Rest(current.x, current.residual, steps, current.solved)
+    return Rest(current.x, current.residual, steps, current.is_solved)
 
 
 def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configuration:
@@ -122,33 +121,29 @@ def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configurati
 
     Sheets fold during the descent, where Newton's method needs many short steps.
     """
-    body = replace(system.body, positions=start.x)
-    size = float(np.linalg.norm(np.ptp(body.positions, axis=0)))
+    springs = system.body.springs
+    size = float(np.linalg.norm(np.ptp(start.x, axis=0)))
     gravity = float(np.linalg.norm(system.gravity))
-    if not size * gravity > 0 or not len(body.springs.rest):
+    if not size * gravity > 0 or not len(springs.rest):
         return start
     pendulum_rate = float(np.sqrt(gravity / size))
-    damped = system.frozen_at(0.0, _with_damping(body), 2 * pendulum_rate)
-    step = STEP_SAFETY_FACTOR * explicit_limit(damped, 0.0, damped.state)
+    masses = system.body.masses[springs.ends].mean(axis=1)
+    damping = 2 * DESCENT_DAMPING * np.sqrt(springs.stiffness * masses)
+    damped_springs = replace(springs, damping=damping)
+    body = replace(system.body, positions=start.x, springs=damped_springs)
+    damped_system = system.frozen_at(0.0, body, 2 * pendulum_rate)
+    step = STEP_SAFETY_FACTOR * explicit_limit(damped_system, 0.0, damped_system.state)
     step_count = DESCENT_PHASE / (pendulum_rate * step) if step > 0 else np.inf
     if not step_count <= MAX_DESCENT_STEPS:
         return start
-    if np.ceil(step_count) * len(body.springs.rest) > MAX_DESCENT_WORK:
+    if np.ceil(step_count) * len(springs.rest) > MAX_DESCENT_WORK:
         return start
     steps = int(np.ceil(step_count))
-    native_steps = damped.native("symplectic_euler")
+    native_steps = damped_system.native("symplectic_euler")
     assert native_steps is not None
-    x = native_steps(0.0, damped.state, step, steps)[0]
+    x = native_steps(0.0, damped_system.state, step, steps)[0]
     end = _Configuration(system, x) if np.isfinite(x).all() else start
     return end if end.energy < start.energy else start
-
-
-def _with_damping(body: Body) -> Body:
-    """Return a body with strongly damped springs."""
-    springs = body.springs
-    masses = body.masses[springs.ends].mean(axis=1)
-    damping = 2 * DESCENT_DAMPING * np.sqrt(springs.stiffness * masses)
-    return replace(body, springs=replace(springs, damping=damping))
 
 
 class _Configuration:
@@ -156,16 +151,16 @@ class _Configuration:
 
     def __init__(self, system: SpringSystem, x: FloatArray) -> None:
         self._system, self.x = system, x
-        self._zero_velocities = np.zeros_like(x)
-        self._free = np.flatnonzero(~system.is_pinned)
+        self._free_particles = np.flatnonzero(~system.is_pinned)
         self._masses = system.free_masses
-        self.energy = system.energy(0.0, np.array((x, self._zero_velocities))).potential
-        accelerations = system.acceleration(0.0, x, self._zero_velocities)
+        motion = at_rest(x)
+        self.energy = system.energy(0.0, motion).potential
+        accelerations = system.acceleration(0.0, *motion)
         self._forces = accelerations * self._masses[:, None]
         self.residual = float(np.abs(self._forces).max(initial=0.0))
         weights = self._masses * np.linalg.norm(system.gravity)
         max_weight = float(weights.max(initial=0.0))
-        self.solved = self.residual <= RESIDUAL_TOLERANCE * max_weight
+        self.is_solved = self.residual <= RESIDUAL_TOLERANCE * max_weight
         decades = np.log10(max(self.residual, 1e-300) / max(max_weight, 1e-300))
         # Progress from the weight of a particle down to rounding level [1].
         self.progress = float(np.clip(decades / np.log10(RESIDUAL_TOLERANCE), 0.0, 1.0))
@@ -179,14 +174,15 @@ class _Configuration:
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
-        rows = (3 * self._free[:, None] + np.arange(3)).ravel()
+        rows = (3 * self._free_particles[:, None] + np.arange(3)).ravel()
         matrix: Any = self._system.stiffness(0.0, self.x)[rows][:, rows]
-        regularized = (matrix + diags_array(np.full(len(rows), regularization))).tocsc()
+        matrix = matrix + diags_array(np.full(len(rows), regularization))
+        forces = self._forces.ravel()[rows]
         try:
-            step = splu(regularized, **LU_OPTIONS).solve(self._forces.ravel()[rows])
+            step = splu(matrix.tocsc(), **LU_OPTIONS).solve(forces)
         except RuntimeError:
             return None
-        descent = step @ self._forces.ravel()[rows]
+        descent = step @ forces
         # Reject steps that raise the energy or are not finite.
         if not np.isfinite(step).all() or not 0 < descent < np.inf:
             return None
@@ -195,47 +191,32 @@ class _Configuration:
         return _Configuration(self._system, x)
 
 
-@dataclass(frozen=True, slots=True)
-class XpbdRest:
-    """Springs in the rest state of xpbd.
-
-    Attributes:
-        system: System that starts at rest.
-        choice: Solver with the steps of the rest state.
-        notices: Gap to the static equilibrium (SIM152, SIM179, SIM199).
-    """
-
-    system: SpringSystem
-    choice: SolverChoice
-    notices: tuple[Fault, ...]
-
-
 def find_xpbd_rest(
     system: SpringSystem, options: SpringOptions, choice: SolverChoice, t: float
-) -> XpbdRest:
+) -> SpringPlan:
     """Return springs that start in the rest state of xpbd, near static equilibrium.
+
+    The plan has the steps of that state, and warnings about the gap to the static
+    equilibrium (SIM152, SIM179, SIM199).
 
     A step of xpbd visits each spring once, so that long chains hang lower than in
     equilibrium and would fall at the start. The fall is simulated here, with velocities
     reset whenever the kinetic energy peaks, until they rest. With `auto`, steps are
-    halved as long as that reduces the gap.
-
-    Args:
-        system: Springs that start in equilibrium.
-        options: Limits of the simulation.
-        choice: Steps of xpbd.
-        t: Time at which pins are sampled [s].
+    halved as long as that reduces the gap. The system starts in equilibrium, with pins
+    sampled at a time [s].
     """
-    frozen = system.frozen_at(t, system.body)
+    frozen_system = system.frozen_at(t, system.body)
     size = float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
     tolerance = MAX_RELATIVE_GAP * size
     substeps, work, is_auto = choice.substeps, 0, options.solver == Solver.AUTO
     previous: _Descent | None = None
     while True:
-        descent = _descend(frozen, options, replace(choice, substeps=substeps), work)
+        trial_choice = replace(choice, substeps=substeps)
+        descent = _descend(frozen_system, options, trial_choice, work)
         work = descent.work
         if not np.isfinite(descent.speed):
-            return XpbdRest(system, choice, (_no_rest_notice(descent.speed),))
+            notices = [_no_rest_notice(descent.speed)]
+            return SpringPlan(system, options, choice, planning_notices=notices)
         is_improving = previous is None or descent.gap < GAP_REDUCTION * previous.gap
         if not is_improving and previous is not None:
             descent = previous
@@ -249,11 +230,11 @@ def find_xpbd_rest(
     if descent.gap > tolerance:
         notices.append(_gap_notice(descent.gap, is_auto=is_auto))
     rest_choice = replace(choice, substeps=descent.substeps)
-    return XpbdRest(system.starting_at(descent.rest), rest_choice, tuple(notices))
+    system = system.starting_at(descent.rest)
+    return SpringPlan(system, options, rest_choice, planning_notices=notices)
 
 
-@dataclass(frozen=True, slots=True)
-class _Descent:
+class _Descent(NamedTuple):
     """Result of a descent with kinetic damping: velocities are repeatedly set to 0."""
 
     rest: FloatArray  # final positions (N, 3) [m]
@@ -264,12 +245,12 @@ class _Descent:
 
 
 def _descend(
-    frozen: SpringSystem, options: SpringOptions, choice: SolverChoice, work: int
+    frozen_system: SpringSystem, options: SpringOptions, choice: SolverChoice, work: int
 ) -> _Descent:
     """Return the rest state of springs with frozen pins, by kinetic damping."""
-    plan = SpringPlan(frozen, options, choice)
+    plan = SpringPlan(frozen_system, options, choice)
     grid = plan.start(0.0)
-    masses, previous_energy, cells = frozen.free_masses, 0.0, 0
+    masses, previous_energy, cells = frozen_system.free_masses, 0.0, 0
     speed, initial_work = np.inf, work
     while speed > REST_SPEED and cells < MAX_REST_CELLS and work < MAX_REST_WORK:
         cells += 1
@@ -277,18 +258,17 @@ def _descend(
             grid = plan.advance(grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
         speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
-        work = initial_work + grid.steps * len(frozen.body.springs.rest)
+        work = initial_work + grid.step_count * len(frozen_system.body.springs.rest)
         if not np.isfinite(speed):
             break
         # A later change to fewer steps would move it again.
         state = replace(state, least=state.substeps)
         energy = float(masses @ (velocities * velocities).sum(axis=1))
         if energy < previous_energy:
-            at_rest = np.stack([state.motion[0], np.zeros_like(velocities)])
-            state, energy = replace(state, motion=at_rest), 0.0
+            state, energy = replace(state, motion=at_rest(state.motion[0])), 0.0
         previous_energy, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
-    gap = float(np.linalg.norm(rest - frozen.state[0], axis=1).max(initial=0.0))
+    gap = float(np.linalg.norm(rest - frozen_system.state[0], axis=1).max(initial=0.0))
     return _Descent(rest, speed, grid.state.substeps, work, gap)
 
 

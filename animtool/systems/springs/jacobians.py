@@ -66,34 +66,24 @@ def acceleration_jacobians(
     """
     from scipy.sparse import coo_array
 
-    columns_of_blocks = zip(*_blocks(forces, masses, wind, x, v), strict=True)
-    rows, columns, by_x, by_v = map(np.concatenate, columns_of_blocks)
+    eye, particles = np.eye(3), np.arange(len(x))
+    targets, *numbers = forces.target_springs
+    stiffness, damping = (values[:, None, None] for values in numbers)
+    drags = (forces.drags * masses)[:, None, None]
+    blocks = [
+        *_spring_blocks(forces.springs, x, v),
+        (targets, targets, -stiffness * eye, -damping * eye),
+        (particles, particles, np.zeros((len(x), 3, 3)), -drags * eye),
+        *(_air_blocks(forces, wind, x, v) if any(forces.air_coefficients) else ()),
+    ]
+    rows, columns, by_x, by_v = map(np.concatenate, zip(*blocks, strict=True))
     i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
                         (len(rows), 3, 3))  # fmt: skip
     j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), i.shape)
-    for blocks in (by_x, by_v):
-        values = forces.inverse_masses[rows][:, None, None] * blocks
+    for derivatives in (by_x, by_v):
+        values = forces.inverse_masses[rows][:, None, None] * derivatives
         indices = (i.ravel(), j.ravel())
         yield coo_array((values.ravel(), indices), shape=(x.size, x.size)).tocsc()
-
-
-def _blocks(
-    forces: SpringForces,
-    masses: FloatArray,
-    wind: FloatArray,
-    x: FloatArray,
-    v: FloatArray,
-) -> Iterator[_JacobianBlocks]:
-    """Yield Jacobian blocks of springs, targets, drag and air."""
-    eye, particles = np.eye(3), np.arange(len(x))
-    yield from _spring_blocks(forces.springs, x, v)
-    targets, *numbers = forces.target_springs
-    stiffness, damping = (values[:, None, None] for values in numbers)
-    yield targets, targets, -stiffness * eye, -damping * eye
-    drags = (forces.drags * masses)[:, None, None]
-    yield particles, particles, np.zeros((len(x), 3, 3)), -drags * eye
-    if any(forces.air_coefficients):
-        yield from _air_blocks(forces, wind, x, v)
 
 
 def _spring_blocks(
@@ -123,7 +113,7 @@ def _spring_blocks(
 def _air_blocks(
     forces: SpringForces, wind: FloatArray, x: FloatArray, v: FloatArray
 ) -> Iterator[_JacobianBlocks]:
-    """Yield Jacobian blocks of air forces, by finite differences."""
+    """Yield Jacobian blocks of air forces, by central finite differences."""
     triangles, no_positions = forces.triangles, np.zeros((1, 0, 3))
     unit_masses, no_drags = np.ones(triangles.size), np.zeros(triangles.size)
     faces, air = np.arange(triangles.size).reshape(-1, 3), forces.air_coefficients
@@ -133,34 +123,31 @@ def _air_blocks(
     prescribed = PrescribedMotion(np.zeros(1), no_positions, no_positions, wind[None])
     network = separate_forces.network(prescribed)
     state = np.stack([x[triangles.ravel()], v[triangles.ravel()]])
-    for column in range(3):
-        derivatives = [
-            _finite_differences(network, state, variable, column)
-            for variable in range(2)
-        ]
-        for row in range(3):
-            by_x, by_v = (derivative[:, row] + 0.0 for derivative in derivatives)
-            yield triangles[:, row], triangles[:, column], by_x, by_v
-
-
-def _finite_differences(
-    network: _kernels.SpringNetwork, state: FloatArray, variable: int, corner: int
-) -> FloatArray:
-    """Return the Jacobian of corner forces by central finite differences.
-
-    ``(T, 3, 3, 3)``: triangle, corner, force component, position component.
-    """
     untorn_flags = np.zeros(0, np.uint8)
-    magnitude = float(np.abs(state[variable]).max(initial=0.0))
-    increment = DIFFERENCE_STEP * max(magnitude, 1e-3)
-    columns = []
-    for k in range(3):
-        values = []
-        for sign in (1.0, -1.0):
-            shifted = state.copy()
-            shifted[variable, corner::3, k] += sign * increment
-            values.append(
-                _kernels.spring_accelerations(network, 0.0, 1.0, shifted, untorn_flags)
-            )
-        columns.append((values[0] - values[1]) / (2 * increment))
-    return np.stack(columns, axis=-1).reshape(-1, 3, 3, 3)
+
+    def derivative(variable: int, corner: int) -> FloatArray:
+        """Return the Jacobian of corner forces ``(T, 3, 3, 3)``.
+
+        The axes are triangle, corner, force component and position component.
+        """
+        magnitude = float(np.abs(state[variable]).max(initial=0.0))
+        increment = DIFFERENCE_STEP * max(magnitude, 1e-3)
+        columns = []
+        for k in range(3):
+            values = []
+            for sign in (1.0, -1.0):
+                shifted_state = state.copy()
+                shifted_state[variable, corner::3, k] += sign * increment
+                values.append(
+                    _kernels.spring_accelerations(
+                        network, 0.0, 1.0, shifted_state, untorn_flags
+                    )
+                )
+            columns.append((values[0] - values[1]) / (2 * increment))
+        return np.stack(columns, axis=-1).reshape(-1, 3, 3, 3)
+
+    for column in range(3):
+        derivatives = [derivative(variable, column) for variable in range(2)]
+        for row in range(3):
+            by_x, by_v = (values[:, row] + 0.0 for values in derivatives)
+            yield triangles[:, row], triangles[:, column], by_x, by_v

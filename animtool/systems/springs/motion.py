@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, counted, warning
 from animtool.core.record import dataclass
+from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.trajectory import Trajectory
 from animtool.systems.framework.simulation import growing, later
@@ -22,8 +24,7 @@ MAX_SUBSTEPS = 4096
 MAX_RATE = 1e6
 
 
-@dataclass(frozen=True, slots=True)
-class Piercing:
+class Piercing(NamedTuple):
     """Maximum self-piercing counts of a surface over time."""
 
     passed: int = 0  # number of particles through triangles, not yet resolved
@@ -31,13 +32,10 @@ class Piercing:
     # Step rate needed to detect all fast contacts [1/s]; 0 if the current one suffices.
     rate: float = 0.0
 
-    def maximum(self, more: Piercing) -> Piercing:
-        """Return the element-wise maximum of these counts and those of ``more``."""
-        return Piercing(
-            max(self.passed, more.passed),
-            max(self.cut, more.cut),
-            max(self.rate, more.rate),
-        )
+    def maximum(self, more: tuple[int, int, float]) -> Piercing:
+        """Return the element-wise maximum of these counts and others."""
+        passed, cut = max(self.passed, more[0]), max(self.cut, more[1])
+        return Piercing(passed, cut, max(self.rate, more[2]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +69,12 @@ class TimeGrid:
     index: int  # index of the next cell
     state: SpringState  # state at the start of the current cell
     # Largest strain of xpbd springs beyond their compliance [1].
-    stretch: float = 0.0
-    steps: int = 0
-    evaluations: int = 0  # number of evaluations of all spring forces
-    unsolved: bool = False  # whether the last cell could not be solved
-    max_contacts: int = 0  # maximum number of xpbd particles in contact at one time
-    unresolved: int = 0  # maximum number of particles left inside colliders
+    max_strain: float = 0.0
+    step_count: int = 0
+    evaluation_count: int = 0  # evaluations of all spring forces
+    is_unsolved: bool = False  # whether the last cell could not be solved
+    max_contact_count: int = 0  # most xpbd particles in contact at one time
+    unresolved_count: int = 0  # maximum number of particles left inside colliders
     # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the
     # origin, and the largest mass in contact at one time.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
@@ -92,23 +90,37 @@ class TimeGrid:
 
     def after_cells(
         self,
-        cells: int,
+        cell_count: int,
         state: SpringState,
         steps: int,
         evaluations: int,
         inside: int,
         pushes: FloatArray,
     ) -> TimeGrid:
-        """Return the time grid ``cells`` cells later, with a new state."""
+        """Return the time grid ``cell_count`` cells later, with a new state."""
         return replace(
             self,
-            index=self.index + cells,
+            index=self.index + cell_count,
             state=state,
-            steps=self.steps + steps,
-            evaluations=self.evaluations + evaluations,
-            unresolved=max(self.unresolved, inside),
+            step_count=self.step_count + steps,
+            evaluation_count=self.evaluation_count + evaluations,
+            unresolved_count=max(self.unresolved_count, inside),
             pushes=pushes,
         )
+
+
+def at_rest(positions: FloatArray) -> FloatArray:
+    """Return a state ``(2, N, 3)`` with particles at rest in positions [m]."""
+    return np.stack([positions, np.zeros_like(positions)])
+
+
+def move_rigidly(
+    motion: FloatArray, shift: FloatArray, rotation: FloatArray
+) -> FloatArray:
+    """Return a state ``(2, N, 3)`` rotated about the origin and then shifted."""
+    result = so3.rotate(rotation, motion)
+    result[0] += shift
+    return result
 
 
 @dataclass(frozen=True, slots=True)

@@ -132,8 +132,11 @@ def _claim_particles(
     Particles that an earlier pin has with other keys are reported as a fault.
     """
     already_pinned = [n for n in particles.tolist() if n in pin_of_particle]
+    keys = model.model_dump(exclude={"particles"})
     conflicting_particles = sorted(
-        n for n in already_pinned if not _same_pin(model, pin_of_particle[n])
+        n
+        for n in already_pinned
+        if keys != pin_of_particle[n].model_dump(exclude={"particles"})
     )
     if conflicting_particles:
         message = "particles that another pin holds differently: "
@@ -143,12 +146,6 @@ def _claim_particles(
     new_particles = particles[~np.isin(particles, np.array(already_pinned, np.int64))]
     pin_of_particle.update(dict.fromkeys(new_particles.tolist(), model))
     return new_particles
-
-
-def _same_pin(first: PinModel, second: PinModel) -> bool:
-    """Return whether two pins are equal except for their particles."""
-    keys = [pin.model_dump(exclude={"particles"}) for pin in (first, second)]
-    return keys[0] == keys[1]
 
 
 def _particles_of(
@@ -206,10 +203,10 @@ def _check_exclusive_keys(
 ) -> None:
     """Report keys that conflict with the carrier key of a pin."""
     keys = {"moves", *CARRIER_KEYS, "to", "stiffness", "damping"}
-    allowed = {carrier_key}
+    allowed_keys = {carrier_key}
     if carrier_key not in {"to", "body"}:
-        allowed |= {"stiffness", "damping"}
-    for key in sorted((keys & model.model_fields_set) - allowed):
+        allowed_keys |= {"stiffness", "damping"}
+    for key in sorted((keys & model.model_fields_set) - allowed_keys):
         message = f"{key} does not apply to a pin that has {carrier_key}"
         entry.report_fault("SIM052", message, *location, key)
 
@@ -262,8 +259,8 @@ def align_to_pins(pins: PinPoses, points: FloatArray, begin: float) -> FloatArra
     goal_centre, pin_centre = goal_points.mean(axis=0), pin_points.mean(axis=0)
     covariance = (goal_points - goal_centre).T @ (pin_points - pin_centre)
     rotation = polar_rotations(covariance, np.maximum(np.abs(covariance).max(), 1.0))
-    aligned: FloatArray = goal_centre + (points - pin_centre) @ rotation.T
-    return aligned
+    aligned_points: FloatArray = goal_centre + (points - pin_centre) @ rotation.T
+    return aligned_points
 
 
 def air_of(wind: FaceWindModel) -> Air:

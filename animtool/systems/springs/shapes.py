@@ -6,7 +6,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from animtool.core.array_types import ArrayLike, BoolArray, IntArray, as_floats
+from animtool.core.array_types import ArrayLike, IntArray, as_floats
 from animtool.maths.faces import (
     coincident_edges,
     directed_edges,
@@ -166,8 +166,9 @@ def surface(
     mesh_edges = edges(face_sizes, corners)
     diagonal_pairs = face_diagonals(face_sizes, corners)
     # Inner edges of a fan are not mesh edges and get no bend springs.
-    hinges = _triangle_hinges(triangles, mesh_edges)
-    families = [(mesh_edges, structural), (diagonal_pairs, diagonals), (hinges, bend)]
+    triangle_sizes = np.full(len(triangles), 3)
+    bends = hinge_pairs(triangle_sizes, triangles.ravel(), mesh_edges)
+    families = [(mesh_edges, structural), (diagonal_pairs, diagonals), (bends, bend)]
     return build_body(positions, mass, families, triangles)
 
 
@@ -187,11 +188,14 @@ def face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
     return unique_pairs(np.concatenate(pairs))
 
 
-def hinge_pairs(counts: IntArray, indices: IntArray) -> IntArray:
+def hinge_pairs(
+    counts: IntArray, indices: IntArray, hinges: IntArray | None = None
+) -> IntArray:
     """Return pairs of points for bend springs across shared edges ``(L, 2)``.
 
     For two triangles these are the opposite corners, for two quadrangles the neighbours
-    of both ends. An edge of three faces bends between each two of them.
+    of both ends. An edge of three faces bends between each two of them. With
+    ``hinges``, only these edges bend ``(E, 2)``.
 
     >>> hinge_pairs(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]
@@ -207,24 +211,13 @@ def hinge_pairs(counts: IntArray, indices: IntArray) -> IntArray:
     is_reversed = edge_corners[:, 0] > edge_corners[:, 1]
     neighbours[is_reversed] = neighbours[is_reversed, ::-1]
     first_edges, second_edges = coincident_edges(edge_corners)
+    if hinges is not None:
+        size = int(max(indices.max(initial=0), hinges.max(initial=0))) + 1
+        keys = np.sort(edge_corners[first_edges], axis=1) @ [size, 1]
+        is_hinge = np.isin(keys, hinges @ [size, 1])
+        first_edges, second_edges = first_edges[is_hinge], second_edges[is_hinge]
     pairs = np.stack([neighbours[first_edges], neighbours[second_edges]], axis=-1)
     return unique_pairs(pairs.reshape(-1, 2))
-
-
-def _triangle_hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:
-    """Return opposite corners of triangles that share a mesh edge ``(B, 2)``."""
-    triangle_edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    opposite_corners = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
-    first, second = coincident_edges(triangle_edges)
-    is_mesh_edge = _contains_pairs(np.sort(triangle_edges[first], axis=1), mesh_edges)
-    pairs = np.stack([opposite_corners[first], opposite_corners[second]], axis=1)
-    return unique_pairs(pairs[is_mesh_edge])
-
-
-def _contains_pairs(pairs: IntArray, allowed: IntArray) -> BoolArray:
-    """Return a mask of the pairs that are in ``allowed`` ``(P,)``."""
-    size = int(max(pairs.max(initial=0), allowed.max(initial=0))) + 1
-    return np.isin(pairs @ [size, 1], allowed @ [size, 1])
 
 
 def block(
@@ -310,11 +303,11 @@ def grid_pairs(grid: IntArray, *offsets: int) -> IntArray:
     return np.stack([grid[first_slices].ravel(), grid[second_slices].ravel()], axis=1)
 
 
-def _grid_triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
-    """Return two triangles for each cell of a grid ``(T, 3)``; flip reverses them."""
+def _grid_triangles(grid: IntArray, *, is_flipped: bool = False) -> IntArray:
+    """Return two triangles for each cell of a grid ``(T, 3)``, reversed if flipped."""
     a, b = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
     c, d = grid[1:, 1:].ravel(), grid[1:, :-1].ravel()
-    if flip:
+    if is_flipped:
         b, d = d, b
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
@@ -322,8 +315,22 @@ def _grid_triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
 def _grid_surface(grid: IntArray) -> IntArray:
     """Return the outward-facing triangles around a grid of particles ``(T, 3)``."""
     sides = [
-        _grid_triangles(np.take(grid, end, axis), flip=flip)
+        _grid_triangles(np.take(grid, end, axis), is_flipped=is_flipped)
         for axis in range(3)
-        for end, flip in ((0, axis != 1), (-1, axis == 1))
+        for end, is_flipped in ((0, axis != 1), (-1, axis == 1))
     ]
     return np.concatenate(sides)
+
+
+def connected_groups(count: int, pairs: IntArray) -> IntArray:
+    """Return the group of each of ``count`` points that pairs connect ``(N,)``.
+
+    >>> connected_groups(4, np.array([[0, 2], [1, 3]])).tolist()
+    [0, 1, 0, 1]
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs)), pairs.T), (count, count))
+    groups: IntArray = connected_components(graph, directed=False)[1]
+    return groups.astype(np.int64)

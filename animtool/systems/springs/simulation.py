@@ -25,13 +25,16 @@ from animtool.systems.framework.simulation import (
     StoppedError,
     TrialSettings,
 )
-from animtool.systems.springs.contacts import LOOKBACK_TIME
-from animtool.systems.springs.energy_loss import DAMPING_SOLVERS, EnergyLoss
+from animtool.systems.springs.choosing import trial_settings
 from animtool.systems.springs.motion import SpringState, TimeGrid
-from animtool.systems.springs.notices import motion_notices
+from animtool.systems.springs.notices import (
+    DAMPING_SOLVERS,
+    EnergyLoss,
+    MotionCounts,
+    motion_notices,
+)
 from animtool.systems.springs.records import Solver
-from animtool.systems.springs.solvers import SpringPlan
-from animtool.systems.springs.work_precision import trial_settings
+from animtool.systems.springs.solvers import LOOKBACK_TIME, SpringPlan
 
 # Cells between two checks for divergence.
 CELLS_PER_CHECK = 120
@@ -41,25 +44,19 @@ STOP_CODES = {"SIM102", "SIM105"}
 MAX_LENGTH_RATIO = 2.0
 
 
-class SpringSimulation:
+class SpringSimulation(MotionCounts):
     """Simulates springs in time cells; counters are used for warnings only.
 
     Attributes:
-        grid: Current grid position, with counts over all cells so far.
         intact_system: The system without torn springs.
         wrenches: Impulses on rigid bodies of other systems in the last cells.
-        unsolved_grid: Grid at the start of the cell that was not solved.
-        longest: Longest xpbd spring relative to its rest length.
-        min_applied_fraction: Smallest applied fraction of an impulse on a body.
-        stretch: Largest strain of springs in sampled states.
+        max_strain: Largest strain of springs in sampled states.
     """
 
     checked = True
     views: Sequence[Any] = ()  # a `SpringView` for each entry
     status, stop_reason = Status.OK, ""
-    longest = min_applied_fraction = 1.0
-    stretch = 0.0
-    unsolved_grid: TimeGrid | None = None
+    max_strain = 0.0
     # Whether surfaces of other systems may release states before the current time.
     releases_states = True
 
@@ -70,15 +67,11 @@ class SpringSimulation:
         last_time: float,
         clock: Progress = None,
     ) -> None:
-        self.plan = plan
-        self.system, self.options, self.choice = plan.system, plan.options, plan.choice
-        self.error = plan.error
+        super().__init__(plan, start_grid)
         self.begin, self.last, self.clock = start_grid.origin, last_time, clock
         self.step_length = start_grid.cell
-        self.grid, self.wrenches = start_grid, list[Wrenches]()
-        self._start, self._planning_notices = start_grid, plan.planning_notices
+        self._start, self.wrenches = start_grid, list[Wrenches]()
         self._start_notices = [] if start_grid.index else self.system.notices()
-        self._max_substeps = start_grid.state.substeps
         # Pushed bodies react before the next cell.
         is_coupled = self.system.colliders.bodies or self.system.coupling is not None
         self._max_cells_per_call = 1 if is_coupled else CELLS_PER_CHECK
@@ -89,7 +82,7 @@ class SpringSimulation:
         self._measured_motion: FloatArray | None = None
         self._energy_loss = EnergyLoss(float(self.system.free_masses.sum()))
         self.measure(start_grid.state, start_grid.time)
-        self._initial_stretch = self.stretch
+        self._initial_strain = self.max_strain
 
     def _divergence_limits(self) -> IntegrateOptions:
         """Return limits of energy and length beyond which the motion diverges.
@@ -185,14 +178,15 @@ class SpringSimulation:
             self.intact_system = self.system.without_springs(self.system.torn(torn))
             self._energy_watch.set_system(self.intact_system)
 
-    def _advance(self, cells: int) -> None:
-        """Advance by at most ``cells`` cells; raise if the solver cannot continue."""
+    def _advance(self, cell_count: int) -> None:
+        """Advance by at most ``cell_count`` cells; raise if the solver must stop."""
         start_grid, self.wrenches = self._after_teleports(), []
-        cells = int(min(cells, self.system.teleports.cells_until_next(start_grid)))
+        max_count = self.system.teleports.cells_until_next(start_grid)
+        cell_count = int(min(cell_count, max_count))
         with np.errstate(all="ignore"):
-            self.grid = self.plan.advance(start_grid, cells)
+            self.grid = self.plan.advance(start_grid, cell_count)
             t, state = self.grid.time, self.grid.state
-            self._max_substeps = max(self._max_substeps, state.substeps)
+            self.max_substeps = max(self.max_substeps, state.substeps)
             self._exclude_torn()
             reason = self._energy_watch.divergence(t, state.motion)
             if start_grid.solver is Solver.XPBD:
@@ -200,11 +194,11 @@ class SpringSimulation:
                 self.longest = max(self.longest, length_ratio or 0.0)
         if reason:
             self._stop(Status.UNSTABLE, reason)
-        if self.grid.unsolved:
+        if self.grid.is_unsolved:
             self.unsolved_grid = start_grid
             self._stop(Status.NOT_SOLVED, "Newton's method did not converge")
         if self.is_auto and self.is_overstrained:
-            reason = f"a spring is strained by {self.grid.stretch:.2%}"
+            reason = f"a spring is strained by {self.grid.max_strain:.2%}"
             self._stop(Status.NOT_SOLVED, reason)
         self.wrenches = [*self._contact_wrenches(), *self.grid.body_wrenches]
 
@@ -243,32 +237,17 @@ class SpringSimulation:
             wrenches.append(Wrenches(impulses, self.grid.cell / 2 * impulses))
         return wrenches
 
-    @property
-    def is_auto(self) -> bool:
-        """Whether the solver is chosen automatically."""
-        return self.options.solver == Solver.AUTO
-
-    @property
-    def is_overstrained(self) -> bool:
-        """Whether xpbd strains springs beyond their limit and compliance."""
-        return not self.grid.stretch <= self.options.stretch
-
-    @property
-    def shortest_step(self) -> float:
-        """Shortest step taken so far [s]."""
-        return self.grid.cell / self._max_substeps
-
-    def stats(self, reached: float) -> Stats:
+    def stats(self, reached_time: float) -> Stats:
         """Return the statistics up to a time [s]."""
         grid = self.grid
         stable = self.choice.limit if self.status is Status.UNSTABLE else None
         return Stats(
             self.status,
-            grid.time if self.stop_reason else reached,
+            grid.time if self.stop_reason else reached_time,
             self.stop_reason,
-            grid.steps,
+            grid.step_count,
             None,
-            grid.evaluations,
+            grid.evaluation_count,
             self.shortest_step,
             grid.cell / self.choice.substeps,
             None,
@@ -277,8 +256,10 @@ class SpringSimulation:
 
     def energy_of(self, t: float, motion: FloatArray) -> float:
         """Return the energy of a state, without torn springs [J]."""
-        cached = self._energy_watch.energy if motion is self.grid.state.motion else None
-        return (cached or self.intact_system.energy(t, motion)).total
+        cached_energy = (
+            self._energy_watch.energy if motion is self.grid.state.motion else None
+        )
+        return (cached_energy or self.intact_system.energy(t, motion)).total
 
     def measure(self, state: SpringState, t: float) -> None:
         """Record the strain and energy of a sampled state."""
@@ -289,8 +270,8 @@ class SpringSimulation:
         is_intact = ~self.system.torn(state.torn) & (springs.rest > 0)
         if is_intact.any():
             lengths = springs.lengths(state.motion[0])[is_intact]
-            max_strain = float((lengths / springs.rest[is_intact]).max()) - 1.0
-            self.stretch = max(self.stretch, max_strain)
+            strain = float((lengths / springs.rest[is_intact]).max()) - 1.0
+            self.max_strain = max(self.max_strain, strain)
         if self.choice.solver in DAMPING_SOLVERS and self.system.self_contact is None:
             energy = self._energy(state, t)
             if energy is not None:
@@ -320,8 +301,8 @@ class SpringSimulation:
         return Diagnostics(
             self._energy(state, t),
             notices=self.notices,
-            steps=self.grid.steps,
-            stretch=self.stretch if has_lengths else None,
+            steps=self.grid.step_count,
+            stretch=self.max_strain if has_lengths else None,
         )
 
     @property
@@ -332,7 +313,8 @@ class SpringSimulation:
             *motion_notices(self, self.stats(self.grid.time)),
         ]
         codes = {fault.code for fault in current}
-        notices = [fault for fault in self._planning_notices if fault.code not in codes]
+        planning_notices = self.plan.planning_notices
+        notices = [fault for fault in planning_notices if fault.code not in codes]
         notices += [*current, *self._energy_loss.notices(self.choice.solver)]
         return list({str(fault): fault for fault in notices}.values())
 
@@ -363,8 +345,8 @@ class SpringSimulation:
     def is_overlong(self) -> bool:
         """Whether the strain is excessive in a body whose springs cannot tear."""
         can_tear = np.isfinite(self.system.body.springs.limit).any()
-        max_length = MAX_LENGTH_RATIO * (1 + self._initial_stretch)
-        return bool(not can_tear and 1 + self.stretch > max_length)
+        max_length = MAX_LENGTH_RATIO * (1 + self._initial_strain)
+        return bool(not can_tear and 1 + self.max_strain > max_length)
 
 
 def as_errors(notices: Sequence[Fault]) -> list[Fault]:

@@ -1,35 +1,24 @@
-"""Solvers of springs: choice of a solver, and steps over time cells."""
+"""Steps of springs over time cells by each solver."""
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, refuse
+from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.sim.integrators.table import find_integrator
-from animtool.sim.modes import allowed_step
+from animtool.sim.colliders import Collider, Colliders
 from animtool.systems.framework.body_carriers import CarrierStep
-from animtool.systems.springs.body_coupling import (
-    BodyCoupling,
-    CoupledCell,
-    CoupledSprings,
-)
-from animtool.systems.springs.checks import check_supports_self_contact
-from animtool.systems.springs.contacts import CellColliders, Cells, cell_colliders
-from animtool.systems.springs.motion import (
-    MAX_SUBSTEPS,
-    Piercing,
-    SpringState,
-    TimeGrid,
-)
+from animtool.systems.springs.body_coupling import CoupledCell, CoupledSprings
+from animtool.systems.springs.choosing import SolverChoice
+from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
 
@@ -47,41 +36,83 @@ MAX_ANGLE, MAX_SUBCELLS = 0.125, 16
 # Refinement factors tried for an unsolved cell, and the safety factor of the proposed
 # step.
 REFINEMENTS, STEP_SAFETY = (2, 4, 8, 16), 4
-# Default cell [s]: frames at 24, 30, 48, 60 and 120 per second are multiples of it.
-CELL = 1 / 240
-# Safety factor of the explicit step limit.
-STEP_SAFETY_FACTOR = 0.8
-# Compute time per second of motion below which explicit steps are always used [s].
-NEGLIGIBLE_TIME = 0.03
-# Explicit step rate above which implicit solves lose precision in float64 [1/s].
-MAX_SOLVABLE_RATE = 1e9
-# Initial steps per cell of time.
-INITIAL_SUBSTEPS = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
-# Time of a step per spring of a 20 by 20 sheet [s], on one core of a server of 2024
-# (tests/bench/results/sim_springs.csv). With few springs the cost per spring is higher
-# in all solvers alike; only the ratio matters.
-STEP_COSTS = {
-    # Forces of neighbouring springs are computed four at a time.
-    Solver.SYMPLECTIC_EULER: 2.8e-9,
-    # Newton corrections of about ten matrix products each; more for stiff systems, see
-    # `implicit_cost`.
-    Solver.BDF2: 150e-9,
-}
-# The same for chains, which are solved directly [s].
-CHAIN_COST = 500e-9
-# Largest index distance of spring ends in a chain; the kernels use the same limit.
-MAX_CHAIN_BANDWIDTH = 4
+# Earliest time before a step at which surfaces of other systems are sampled [s].
+LOOKBACK_TIME = 1 / 240
+# Particles that start deeper than this in a collider are left inside [m].
+INSIDE_TOLERANCE = 1e-6
+# The same with colliders that follow joints; deeper particles count as unresolved [m].
+UNRESOLVED_DEPTH = 1e-3
+
+# Kernel arguments of colliders for several cells; None without colliders.
+CellColliders: TypeAlias = tuple[Any, ...] | None
 
 
-@dataclass(frozen=True, slots=True)
-class SolverChoice:
-    """A solver with its cells and steps."""
+class PosedColliders(NamedTuple):
+    """Poses of the last C colliders, which follow joints, and of moving skin meshes."""
 
-    solver: Solver  # not `Solver.AUTO`
-    cell: float  # length of a cell of time [s]
-    substeps: int  # steps in a cell
-    reason: str  # why this solver, in words
-    limit: float  # largest stable step of semi-implicit Euler [s]
+    sizes: FloatArray  # sizes in the layout of kernels ``(C, 13)`` [m]
+    poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
+    # Signed distances, at most 0, that particles may have from rigid colliders and
+    # skin meshes ``(R, N)`` [m].
+    depths: FloatArray
+    skins: Sequence[Any]  # kernel surfaces of skins; they come before world surfaces
+
+
+def cell_colliders(
+    colliders: Colliders,
+    radius: float,
+    grid: TimeGrid,
+    count: int,
+    posed_colliders: PosedColliders | None = None,
+) -> CellColliders:
+    """Return kernel arguments of colliders over the next ``count`` cells of a grid.
+
+    Particles keep a radius [m]. Returns None without colliders.
+    """
+    if not colliders.has_any and (posed_colliders is None or not posed_colliders.skins):
+        return None
+    steps = grid.index + np.arange(count + 1)
+    edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
+    poses = np.zeros((count, len(colliders.rigid), 2, 7))
+    world_count = len(colliders)
+    if posed_colliders is not None:
+        world_count -= len(posed_colliders.sizes)
+    for i in range(world_count):
+        poses[:, i] = _poses_at_ends(colliders[i], edges)
+    for cell, (begin, end) in enumerate(pairwise(edges.tolist())):
+        poses[cell, len(colliders) :] = colliders.body_ends(begin, end)
+    start = float(edges[0])
+    arrays = colliders.arrays(start, start)
+    surfaces = colliders.surfaces.kernel_arrays(
+        grid.origin, grid.cell, grid.index, count
+    )
+    if posed_colliders is None:
+        return arrays, poses, radius, None, INSIDE_TOLERANCE, surfaces
+    kinds, sizes, *materials = arrays
+    sizes = sizes.copy()
+    sizes[world_count : len(colliders)] = posed_colliders.sizes
+    poses[:, world_count : len(colliders)] = posed_colliders.poses
+    arrays, surfaces = (kinds, sizes, *materials), [*posed_colliders.skins, *surfaces]
+    missing_rows = len(colliders.rigid) + len(surfaces) - len(posed_colliders.depths)
+    depths = np.pad(posed_colliders.depths, ((0, missing_rows), (0, 0)))
+    return arrays, poses, radius, depths, UNRESOLVED_DEPTH, surfaces
+
+
+def _poses_at_ends(collider: Collider, edges: FloatArray) -> FloatArray:
+    """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
+    times, rows = collider.poses.sample_times, collider.poses.rows
+    poses = collider.poses.at_times(edges)
+    intervals = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
+    is_teleport = np.append(collider.teleports, False)
+    # Within a teleport, a collider stays where it was.
+    stays = is_teleport[intervals]
+    poses[stays] = rows[intervals[stays]]
+    ends = np.stack([poses[:-1], poses[1:]], axis=1)
+    # A collider that teleports within a cell is at its goal from the start of it.
+    teleport_counts = np.cumsum(np.append(0, is_teleport))[intervals]
+    has_teleported = teleport_counts[1:] > teleport_counts[:-1]
+    ends[has_teleported, 0] = ends[has_teleported, 1]
+    return ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,238 +137,210 @@ class SpringPlan:
         return TimeGrid(choice.solver, begin, choice.cell, 0, state)
 
     def advance(
-        self, grid: TimeGrid, cells: int, colliders: CellColliders = None
+        self, grid: TimeGrid, cell_count: int, colliders: CellColliders = None
     ) -> TimeGrid:
-        """Advance a motion by ``cells`` cells with the solver of the grid.
+        """Advance a motion by ``cell_count`` cells with the solver of the grid.
 
         None uses the colliders of the system at the times of the grid.
         """
-        system, options = self.system, self.options
-        if system.coupling is not None and cells:
-            return _advance_coupled(system, grid, system.coupling)
+        system = self.system
+        if system.coupling is not None and cell_count:
+            return self._advance_coupled(grid)
         if colliders is None:
-            colliders = _cell_colliders(system, grid, cells)
+            radius = system.radius
+            colliders = cell_colliders(system.colliders, radius, grid, cell_count)
         if grid.solver is Solver.XPBD and system.body.strands:
-            return _advance_strands(system, options, grid, cells, colliders)
+            return self._advance_strands(grid, cell_count, colliders)
         network = system.network(system.teleports.cell_stage(grid))
         if grid.solver is Solver.SYMPLECTIC_EULER:
-            return _advance_explicit(network, grid, cells, colliders)
+            return _advance_explicit(network, grid, cell_count, colliders)
         if grid.solver is Solver.XPBD:
-            layers = system.kernel_self_contact
-            return _advance_xpbd(network, options, grid, cells, colliders, layers)
+            return self._advance_xpbd(network, grid, cell_count, colliders)
         tolerance = NEWTON_TOLERANCE * system.mean_rest_length
-        return _advance_implicit(network, grid, cells, colliders, tolerance).grid
+        return _advance_implicit(network, grid, cell_count, colliders, tolerance).grid
 
+    def _advance_xpbd(
+        self,
+        network: _kernels.SpringNetwork,
+        grid: TimeGrid,
+        cell_count: int,
+        colliders: CellColliders,
+    ) -> TimeGrid:
+        """Advance by ``cell_count`` cells of xpbd (extended position-based dynamics).
 
-def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:
-    """Return the largest stable step of semi-implicit Euler [s]."""
-    modes = system.frequencies(t, state)
-    if modes is None:
-        return math.inf
-    limit = allowed_step(find_integrator("symplectic_euler"), modes)
-    return math.inf if limit is None else limit
+        A cell whose springs are strained beyond the limit and their compliance is
+        repeated with more steps.
+        """
+        state, options = grid.state, self.options
+        max_substeps = options.max_substeps
+        if max_substeps is None:
+            shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
+            max_substeps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
+        (
+            motion, torn, substeps, calm, excess_strain, steps, contact_count, inside,
+            passages, piercing, pushes,
+        ) = _kernels.project_springs(
+            network, state.motion, state.torn, grid.origin, grid.index, grid.cell,
+            cell_count, state.substeps, state.calm, state.least,
+            max(state.least, max_substeps), options.stretch, colliders,
+            self.system.kernel_self_contact, state.passages, options.clamped_strain,
+        )  # fmt: skip
+        after = SpringState(
+            motion, torn, substeps, state.least, calm, state.before, passages
+        )
+        return replace(
+            grid.after_cells(cell_count, after, steps, steps, inside, pushes),
+            piercing=grid.piercing.maximum(piercing),
+            max_strain=max(grid.max_strain, excess_strain),
+            max_contact_count=max(grid.max_contact_count, contact_count),
+        )
 
+    def _advance_strands(
+        self, grid: TimeGrid, cell_count: int, colliders: CellColliders
+    ) -> TimeGrid:
+        """Advance strands by ``cell_count`` cells of xpbd, each with a direct solver.
 
-def choose_solver(
-    system: SpringSystem,
-    options: SpringOptions,
-    requested: Solver,
-    t: float,
-    state: FloatArray,
-) -> SolverChoice:
-    """Return the requested solver with its steps; for ``auto``, the fastest."""
-    limit = explicit_limit(system, t, state)
-    rate = 1 / (STEP_SAFETY_FACTOR * limit) if limit > 0 else math.inf
-    solver, reason = requested, "it was requested"
-    if system.self_contact is not None:
-        check_supports_self_contact(requested)
-        if requested is Solver.AUTO:
-            solver, reason = Solver.XPBD, "it has self-contact"
-    elif system.coupling is not None:
-        return choose_coupled_solver(system.coupling, options, requested, t, limit)
-    elif requested is Solver.AUTO:
-        solver, reason = _choose_cheapest(system, options, rate)
-    if options.step is not None:
-        steps = 1
-        if requested is Solver.AUTO and solver is Solver.SYMPLECTIC_EULER:
-            steps = max(1, math.ceil(options.step * rate))
-        return SolverChoice(solver, options.step, steps, reason, limit)
-    if solver is Solver.SYMPLECTIC_EULER:
-        max_rate = MAX_SUBSTEPS / CELL
-        if rate > max_rate:
-            message = f"{solver} needs {rate:.3g} steps per second, but the limit is "
-            message += f"{max_rate:.3g} at most"
-            hint = "use bdf2 or auto, less stiffness or damping, or more mass"
-            refuse("SIM004", message, "solver", hint)
-        steps = max(1, math.ceil(CELL * rate))
-        return SolverChoice(solver, CELL, steps, reason, limit)
-    return SolverChoice(solver, CELL, INITIAL_SUBSTEPS[solver], reason, limit)
+        Segments collide with rigid colliders too, except those that follow joints.
+        """
+        state, system = grid.state, self.system
+        span, path = system.particle_path
+        motion, contact_count, inside, strain = _kernels.follow_strands(
+            system.kernel_strands(self.options.stretch), path, state.motion, span,
+            state.substeps, colliders, thread_count(), system.joint_colliders,
+        )  # fmt: skip
+        steps, after = cell_count * state.substeps, replace(state, motion=motion)
+        return replace(
+            grid.after_cells(cell_count, after, steps, steps, inside, grid.pushes),
+            max_strain=max(grid.max_strain, strain),
+            max_contact_count=max(grid.max_contact_count, contact_count),
+        )
 
+    def _carrier_steps(self, grid: TimeGrid) -> list[CarrierStep]:
+        """Return the next cell of the bodies that carry pins, without springs."""
+        assert self.system.coupling is not None
+        t1 = grid.origin + (grid.index + 1) * grid.cell
+        carriers = self.system.coupling.carriers
+        return [carrier.step_over(grid.time, t1) for carrier in carriers]
 
-def choose_coupled_solver(
-    coupling: BodyCoupling,
-    options: SpringOptions,
-    requested: Solver,
-    begin: float,
-    limit: float,
-) -> SolverChoice:
-    """Return a solver whose cells align with the steps of bodies that carry pins."""
-    solver, reason = requested, "it was requested"
-    if requested is Solver.AUTO:
-        solver, reason = Solver.BDF2, "rigid bodies hold its pins"
-    lengths = sorted({carrier.step for carrier in coupling.carriers})
-    max_length = lengths[-1]
-    cell = max_length
-    min_substeps = INITIAL_SUBSTEPS[solver]
-    substeps = max(min_substeps, math.ceil(cell / CELL * min_substeps))
-    if options.step is not None:
-        cell = max(options.step, max_length)
-        substeps = max(1, round(cell / options.step))
-    is_aligned = all(_is_integer(cell / length) for length in lengths)
-    is_aligned &= options.step is None or _is_integer(cell / options.step)
-    if not is_aligned:
-        lengths_text = " and ".join(f"{length:g}" for length in lengths)
-        message = f"steps of {options.step or cell:g} s and those of the bodies that "
-        message += f"hold its pins, of {lengths_text} s, do not end together"
-        hint = f"use step: {max_length:g}, a multiple of it, or a fraction"
-        refuse("SIM164", message, "step", hint)
-    for carrier in coupling.carriers:
-        if carrier.begin > begin or not _is_integer((begin - carrier.begin) / cell):
-            message = f"it starts at {begin:g} s, but the bodies of its pins "
-            message += f"at {carrier.begin:g} s"
-            refuse("SIM164", message, "preroll", "give both the same preroll")
-    return SolverChoice(solver, cell, substeps, reason, limit)
+    def _advance_coupled(self, grid: TimeGrid) -> TimeGrid:
+        """Advance springs by one cell, coupled to the bodies that carry their pins.
 
+        The cell is split into subcells if bodies rotate fast or no solution is found.
+        """
+        steps, subcell_count = self._carrier_steps(grid), 1
+        angle = max(step.max_angle for step in steps)
+        while subcell_count < MAX_SUBCELLS and angle > MAX_ANGLE * subcell_count:
+            subcell_count *= 2
+        while True:
+            after = self._advance_in_subcells(grid, steps, subcell_count)
+            if not after.is_unsolved or subcell_count >= MAX_SUBCELLS:
+                return replace(
+                    after, origin=grid.origin, cell=grid.cell, index=grid.index + 1
+                )
+            subcell_count *= 2
 
-def _is_integer(ratio: float) -> bool:
-    """Return whether a ratio is an integer up to rounding."""
-    return abs(ratio - round(ratio)) <= 1e-9 * max(1.0, abs(ratio))
+    def solvable_step(self, grid: TimeGrid) -> float | None:
+        """Return a step that solves a failed cell, with a safety factor [s]; else None.
 
+        With pins on rigid bodies, this is a step of the bodies.
+        """
+        system, state = self.system, grid.state
+        if system.coupling is not None:
+            steps = self._carrier_steps(grid)
+            min_step = min(carrier.step for carrier in system.coupling.carriers)
+            for k in REFINEMENTS:
+                trial = self._advance_in_subcells(grid, steps, k * MAX_SUBCELLS)
+                if not trial.is_unsolved:
+                    return min_step / (STEP_SAFETY * k)
+            return None
+        colliders = cell_colliders(system.colliders, system.radius, grid, 1)
+        network = system.network(system.teleports.cell_stage(grid))
+        tolerance = NEWTON_TOLERANCE * system.mean_rest_length
+        for k in REFINEMENTS:
+            fine = replace(state, substeps=k * state.substeps, before=None)
+            trial = replace(grid, state=fine)
+            trial = _advance_implicit(network, trial, 1, colliders, tolerance).grid
+            if not trial.is_unsolved:
+                return grid.cell / (STEP_SAFETY * fine.substeps)
+        return None
 
-def bdf2_step_cost(system: SpringSystem, ratio: float) -> float:
-    """Return the compute time of a bdf2 step per spring [s].
+    def _advance_in_subcells(
+        self, grid: TimeGrid, steps: Sequence[CarrierStep], subcell_count: int
+    ) -> TimeGrid:
+        """Advance springs and coupled bodies by one cell, split into equal subcells."""
+        if subcell_count == 1:
+            return self._advance_subcell(grid, steps)[0]
+        start_state, substeps = grid.state, -(-grid.state.substeps // subcell_count)
+        if substeps * subcell_count != start_state.substeps:
+            start_state = replace(start_state, before=None)
+        state = replace(start_state, substeps=substeps)
+        current = replace(
+            grid, origin=grid.time, cell=grid.cell / subcell_count, index=0, state=state
+        )
+        bodies, pushes = [step.start_state for step in steps], []
+        for _ in range(subcell_count):
+            subcell_steps = [
+                step.subcell(state, current.time, current.cell)
+                for step, state in zip(steps, bodies, strict=True)
+            ]
+            current, bodies = self._advance_subcell(current, subcell_steps)
+            pushes.append(current.pushes)
+            if current.is_unsolved:
+                break
+        ends = zip(steps, bodies, strict=True)
+        body_pushes = tuple(step.push_to(state) for step, state in ends)
+        total_push = np.sum(pushes, axis=0)
+        total_push[:, 6] = np.max(pushes, axis=0)[:, 6]
+        end_state = replace(current.state, substeps=grid.state.substeps)
+        if substeps * subcell_count != end_state.substeps:
+            end_state = replace(end_state, before=None)
+        return replace(
+            current, state=end_state, body_wrenches=body_pushes, pushes=total_push
+        )
 
-    The ratio is the number of semi-implicit Euler steps that one step replaces: matrix
-    products grow with its square root.
-    """
-    bandwidth = np.abs(np.diff(system.body.springs.ends, axis=1)).max(initial=0)
-    if bandwidth <= MAX_CHAIN_BANDWIDTH:
-        return CHAIN_COST
-    return STEP_COSTS[Solver.BDF2] * math.sqrt(max(ratio, 1.0))
+    def _advance_subcell(
+        self, grid: TimeGrid, steps: Sequence[CarrierStep]
+    ) -> tuple[TimeGrid, list[Any]]:
+        """Advance springs and bodies by a cell; return the grid and body states."""
+        system, coupling = self.system, self.system.coupling
+        assert coupling is not None
+        t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
+        stage = system.teleports.cell_stage(grid)
+        network, prescribed = system.cell_network(stage, t0, t1)
+        pin_positions = prescribed.pin_positions
+        colliders = cell_colliders(system.colliders, system.radius, grid, 1)
+        columns = np.concatenate([row.columns for row in coupling.attachments])
+        fraction = ((prescribed.knots - t0) / (t1 - t0))[:, None, None]
 
+        def solve_springs(begins: FloatArray, ends: FloatArray) -> CoupledSprings:
+            pin_positions[:, columns] = begins + fraction * (ends - begins)
+            network.set_paths(pin_positions, prescribed.target_positions)
+            tolerance = COUPLED_TOLERANCE * coupling.spring_length
+            pulls = grid.state.pulls
+            return _advance_implicit(network, grid, 1, colliders, tolerance, pulls)
 
-def _choose_cheapest(
-    system: SpringSystem, options: SpringOptions, rate: float
-) -> tuple[Solver, str]:
-    """Return the second-order solver that is expected to be fastest, and why.
-
-    Stable explicit steps and bdf2 conserve energy equally well, so that steps times
-    their cost decide. A requested step is an upper limit: explicit steps are as short
-    as stability needs. With an error tolerance, bdf2 steps count at their lowest cost.
-    """
-    step = options.step
-    stability_text = f"symplectic_euler is stable from {rate:.0f} steps per second"
-    cell = CELL if step is None else step
-    steps = INITIAL_SUBSTEPS[Solver.BDF2] / CELL if step is None else 1 / step
-    if rate > MAX_SOLVABLE_RATE:
-        return Solver.XPBD, f"{stability_text}, and bdf2 converges with no step"
-    if math.ceil(cell * rate) > MAX_SUBSTEPS:
-        return Solver.BDF2, f"{stability_text}, which are too many"
-    explicit_cost = max(rate, 1 / cell) * STEP_COSTS[Solver.SYMPLECTIC_EULER]
-    ratio = rate / steps if options.error is None else 1.0
-    implicit_cost = steps * bdf2_step_cost(system, ratio)
-    alternative = f"about {steps:.0f} of {Solver.BDF2}"
-    if explicit_cost * len(system.body.springs.rest) <= NEGLIGIBLE_TIME:
-        cost_text = "little time"
-    elif explicit_cost <= implicit_cost:
-        cost_text = f"less time than {alternative}"
-    else:
-        fraction = f"{implicit_cost / explicit_cost:.0%}"
-        comparison = f"{alternative} takes {fraction} of their time"
-        return Solver.BDF2, f"{stability_text}, and {comparison}"
-    return Solver.SYMPLECTIC_EULER, f"{stability_text}, which take {cost_text}"
-
-
-def _cell_colliders(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
-    """Return the kernel arguments of colliders over the next ``count`` cells."""
-    cells = Cells(grid.origin, grid.cell, grid.index, count)
-    return cell_colliders(system.colliders, system.radius, cells)
+        cell = CoupledCell(coupling, steps, solve_springs)
+        solution = cell.solve(grid.state.known)
+        state = replace(solution.grid.state, known=solution.warm_start)
+        wrenches = solution.wrenches
+        bodies = [step.pushed(w)[0] for step, w in zip(steps, wrenches, strict=True)]
+        return replace(solution.grid, state=state, body_wrenches=wrenches), bodies
 
 
 def _advance_explicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
-    cells: int,
+    cell_count: int,
     colliders: CellColliders,
 ) -> TimeGrid:
-    """Advance a motion by ``cells`` cells of semi-implicit (symplectic) Euler."""
+    """Advance a motion by ``cell_count`` cells of semi-implicit (symplectic) Euler."""
     state = grid.state
     motion, torn, inside, pushes = _kernels.step_springs(
-        network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, colliders,
+        network, state.motion, state.torn, grid.origin, grid.index, grid.cell,
+        cell_count, state.substeps, colliders,
     )  # fmt: skip
-    after, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
-    return grid.after_cells(cells, after, steps, steps, inside, pushes)
-
-
-def _advance_xpbd(
-    network: _kernels.SpringNetwork,
-    options: SpringOptions,
-    grid: TimeGrid,
-    cells: int,
-    colliders: CellColliders,
-    layers: _kernels.SpringLayers | None,
-) -> TimeGrid:
-    """Advance a motion by ``cells`` cells of xpbd (extended position-based dynamics).
-
-    A cell whose springs are strained beyond the limit and their compliance is repeated
-    with more steps.
-    """
-    state, max_substeps = grid.state, options.max_substeps
-    if max_substeps is None:
-        shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
-        max_substeps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
-    (
-        motion, torn, substeps, calm, excess_strain, steps, contact_count, inside,
-        passages, piercing, pushes,
-    ) = _kernels.project_springs(
-        network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, state.calm, state.least, max(state.least, max_substeps),
-        options.stretch, colliders, layers, state.passages, options.clamped_strain,
-    )  # fmt: skip
-    after = SpringState(
-        motion, torn, substeps, state.least, calm, state.before, passages
-    )
-    return replace(
-        grid.after_cells(cells, after, steps, steps, inside, pushes),
-        piercing=grid.piercing.maximum(Piercing(*piercing)),
-        stretch=max(grid.stretch, excess_strain),
-        max_contacts=max(grid.max_contacts, contact_count),
-    )
-
-
-def _advance_strands(
-    system: SpringSystem,
-    options: SpringOptions,
-    grid: TimeGrid,
-    cells: int,
-    colliders: CellColliders,
-) -> TimeGrid:
-    """Advance strands by ``cells`` cells of xpbd, with a direct solver per strand.
-
-    Segments collide with rigid colliders too, except those that follow joints.
-    """
-    state, (span, path) = grid.state, system.particle_path
-    motion, contact_count, inside, strain = _kernels.follow_strands(
-        system.kernel_strands(options.stretch), path, state.motion, span,
-        state.substeps, colliders, thread_count(), system.joint_colliders,
-    )  # fmt: skip
-    steps, after = cells * state.substeps, replace(state, motion=motion)
-    return replace(
-        grid.after_cells(cells, after, steps, steps, inside, grid.pushes),
-        stretch=max(grid.stretch, strain),
-        max_contacts=max(grid.max_contacts, contact_count),
-    )
+    after, steps = replace(state, motion=motion, torn=torn), cell_count * state.substeps
+    return grid.after_cells(cell_count, after, steps, steps, inside, pushes)
 
 
 def thread_count() -> int:
@@ -351,135 +354,15 @@ def thread_count() -> int:
     return os.cpu_count() or 1
 
 
-def _advance_coupled(
-    system: SpringSystem, grid: TimeGrid, coupling: BodyCoupling
-) -> TimeGrid:
-    """Advance springs by one cell, coupled to the rigid bodies that carry their pins.
-
-    The cell is split into subcells if bodies rotate fast or no solution is found.
-    """
-    t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
-    steps = [carrier.step_over(t0, t1) for carrier in coupling.carriers]
-    angle, subcells = max(step.max_angle for step in steps), 1
-    while subcells < MAX_SUBCELLS and angle > MAX_ANGLE * subcells:
-        subcells *= 2
-    while True:
-        after = _advance_in_subcells(system, grid, coupling, steps, subcells)
-        if not after.unsolved or subcells >= MAX_SUBCELLS:
-            return replace(after, origin=grid.origin, cell=grid.cell,
-                           index=grid.index + 1)  # fmt: skip
-        subcells *= 2
-
-
-def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
-    """Return a step that solves a failed cell, with a safety factor [s]; None if none.
-
-    With pins on rigid bodies, this is a step of the bodies.
-    """
-    coupling, state = system.coupling, grid.state
-    if coupling is not None:
-        t1 = grid.origin + (grid.index + 1) * grid.cell
-        steps = [carrier.step_over(grid.time, t1) for carrier in coupling.carriers]
-        min_step = min(carrier.step for carrier in coupling.carriers)
-        for k in REFINEMENTS:
-            subcells = k * MAX_SUBCELLS
-            if not _advance_in_subcells(
-                system, grid, coupling, steps, subcells
-            ).unsolved:
-                return min_step / (STEP_SAFETY * k)
-        return None
-    colliders = _cell_colliders(system, grid, 1)
-    network = system.network(system.teleports.cell_stage(grid))
-    tolerance = NEWTON_TOLERANCE * system.mean_rest_length
-    for k in REFINEMENTS:
-        fine_state = replace(state, substeps=k * state.substeps, before=None)
-        trial = replace(grid, state=fine_state)
-        if not _advance_implicit(network, trial, 1, colliders, tolerance).grid.unsolved:
-            return grid.cell / (STEP_SAFETY * fine_state.substeps)
-    return None
-
-
-def _advance_in_subcells(
-    system: SpringSystem,
-    grid: TimeGrid,
-    coupling: BodyCoupling,
-    steps: Sequence[CarrierStep],
-    subcells: int,
-) -> TimeGrid:
-    """Advance springs and coupled bodies by one cell, split into equal subcells."""
-    if subcells == 1:
-        return _advance_subcell(system, grid, coupling, steps)[0]
-    start_state, substeps = grid.state, -(-grid.state.substeps // subcells)
-    if substeps * subcells != start_state.substeps:
-        start_state = replace(start_state, before=None)
-    state = replace(start_state, substeps=substeps)
-    current = replace(
-        grid, origin=grid.time, cell=grid.cell / subcells, index=0, state=state
-    )
-    bodies, pushes = [step.start_state for step in steps], []
-    for _ in range(subcells):
-        subcell_steps = [
-            step.subcell(state, current.time, current.cell)
-            for step, state in zip(steps, bodies, strict=True)
-        ]
-        current, bodies = _advance_subcell(system, current, coupling, subcell_steps)
-        pushes.append(current.pushes)
-        if current.unsolved:
-            break
-    ends = zip(steps, bodies, strict=True)
-    body_pushes = tuple(step.push_to(state) for step, state in ends)
-    total_push = np.sum(pushes, axis=0)
-    total_push[:, 6] = np.max(pushes, axis=0)[:, 6]
-    end_state = replace(current.state, substeps=grid.state.substeps)
-    if substeps * subcells != end_state.substeps:
-        end_state = replace(end_state, before=None)
-    return replace(
-        current, state=end_state, body_wrenches=body_pushes, pushes=total_push
-    )
-
-
-def _advance_subcell(
-    system: SpringSystem,
-    grid: TimeGrid,
-    coupling: BodyCoupling,
-    steps: Sequence[CarrierStep],
-) -> tuple[TimeGrid, list[Any]]:
-    """Advance springs and bodies by a cell; return the grid and body states."""
-    t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
-    stage = system.teleports.cell_stage(grid)
-    network, prescribed = system.cell_network(stage, t0, t1)
-    pinned = prescribed.pin_positions
-    colliders = _cell_colliders(system, grid, 1)
-    columns = np.concatenate(
-        [attachment.columns for attachment in coupling.attachments]
-    )
-    fraction = ((prescribed.knots - t0) / (t1 - t0))[:, None, None]
-
-    def solve_springs(begins: FloatArray, ends: FloatArray) -> CoupledSprings:
-        pinned[:, columns] = begins + fraction * (ends - begins)
-        network.set_paths(pinned, prescribed.target_positions)
-        tolerance, pulls = COUPLED_TOLERANCE * coupling.spring_length, grid.state.pulls
-        return _advance_implicit(network, grid, 1, colliders, tolerance, pulls)
-
-    solution = CoupledCell(coupling, steps).solve(solve_springs, grid.state.known)
-    end_grid = solution.grid
-    state = replace(end_grid.state, known=solution.warm_start)
-    bodies = [
-        step.pushed(wrenches)[0]
-        for step, wrenches in zip(steps, solution.wrenches, strict=True)
-    ]
-    return replace(end_grid, state=state, body_wrenches=solution.wrenches), bodies
-
-
 def _advance_implicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
-    cells: int,
+    cell_count: int,
     colliders: CellColliders,
     tolerance: float,
     pulls: FloatArray | None = None,
 ) -> CoupledSprings:
-    """Advance a motion by ``cells`` cells of BDF2 or implicit Euler.
+    """Advance a motion by ``cell_count`` cells of BDF2 or implicit Euler.
 
     With the ``pulls`` of the last step, also returns the impulses on pinned particles.
     """
@@ -489,12 +372,12 @@ def _advance_implicit(
         pushes, impulses,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
-        grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance,
+        grid.cell, cell_count, state.substeps, grid.solver is Solver.BDF2, tolerance,
         colliders, pulls,
     )  # fmt: skip
     after = replace(
         state, motion=motion, before=before if has_previous else None, torn=torn,
         pulls=state.pulls if pulls is None else impulses[1],
     )  # fmt: skip
-    end_grid = grid.after_cells(cells, after, steps, corrections, inside, pushes)
-    return CoupledSprings(replace(end_grid, unsolved=failed_cells > 0), impulses[0])
+    end_grid = grid.after_cells(cell_count, after, steps, corrections, inside, pushes)
+    return CoupledSprings(replace(end_grid, is_unsolved=failed_cells > 0), impulses[0])

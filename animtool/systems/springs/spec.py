@@ -204,6 +204,12 @@ class WindModel(FileModel):
     )
 
 
+WindField = Annotated[
+    WindModel | None,
+    shared_key("The air; `drag` couples to it.", {"velocity": [4, 0, 0]}),
+]
+
+
 @with_fields(Air, "density", "drag", "lift")
 class FaceWindModel(WindModel):
     """The air that acts on faces."""
@@ -306,9 +312,7 @@ class RopeModel(SpringsModel):
     springs: LineSpringsModel = key(
         "Its springs.", {"structural": {"stiffness": 1e4, "ratio": 0.1}}
     )
-    wind: WindModel | None = key(
-        "The air; `drag` couples to it.", {"velocity": [4, 0, 0]}, default=None
-    )
+    wind: WindField = None
 
 
 class StrandsModel(SpringsModel):
@@ -322,9 +326,7 @@ class StrandsModel(SpringsModel):
     springs: LineSpringsModel = key(
         "Their springs.", {"structural": {"stiffness": 100}, "bend": {"stiffness": 1}}
     )
-    wind: WindModel | None = key(
-        "The air; `drag` couples to it.", {"velocity": [4, 0, 0]}, default=None
-    )
+    wind: WindField = None
 
 
 class ClothModel(SpringsModel):

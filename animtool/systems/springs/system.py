@@ -47,6 +47,7 @@ from animtool.systems.springs.constraints import (
     resample_to_shared_times,
 )
 from animtool.systems.springs.jacobians import acceleration_jacobians, mode_bounds
+from animtool.systems.springs.motion import at_rest
 from animtool.systems.springs.records import Air, SelfContact
 
 # Interval for estimating target velocities when no step is given [s].
@@ -197,7 +198,7 @@ class SpringSystem(SecondOrder):
         return self._stage(stage).network
 
     def set_constraint_paths(self, span: float, path: FloatArray) -> None:
-        """Replace the paths of pins and targets over a span [s].
+        """Move pins and targets along a path over the next span of time [s].
 
         ``path`` has positions of all particles at even times ``(K, N, 3)`` [m], between
         which they are linear.
@@ -254,10 +255,6 @@ class SpringSystem(SecondOrder):
         cell_motion = PrescribedMotion(knots, *positions)
         return self._network(cell_motion), cell_motion
 
-    def has_faces(self, particles: IntArray) -> bool:
-        """Return whether any of the particles is a corner of a colliding face."""
-        return bool(np.isin(self.body.triangles, particles).any())
-
     @property
     def forces(self) -> SpringForces:
         """Properties of particles, springs and air that determine the forces."""
@@ -276,7 +273,10 @@ class SpringSystem(SecondOrder):
         return _kernels.SpringLayers(self.network(0), self._rest, *settings)
 
     def kernel_strands(self, max_strain: float) -> _kernels.SpringStrands:
-        """Return the kernel strands, corrected once more above a strain [1]."""
+        """Return the kernel solver of strands.
+
+        Strands that a step strains beyond a limit [1] are corrected once more.
+        """
         if self._kernel_strands is None:
             springs, targets = self.body.springs, self.target_springs
             strands, stiffness = self.body.strands, springs.stiffness
@@ -388,7 +388,7 @@ class SpringSystem(SecondOrder):
         )
 
     def with_target_springs(self, target_springs: TargetSprings) -> SpringSystem:
-        """Return the system with other springs to targets, whose paths are not set."""
+        """Return the system with other springs to targets; set their paths next."""
         result = copy(self)
         result.target_springs = target_springs
         result._cached_stage, result._kernel_strands = None, None
@@ -404,7 +404,7 @@ class SpringSystem(SecondOrder):
         return result
 
     def starting_at(self, positions: ArrayLike) -> SpringSystem:
-        """Return the system with another start: at rest in the given positions.
+        """Return the system starting at rest in other positions.
 
         Args:
             positions: ``(N, 3)`` [m].
@@ -412,7 +412,7 @@ class SpringSystem(SecondOrder):
         points = as_floats(positions, self.body.positions.shape, "positions")
         result = copy(self)
         result.body = replace(self.body, positions=points)
-        result._state = np.stack([points, np.zeros_like(points)])
+        result._state = at_rest(points)
         return result
 
     # Overflow gives an infinite energy.
@@ -432,22 +432,26 @@ class SpringSystem(SecondOrder):
         if len(springs.particles):
             gaps = x[springs.particles] - position_at(stage.targets, t)
             potential += 0.5 * float(springs.stiffness @ (gaps * gaps).sum(axis=1))
-        mass, supplied, speed = self._supply
-        supply = mass * (supplied + max(speed, self.colliders.fastest) ** 2)
+        mass, square_speed, speed = self._supply
+        supply = mass * (square_speed + max(speed, self.colliders.fastest) ** 2)
         return Energy(kinetic, potential, supply)
 
     @cached_property
     def _supply(self) -> tuple[float, float, float]:
-        """Moving mass, squared speed from wind and gravity, and speed of paths."""
+        """Terms of the energy that may be supplied.
+
+        They are the moving mass [kg], the squared speed from wind and gravity, and the
+        speed of pins and targets.
+        """
         mass = float(self.body.masses[~self.is_pinned].sum())
         wind_speed = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
         speeds, travels = zip(
             *map(max_speed_and_travel, self._constraint_paths), strict=True
         )
         gravity = float(np.linalg.norm(self.gravity))
-        supplied = wind_speed**2 + gravity * max(travels)
+        square_speed = wind_speed**2 + gravity * max(travels)
         # Teleports supply no speed.
-        return mass, supplied, min(max(speeds), self.speed_limit)
+        return mass, square_speed, min(max(speeds), self.speed_limit)
 
     def wind(self, t: float) -> FloatArray:
         """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
@@ -519,6 +523,6 @@ class SpringSystem(SecondOrder):
         springs = self.body.springs
         if not len(springs.rest):
             return ""
-        most_strained = int(np.argmax(springs.lengths(state[0]) - springs.rest))
-        first, second = springs.ends[most_strained].tolist()
+        spring_index = int(np.argmax(springs.lengths(state[0]) - springs.rest))
+        first, second = springs.ends[spring_index].tolist()
         return f"the spring of particles {first} and {second} has the largest strain"

@@ -16,16 +16,16 @@ from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.framework.simulation import Progress, SimContext, StoppedError
 from animtool.systems.springs.checks import check_options
+from animtool.systems.springs.choosing import (
+    SolverChoice,
+    choose_solver,
+    explicit_limit,
+)
 from animtool.systems.springs.equilibrium import find_xpbd_rest
 from animtool.systems.springs.motion import MAX_SUBSTEPS, SpringMotion, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.simulation import SpringSimulation, as_errors
-from animtool.systems.springs.solvers import (
-    SolverChoice,
-    SpringPlan,
-    choose_solver,
-    explicit_limit,
-)
+from animtool.systems.springs.solvers import SpringPlan
 from animtool.systems.springs.system import SpringSystem
 
 # Most halvings of the step to reach an error tolerance.
@@ -88,7 +88,14 @@ def simulate_springs(
     t = float(sample_times[0])
     start = system.state if checkpoint is None else checkpoint.state
     state = np.ascontiguousarray(start)
-    _check_start(system, state)
+    shape, message = system.state.shape, ""
+    if state.shape != shape:
+        message = f"the start must have shape {shape}, not {state.shape}"
+    elif not np.isfinite(state).all():
+        particle_index = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
+        message = f"particle {particle_index} is not finite at the start"
+    if message:
+        refuse("SIM003", message, "state")
     choice = choose_solver(system, options, solver, t, state)
 
     def simulate_with(substeps: int) -> SpringMotion:
@@ -98,18 +105,6 @@ def simulate_springs(
     if options.error is None:
         return simulate_with(choice.substeps)
     return _refine_until(simulate_with, choice, options.error)
-
-
-def _check_start(system: SpringSystem, state: FloatArray) -> None:
-    """Raise SIM003 if a state is not finite or has another shape."""
-    shape, message = system.state.shape, ""
-    if state.shape != shape:
-        message = f"the start must have shape {shape}, not {state.shape}"
-    elif not np.isfinite(state).all():
-        particle = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
-        message = f"particle {particle} is not finite at the start"
-    if message:
-        refuse("SIM003", message, "state")
 
 
 def _refine_until(
@@ -171,9 +166,9 @@ def _run_plan(
         solver=plan.choice.solver,
         reason=plan.choice.reason,
         step=simulation.shortest_step,
-        stretch=grid.stretch,
+        stretch=grid.max_strain,
         torn=plan.system.torn(grid.state.torn),
-        unresolved=grid.unresolved,
+        unresolved=grid.unresolved_count,
         passed=grid.piercing.passed,
         cut=grid.piercing.cut,
     )
@@ -202,12 +197,12 @@ def plan_springs(
         error, reason = motion.stats.error, motion.reason
         options = replace(options, solver=motion.solver, step=motion.step, error=None)
     choice = choose_solver(system, options, check_options(options), begin, system.state)
-    if starts_at_rest and choice.solver is Solver.XPBD:
-        xpbd_rest = find_xpbd_rest(system, options, choice, begin)
-        system, choice = xpbd_rest.system, xpbd_rest.choice
-        notices += xpbd_rest.notices
     choice = replace(choice, reason=reason or choice.reason)
-    return SpringPlan(system, options, choice, error, notices)
+    plan = SpringPlan(system, options, choice)
+    if starts_at_rest and choice.solver is Solver.XPBD:
+        plan = find_xpbd_rest(system, options, choice, begin)
+    all_notices = (*notices, *plan.planning_notices)
+    return replace(plan, error=error, planning_notices=all_notices)
 
 
 def _progress_by_motion(

@@ -7,11 +7,17 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Any, cast
 
+import numpy as np
+
+from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, percent_text, warning
 from animtool.core.quantities import length_text, plain_number
 from animtool.core.record import dataclass
+from animtool.maths.faces import directed_edges
 from animtool.motion.frames import Frame, MeshFrame
+from animtool.sim.colliders import Collider
+from animtool.sim.colliders.shapes import Box, Capsule, Sphere
 from animtool.systems.framework.meter import (
     ContactMeter,
     MeasuredSurface,
@@ -20,11 +26,126 @@ from animtool.systems.framework.meter import (
 )
 from animtool.systems.framework.simulation import Diagnostics
 from animtool.systems.framework.spec import JoinedEntry
-from animtool.systems.springs.body import Body
-from animtool.systems.springs.crossings import SelfCrossings, thin_notices, widest_gap
-from animtool.systems.springs.drawing import FaceShape, Tearing
+from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape, Tearing
 from animtool.systems.springs.motion import SpringState
+from animtool.systems.springs.shapes import face_diagonals
 from animtool.systems.springs.simulation import SpringSimulation
+
+# Intersection checks per motion; each costs as much as several steps.
+CHECKS_PER_MOTION = 12
+# Most colliders named in a warning.
+MAX_NAMED = 3
+
+
+@dataclass(slots=True)
+class SelfCrossings:
+    """Counts edges that pass through faces of a surface without self-contact."""
+
+    triangles: IntArray  # corners ``(T, 3)``
+    begin: float  # the first time [s]
+    last: float  # the last time [s]
+    max_crossing_count: int = 0  # most edges through faces, minus the initial number
+    time_of_max: float = 0.0  # time of the largest number [s]
+    _initial_count: int | None = None
+    _next_time: float = -np.inf
+
+    def count_if_due(self, t: float, points: FloatArray) -> None:
+        """Count self-intersections of points ``(N, 3)`` [m] at a time [s], if due."""
+        if t < self._next_time or not len(self.triangles):
+            return
+        interval = (self.last - self.begin) / CHECKS_PER_MOTION
+        self._next_time = min(t + interval, self.last) if t < self.last else np.inf
+        corners = np.ascontiguousarray(self.triangles, np.int64)
+        count = _kernels.pierced_edges(np.ascontiguousarray(points), corners)
+        if self._initial_count is None:
+            self._initial_count = count
+        if count - self._initial_count > self.max_crossing_count:
+            self.max_crossing_count, self.time_of_max = count - self._initial_count, t
+
+    def notices(self, name: str) -> list[Fault]:
+        """Return a note if a surface passed through itself (SIM194)."""
+        if not self.max_crossing_count:
+            return []
+        pairs = counted(self.max_crossing_count, "pair")
+        message = f"{name} passed through itself: {pairs} of an edge and a face, at "
+        message += f"{plain_number(self.time_of_max)} s, as its self_contact is off"
+        hint = "set self_contact with a thickness, such as half an edge"
+        return [Fault("SIM194", message, hint=hint, severity=Severity.NOTE)]
+
+
+def widest_gap(shape: Shape, points: FloatArray) -> float:
+    """Return the largest distance between neighbouring particles [m].
+
+    Rest positions are ``(N, 3)`` [m]. For faces it is the longest side or diagonal:
+    thinner colliders pass between the corners.
+    """
+    if isinstance(shape, CurveShape):
+        first = np.arange(len(points) - 1)
+        is_same_curve = np.ones(len(first), bool)
+        is_same_curve[np.cumsum(shape.counts)[:-1] - 1] = False
+        pairs = np.stack([first, first + 1], axis=1)[is_same_curve]
+    else:
+        sides = directed_edges(shape.counts, shape.indices)
+        diagonals = face_diagonals(shape.counts, shape.indices)
+        pairs = np.concatenate([sides, diagonals])
+    if not len(pairs):
+        return 0.0
+    gaps = points[pairs[:, 1]] - points[pairs[:, 0]]
+    return float(np.linalg.norm(gaps, axis=1).max())
+
+
+def collider_thickness(collider: Collider) -> float:
+    """Return the thickness of a collider across its length [m]; else infinity.
+
+    For a box, this is the second-longest side: plates are hit on a face.
+    """
+    shape = collider.shape
+    if isinstance(shape, Sphere | Capsule):
+        return 2 * shape.radius
+    if isinstance(shape, Box):
+        return float(np.sort(np.asarray(shape.size, np.float64))[1])
+    return np.inf
+
+
+def thin_notices(
+    name: str,
+    colliders: Sequence[Collider],
+    radius: float,
+    gap: float,
+    strain: float,
+    *,
+    has_faces: bool = False,
+    has_edges: bool = False,
+) -> list[Fault]:
+    """Return a warning about colliders thinner than the particle gap (SIM195).
+
+    Particles keep a radius [m] from colliders. The rest gap [m] grows by a strain [1].
+    Colliders stop faces, but faces that passed through each other may have done so
+    around a collider. All colliders except spheres stop edges.
+    """
+    stretched_gap = gap * (1 + max(strain, 0.0))
+    thin = [
+        (collider_thickness(collider), collider.name or f"colliders[{i}]")
+        for i, collider in enumerate(colliders)
+        if collider_thickness(collider) + 2 * radius < stretched_gap
+        and (has_faces or not has_edges or isinstance(collider.shape, Sphere))
+    ]
+    if not thin:
+        return []
+    thinnest = min(thin)[0]
+    names = ", ".join(label for _, label in thin[:MAX_NAMED])
+    extra_count = len(thin) - MAX_NAMED
+    names += f" and {extra_count} more" if extra_count > 0 else ""
+    message = f"{names}: a collider {length_text(thinnest)} thick is thinner than the "
+    message += f"gap between particles of {name}, up to {length_text(stretched_gap)} "
+    message += "when stretched:"
+    if has_faces:
+        message += " its faces are stopped, and what is attached on either side of "
+        message += "them may have passed through itself, as its self_contact is off"
+        return [warning("SIM195", message, "set self_contact with a thickness")]
+    message += " it may pass through between them"
+    hint = "use more particles, a thicker collider, or a larger radius"
+    return [warning("SIM195", message, hint)]
 
 
 @dataclass
@@ -93,8 +214,11 @@ class SpringView:
             return
         torn = self.torn(state)
         if self._measured_surface is None or torn.any():
-            self._measured_surface = _surface_to_measure(
-                shape, system.is_pinned[self.rows], body, torn, has_self_contact
+            # Triangles are measured only with self-contact, and torn springs never.
+            springs = body.springs.select(shape.side_springs[~torn[shape.side_springs]])
+            triangles = body.triangles if has_self_contact else body.triangles[:0]
+            self._measured_surface = MeasuredSurface.of_edges(
+                springs.ends, springs.rest, system.is_pinned[self.rows], triangles
             )
         solids = closed_surfaces(colliders, t)
         depths = collider_depths(colliders, points, t)
@@ -105,11 +229,13 @@ class SpringView:
         simulation, body, name = self.simulation, self.body, self.member.name
         crossings = self._self_crossings
         notices = [] if crossings is None else crossings.notices(name)
-        has_faces = simulation.system.has_faces(self.rows)
+        # Whether any of its particles is a corner of a colliding face.
+        triangles = simulation.system.body.triangles
+        has_faces = bool(np.isin(triangles, self.rows).any())
         if has_faces and not notices:
             return notices
         # Edges of ropes and strands collide too, but not with balls.
-        has_edges = not len(simulation.system.body.triangles)
+        has_edges = not len(triangles)
         gap = widest_gap(body.shape, body.body.positions)
         colliders, radius = list(simulation.system.colliders), simulation.system.radius
         return notices + thin_notices(
@@ -117,7 +243,7 @@ class SpringView:
             colliders,
             radius,
             gap,
-            simulation.stretch,
+            simulation.max_strain,
             has_faces=has_faces,
             has_edges=has_edges,
         )
@@ -158,12 +284,12 @@ class SpringView:
             "solver": str(simulation.choice.solver),
             "reason": simulation.choice.reason,
             "step": simulation.shortest_step,
-            "steps": simulation.grid.steps,
-            "stretch": simulation.stretch,
+            "steps": simulation.grid.step_count,
+            "stretch": simulation.max_strain,
             "torn": int(self.torn(state).sum()),
-            "unresolved": simulation.grid.unresolved,
+            "unresolved": simulation.grid.unresolved_count,
         }
-        error = simulation.error
+        error = simulation.plan.error
         if error is not None:
             values["error"] = error if math.isfinite(error) else None
         if self._measured_surface is not None:
@@ -176,7 +302,7 @@ class SpringView:
         if self.is_first:
             notices += simulation.notices
             if simulation.is_overlong:
-                strain = percent_text(simulation.stretch)
+                strain = percent_text(simulation.max_strain)
                 message = f"{name}: springs stretch {strain} beyond their length "
                 hint = "raise the stiffness [N/m] of each spring, or "
                 hint += "lower the mass [kg]"
@@ -190,30 +316,14 @@ class SpringView:
         phrases = [
             f"{simulation.choice.solver} ({simulation.choice.reason})",
             f"shortest step {plain_number(simulation.shortest_step)} s",
-            f"springs stretch by up to {percent_text(simulation.stretch)}",
+            f"springs stretch by up to {percent_text(simulation.max_strain)}",
         ]
-        if simulation.error is not None and math.isfinite(simulation.error):
-            phrases.append(f"error {length_text(simulation.error)}")
+        error = simulation.plan.error
+        if error is not None and math.isfinite(error):
+            phrases.append(f"error {length_text(error)}")
         if torn_count:
             phrases.append(f"{counted(torn_count, 'spring')} torn")
         if self._meter.text:
             phrases.append(self._meter.text)
         message = f"{self.member.name}: {', '.join(phrases)}"
         return Fault("SIM130", message, severity=Severity.NOTE)
-
-
-def _surface_to_measure(
-    shape: FaceShape,
-    is_fixed: BoolArray,
-    body: Body,
-    is_torn: BoolArray,
-    has_self_contact: bool,
-) -> MeasuredSurface:
-    """Return the edges to measure, without torn springs.
-
-    Triangles are included only with self-contact.
-    """
-    sides = shape.side_springs[~is_torn[shape.side_springs]]
-    springs = body.springs.select(sides)
-    triangles = body.triangles if has_self_contact else body.triangles[:0]
-    return MeasuredSurface.of_edges(springs.ends, springs.rest, is_fixed, triangles)

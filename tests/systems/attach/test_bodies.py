@@ -11,8 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.rig.skeleton import Joint, Rig
-from animtool.systems.attach.bodies import _bone_end, _main_joint
-from animtool.systems.attach.mass_spring import MassSpringNetwork
+from animtool.systems.attach.bodies import MassSpringNetwork, _bone_end, _main_joint
 
 JOINTS = (
     Joint("head", -1, translation=(0.0, 1.6, 0.0)),

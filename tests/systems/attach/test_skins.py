@@ -165,4 +165,4 @@ def test_a_chain_does_not_collide_with_what_it_moves() -> None:
     # The side towards the tail follows it; the hole is closed.
     (skin,) = build_skins(tailed(1, 3, 5, 7), [4])
     assert len(skin.triangles) == 6
-    assert not skin.joints[4]
+    assert not skin.has_joint_weight[4]

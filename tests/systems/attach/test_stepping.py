@@ -7,7 +7,7 @@ import pytest
 from support.faults import raises
 
 from animtool.core.errors import ToleranceError
-from animtool.systems.attach.stepping import cells_and_substeps, check_motion
+from animtool.systems.attach.actor import cells_and_substeps, check_motion
 
 
 @pytest.mark.parametrize("value", [2e30, -1e200, np.inf, np.nan])

@@ -152,10 +152,9 @@ def test_blocks_hold_no_more_numbers_than_they_may(
     monkeypatch.setattr("animtool.systems.attach.simulation.BLOCK_VALUES", 4 * frame)
     options = SimulateOptions(what=("hair",))
     bodies = build_bodies(take.rig, options.what)
-    clock = take.clock
-    parts = AttachSimulation(
-        take.rig, bodies, options, clock.fps, clock.start, clock.step
-    ).blocks(iter([take.motion]))
+    parts = AttachSimulation(TakeStream.of(take), bodies, options).blocks(
+        iter([take.motion])
+    )
     sizes = [next(iter(one.points.values())).dense() for one in parts]
     assert max(len(one) for one in sizes) == 4
     assert_array_equal(np.concatenate(sizes), whole)
@@ -298,12 +297,9 @@ def test_what_is_done_is_told_in_even_parts_to_the_end(
     take = take_of(tail_rig(1), 24, 0.5, swing)
     given, told = SimulateOptions(**{"settle": 0.0, **options}), list[float]()
     simulation = AttachSimulation(
-        take.rig,
+        TakeStream.of(take),
         build_bodies(take.rig, ("tail",)),
         given,
-        take.clock.fps,
-        take.clock.start,
-        take.clock.step,
         progress=told.append,
     )
     list(simulation.blocks(iter([take.motion])))

@@ -127,7 +127,11 @@ def test_passages_of_no_cloth_are_refused(tmp_path: Path) -> None:
 def test_only_cloth_has_a_thickness() -> None:
     options = SimulateOptions(("hair",), thickness="5mm")
     kinds = ("cloth", "strands", "spring_chain")
-    assert [AttachSettings(options, kind).thickness for kind in kinds] == [0.005, 0, 0]
+    assert [AttachSettings.from_options(options, kind).thickness for kind in kinds] == [
+        0.005,
+        0,
+        0,
+    ]
     take = take_of(strands_rig(), 24, 0.2)
     thick, _ = simulated(take, thickness="5cm")
     np.testing.assert_array_equal(moved(thick), moved(simulated(take)[0]))

@@ -13,14 +13,14 @@ from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Plane, Sphere
 from animtool.systems.springs import Family, rope, sheet
-from animtool.systems.springs.crossings import (
+from animtool.systems.springs.drawing import CurveShape, FaceShape
+from animtool.systems.springs.view import (
     CHECKS_PER_MOTION,
     SelfCrossings,
     collider_thickness,
     thin_notices,
     widest_gap,
 )
-from animtool.systems.springs.drawing import CurveShape, FaceShape
 
 CLOTH = """\
 scene: animtool/1
@@ -68,7 +68,7 @@ def test_pairs_beyond_those_at_the_start_are_counted() -> None:
     through[3:, 2] -= 2.5
     for t, now in [(0, points), (0.5, through), (1, points)]:
         seen.count_if_due(t, now)
-    assert (seen.max_crossings, seen.time_of_max) == (2, 0.5)
+    assert (seen.max_crossing_count, seen.time_of_max) == (2, 0.5)
     (notice,) = seen.notices("sail")
     assert notice.code == "SIM194"
     assert "2 pairs" in notice.message

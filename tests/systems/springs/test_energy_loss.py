@@ -11,7 +11,7 @@ from animtool import BakeOptions, bake
 from animtool.core.shot import FrameRange
 from animtool.scene.file.read import load_scene
 from animtool.sim.system import Energy
-from animtool.systems.springs.energy_loss import (
+from animtool.systems.springs.notices import (
     MIN_REPORTED_FRACTION,
     REST_SPEED,
     EnergyLoss,

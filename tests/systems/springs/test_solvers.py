@@ -16,7 +16,7 @@ from animtool.systems.springs import (
     sheet,
     simulate_springs,
 )
-from animtool.systems.springs.solvers import (
+from animtool.systems.springs.choosing import (
     CELL,
     INITIAL_SUBSTEPS,
     NEGLIGIBLE_TIME,

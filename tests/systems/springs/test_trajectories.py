@@ -285,6 +285,22 @@ def test_a_stretch_that_cannot_be_kept_is_said() -> None:
     assert motion.step == MIN_STEP
 
 
+def test_small_strains_are_written_with_their_digits() -> None:
+    """A limit of 0.01% is not 0.0%, and strains of springs are percentages."""
+    line = rope([0, 0, 0], [0.8, 0, 0], 15, Family(1e7), mass=0.02, tip_mass=50)
+    system = SpringSystem(line, pins=Pins([0]))
+    options = SpringOptions("xpbd", step=0.01, stretch=1e-4)
+    (notice,) = simulate_springs(system, [0, 0.3], options).notices
+    assert notice.code == "SIM131"
+    assert notice.message.endswith("the limit is 0.01%")
+    assert "strained by 0.0%" not in notice.message
+    soft = sheet(12, 12, mass=1e-3, structural=Family(20.0, ratio=0.05))
+    hung = SpringSystem(soft, pins=Pins([0, 11]), drag=1.0)
+    (notice,) = simulate_springs(hung, [0, 1], SpringOptions("xpbd")).notices
+    assert notice.code == "SIM161"
+    assert notice.message.startswith("springs are strained by 2% or more, mostly")
+
+
 def test_the_damping_of_a_soft_spring_asks_for_no_more_steps() -> None:
     family = Family(20.0, ratio=0.05)
     body = sheet(12, 12, mass=1e-3, structural=family, diagonals=family)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from animtool.maths.faces import edges
-from animtool.systems.attach.mass_spring import (
+from animtool.systems.attach.bodies import (
     RIGID_FREQUENCY,
     MassSpringNetwork,
     max_pin_hops,
@@ -28,12 +28,12 @@ def test_springs_of_a_grid() -> None:
     size = 5
     points, faces = grid(size)
     sides = MassSpringNetwork(points, np.array([0]), edges(*faces))
-    assert len(sides.rests) == 2 * size * (size - 1)
-    assert_allclose(sides.rests, 1.0)
+    assert len(sides.rest_lengths) == 2 * size * (size - 1)
+    assert_allclose(sides.rest_lengths, 1.0)
     assert len(face_diagonals(*faces)) == 2 * (size - 1) ** 2
     folds = MassSpringNetwork(points, np.array([0]), hinge_pairs(*faces))
-    assert_allclose(folds.rests, 2.0)
-    assert len(folds.rests) == 2 * size * (size - 2)
+    assert_allclose(folds.rest_lengths, 2.0)
+    assert len(folds.rest_lengths) == 2 * size * (size - 2)
 
 
 def test_the_farthest_particle() -> None:
@@ -47,7 +47,7 @@ def test_the_farthest_particle() -> None:
 def test_another_size() -> None:
     points, faces = grid(3)
     network = MassSpringNetwork(2.5 * points, np.array([0]), edges(*faces))
-    assert_allclose(network.rests, 2.5)
+    assert_allclose(network.rest_lengths, 2.5)
     springs = network.body(20.0, 0.0).springs
     assert_allclose(springs.rest, 2.5)
     assert len(springs.rest) == len(network.structural)
