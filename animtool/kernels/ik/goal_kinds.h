@@ -67,15 +67,14 @@ struct RotationTarget {
 };
 
 // Each kind has, besides its name as in Python:
-// ROWS: number of residuals
+// RESIDUAL_COUNT: number of residuals
 // IS_LENGTH: whether the error is a length, else an angle
 // NEEDS_LIMB: whether it needs the nodes of a limb
 // measure: computes the weighted residuals and returns the error
 // target_from_pose: computes the target that the current pose reaches
-// Slopes: built once per pose; `add` adds the effect of a motion to a column of the Jacobian;
-// `scale` is its weight times gain
-// add_alignment: for cyclic coordinate descent, if supported: adds the goal to the sums of a joint
-// at `origin`
+// JacobianTerms: prepared once per pose; `add` adds the effect of a motion to a column of the
+// Jacobian; `scale` is its weight times gain add_alignment: for cyclic coordinate descent, if
+// supported: adds the goal to the sums of a joint at `origin`
 struct Position : PointTarget {
   static constexpr const char* NAME = "position";
   static constexpr int RESIDUAL_COUNT = 3;
@@ -92,7 +91,7 @@ struct Position : PointTarget {
     std::copy(view.point, view.point + 3, target);
   }
 
-  struct Slopes {
+  struct JacobianTerms {
     void prepare(const GoalView&, const double*) {}
     void add(const AxisMotion& motion, double scale, double* column) const {
       for (int i = 0; i < 3; ++i) column[i] += scale * motion.linear[i];
@@ -135,7 +134,7 @@ struct Orientation : RotationTarget {
     exponential(rotation_vector, target);
   }
 
-  struct Slopes {
+  struct JacobianTerms {
     void prepare(const GoalView&, const double*) {}
     void add(const AxisMotion& motion, double scale, double* column) const {
       for (int i = 0; i < 3; ++i) column[i] += scale * motion.angular[i];
@@ -198,7 +197,7 @@ struct Aim : PointTarget {
     for (int i = 0; i < 3; ++i) target[i] = view.point[i] + direction[i];
   }
 
-  struct Slopes {
+  struct JacobianTerms {
     AimRotation aim;
     double u[3], v[3];
 
@@ -269,7 +268,7 @@ struct Pole : PointTarget {
   }
 
   // Derivatives of Bend::angle by the points of a limb.
-  struct Slopes {
+  struct JacobianTerms {
     GoalView view;
     bool is_defined;
     double root[3], middle[3], tip[3];

@@ -45,7 +45,7 @@ void differentiate(const Task& task, const double* targets, const State& state,
     if (std::all_of(weights, weights + COMPONENT_COUNT, [](double w) { return !(w > 0); }))
       continue;
     const GoalView view = view_of(goal, state, point);
-    Slopes slopes;
+    AllJacobianTerms jacobian_terms;
     double component_weights[COMPONENT_COUNT];
     int rows[COMPONENT_COUNT], next = 0;
     for_each_kind([&]<class Kind>(int component) {
@@ -53,7 +53,8 @@ void differentiate(const Task& task, const double* targets, const State& state,
       rows[component] = next;
       next += Kind::RESIDUAL_COUNT * (goal.weights[component] > 0);
       if (weights[component] > 0)
-        std::get<typename Kind::Slopes>(slopes).prepare(view, target + TARGET_OFFSETS[component]);
+        std::get<typename Kind::JacobianTerms>(jacobian_terms)
+            .prepare(view, target + TARGET_OFFSETS[component]);
     });
     for (const int n : goal.path) {
       const Node& node = task.chain.nodes[n];
@@ -64,8 +65,8 @@ void differentiate(const Task& task, const double* targets, const State& state,
         velocity(node, motion.axis, origin, point, motion.linear, motion.angular);
         for_each_kind([&]<class Kind>(int component) {
           if (component_weights[component] > 0)
-            std::get<typename Kind::Slopes>(slopes).add(motion, gain * component_weights[component],
-                                                        column + rows[component]);
+            std::get<typename Kind::JacobianTerms>(jacobian_terms)
+                .add(motion, gain * component_weights[component], column + rows[component]);
         });
       });
     }

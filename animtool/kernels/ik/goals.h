@@ -96,10 +96,10 @@ inline GoalView view_of(const Goal& goal, const State& state, const double* poin
 void measure(const Task& task, const double* targets, State& state,
              const double* residual_offsets = nullptr);
 
-// One `Slopes` of each kind.
+// The `JacobianTerms` of each kind.
 template <class... Kind>
-std::tuple<typename Kind::Slopes...> slopes_of(const std::tuple<Kind...>&);
-using Slopes = decltype(slopes_of(GoalKinds{}));
+std::tuple<typename Kind::JacobianTerms...> jacobian_terms_of(const std::tuple<Kind...>&);
+using AllJacobianTerms = decltype(jacobian_terms_of(GoalKinds{}));
 
 // Computes the columns of the Jacobian (D, M), each contiguous in memory.
 void differentiate(const Task& task, const double* targets, const State& state,
