@@ -72,9 +72,10 @@ struct RotationTarget {
 // NEEDS_LIMB: whether it needs the nodes of a limb
 // measure: computes the weighted residuals and returns the error
 // target_from_pose: computes the target that the current pose reaches
-// JacobianTerms: prepared once per pose; `add` adds the effect of a motion to a column of the
-// Jacobian; `scale` is its weight times gain add_alignment: for cyclic coordinate descent, if
-// supported: adds the goal to the sums of a joint at `origin`
+// JacobianTerms: prepared once per pose; `add` adds the effect of a motion, times weight and gain,
+// to a column of the Jacobian
+// add_alignment: for cyclic coordinate descent, if supported: adds the goal to the sums of a joint
+// at `origin`
 struct Position : PointTarget {
   static constexpr const char* NAME = "position";
   static constexpr int RESIDUAL_COUNT = 3;

@@ -54,9 +54,9 @@ class Neighbours {
   double visit(const double* points, const std::int32_t* subset, std::size_t count,
                double max_tests, Function function) const;
 
-  // Visits every grid position in the same way. With `is_later_only`, the function receives only
-  // later neighbours.
-  template <bool is_later_only, class Function>
+  // Visits every grid position in the same way. With `visits_later_only`, the function receives
+  // only later neighbours.
+  template <bool visits_later_only, class Function>
   double visit_all(double max_tests, Function function) const;
 
  private:
@@ -138,25 +138,26 @@ double Neighbours::visit(const double* points, const std::int32_t* subset, std::
   return test_count;
 }
 
-template <bool is_later_only, class Function>
+template <bool visits_later_only, class Function>
 double Neighbours::visit_all(double max_tests, Function function) const {
   std::vector<std::int32_t> hits;
   double test_count = 0;
-  for_each_cell(cells_, [&](std::size_t first, std::size_t last, const GridRun* runs,
-                            std::size_t capacity) {
-    test_count += static_cast<double>(last - first) * static_cast<double>(capacity);
-    if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
-    for (std::size_t i = first; i < last && test_count <= max_tests; ++i) {
-      const double position[3] = {x()[i], y()[i], z()[i]};
-      GridRun searched_runs[RUN_COUNT];
-      std::copy(runs, runs + RUN_COUNT, searched_runs);
-      if (is_later_only) searched_runs[CENTRE_RUN].begin = i + 1;
-      function(i, position, hits.data(),
-               find_neighbours_(sorted_points_, searched_runs + (is_later_only ? CENTRE_RUN : 0),
-                                searched_runs + RUN_COUNT, position, hits.data()));
-    }
-    return test_count <= max_tests;
-  });
+  for_each_cell(
+      cells_, [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
+        test_count += static_cast<double>(last - first) * static_cast<double>(capacity);
+        if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
+        for (std::size_t i = first; i < last && test_count <= max_tests; ++i) {
+          const double position[3] = {x()[i], y()[i], z()[i]};
+          GridRun searched_runs[RUN_COUNT];
+          std::copy(runs, runs + RUN_COUNT, searched_runs);
+          if (visits_later_only) searched_runs[CENTRE_RUN].begin = i + 1;
+          function(
+              i, position, hits.data(),
+              find_neighbours_(sorted_points_, searched_runs + (visits_later_only ? CENTRE_RUN : 0),
+                               searched_runs + RUN_COUNT, position, hits.data()));
+        }
+        return test_count <= max_tests;
+      });
   return test_count;
 }
 
