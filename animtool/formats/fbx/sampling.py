@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import rate_label
-from animtool.formats.characters.stream import sampled_stream
+from animtool.formats.characters.stream import build_sampled_stream
 from animtool.formats.fbx.layers import DEFORM_PERCENT, PropertyTrack
 from animtool.formats.fbx.poses import AnimatedComponents, NodeTransforms
 from animtool.formats.fbx.rig import FbxRig
@@ -255,7 +255,7 @@ def build_stream(fbx_rig: FbxRig, sampler: FbxSampler, clock: Clock) -> TakeStre
     def sample(frame_numbers: FloatArray) -> Motion:
         return sampler.sample(clock_ticks(clock, frame_numbers))
 
-    return sampled_stream(fbx_rig.rig, clock, sample, BLOCK_FRAMES)
+    return build_sampled_stream(fbx_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
 def animates_rig(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:

@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import listed
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.formats.characters.nodes import Node, SkinEntry
+from animtool.formats.characters.nodes import FileSkin, Node
 from animtool.formats.fbx.geometry import (
     FbxGeometry,
     has_unweighted_points,
@@ -35,7 +35,7 @@ class FbxScene:
     takes: list[AnimTake]  # takes in file order
     default_take: int  # index of the take read by default; -1 for none
     nodes: tuple[Node, ...]  # the node tree, one node per model
-    skins: tuple[SkinEntry, ...]  # one per skinned mesh that a node shows
+    skins: tuple[FileSkin, ...]  # one per skinned mesh that a node shows
     # World transform of each skin's mesh at bind time.
     mesh_bind_worlds: list[FloatArray]
     scenes: list[list[int]]
@@ -85,7 +85,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
 
 def _skin_entries(
     meshes: dict[int, FbxGeometry], node_indices: dict[ObjectId, int]
-) -> tuple[list[SkinEntry], list[FloatArray]]:
+) -> tuple[list[FileSkin], list[FloatArray]]:
     """Return skins, and the world transforms of their meshes at bind time."""
     skins, mesh_bind_worlds = [], []
     for node, mesh in meshes.items():
@@ -97,7 +97,7 @@ def _skin_entries(
             joints.append(node)
             matrices.append(np.eye(4))
         where, inverse_bind = mesh.clusters[0].where, np.stack(matrices)
-        skins.append(SkinEntry(None, tuple(joints), -1, inverse_bind, where))
+        skins.append(FileSkin(None, tuple(joints), -1, inverse_bind, where))
         mesh_bind_worlds.append(mesh.clusters[0].world_from_bone @ matrices[0])
     return skins, mesh_bind_worlds
 

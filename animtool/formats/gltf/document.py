@@ -8,7 +8,7 @@ from typing import Any
 from animtool.core.errors import excerpt
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import Node, SkinEntry, find_root_nodes
+from animtool.formats.characters.nodes import FileSkin, Node, find_root_nodes
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animation_targets import POINTER_EXTENSION
@@ -70,7 +70,7 @@ class Gltf:
 
     path: Path  # path of the file
     nodes: tuple[Node, ...]  # nodes in file order
-    skins: tuple[SkinEntry, ...]  # skins in file order
+    skins: tuple[FileSkin, ...]  # skins in file order
     meshes: tuple[MeshEntry, ...]  # meshes in file order
     animations: tuple[Animation, ...]  # animations in file order
     scenes: list[list[int]]  # root nodes of each scene
@@ -246,10 +246,10 @@ def _check_skins(gltf: Gltf) -> None:
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_ancestor(gltf, skin.skeleton, skin.joints[0]):
             message = f"node {skin.skeleton} is not above the joints: ignored"
-            gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
+            gltf.notes.warn("GLT106", f"{skin.location}/skeleton", message)
         if len({roots[joint] for joint in skin.joints}) > 1:
             message = "the joints have no common root: each chain is read"
-            gltf.notes.warn("GLT106", f"{skin.where}/joints", message)
+            gltf.notes.warn("GLT106", f"{skin.location}/joints", message)
 
 
 def _check_scenes(gltf: Gltf, roots: list[int]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import SkinEntry
+from animtool.formats.characters.nodes import FileSkin
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import (
     COMPONENT_TYPES,
@@ -315,12 +315,12 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
 
 def read_skins(
     root: JsonItem, accessors: Accessors, node_count: int
-) -> tuple[SkinEntry, ...]:
+) -> tuple[FileSkin, ...]:
     """Return the skins of a file."""
     return tuple(_read_skin(i, accessors, node_count) for i in root.children("skins"))
 
 
-def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEntry:
+def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSkin:
     if "joints" not in item.values:
         item.fail_missing("joints")
     joints = item.indices("joints", node_count, "node")
@@ -361,7 +361,7 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEnt
         skeleton = None
     skeleton = -1 if skeleton is None else skeleton
     name = item.text("name")
-    return SkinEntry(name, tuple(joints), skeleton, matrices, item.pointer)
+    return FileSkin(name, tuple(joints), skeleton, matrices, item.pointer)
 
 
 def read_skin_weights(

@@ -13,7 +13,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.record import dataclass
-from animtool.formats.characters.stream import sampled_stream
+from animtool.formats.characters.stream import build_sampled_stream
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation, GltfTrack, interpolate_tracks
 from animtool.formats.gltf.document import Gltf
@@ -317,7 +317,7 @@ def build_stream(
     def sample(codes: FloatArray) -> Motion:
         return sampler.sample(frames.seconds(codes))
 
-    return sampled_stream(gltf_rig.rig, clock, sample, BLOCK_FRAMES)
+    return build_sampled_stream(gltf_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
 def animates_rig(gltf_rig: GltfRig, animation: Animation) -> bool:

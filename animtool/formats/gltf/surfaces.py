@@ -184,7 +184,7 @@ def _warn_of_equal_binds(gltf: Gltf, index: int, blended: int) -> None:
     message += f"parents, and {counted(blended, 'point')} "
     message += f"follow{'s' if blended == 1 else ''} several of them: the mesh tears"
     hint = "export it again with the inverse bind matrices of the bind pose"
-    gltf.notes.warn("GLT119", f"{skin.where}/inverseBindMatrices", message, hint)
+    gltf.notes.warn("GLT119", f"{skin.location}/inverseBindMatrices", message, hint)
 
 
 def _pad_columns(values: FloatArray | IntArray, width: int) -> FloatArray:

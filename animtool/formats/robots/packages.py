@@ -32,7 +32,7 @@ class PackageFolders:
 
     @staticmethod
     def from_file(path: Path, codes: XmlCodes) -> PackageFolders:
-        """Return the folders of a file.
+        """Return the folders in which a file's references may lie.
 
         The package that contains a file is part of its project: the parent folder with
         that name, or with it in ``package.xml``.
@@ -50,17 +50,17 @@ class PackageFolders:
         return PackageFolders(folder, tuple(root.resolve() for root in roots), packages)
 
     def find(self, name: str) -> Path | None:
-        """Return the path of a file name; None if missing."""
+        """Return the file of a name or URI; None if missing, an error if outside."""
         uri_match = _URI_SCHEME.fullmatch(name)
         if uri_match is None:
             return self._inside_project(self.folder / name, name)
-        scheme, location = uri_match[1].lower(), uri_match[2]
+        scheme, uri_path = uri_match[1].lower(), uri_match[2]
         if scheme == "file":
-            return self._inside_project(Path("/" + location.lstrip("/")), name)
+            return self._inside_project(Path("/" + uri_path.lstrip("/")), name)
         if scheme not in _PACKAGE_SCHEMES:
             raise OutsideError(f"{scheme}:// is of a network, and is never opened")
         # Some writers add a third slash.
-        package, _, relative = location.lstrip("/").partition("/")
+        package, _, relative = uri_path.lstrip("/").partition("/")
         candidates = [folder for folder in self._candidate_folders(package) if relative]
         for folder in candidates:
             path = self._inside_project(folder / relative, name)
