@@ -40,7 +40,7 @@ class SkinBinder:
         file: NodeTree,
         rig: Rig,
         joints: IntArray,
-        folded_scales: FloatArray,
+        baked_scales: FloatArray,
         mesh_worlds: Sequence[FloatArray] = (),
     ) -> None:
         """Start with a rig without meshes, and the node data of its joints.
@@ -49,7 +49,7 @@ class SkinBinder:
         time.
         """
         self.file, self.mesh_worlds = file, mesh_worlds
-        self.joints, self.folded_scales = joints, folded_scales
+        self.joints, self.baked_scales = joints, baked_scales
         self.notices: list[Fault] = []
         self._rig = rig
         self._bind_worlds: dict[int, FloatArray] = {}  # by joint, in file units
@@ -63,7 +63,7 @@ class SkinBinder:
             nodes = np.array(skin.joints)
             joints = self.joints[nodes]
             matrices = skin.inverse_bind.copy()
-            matrices[:, :3] *= self.folded_scales[nodes][:, None, None]
+            matrices[:, :3] *= self.baked_scales[nodes][:, None, None]
             mesh_world = self.mesh_worlds[index] if self.mesh_worlds else None
             self._skins[index] = self._bind_joints(
                 matrices, joints.tolist(), skin.location, mesh_world
@@ -73,7 +73,7 @@ class SkinBinder:
     def bind_node(self, node: int, point_count: int) -> tuple[Skin, FloatArray]:
         """Return the skin of a mesh that follows a node, and its ``geom_bind``."""
         matrix = np.eye(4)
-        matrix[:3] *= self.folded_scales[node]
+        matrix[:3] *= self.baked_scales[node]
         geom_bind, joints = self._bind_joints(
             matrix[None], [int(self.joints[node])], ""
         )

@@ -5,11 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from animtool.core.array_types import FloatArray
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 
 # Tolerance of equal scales, for float32 rounding [1].
 SCALE_TOLERANCE = 3e-7
+# Translation, rotation and scale of a node that does not move its children.
+NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +70,13 @@ class NodeTree(Protocol):
     @property
     def default_scene(self) -> int:
         """Index of the default scene; -1 if there is none."""
+
+
+def is_uniform_scale(scales: FloatArray) -> BoolArray:
+    """Return whether scales ``(N, 3)`` are positive and equal on all axes ``(N,)``."""
+    smallest, largest = scales.min(axis=1), scales.max(axis=1)
+    is_equal = largest - smallest <= SCALE_TOLERANCE * np.abs(largest)
+    return np.asarray((smallest > 0) & is_equal)
 
 
 def find_root_nodes(nodes: tuple[Node, ...]) -> list[int]:
