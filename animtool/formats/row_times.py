@@ -9,11 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
-from animtool.core.rates import (
-    MAX_STATED_RATE,
-    MIN_STATED_RATE,
-    rate_from_float,
-)
+from animtool.core.rates import MAX_STATED_RATE, MIN_STATED_RATE, rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.formats.trajectories import CaptureFile

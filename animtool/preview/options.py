@@ -106,9 +106,7 @@ class PictureOptions:
         "shadows.  [default: all but axes]",
     )
     turntable: bool = option(
-        False,
-        "switch",
-        help="Turn the camera around once, in 4 s if nothing moves.",
+        False, "switch", help="Turn the camera around once, in 4 s if nothing moves."
     )
 
 

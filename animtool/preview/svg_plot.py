@@ -27,9 +27,9 @@ def plot_svg(panel: Panel) -> str:
     """
     curves = [(curve.name, _positive_points(curve.points)) for curve in panel.curves]
     curves = [(name, points) for name, points in curves if points]
-    label = html.escape(f"{panel.title}: {panel.error} against {panel.cost}")
+    aria_label = html.escape(f"{panel.title}: {panel.error} against {panel.cost}")
     elements = [
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}" '
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{aria_label}" '
         'xmlns="http://www.w3.org/2000/svg">'
     ]
     if not curves:
@@ -38,13 +38,13 @@ def plot_svg(panel: Panel) -> str:
         )
         return "".join(elements)
     all_points = [point for _, points in curves for point in points]
-    floor = [panel.floor] if panel.floor > 0 else []
+    floor_errors = [panel.floor] if panel.floor > 0 else []
     x = _LogAxis.from_values([point.cost for point in all_points], LEFT, WIDTH - RIGHT)
     y = _LogAxis.from_values(
-        [p.error for p in all_points] + floor, HEIGHT - BOTTOM, TOP
+        [p.error for p in all_points] + floor_errors, HEIGHT - BOTTOM, TOP
     )
     elements += _grid_lines(x, y, panel)
-    if floor:
+    if floor_errors:
         elements.append(
             f'<path class="floor" d="M{LEFT} {y(panel.floor):.1f}H{WIDTH - RIGHT}"/>'
         )

@@ -211,10 +211,7 @@ class _ClipBuilder:
         """Return a channel with key values transformed by a matrix and an offset."""
         fps = float(self.clock.fps)
         ins, outs = (
-            np.concatenate(
-                [handles[:, :1] * fps, handles[:, 1:] @ matrix.T],
-                axis=1,
-            )
+            np.concatenate([handles[:, :1] * fps, handles[:, 1:] @ matrix.T], axis=1)
             for handles in (keys.ins, keys.outs)
         )
         key_count = len(keys.ticks)

@@ -212,8 +212,9 @@ def off_frame_keys_notice(
     worst_joint = int(distances.max(axis=0).argmax())
     message = (
         f"{len(off_frame_indices)} of {len(key_ticks)} key times fall between the "
-        f"frames at {rate_label(clock.fps)}: joints are up to {distances.max() * 1e3:.3g} "
-        f"mm off there (joint {fbx_rig.rig.names[worst_joint]!r})"
+        f"frames at {rate_label(clock.fps)}: joints are up to "
+        f"{distances.max() * 1e3:.3g} mm off there "
+        f"(joint {fbx_rig.rig.names[worst_joint]!r})"
     )
     hint = f"set another rate with {argument('source.fps')}"
     path = str(scene.path)

@@ -18,10 +18,7 @@ from animtool.formats.gltf.accessors import (
     Accessors,
 )
 from animtool.formats.gltf.json_items import JsonItem, animtool_extras, is_number
-from animtool.formats.gltf.unused import (
-    is_known_attribute,
-    is_supported_attribute,
-)
+from animtool.formats.gltf.unused import is_known_attribute, is_supported_attribute
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
 I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125

@@ -64,11 +64,7 @@ def _parent_indices(items: list[JsonItem], child_lists: list[list[int]]) -> list
 
 
 def _read_node(
-    item: JsonItem,
-    parent: int,
-    children: list[int],
-    mesh_count: int,
-    skin_count: int,
+    item: JsonItem, parent: int, children: list[int], mesh_count: int, skin_count: int
 ) -> Node:
     mesh = item.index("mesh", mesh_count, "mesh")
     skin = item.index("skin", skin_count, "skin")
@@ -98,9 +94,7 @@ def _read_node(
     )
 
 
-def _read_transform(
-    item: JsonItem,
-) -> tuple[Vector, Quaternion, Vector, bool]:
+def _read_transform(item: JsonItem) -> tuple[Vector, Quaternion, Vector, bool]:
     if not _TRANSFORM_KEYS & item.values.keys():
         return *NO_TRANSFORM, False
     matrix = item.floats("matrix", 16)

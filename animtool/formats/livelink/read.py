@@ -10,12 +10,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import (
-    Fault,
-    OptionError,
-    counted,
-    listed,
-)
+from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import (
@@ -111,13 +106,7 @@ def read_livelink(
         details["rig"] = str(rig)
         notices = [*target_rig.notices, *notices]
     return TakeStream(
-        target_rig,
-        timing.rate,
-        None,
-        Fraction(1),
-        iter([motion]),
-        notices,
-        details,
+        target_rig, timing.rate, None, Fraction(1), iter([motion]), notices, details
     )
 
 

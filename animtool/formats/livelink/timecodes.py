@@ -194,10 +194,7 @@ def _fit_timecode_rate(
 
 
 def _timecode_numbers(
-    file: CaptureFile,
-    timecodes: Sequence[str],
-    rate: Fraction,
-    line_numbers: IntArray,
+    file: CaptureFile, timecodes: Sequence[str], rate: Fraction, line_numbers: IntArray
 ) -> tuple[IntArray, FloatArray]:
     """Return the frame number since midnight and the frame fraction of each label."""
     label_counts, fractions, faults = [], [], []

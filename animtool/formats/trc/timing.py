@@ -100,10 +100,7 @@ def _frame_label(number: float, line: int) -> str:
 
 
 def _check_times(
-    file: CaptureFile,
-    numbers: FloatArray,
-    times: FloatArray,
-    line_numbers: IntArray,
+    file: CaptureFile, numbers: FloatArray, times: FloatArray, line_numbers: IntArray
 ) -> None:
     """Raise if the times do not ascend (TRC003)."""
     with np.errstate(invalid="ignore", over="ignore"):

@@ -163,9 +163,9 @@ class CameraView:
         for corner in np.ndindex(2, 2, 2):
             point = np.where(corner, bounds.low, bounds.high) - self.target
             x, y, z = world_from_camera[:3, :3].T @ point
-            for half_size, size in ((half_width, x), (half_height, y)):
+            for half_size, coordinate in ((half_width, x), (half_height, y)):
                 self.distance = max(
-                    self.distance, (abs(size) / half_size + z) * FRAMING_MARGIN
+                    self.distance, (abs(coordinate) / half_size + z) * FRAMING_MARGIN
                 )
 
     def follow_position(self, position: FloatArray) -> None:
@@ -219,10 +219,7 @@ class CameraView:
         """Return the matrices of a camera with a transform and projection."""
         rotation = world_from_camera[:3, :3].T
         view = np.eye(4)
-        view[:3, :3], view[:3, 3] = (
-            rotation,
-            -rotation @ world_from_camera[:3, 3],
-        )
+        view[:3, :3], view[:3, 3] = (rotation, -rotation @ world_from_camera[:3, 3])
         size = self.width, self.height
         per_metre = self.height / (2 * half_height)
         return EyeMatrices(view, projection @ view, *size, per_metre, self.light)
@@ -269,8 +266,11 @@ def _perspective_matrix(
     half_width: float, half_height: float, near: float, far: float
 ) -> FloatArray:
     """Return a perspective projection matrix from half sizes at distance 1."""
-    out = np.zeros((4, 4))
-    out[0, 0], out[1, 1] = 1 / half_width, 1 / half_height
-    out[2, 2], out[2, 3] = ((far + near) / (near - far), 2 * far * near / (near - far))
-    out[3, 2] = -1.0
-    return out
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[1, 1] = 1 / half_width, 1 / half_height
+    matrix[2, 2], matrix[2, 3] = (
+        (far + near) / (near - far),
+        2 * far * near / (near - far),
+    )
+    matrix[3, 2] = -1.0
+    return matrix

@@ -41,7 +41,7 @@ class GroundRenderer:
         self._center_cell: tuple[int, int] | None = None
 
     def draw(
-        self, eye: EyeMatrices, center: FloatArray, line: Color, axis: Color
+        self, eye: EyeMatrices, center: FloatArray, line_color: Color, axis_color: Color
     ) -> None:
         """Draw the grid around a point."""
         cell_size = self._cell_size
@@ -49,11 +49,13 @@ class GroundRenderer:
         cx, cz = (math.floor(center[k] / cell_size + 0.5) for k in (0, 2))
         if (cx, cz) != self._center_cell:
             self._center_cell = cx, cz
-            self._set_lines(cx, cz, line, axis)
+            self._set_lines(cx, cz, line_color, axis_color)
         fade = (center[0], 0.0, center[2], cell_size * GRID_CELLS / 2)
         self._lines.draw(eye, width=1, fade=fade)
 
-    def _set_lines(self, cx: int, cz: int, line: Color, axis: Color) -> None:
+    def _set_lines(
+        self, cx: int, cz: int, line_color: Color, axis_color: Color
+    ) -> None:
         """Set the vertices of the grid lines around a cell."""
         half, cell_size = GRID_CELLS // 2, self._cell_size
         segments = []
@@ -66,11 +68,15 @@ class GroundRenderer:
                     continue
                 left, right = (cx + k) * cell_size, (cx + k + SEGMENT_CELLS) * cell_size
                 back, front = (cz + k) * cell_size, (cz + k + SEGMENT_CELLS) * cell_size
-                segments.append((x, back, x, front, *(line if cx + i else axis)))
-                segments.append((left, z, right, z, *(line if cz + i else axis)))
+                segments.append(
+                    (x, back, x, front, *(line_color if cx + i else axis_color))
+                )
+                segments.append(
+                    (left, z, right, z, *(line_color if cz + i else axis_color))
+                )
         table = np.array(segments, np.float64)
         ends = np.zeros((2, len(table), 3))
-        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = table[:, :2], table[:, 2:4]
+        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = (table[:, :2], table[:, 2:4])
         alpha = np.full((len(table), 1), 255.0)
         colors = np.concatenate([table[:, 4:], alpha], axis=1)
         self._lines.set_segments(ends[0], ends[1], colors)
@@ -87,7 +93,7 @@ class TrailRenderer:
         self,
         poses: Sequence[PosedTake],
         sample: int,
-        color: ColorOfTake,
+        color_of_take: ColorOfTake,
         contact_color: Color,
         shown_layers: frozenset[str],
     ) -> None:
@@ -97,7 +103,9 @@ class TrailRenderer:
         for pose in poses:
             if "trails" in shown_layers and pose.trail_joints:
                 trails.append(
-                    self._trail_segments(pose, sample, color(pose.index), contact_color)
+                    self._trail_segments(
+                        pose, sample, color_of_take(pose.index), contact_color
+                    )
                 )
             for contact_entry in pose.record.get("contacts") or []:
                 code = self._codes[sample : sample + 1]
@@ -116,20 +124,22 @@ class TrailRenderer:
             lines.set_segments(table[:, :3], table[:, 3:6], table[:, 6:])
 
     def _trail_segments(
-        self, pose: PosedTake, sample: int, color: Color, contact: Color
+        self, pose: PosedTake, sample: int, trail_color: Color, contact_color: Color
     ) -> FloatArray:
         """Return the line segments of a take's trails, which fade with time."""
-        first = max(0, sample - TRAIL_SAMPLES)
-        last = min(len(self._codes) - 1, sample + TRAIL_SAMPLES)
-        paths = pose.trail_positions(first, last)
-        samples = np.arange(first, last + 1)
-        closeness = 1 - np.abs(samples - sample) / (TRAIL_SAMPLES + 1)
-        alpha = 255 * closeness * np.where(samples <= sample, 0.95, 0.4)
+        first_sample = max(0, sample - TRAIL_SAMPLES)
+        last_sample = min(len(self._codes) - 1, sample + TRAIL_SAMPLES)
+        paths = pose.trail_positions(first_sample, last_sample)
+        samples = np.arange(first_sample, last_sample + 1)
+        time_weights = 1 - np.abs(samples - sample) / (TRAIL_SAMPLES + 1)
+        alpha = 255 * time_weights * np.where(samples <= sample, 0.95, 0.4)
         is_in_contact = pose.contacts_at(self._codes[samples])
         segments = []
         # Joint by joint, the order in which the page draws them.
         for column in range(len(pose.trail_joints)):
-            segment_colors = np.where(is_in_contact[1:, column, None], contact, color)
+            segment_colors = np.where(
+                is_in_contact[1:, column, None], contact_color, trail_color
+            )
             trail_positions = paths[:, column]
             segments.append(
                 np.concatenate(
@@ -201,11 +211,11 @@ class ContactShadow:
             (self._blur_buffers[0], self._height_map, (blur_radius, 0.0), 1.0),
             (self._blur_buffers[1], self._blurred_maps[0], (0.0, blur_radius), 0.0),
         )
-        for frame, source, step, heights in passes:
-            frame.use()
+        for framebuffer, source, blur_step, heights in passes:
+            framebuffer.use()
             source.use(0)
             self._device.set_uniforms(
-                self._blur_program, eye, reach=step, heights=heights
+                self._blur_program, eye, reach=blur_step, heights=heights
             )
             self._blur_program["source"].value = 0
             self._device.draw_generated(self._blur_program, 3)

@@ -51,11 +51,11 @@ class LineRenderer:
             colors: With alpha, per segment or one for all ``(N or 1, 4)``, 0 to 255.
         """
         self.count = len(begins)
-        cells = np.zeros((self.count, 3, 4), np.float32)
-        cells[:, 0, :3], cells[:, 1, :3] = begins, ends
-        cells[:, 2] = np.asarray(colors) / 255
+        texels = np.zeros((self.count, 3, 4), np.float32)
+        texels[:, 0, :3], texels[:, 1, :3] = begins, ends
+        texels[:, 2] = np.asarray(colors) / 255
         if self.count:
-            self._table.upload(cells.reshape(-1, 4))
+            self._table.upload(texels.reshape(-1, 4))
 
     def draw(
         self,
@@ -118,8 +118,8 @@ class SpriteRenderer:
         arrays = np.asarray(positions, "<f4"), colors, np.asarray(sizes, "<f4")
         if not self._count:
             return
-        pairs = zip(self._buffers, arrays, strict=True)
-        if any([buffer.write(array) for buffer, array in pairs]):
+        buffer_arrays = zip(self._buffers, arrays, strict=True)
+        if any([buffer.write(array) for buffer, array in buffer_arrays]):
             buffer_formats = ("3f", "point"), ("3f1", "color"), ("1f", "own")
             self._array = self._device.gl.vertex_array(
                 self._program,

@@ -51,14 +51,16 @@ class PosedTake:
         self.parents = np.array(skeleton["parents"], np.int64)
         self.count = len(self.names)
         self.levels = _joints_by_depth(self.parents)
-        static = record.get("still") or skeleton["rest"]
-        ones = np.ones((self.count, 3))
+        static_values = record.get("still") or skeleton["rest"]
+        unit_scales = np.ones((self.count, 3))
         self._values = {
-            "t": np.reshape(static["t"], (-1, 3)).astype(np.float64),
-            "r": np.reshape(static["r"], (-1, 4)).astype(np.float64),
-            "s": ones if static.get("s") is None else np.array(static["s"], np.float64),
+            "t": np.reshape(static_values["t"], (-1, 3)).astype(np.float64),
+            "r": np.reshape(static_values["r"], (-1, 4)).astype(np.float64),
+            "s": unit_scales
+            if static_values.get("s") is None
+            else np.array(static_values["s"], np.float64),
         }
-        self._animated = [
+        self._animated_components = [
             (
                 component,
                 record[component],
@@ -67,7 +69,7 @@ class PosedTake:
             for component in "trs"
             if record.get(component) is not None and record["moving"].get(component)
         ]
-        self.first: int = (record.get("span") or [0])[0]
+        self.first_sample: int = (record.get("span") or [0])[0]
         self.shift = np.array(record.get("offset") or [0.0] * 3)
         self.tips = [
             (int(j), np.array(position)) for j, *position in skeleton.get("tips") or []
@@ -82,13 +84,14 @@ class PosedTake:
         """Return the first joint with animated translation, else the first joint."""
         translated_joints = {
             int(j)
-            for component, _, joints in self._animated
+            for component, _, joints in self._animated_components
             if component == "t"
             for j in joints
         }
-        order = [int(j) for level in self.levels for j in level]
+        joint_order = [int(j) for level in self.levels for j in level]
         return next(
-            (j for j in order if j in translated_joints), order[0] if order else 0
+            (j for j in joint_order if j in translated_joints),
+            joint_order[0] if joint_order else 0,
         )
 
     def _trail_joints(self) -> list[int]:
@@ -111,19 +114,21 @@ class PosedTake:
         """Return a stream's values at a page sample."""
         if stream is None:
             return None
-        return self._streams.sample_values(stream, sample - self.first)
+        return self._streams.sample_values(stream, sample - self.first_sample)
 
     def update(self, sample: int) -> None:
         """Pose the skeleton at a sample."""
-        visible = self.sample_values(self.record.get("visible"), sample)
-        self.is_visible = visible is None or visible[0] != 0
+        visibility = self.sample_values(self.record.get("visible"), sample)
+        self.is_visible = visibility is None or visibility[0] != 0
         self.world = self._posed_matrices(sample)
 
     def _posed_matrices(self, sample: int) -> FloatArray:
         """Return the world matrices of the joints at a sample ``(J, 4, 4)``."""
         values = self._values
-        for component, stream, joints in self._animated:
-            stored_values = self._streams.sample_values(stream, sample - self.first)
+        for component, stream, joints in self._animated_components:
+            stored_values = self._streams.sample_values(
+                stream, sample - self.first_sample
+            )
             values[component][joints] = stored_values.reshape(len(joints), -1)
         world = compose_matrices(values["t"], values["r"], values["s"])
         for level in self.levels[1:]:
@@ -185,10 +190,10 @@ def is_in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
 def _joints_by_depth(parents: IntArray) -> list[IntArray]:
     """Return joints grouped by depth, parents first."""
     depth = np.full(len(parents), -1)
-    level = np.flatnonzero(parents < 0)
+    joints = np.flatnonzero(parents < 0)
     levels: list[IntArray] = []
-    while len(level):
-        depth[level] = len(levels)
-        levels.append(level.astype(np.int64))
-        level = np.flatnonzero((depth < 0) & np.isin(parents, level))
+    while len(joints):
+        depth[joints] = len(levels)
+        levels.append(joints.astype(np.int64))
+        joints = np.flatnonzero((depth < 0) & np.isin(parents, joints))
     return levels

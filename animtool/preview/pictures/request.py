@@ -23,9 +23,9 @@ from animtool.preview.pictures.camera import (
 from animtool.preview.pictures.kinds import PictureKind
 from animtool.preview.pictures.scene import DEFAULT_LAYERS, LAYERS
 
-CELL_SIZE = (480, 360)
+SHEET_PICTURE_SIZE = (480, 360)
 # Smallest and largest size of a picture [px], and most cells of a sheet.
-MIN_SIZE, MAX_SIZE, MAX_CELLS = 16, 8192, 400
+MIN_SIZE, MAX_SIZE, MAX_SHEET_PICTURES = 16, 8192, 400
 _SIZE_PAIR = re.compile(r"(\d{1,5})x(\d{1,5})")
 _SHOT_CAMERA = re.compile(r"shot:(\d{1,6})")
 
@@ -64,11 +64,11 @@ def option_error(option: str, message: str, hint: str) -> OptionError:
 
 
 def picture_size(
-    options: PictureOptions, kind: PictureKind, *, sheet: bool
+    options: PictureOptions, kind: PictureKind, *, is_sheet: bool
 ) -> tuple[int, int]:
     """Return the size of a picture [px]."""
     if options.size is None:
-        return CELL_SIZE if sheet else kind.size
+        return SHEET_PICTURE_SIZE if is_sheet else kind.size
     width, height = _parse_pair(options.size, "size", "960x540")
     if not (MIN_SIZE <= width <= MAX_SIZE and MIN_SIZE <= height <= MAX_SIZE):
         message = (
@@ -83,10 +83,10 @@ def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
     if options.sheet is None:
         return None
     columns, rows = _parse_pair(options.sheet, "sheet", "4x3")
-    if not 1 <= columns * rows <= MAX_CELLS:
+    if not 1 <= columns * rows <= MAX_SHEET_PICTURES:
         message = f"a sheet of {options.sheet} pictures"
         raise option_error(
-            "sheet", message, f"use 1 to {MAX_CELLS} of them, such as 4x3"
+            "sheet", message, f"use 1 to {MAX_SHEET_PICTURES} of them, such as 4x3"
         )
     return columns, rows
 
@@ -155,7 +155,7 @@ def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:
 def _parse_numbers(text: str) -> list[float]:
     """Return comma-separated finite numbers; empty if invalid."""
     try:
-        numbers = [float(part) for part in text.split(",")]
+        numbers = [float(number_text) for number_text in text.split(",")]
     except ValueError:
         return []
     return numbers if all(map(math.isfinite, numbers)) else []

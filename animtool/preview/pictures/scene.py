@@ -110,13 +110,10 @@ class SceneRenderer:
         """Frame the bounds of the complete motion; follow a travelling character."""
         self._update(sample)
         for pose in self._poses:
-            framed_bounds = Bounds()
-            framed_bounds.add(pose.positions)
-            pose.bounds_radius = (
-                1.0
-                if framed_bounds.is_empty or framed_bounds.radius <= 1e-3
-                else framed_bounds.radius
-            )
+            pose_bounds = Bounds()
+            pose_bounds.add(pose.positions)
+            radius = pose_bounds.radius
+            pose.bounds_radius = radius if radius > 1e-3 else 1.0
         count = len(self.codes)
         sample_times = [
             int(i / FRAMING_INTERVALS * (count - 1) + 0.5)
@@ -162,8 +159,8 @@ class SceneRenderer:
         bounds.join(characters)
         drawn_objects: list[InstanceRenderer | PointRenderer | StrandRenderer]
         drawn_objects = [*self._instances, *self._points, *self._strands]
-        for item in drawn_objects:
-            item.grow_bounds(bounds)
+        for drawable in drawn_objects:
+            drawable.grow_bounds(bounds)
         character_bounds.join(characters, shift)
         framed_bounds.join(bounds, shift)
         if (
@@ -248,7 +245,7 @@ class SceneRenderer:
         ]
         self._draw_objects(eye, shadow_casters)
         if not self._has_surfaces:
-            self._draw_bones(eye, poses, axes=False)
+            self._draw_bones(eye, poses, shows_axes=False)
 
     def _draw_all(
         self,
@@ -274,13 +271,15 @@ class SceneRenderer:
             if "cameras" in self._shown_layers:
                 self._draw_frusta(far_eye, view, shot)
         target.depth_mask = True
-        axes = "axes" in self._shown_layers
+        shows_axes = "axes" in self._shown_layers
         if not self._has_surfaces:
-            self._draw_bones(far_eye, poses, axes=axes)
+            self._draw_bones(far_eye, poses, shows_axes=shows_axes)
             return
         # Drawn in front of the skin, which would hide them.
         with self._device.blending():
-            self._draw_bones(eye.with_depth_range(0.0, 0.1, 0.5), poses, axes=axes)
+            self._draw_bones(
+                eye.with_depth_range(0.0, 0.1, 0.5), poses, shows_axes=shows_axes
+            )
 
     @property
     def _has_surfaces(self) -> bool:
@@ -297,11 +296,13 @@ class SceneRenderer:
                 drawable.draw(eye)
 
     def _draw_bones(
-        self, eye: EyeMatrices, poses: list[PosedTake], *, axes: bool
+        self, eye: EyeMatrices, poses: list[PosedTake], *, shows_axes: bool
     ) -> None:
         """Draw skeletons and joint axes, as requested."""
-        bones = "bones" in self._shown_layers
-        self._bones.draw(eye, poses, self._take_color, bones=bones, axes=axes)
+        shows_bones = "bones" in self._shown_layers
+        self._bones.draw(
+            eye, poses, self._take_color, shows_bones=shows_bones, shows_axes=shows_axes
+        )
 
     def _take_color(self, take: int) -> Color:
         """Return the color of a take."""

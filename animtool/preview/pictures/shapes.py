@@ -168,19 +168,19 @@ class MeshRenderer:
     def update(self, sample: int) -> None:
         """Deform the mesh for a sample."""
         pose, record = self.pose, self.record
-        first = pose.first if pose else 0
-        visible = record.get("visible")
+        first = pose.first_sample if pose else 0
+        visibility_stream = record.get("visible")
         self.is_hidden = (
-            visible is not None
-            and self._streams.sample_values(visible, sample - first)[0] == 0
+            visibility_stream is not None
+            and self._streams.sample_values(visibility_stream, sample - first)[0] == 0
         ) or (pose is not None and not pose.is_visible)
         if self.is_hidden:
             return
         if pose is not None and self._joints is not None:
             matrices = pose.world[self._joints] @ self.geometry.bind
-            cells = np.zeros((len(matrices), 4, 4), np.float32)
-            cells[:, :3], cells[:, 3, 0] = matrices[:, :3], -1
-            self._palette.upload(cells.reshape(-1, 4))
+            texels = np.zeros((len(matrices), 4, 4), np.float32)
+            texels[:, :3], texels[:, 3, 0] = matrices[:, :3], -1
+            self._palette.upload(texels.reshape(-1, 4))
         shape_track = pose.record.get("shapes") if pose else None
         if pose is not None and shape_track and self._shapes:
             weights = pose.sample_values(shape_track["weights"], sample)
@@ -370,7 +370,7 @@ class StrandRenderer:
     def update(self, sample: int) -> None:
         """Set the points of the strands at a sample."""
         pose, record = self.pose, self._record
-        first = pose.first if pose else 0
+        first = pose.first_sample if pose else 0
         stream_values = self._streams.sample_values(record["points"], sample - first)
         points = stream_values.reshape(-1, 3).astype(np.float64)
         if pose is not None:
@@ -381,7 +381,7 @@ class StrandRenderer:
             else:
                 points = points + pose.shift
         self._points = points
-        ends = points[self._segment_starts], points[self._segment_starts + 1]
+        ends = (points[self._segment_starts], points[self._segment_starts + 1])
         self._lines.set_segments(*ends, self._color)
 
     def grow_bounds(self, bounds: Bounds) -> None:
