@@ -49,7 +49,7 @@ _QUOTED_TEXT = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
 
 @dataclass(frozen=True, slots=True)
 class PreviewPage:
-    """A page that is ready to be written.
+    """Manifest, data blocks and notices of a page that is ready to be written.
 
     Attributes:
         manifest: Description of the contents, for the viewer.
@@ -62,7 +62,7 @@ class PreviewPage:
     notices: list[Fault] = field(default_factory=list)
 
     def chunks(self, watch: dict[str, Any] | None = None) -> Iterable[bytes]:
-        """Yield the page in chunks of bytes.
+        """Yield the page as UTF-8 HTML in chunks of bytes.
 
         Args:
             watch: Server to poll for changes, and the state of the page; None for a
@@ -74,13 +74,13 @@ class PreviewPage:
         return page_parts(manifest, self.blocks, is_watched=watch is not None)
 
     def html(self) -> str:
-        """Return the page as text."""
+        """Return the complete page as one HTML text."""
         return b"".join(self.chunks()).decode("utf-8")
 
 
 @dataclass(frozen=True, slots=True)
 class PageReport:
-    """Report on a written page."""
+    """Path, size and contents of a page that was written."""
 
     path: Path
     size: int  # size of the file [byte]
@@ -97,7 +97,7 @@ class PageReport:
 
     @property
     def codes(self) -> list[str]:
-        """Codes of the findings on the page."""
+        """Distinct rule codes of the findings on the page."""
         findings = self.page.manifest["findings"]
         return list(dict.fromkeys(finding["code"] for finding in findings))
 

@@ -79,7 +79,7 @@ class TakeToShow:
 
 @dataclass(slots=True)
 class OpenFile:
-    """An open file.
+    """A file opened for a page: its takes and other contents to show.
 
     Attributes:
         path: Path of the file, as given by the user.

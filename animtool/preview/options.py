@@ -1,4 +1,4 @@
-"""Options of pages."""
+"""Options of pages, of pictures, and of where to show them."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class WatchedPage:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers HTTP requests for the page and its state."""
+    """Answers requests for the page and its state, if they hold the secret."""
 
     server: PageServer
     server_version, sys_version = "animtool", ""

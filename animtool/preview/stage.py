@@ -276,7 +276,7 @@ def _slot_values(
 
 
 def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    """Add the instances of each prototype."""
+    """Add the instances of a point instancer, one mesh per prototype."""
     prototypes = prim.prototypes()
     times = (codes if prim.is_animated else codes[:1]).tolist()
     samples = [prim.instances(code) for code in times]
@@ -315,15 +315,15 @@ class _SlotInstances:
     """Transforms of instances by slot; a removed instance keeps its last transform."""
 
     def __init__(
-        self, samples: list[PointSample], rows: list[IntArray], slot_count: int
+        self, samples: list[PointSample], sample_slots: list[IntArray], slot_count: int
     ) -> None:
-        """Arrange instances by slot; ``rows`` are the slots of each sample."""
+        """Arrange instances by slot; each sample has the slots of its instances."""
         shape = len(samples), slot_count
         self.points = np.zeros((*shape, 3))
         self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (*shape, 1))
         self.scales = np.ones((*shape, 3))
         self.prototype_indices = np.full(shape, -1)
-        for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):
+        for f, (sample, slots) in enumerate(zip(samples, sample_slots, strict=True)):
             if f:
                 for values in (self.points, self.rotations, self.scales):
                     values[f] = values[f - 1]
@@ -334,7 +334,7 @@ class _SlotInstances:
 
 
 def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -> None:
-    """Add the cameras of a stage."""
+    """Add the cameras of a stage; skip unreadable ones with a notice."""
     for path in contents.cameras():
         with skip_unreadable(draft, f"camera {path!r}"):
             prop = open_prop(PropRequest(contents.path, path, path), UpAxis.Y)

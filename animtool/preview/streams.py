@@ -144,7 +144,7 @@ class _Stream:
         return int(self.data.stored_values.shape[1]) * item_bytes
 
     def manifest_entry(self) -> dict[str, Any]:
-        """Return the manifest entry."""
+        """Return the stream's entry in the page manifest."""
         data = self.data
         entry: dict[str, Any] = {
             "id": self.id,

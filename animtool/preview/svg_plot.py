@@ -64,7 +64,7 @@ def _positive_points(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
 
 @dataclass(frozen=True, slots=True)
 class _LogAxis:
-    """A logarithmic axis."""
+    """A logarithmic axis that maps values to pixels."""
 
     low: float  # decimal exponent at the start
     high: float  # decimal exponent at the end

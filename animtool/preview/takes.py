@@ -143,7 +143,7 @@ def add_take(
     motion: BufferedMotion,
     first_sample: int,
 ) -> PageTake:
-    """Add a take to a page.
+    """Add the skeleton, motion and contacts of a take to a page.
 
     Args:
         draft: The page.
@@ -226,7 +226,7 @@ def add_take(
 
 
 def _constant_channel(rest: FloatArray) -> QuantizedTrack:
-    """Return a track with constant values."""
+    """Return a track in which no joint is animated."""
     no_values = np.zeros((0, 0, rest.shape[1]), np.float32)
     return QuantizedTrack(rest, np.zeros(0, np.int64), no_values)
 

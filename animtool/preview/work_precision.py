@@ -59,7 +59,7 @@ class PrecisionCurve:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """Content of one plot."""
+    """Title, axis labels and curves of one plot."""
 
     title: str
     error: str  # label of the error axis
@@ -165,7 +165,7 @@ def _ring_current(axes: Any, current_points: Sequence[PrecisionPoint]) -> None:
 
 
 def _draw_curve(axes: Any, curve: PrecisionCurve, i: int) -> None:
-    """Draw the curve of one method."""
+    """Draw the curve of one method, with its best settings marked."""
     visible_points = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
     if not visible_points:
         return

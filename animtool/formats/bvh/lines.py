@@ -114,7 +114,7 @@ class HeaderLines:
     def fail(
         self, code: str, message: str, hint: str | None = None, *, has_line: bool = True
     ) -> NoReturn:
-        """Raise a `FormatError` at the current line; without it if not ``has_line``."""
+        """Raise a `FormatError` at the current line, or else about the whole file."""
         lines = (max(1, self.number),) if has_line else ()
         raise FormatError(Fault(code, message, str(self._path), lines, hint))
 
@@ -153,7 +153,7 @@ class RowReader:
         self._out_of_range_lines_by_column: dict[int, list[int]] = {}
 
     def blocks(self) -> Iterator[FloatArray]:
-        """Yield the rows of the file in blocks."""
+        """Yield rows ``(F, C)`` in blocks, missing values filled; raise if faulty."""
         pending_blocks: list[FloatArray] = []
         for rows, lines in self._parse_rows():
             self._count_rows(lines)

@@ -61,7 +61,7 @@ class Layout:
         )
 
     def __str__(self) -> str:
-        """Describe the layout for messages."""
+        """Return counts, number type and start of the data as text for messages."""
         kind = "floats" if self.number_bytes == 4 else "integers"
         return (
             f"{self.frame_count} frames of {self.point_count} points and "

@@ -178,7 +178,7 @@ def read_c3d(
 def _find_layout(file: CaptureFile, sections: Sections, data: bytes) -> Layout:
     """Return the layout that fits the file; warn about contradictions."""
     fields = collect_field_values(sections)
-    end_offsets = [*_rotation_start(sections, len(data)), len(data)]
+    end_offsets = [*_rotation_starts(sections, len(data)), len(data)]
     result = choose_layout(
         fields,
         data,
@@ -209,8 +209,8 @@ def _find_layout(file: CaptureFile, sections: Sections, data: bytes) -> Layout:
     return layout
 
 
-def _rotation_start(sections: Sections, size: int) -> list[int]:
-    """Return the byte offset of a file's rotation data, or none without."""
+def _rotation_starts(sections: Sections, size: int) -> list[int]:
+    """Return the byte offset of a file's rotation data in a list; empty without any."""
     block = unsigned_word(sections, "ROTATION", "DATA_START") or 0
     start = BLOCK_BYTES * (block - 1)
     has_rotations = block > 2 and sections.number("ROTATION", "USED")

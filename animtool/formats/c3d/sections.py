@@ -80,7 +80,7 @@ class Processor(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Values of the header block of a file."""
+    """Counts, frame range, scale and rates that the header block of a file states."""
 
     point_count: int
     analog_count: int  # analogue values per frame, all samples
@@ -104,14 +104,14 @@ class Sections:
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def number(self, group: str, name: str) -> float | None:
-        """Return the first number of a parameter."""
+        """Return the first number of a parameter; None without one."""
         value = self.groups.get(group, {}).get(name)
         if isinstance(value, np.ndarray) and value.size:
             return float(value.ravel()[0])
         return None
 
     def numbers(self, group: str, name: str) -> list[float]:
-        """Return all numbers of a parameter."""
+        """Return all numbers of a parameter; empty without any."""
         value = self.groups.get(group, {}).get(name)
         return value.ravel().tolist() if isinstance(value, np.ndarray) else []
 

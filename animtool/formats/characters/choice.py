@@ -19,7 +19,7 @@ MAX_LISTED_CHARACTERS = 8
 
 @dataclass(frozen=True, slots=True)
 class CharacterNodes:
-    """The nodes of one character of a file."""
+    """The unique path of a character in its file, and the nodes that it has."""
 
     path: str  # such as ``/hero``; ``/`` is the complete file
     nodes: tuple[int, ...]  # nodes of the character, parents first

@@ -179,7 +179,7 @@ class _ClipBuilder:
     def _rotation_channels(
         self, j: int, model: Model, keys: JoinedKeys
     ) -> list[ClipChannel]:
-        """Return Euler angle channels after the constant pre-rotation."""
+        """Return Euler angle channels after a constant channel for pre-rotation."""
         if any(self._find_track(model, name) is not None for name in OUTER_ROTATIONS):
             return []
         if np.abs(model.inverse_post_rotation[:3]).max() > REST_TOLERANCE:

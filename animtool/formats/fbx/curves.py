@@ -35,7 +35,7 @@ class FbxExtrapolation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FbxCurve:
-    """Keys of one scalar over time."""
+    """Keys of one scalar over time, with slopes, handle weights and extrapolation."""
 
     times: IntArray  # times of the K keys, ascending ``(K,)`` [tick]
     values: FloatArray  # ``(K,)``

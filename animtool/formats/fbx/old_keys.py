@@ -78,7 +78,7 @@ def read_channel_curve(
 
 
 class _KeyCursor:
-    """Cursor over the key values of a channel."""
+    """Reads the numbers and letters that state the keys of a channel, in order."""
 
     def __init__(self, element: Element, notes: FileNotices, layout: int) -> None:
         values = element.values

@@ -36,7 +36,7 @@ _REST_TICKS = np.zeros(1, np.int64)
 
 
 class TransformPart(Enum):
-    """The part of a node's transform that a joint has."""
+    """Which part of a node's transform a joint has: a node may become two joints."""
 
     FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
@@ -45,7 +45,7 @@ class TransformPart(Enum):
 
 @dataclass(frozen=True, slots=True)
 class JointSource:
-    """The node of a joint, and the part of its transform that the joint has."""
+    """The node of a joint, and which part of its transform the joint has."""
 
     model: int  # index of the node
     part: TransformPart

@@ -26,7 +26,7 @@ MAX_LISTED_OBJECTS = 6
 
 @dataclass(slots=True, eq=False)
 class FbxScene:
-    """The contents of an FBX file."""
+    """Nodes, meshes, skins and takes of an FBX file."""
 
     file: FbxFile  # objects of the file
     settings: FbxSettings  # unit, axes and rate

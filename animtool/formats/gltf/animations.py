@@ -139,7 +139,7 @@ def _normalize_rotations(values: FloatArray, path: TargetPath) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:
-    """An animation of the file: a clip with its tracks."""
+    """Name, tracks and extras of an animation of the file."""
 
     name: str | None
     tracks: tuple[GltfTrack, ...]

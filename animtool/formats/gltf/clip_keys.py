@@ -44,7 +44,7 @@ def build_clip(
     spline_count = added_key_count = 0
     for path, rest_values in sampler.rest_values.items():
         tracks = {rig_track.row: rig_track for rig_track in sampler.tracks[path]}
-        default_values = _default_rows(path, gltf_rig)
+        default_values = _default_channel_values(path, gltf_rig)
         for row in range(len(rest_values)):
             target = _clip_target(path, row, gltf_rig)
             if row not in tracks:
@@ -71,8 +71,8 @@ def build_clip(
     return clip, [Fault("GLT118", message, severity=Severity.NOTE)]
 
 
-def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
-    """Return the values of a rig's channels that a clip leaves out ``(rows, W)``."""
+def _default_channel_values(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
+    """Return the value of each joint or shape if no channel sets it ``(N, W)``."""
     rig = gltf_rig.rig
     if path is TargetPath.TRANSLATION:
         return rig.rest_translations
@@ -96,7 +96,7 @@ def _clip_channel(
     interp: Interp,
     slopes: tuple[FloatArray, FloatArray] | None = None,
 ) -> ClipChannel:
-    """Return a channel whose slopes [1/frame] become handles at thirds of segments."""
+    """Return a channel; slopes [1/frame] become handles at thirds of segments."""
     key_count, width = values.shape
     ins, outs = np.zeros((key_count, 1 + width)), np.zeros((key_count, 1 + width))
     tangent = Tangent.AUTO_CLAMPED

@@ -66,7 +66,7 @@ _IGNORED_LISTS = ("materials", "textures", "images", "samplers", "cameras")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gltf:
-    """The contents of a glTF file."""
+    """Nodes, meshes, skins and animations of a glTF file."""
 
     path: Path  # path of the file
     nodes: tuple[Node, ...]  # nodes in file order

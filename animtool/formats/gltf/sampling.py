@@ -97,7 +97,7 @@ class GltfSampler:
     def _cached_segments(
         self, key_times: FloatArray, times: FloatArray
     ) -> tuple[IntArray | slice, FloatArray]:
-        """Return `_find_segments`, cached for tracks with the same keys."""
+        """Return `_find_segments`, computed once per array of key times."""
         if id(key_times) not in self._segments_by_keys:
             self._segments_by_keys[id(key_times)] = _find_segments(key_times, times)
         return self._segments_by_keys[id(key_times)]

@@ -159,7 +159,7 @@ class _SurfaceWriter:
     def _add_accessor(
         self, values: Any, *, target: int = ARRAY_BUFFER, has_bounds: bool = False
     ) -> int:
-        """Return the index of a new accessor."""
+        """Store vertex data as an accessor; return its index."""
         return self.builder.add_accessor(values, target=target, has_bounds=has_bounds)
 
     def _rigid_joint(self, surface: Surface) -> tuple[int, FloatArray]:

@@ -69,7 +69,7 @@ _ANGLES_BY_LOWERCASE = {name.lower(): name for name in ANGLE_COLUMNS}
 
 @dataclass(slots=True)
 class Recording:
-    """The rows of a recording, in file order."""
+    """Weights, angles and time codes of a recording's rows, in file order."""
 
     file: CaptureFile  # the file, with warnings
     # Name of each weight column, in ARKit's spelling if it is an ARKit shape.
@@ -84,7 +84,7 @@ class Recording:
 
 @expects_format("LLF001", "a Live Link Face recording")
 def read_recording(path: Path) -> Recording:
-    """Read the rows of a recording."""
+    """Return the weights, angles and time codes of a recording."""
     file, lines = CaptureFile(str(path)), _read_lines(path)
     header_index = next((i for i, line in enumerate(lines) if line.strip()), None)
     if header_index is None:

@@ -94,7 +94,7 @@ def _reference_value(model: Any, joint: int) -> float:
 def _linear_part(
     model: Any, follower: int, leader: int, polynomial: list[float]
 ) -> tuple[float, float]:
-    """Return offset and gain of the linear part; MuJoCo counts from ``ref``."""
+    """Return offset and gain of the linear part for coordinates from 0, not ``ref``."""
     offset = _reference_value(model, follower) + polynomial[0]
     if leader < 0:
         return offset, 0.0

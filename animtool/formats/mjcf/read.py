@@ -77,7 +77,7 @@ def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
         notes: Notices of the file.
     """
     angle_unit = "deg"
-    for compiler in root.all("compiler"):
+    for compiler in root.find_all("compiler"):
         if "angle" in compiler.attributes:
             angle_unit = "rad" if compiler.attributes["angle"] == "radian" else "deg"
     factor = math.degrees(1.0) if angle_unit == "deg" else 1.0
@@ -134,7 +134,7 @@ def _read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders
         notes.add("MJC004", root, message, hint)
         notes.raise_faults()
     folders = PackageFolders.from_file(path, _XML_CODES)
-    _IncludeExpander(path, folders, notes).run(root)
+    _IncludeExpander(path, folders, notes).expand_below(root)
     notes.raise_faults()
     return root, folders
 
@@ -147,8 +147,8 @@ class _IncludeExpander:
         self._included_files = {path.resolve()}
         self._element_count = 0
 
-    def run(self, root: XmlElement) -> None:
-        """Resolve all includes below an element."""
+    def expand_below(self, root: XmlElement) -> None:
+        """Replace all includes below an element, including nested ones."""
         pending = [root]
         while pending and not self._notes.faults:
             element = pending.pop()
@@ -169,7 +169,7 @@ class _IncludeExpander:
             pending += reversed(children)
 
     def _expand_include(self, element: XmlElement) -> list[XmlElement]:
-        """Return the elements that replace an include."""
+        """Return the elements of an included file, which replace its include."""
         name = element.attributes.get("file", "")
         path = self._find_include(element, name)
         if path is None:

@@ -95,11 +95,11 @@ def reduce_model(
     bodies_with_inertia = {
         body.attributes.get("name", "")
         for body in root.walk()
-        if body.tag == "body" and body.all("inertial")
+        if body.tag == "body" and body.find_all("inertial")
     }
     actuated_joints = frozenset(
         actuator.attributes.get("joint", "")
-        for section in root.all("actuator")
+        for section in root.find_all("actuator")
         for actuator in section.children
         if actuator.tag != "plugin"
     )
@@ -241,7 +241,9 @@ def named_element_label(element: XmlElement) -> str | None:
 
 def _name_bodies(root: XmlElement) -> None:
     """Give unique names to bodies without a name."""
-    bodies = [e for s in root.all("worldbody") for e in s.walk() if e.tag == "body"]
+    bodies = [
+        e for s in root.find_all("worldbody") for e in s.walk() if e.tag == "body"
+    ]
     used_names = {body.attributes.get("name") for body in bodies}
     names = (f"body_{number}" for number in itertools.count(1))
     unused_names = (name for name in names if name not in used_names)
@@ -255,17 +257,17 @@ class _MeshDefaults:
 
     def __init__(self, root: XmlElement) -> None:
         self._is_mesh_by_class = {"main": False}
-        for default in root.all("default"):
+        for default in root.find_all("default"):
             name = default.attributes.get("class", "main")
             pending = [(default, name, self._is_mesh_by_class["main"])]
             while pending:
                 element, name, is_mesh = pending.pop()
-                for geom in element.all("geom"):
+                for geom in element.find_all("geom"):
                     is_mesh = _is_mesh(geom, is_mesh)
                 self._is_mesh_by_class[name] = is_mesh
                 pending += [
                     (child, child.attributes.get("class", ""), is_mesh)
-                    for child in element.all("default")
+                    for child in element.find_all("default")
                 ]
 
     def is_mesh(self, geom: XmlElement, childclass: str) -> bool:
@@ -286,7 +288,7 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
     """Record file names outside the project; no file is opened."""
     folders = {
         name: value
-        for compiler in root.all("compiler")
+        for compiler in root.find_all("compiler")
         for name, value in compiler.attributes.items()
         if name in {"assetdir", "meshdir", "texturedir"}
     }

@@ -22,7 +22,7 @@ _TRANSLATION_SUFFIX = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """One scalar coordinate of a joint."""
+    """An angle or a displacement of a joint, about or along one of its axes."""
 
     joint_index: int
     component: str  # ``angle``, ``slide``, ``rotation`` or ``translation``

@@ -190,7 +190,7 @@ def _warn_likely_radians(
 def _match_columns(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
-    """Return indices of columns that name coordinates, these, and other names."""
+    """Return indices and coordinates of the known columns, and the unknown names."""
     coordinate_by_name = coordinates_by_name(rig)
     column_indices, coordinates, unmatched_names = [], [], []
     for c, name in enumerate(table.header.names):

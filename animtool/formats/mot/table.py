@@ -95,7 +95,7 @@ class MotionTable:
 
 @expects_format("MOF001", "an OpenSim motion file")
 def read_table(path: Path) -> MotionTable:
-    """Read the table of a MOT or STO file.
+    """Return the header, times and values of a MOT or STO file, checked.
 
     Cells are separated by tabs, semicolons, commas or blanks.
     """

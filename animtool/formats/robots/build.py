@@ -56,7 +56,7 @@ class RobotCodes:
 
 
 def _replace_controls(name: str) -> str:
-    r"""Return a name without characters that text files cannot contain.
+    r"""Return a name with ``_`` for characters that text files cannot contain.
 
     >>> _replace_controls("a\x1bb"), _replace_controls("elbow flex")
     ('a_b', 'elbow flex')

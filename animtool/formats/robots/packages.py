@@ -105,5 +105,5 @@ def _package_name(folder: Path, codes: XmlCodes) -> str:
         root = read_xml(file, codes)
     except AnimtoolError:
         return ""
-    names = root.all("name") if root.tag == "package" else []
+    names = root.find_all("name") if root.tag == "package" else []
     return names[0].text.strip() if names else ""

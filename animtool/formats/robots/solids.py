@@ -77,7 +77,7 @@ def build_mass(joint: str, link_mass: LinkMass, link_offset: Vector) -> Mass:
 
 
 def find_mass_problem(mass: float, inertia: FloatArray) -> str:
-    """Return why mass and inertia ``(3, 3)`` are impossible; empty if possible."""
+    """Return the reason why mass and inertia ``(3, 3)`` are impossible, else ""."""
     if not mass > 0:
         return f"its mass is {mass:g} kg"
     problem = inertia_problem(np.linalg.eigvalsh(inertia).tolist())

@@ -34,7 +34,7 @@ class XmlElement:
     children: list[XmlElement] = field(default_factory=list)
     text: str = ""  # text content, without that of children
 
-    def all(self, tag: str) -> list[XmlElement]:
+    def find_all(self, tag: str) -> list[XmlElement]:
         """Return the children with a tag."""
         return [child for child in self.children if child.tag == tag]
 

@@ -19,7 +19,7 @@ XML_CODES = XmlCodes("URD001", "URD002", "URD003")
 
 
 class UrdfJointKind(StrEnum):
-    """The type of a joint."""
+    """The joint types that URDF defines."""
 
     REVOLUTE = "revolute"
     CONTINUOUS = "continuous"
@@ -114,7 +114,7 @@ def find_single_child(
     is_required: bool = False,
 ) -> XmlElement | None:
     """Return the only child with a tag; None without one, a fault if required."""
-    elements = element.all(tag)
+    elements = element.find_all(tag)
     if any(child.attributes != elements[0].attributes for child in elements):
         message = f"<{tag}> is given {len(elements)} times with different values"
         notes.add("URD006", elements[1], message, "keep one", location=location)

@@ -110,9 +110,9 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
 def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
     """Warn about joint angles that are likely degrees, and name the first of them."""
     angle_texts: list[tuple[XmlElement, str, str]] = []
-    for joint in root.all("joint"):
+    for joint in root.find_all("joint"):
         if joint.attributes.get("type") == "revolute":
-            for limit in joint.all("limit"):
+            for limit in joint.find_all("limit"):
                 angle_texts += [
                     (limit, n, limit.attributes.get(n, "")) for n in _LIMIT_ATTRIBUTES
                 ]
@@ -156,7 +156,7 @@ def _ignored_labels(root: XmlElement) -> Iterator[str]:
 
 def _actuated_joints(root: XmlElement) -> tuple[frozenset[str], bool]:
     """Return joints of transmissions or controllers, and whether there are any."""
-    actuators = [*root.all("transmission"), *root.all("ros2_control")]
+    actuators = [*root.find_all("transmission"), *root.find_all("ros2_control")]
     names = {
         joint.attributes.get("name", "")
         for actuator in actuators
@@ -293,16 +293,16 @@ def _read_link(
         link.mass = _read_mass(inertial, location, notes)
     link.meshes += [
         mesh
-        for shape in (*element.all("visual"), *element.all("collision"))
-        for geometry in shape.all("geometry")
-        for mesh in geometry.all("mesh")
+        for shape in (*element.find_all("visual"), *element.find_all("collision"))
+        for geometry in shape.find_all("geometry")
+        for mesh in geometry.find_all("mesh")
         if mesh.attributes.get("filename")
     ]
-    for shape_element in element.all("collision"):
+    for shape_element in element.find_all("collision"):
         solid = _read_shape(shape_element, location, notes)
         if solid is not None:
             link.solids.append(solid)
-    for shape_element in element.all("visual"):
+    for shape_element in element.find_all("visual"):
         link.visuals += _read_visual(shape_element, location, notes)
 
 
@@ -311,7 +311,7 @@ def _read_visual(
 ) -> Iterator[Visual]:
     """Yield the visual of an element; record an invalid one as ignored."""
     visual_notes = XmlNotes(notes.path, notes.number_code)
-    meshes = [m for g in element.all("geometry") for m in g.all("mesh")]
+    meshes = [m for g in element.find_all("geometry") for m in g.find_all("mesh")]
     visual: Visual | None = None
     if meshes and meshes[0].attributes.get("filename"):
         position, rotation = read_pose(element, location, visual_notes)

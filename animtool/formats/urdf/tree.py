@@ -93,7 +93,7 @@ def _check_roots(
 
 
 def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
-    """Return the mimics by joint name.
+    """Return mimics by joint name, each of a joint that mimics no other.
 
     A mimic of a mimic follows the first leader, with combined multipliers and offsets.
     """

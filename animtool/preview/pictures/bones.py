@@ -22,7 +22,7 @@ ColorOfTake = Callable[[int], Color]
 
 
 class BoneRenderer:
-    """Draws the skeletons of takes."""
+    """Draws the bones and joint axes of posed takes in few draw calls."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -43,7 +43,7 @@ class BoneRenderer:
         shows_bones: bool,
         shows_axes: bool,
     ) -> None:
-        """Draw the skeletons of takes."""
+        """Draw the bones and joint axes of posed takes; crowds as thin lines."""
         poses = [pose for pose in poses if pose.count]
         if not poses:
             return

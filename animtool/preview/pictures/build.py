@@ -57,7 +57,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class PictureReport:
-    """Report on a written picture or film.
+    """Path, size, frames and format of a written picture or film.
 
     Attributes:
         path: Path of the file.
@@ -209,7 +209,7 @@ def _check_options(
 
 
 class PictureRenderer:
-    """Renders pictures of one page."""
+    """Renders the frames of one page as a picture, contact sheet or film."""
 
     def __init__(
         self,
@@ -232,7 +232,7 @@ class PictureRenderer:
         self._colors = theme_colors()
 
     def write(self, output: Path) -> PictureReport:
-        """Write the picture or the film."""
+        """Write the picture, sheet or film to a file; return its report."""
         is_single_image = not self._kind.codec or self._is_sheet
         if not is_single_image:
             return self._write_film(output)
@@ -253,7 +253,7 @@ class PictureRenderer:
         samples: Sequence[int],
         rate: Fraction,
     ) -> PictureReport:
-        """Return the report of a written file."""
+        """Return the report of a written picture or film."""
         codes = tuple(float(self._scene.codes[i]) for i in samples)
         size = output.stat().st_size
         pixels = image_shape[1], image_shape[0]
@@ -261,7 +261,7 @@ class PictureRenderer:
         return PictureReport(output, size, pixels, codes, rate, format_text, self._page)
 
     def _picture_samples(self) -> list[int]:
-        """Return the samples of a picture or sheet."""
+        """Return the timeline samples that a picture or sheet shows."""
         codes = self._scene.codes
         if self._frames:
             samples = []
@@ -315,7 +315,7 @@ class PictureRenderer:
         return pixels, samples
 
     def _sheet_columns(self, sample_count: int, picture_count: int) -> int:
-        """Return the number of columns of a sheet."""
+        """Return the columns of a sheet: as requested, one per frame, or at most 6."""
         sheet = sheet_layout(self._options)
         if sheet is not None:
             return min(sheet[0], picture_count)
@@ -337,7 +337,7 @@ class PictureRenderer:
         return [Caption((), 0)] * picture_count
 
     def _sheet_title(self, picture_count: int, width: int, height: int) -> Caption:
-        """Return the title of a sheet."""
+        """Return the title above a sheet: its caption, if it has only one."""
         texts = self._options.caption
         title = texts[0] if len(texts) == 1 < picture_count else ""
         return wrap_caption(title, width, height)
@@ -366,7 +366,7 @@ class PictureRenderer:
         return with_caption(pixels, caption, frame_text, ink, background)
 
     def _write_film(self, output: Path) -> PictureReport:
-        """Write a film, frame by frame."""
+        """Write a film frame by frame; return its report."""
         samples, rate = self._film_samples()
         size = picture_size(self._options, self._kind, is_sheet=False)
         (caption,) = self._wrap_captions(1, size)
@@ -377,7 +377,7 @@ class PictureRenderer:
         shows_numbers = self._shows_numbers(len(set(samples)))
 
         def render(k: int) -> Array:
-            """Return the pixels of a film frame."""
+            """Return the pixels of a film frame by its number, from 0."""
             if self._options.turntable:
                 view.yaw = yaw + 2 * math.pi * k / len(samples)
             pixels = self._scene.draw(view, samples[k], picture, camera.shot)
@@ -398,7 +398,7 @@ class PictureRenderer:
         return self._report(output, (size[1], size[0]), samples, rate)
 
     def _film_samples(self) -> tuple[list[int], Fraction]:
-        """Return the samples of a film, and its frame rate."""
+        """Return the timeline samples of a film, and its frame rate [1/s]."""
         time = self._page.manifest["time"]
         rate = Fraction(*time["rate"]) / Fraction(time["step"])
         if time["count"] == 1:

@@ -162,7 +162,7 @@ def picture_sheet(
 
 
 def _sheet_span(count: int, size: int, gap: int) -> int:
-    """Return the total size of cells with gaps between them [px]."""
+    """Return the size of a row or column of pictures with gaps between [px]."""
     return count * size + (count - 1) * gap
 
 

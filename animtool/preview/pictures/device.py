@@ -142,12 +142,12 @@ class Device:
             self.gl.disable(self.module.BLEND)
 
     def close(self) -> None:
-        """Release all resources."""
+        """Release the OpenGL context and everything in it."""
         self.gl.release()
 
 
 class Framebuffer:
-    """A multisampled framebuffer."""
+    """A multisampled framebuffer whose pixels can be read back."""
 
     def __init__(self, device: Device, width: int, height: int) -> None:
         gl = device.gl

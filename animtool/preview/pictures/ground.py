@@ -33,7 +33,7 @@ def round_to_1_2_5(x: float) -> float:
 
 
 class GroundRenderer:
-    """Draws the ground grid."""
+    """Draws the grid on the ground, with cells that suit the size of the scene."""
 
     def __init__(self, device: Device, radius: float) -> None:
         self._lines = LineRenderer(device)
@@ -43,7 +43,7 @@ class GroundRenderer:
     def draw(
         self, eye: EyeMatrices, center: FloatArray, line_color: Color, axis_color: Color
     ) -> None:
-        """Draw the grid around a point."""
+        """Draw the grid around a point, fading with distance."""
         cell_size = self._cell_size
         # Rounds half up, like JavaScript.
         cx, cz = (math.floor(center[k] / cell_size + 0.5) for k in (0, 2))
@@ -56,7 +56,7 @@ class GroundRenderer:
     def _set_lines(
         self, cx: int, cz: int, line_color: Color, axis_color: Color
     ) -> None:
-        """Set the vertices of the grid lines around a cell."""
+        """Set the segments of the grid lines around the cell ``cx``, ``cz``."""
         half, cell_size = GRID_CELLS // 2, self._cell_size
         segments = []
         for i in range(-half, half + 1):
@@ -97,7 +97,7 @@ class TrailRenderer:
         contact_color: Color,
         shown_layers: frozenset[str],
     ) -> None:
-        """Set the trails at a sample."""
+        """Set the trails and contact rings of posed takes at a sample."""
         trails = [np.zeros((0, 10))]
         rings = [np.zeros((0, 10))]
         for pose in poses:
@@ -155,7 +155,7 @@ class TrailRenderer:
         return np.concatenate(segments)
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Draw the trails."""
+        """Draw the trails, and the rings around contacts."""
         self._trails.draw(eye, width=2)
         self._rings.draw(eye, width=3)
 

@@ -43,7 +43,7 @@ class LineRenderer:
     def set_segments(
         self, begins: FloatArray, ends: FloatArray, colors: FloatArray
     ) -> None:
-        """Set the segments.
+        """Replace the segments to draw, from starts to ends ``(N, 3)``.
 
         Args:
             begins: Start points ``(N, 3)``.
@@ -112,7 +112,7 @@ class SpriteRenderer:
     def set_points(
         self, positions: Array, colors: Bytes, radii: Array | None = None
     ) -> None:
-        """Set the points ``(N, 3)``, with colors and radii."""
+        """Replace the points to draw ``(N, 3)``, with colors and radii."""
         self._count = len(positions)
         sizes = np.zeros(self._count) if radii is None else radii
         arrays = np.asarray(positions, "<f4"), colors, np.asarray(sizes, "<f4")

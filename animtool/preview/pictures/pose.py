@@ -32,7 +32,7 @@ def compose_matrices(t: FloatArray, r: FloatArray, s: FloatArray | None) -> Floa
 
 
 class PosedTake:
-    """A take of a page, posed at a sample.
+    """A take of a page in the pose of one sample.
 
     Attributes:
         world: World matrices of its joints ``(J, 4, 4)``.
@@ -111,13 +111,13 @@ class PosedTake:
         return list(dict.fromkeys([self.root, *feet]))
 
     def sample_values(self, stream: int | None, sample: int) -> FloatArray | None:
-        """Return a stream's values at a page sample."""
+        """Return a stream's values at a page sample; None without a stream."""
         if stream is None:
             return None
         return self._streams.sample_values(stream, sample - self.first_sample)
 
     def update(self, sample: int) -> None:
-        """Pose the skeleton at a sample."""
+        """Set the visibility and the world matrices of the take at a sample."""
         visibility = self.sample_values(self.record.get("visible"), sample)
         self.is_visible = visibility is None or visibility[0] != 0
         self.world = self._posed_matrices(sample)
@@ -138,12 +138,12 @@ class PosedTake:
 
     @property
     def positions(self) -> FloatArray:
-        """Joint positions ``(J, 3)``."""
+        """World positions of the joints ``(J, 3)`` [m]."""
         return self.world[:, :3, 3]
 
     @property
     def root_position(self) -> FloatArray:
-        """Position of the root joint ``(3,)``."""
+        """World position of the root joint ``(3,)`` [m]."""
         position: FloatArray = self.positions[self.root].copy()
         return position
 
@@ -170,7 +170,7 @@ class PosedTake:
         return np.stack([self._paths[i] for i in range(first, last + 1)])
 
     def contacts_at(self, codes: FloatArray) -> BoolArray:
-        """Return a mask of trail joints in ground contact at time codes ``(F, T)``."""
+        """Return whether trail joints touch the ground at time codes ``(F, T)``."""
         is_in_contact = np.zeros((len(codes), len(self.trail_joints)), bool)
         for contact in self.record.get("contacts") or []:
             for column, joint in enumerate(self.trail_joints):
@@ -180,7 +180,7 @@ class PosedTake:
 
 
 def is_in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
-    """Return a mask of the time codes that are inside any of the spans ``(F,)``."""
+    """Return whether each time code is inside any of the spans ``(F,)``."""
     is_inside = np.zeros(len(codes), bool)
     for first, last in spans:
         is_inside |= (codes >= first - 1e-6) & (codes <= last + 1e-6)

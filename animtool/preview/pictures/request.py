@@ -32,7 +32,7 @@ _SHOT_CAMERA = re.compile(r"shot:(\d{1,6})")
 
 @dataclass(frozen=True, slots=True)
 class CameraChoice:
-    """Camera of a picture.
+    """A requested camera: an orbit, a framed view, or a shot camera.
 
     Attributes:
         yaw: Angle around the subject [rad].
@@ -66,7 +66,7 @@ def option_error(option: str, message: str, hint: str) -> OptionError:
 def picture_size(
     options: PictureOptions, kind: PictureKind, *, is_sheet: bool
 ) -> tuple[int, int]:
-    """Return the size of a picture [px]."""
+    """Return the requested or default size of a picture or film [px]."""
     if options.size is None:
         return SHEET_PICTURE_SIZE if is_sheet else kind.size
     width, height = _parse_pair(options.size, "size", "960x540")
@@ -104,7 +104,7 @@ def _parse_pair(text: str, option: str, example: str) -> tuple[int, int]:
 
 
 def drawn_layers(options: PictureOptions) -> frozenset[str]:
-    """Return the layers to draw."""
+    """Return the requested layers, or the default ones; refuse unknown names."""
     for name in options.show:
         if name not in LAYERS:
             message = f"unknown part of a picture {name!r}"
@@ -113,7 +113,7 @@ def drawn_layers(options: PictureOptions) -> frozenset[str]:
 
 
 def light_direction(options: PictureOptions) -> FloatArray:
-    """Return the direction of the key light in view space."""
+    """Return the direction to the key light ``(3,)`` in view space."""
     if options.light is None:
         return KEY_LIGHT.copy()
     numbers = _parse_numbers(options.light)

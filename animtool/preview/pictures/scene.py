@@ -1,4 +1,4 @@
-"""Draws the 3D contents of a page."""
+"""Draws the layers of a page at a sample: ground, meshes, bones, trails, cameras."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ Drawable: TypeAlias = MeshRenderer | InstanceRenderer | PointRenderer | StrandRe
 
 
 class SceneRenderer:
-    """Draws the contents of a page in an OpenGL context."""
+    """Draws the contents of a page at any sample, in an OpenGL context."""
 
     def __init__(
         self,
@@ -115,11 +115,11 @@ class SceneRenderer:
             radius = pose_bounds.radius
             pose.bounds_radius = radius if radius > 1e-3 else 1.0
         count = len(self.codes)
-        sample_times = [
+        spread_samples = [
             int(i / FRAMING_INTERVALS * (count - 1) + 0.5)
             for i in range(FRAMING_INTERVALS + 1)
         ]
-        samples = [*dict.fromkeys(sample_times), sample]
+        samples = [*dict.fromkeys(spread_samples), sample]
         roots = [self._root_position(i) for i in samples]
         offsets = np.array(roots) - roots[-1]
         travel = float(np.linalg.norm(offsets[:, [0, 2]], axis=1).max())
@@ -171,7 +171,7 @@ class SceneRenderer:
         return framed_bounds
 
     def _update(self, sample: int) -> None:
-        """Update all objects to a sample."""
+        """Pose takes and deform objects for a sample, unless they already are."""
         if sample == self._sample:
             return
         self._sample = sample
@@ -290,7 +290,7 @@ class SceneRenderer:
         )
 
     def _draw_objects(self, eye: EyeMatrices, drawables: Sequence[Drawable]) -> None:
-        """Draw objects, unless meshes are hidden."""
+        """Draw objects except prototypes; nothing if meshes are hidden."""
         for drawable in drawables if "meshes" in self._shown_layers else []:
             if not (isinstance(drawable, MeshRenderer) and drawable.is_prototype):
                 drawable.draw(eye)
@@ -298,14 +298,14 @@ class SceneRenderer:
     def _draw_bones(
         self, eye: EyeMatrices, poses: list[PosedTake], *, shows_axes: bool
     ) -> None:
-        """Draw skeletons and joint axes, as requested."""
+        """Draw bones and joint axes of posed takes, if their layers are shown."""
         shows_bones = "bones" in self._shown_layers
         self._bones.draw(
             eye, poses, self._take_color, shows_bones=shows_bones, shows_axes=shows_axes
         )
 
     def _take_color(self, take: int) -> Color:
-        """Return the color of a take."""
+        """Return the color of a take; that of bones if it is the only one."""
         if len(self._poses) > 1:
             return TAKE_COLORS[take % len(TAKE_COLORS)]
         return self._colors["bone"]
@@ -313,7 +313,7 @@ class SceneRenderer:
     def _draw_frusta(
         self, eye: EyeMatrices, view: CameraView, shot: int | None
     ) -> None:
-        """Draw the frusta of shot cameras."""
+        """Draw the frusta of shot cameras except the one looked through."""
         segments: list[FloatArray] = []
         for i, camera in enumerate(self.cameras):
             if i == shot:

@@ -166,7 +166,7 @@ class MeshRenderer:
         return self._joints is not None
 
     def update(self, sample: int) -> None:
-        """Deform the mesh for a sample."""
+        """Set the points or joint matrices of the mesh at a sample."""
         pose, record = self.pose, self.record
         first = pose.first_sample if pose else 0
         visibility_stream = record.get("visible")
@@ -301,7 +301,7 @@ class InstanceRenderer:
             )
 
     def grow_bounds(self, bounds: Bounds) -> None:
-        """Grow bounds by the instances."""
+        """Grow bounds by the bounding boxes of the instances."""
         radii = self._mesh.geometry.radius * np.linalg.norm(
             self.matrices[:, :3, 0], axis=1
         )
@@ -339,11 +339,11 @@ class PointRenderer:
         self._sprites.set_points(self._points, self._point_colors, self._radii)
 
     def grow_bounds(self, bounds: Bounds) -> None:
-        """Grow bounds by the points."""
+        """Grow bounds by the points that exist at the sample."""
         bounds.add(self._points[self._points[:, 0] < OFFSCREEN_COORDINATE / 10])
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Draw the points."""
+        """Draw the points as balls of their radii."""
         self._sprites.draw(eye, self._record.get("radius") or 0.0, 2)
 
 
@@ -385,10 +385,10 @@ class StrandRenderer:
         self._lines.set_segments(*ends, self._color)
 
     def grow_bounds(self, bounds: Bounds) -> None:
-        """Grow bounds by the strands."""
+        """Grow bounds by the points of the strands."""
         bounds.add(self._points)
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Draw the strands."""
+        """Draw the strands, unless their take is hidden."""
         if self.pose is None or self.pose.is_visible:
             self._lines.draw(eye, width=1, world_width=self._record.get("width") or 0.0)

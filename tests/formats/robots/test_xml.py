@@ -36,8 +36,8 @@ def test_elements_have_their_lines() -> None:
     assert [(one.tag, one.line) for one in root.walk()][1:] == [
         ("b", 4), ("b", 4), ("c", 4)
     ]  # fmt: skip
-    assert root.all("b")[0].attributes == {"x": "<1"}
-    assert root.all("c")[0].text == "text"
+    assert root.find_all("b")[0].attributes == {"x": "<1"}
+    assert root.find_all("c")[0].text == "text"
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
