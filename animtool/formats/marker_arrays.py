@@ -96,11 +96,8 @@ def _read_arrays(
     positions_name = _find_positions_array(file, archives, path, array_names, array)
     header = archives.header(path, positions_name)
     if len(header.shape) != 3 or header.shape[2] != 3 or header.kind not in "fiu":
-        counts_text = (
-            f"{positions_name!r} has shape {header.shape}, not (frames, markers, "
-        )
-        counts_text += "3)"
-        raise file.error("MKR012", counts_text)
+        message = f"{positions_name!r} has shape {header.shape}, "
+        raise file.error("MKR012", f"{message}not (frames, markers, 3)")
     frame_count, point_count, _ = header.shape
     counts_text = f"{positions_name!r} has {frame_count} frames of {point_count} points"
     if frame_count == 0 or point_count == 0:

@@ -115,10 +115,8 @@ def choose_frame_fit(
     ``rounding`` is the largest rounding error of the times [s].
     """
     row_frames = np.arange(len(times))
-    candidates = (
-        [row_frames] if numbered_frames is None else [numbered_frames, row_frames]
-    )
-    fits = [fit_frames(times, frames, rounding) for frames in candidates]
+    frame_choices = [f for f in (numbered_frames, row_frames) if f is not None]
+    fits = [fit_frames(times, frames, rounding) for frames in frame_choices]
     fits = [fit for fit in fits if fit.is_regular]
     stated_step = None
     if stated_rate is not None and stated_rate > 0:

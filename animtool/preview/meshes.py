@@ -215,17 +215,14 @@ def _shape_entries(
     entries = []
     for shape_number, column in enumerate(active_columns.tolist()):
         if column in dense_row_by_column:
-            offsets = sparse_offsets.dense_table[dense_row_by_column[column]].reshape(
-                -1, 3
-            )
+            dense_row = sparse_offsets.dense_table[dense_row_by_column[column]]
+            offsets = dense_row.reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))
             offsets = offsets[vertices]
         else:
             is_in_column = sparse_offsets.columns == column
-            vertices, offsets = (
-                vertex_by_offset[is_in_column],
-                sparse_offsets.offsets[is_in_column],
-            )
+            vertices = vertex_by_offset[is_in_column]
+            offsets = sparse_offsets.offsets[is_in_column]
         entries.append(
             {
                 "name": names[column],

@@ -95,28 +95,24 @@ def quantize_range(
     low, high = (np.where(low <= high, bound, 0.0) for bound in (low, high))
     scale = (high - low) / (2 * MAX_QUANTIZED)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
-        integers = np.asarray(values, np.float32)
-        return Quantized(integers, "f32", error=_largest_difference(integers - values))
+        floats = np.asarray(values, np.float32)
+        return Quantized(floats, "f32", error=_largest_difference(floats - values))
     offset = (high + low) / 2
     divisor = np.where(scale > 0, scale, 1.0)
     steps = np.rint((rows - offset) / divisor)
     integers = np.where(np.isnan(steps), STORED_NAN, steps).astype("<i2")
     error = _largest_difference(offset + scale * steps - values.reshape(rows.shape))
-    column_ranges = scale.tolist(), offset.tolist()
     if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
-        column_ranges = scale[:1].tolist(), offset[:1].tolist()
-    scale_and_offset = (
-        _single_or_list(column_ranges[0]),
-        _single_or_list(column_ranges[1]),
-    )
-    return Quantized(
-        integers.reshape(values.shape), "i16", *scale_and_offset, has_gaps, error
-    )
+        scale, offset = scale[:1], offset[:1]
+    integers = integers.reshape(values.shape)
+    scale_and_offset = _single_or_list(scale), _single_or_list(offset)
+    return Quantized(integers, "i16", *scale_and_offset, has_gaps, error)
 
 
-def _single_or_list(values: list[float]) -> float | list[float]:
+def _single_or_list(values: FloatArray) -> float | list[float]:
     """Return values as a list, or the number itself if there is only one."""
-    return values[0] if len(values) == 1 else values
+    numbers: list[float] = values.tolist()
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def _largest_difference(differences: Array) -> float:

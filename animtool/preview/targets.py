@@ -128,8 +128,5 @@ def _add_markers(
             draft.add_positions(all_positions),
             radius=radius,
             color=color,
-            names=[
-                f"{tracks.goals[goal_index].name}{label}"
-                for goal_index in active_indices
-            ],
+            names=[f"{tracks.goals[i].name}{label}" for i in active_indices],
         )

@@ -195,12 +195,8 @@ class RowReader:
         file_size = max(1, file.state.size)
         max_rows = max(1, BLOCK_VALUES // self._column_count)
         max_line_bytes = CHUNK_BYTES + MAX_NUMBER_BYTES * self._column_count
-        data, line, is_last_chunk, needs_data = (
-            b"",
-            self.source.header_line_count + 1,
-            False,
-            True,
-        )
+        line = self.source.header_line_count + 1
+        data, is_last_chunk, needs_data = b"", False, True
         while True:
             if needs_data:
                 chunk = file.read(CHUNK_BYTES)

@@ -197,10 +197,8 @@ def _combinations(
         contradicts_size = bytes_cost >= MIN_DECISIVE_WEIGHT and _values_agree(
             fields.number_bytes
         )
-        capacity = (
-            (file_size - offset) // size,
-            (file_size - offset - padding) // size,
-        )
+        data_size = file_size - offset
+        capacity = data_size // size, (data_size - padding) // size
         for counts, count_cost, is_solved in _count_combinations(fields, *capacity):
             cost = offset_cost + bytes_cost + count_cost
             needs_evidence = contradicts_size or is_solved
@@ -294,11 +292,9 @@ def _solve_frame_counts(
         return [(count, cost + UNSTATED_COUNT_COST, False)]
     if any(v.can_wrap and v.cost(count) < v.weight for v in stated_values):
         return [(count, cost, False)]
-    return (
-        []
-        if _values_agree(stated_values)
-        else [(count, cost + FITTED_FRAMES_COST, True)]
-    )
+    if _values_agree(stated_values):
+        return []
+    return [(count, cost + FITTED_FRAMES_COST, True)]
 
 
 def _add_skipped_cost(layout: Layout, parameters_end: int, data: bytes) -> Layout:

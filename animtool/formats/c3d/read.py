@@ -148,10 +148,8 @@ def read_c3d(
     signed_up = _up_axis(file, sections, up)
     positions, status_words = _read_points(sections, layout, data)
     names, point_indices = _marker_names(file, sections, layout.point_count, subject)
-    positions, status_words = (
-        positions[:, point_indices],
-        status_words[:, point_indices],
-    )
+    positions = positions[:, point_indices]
+    status_words = status_words[:, point_indices]
     positions[status_words < 0] = np.nan
     positions = file.clean_positions(positions, length_unit.meters)
     if signed_up in _UP_CONVERSIONS:
@@ -349,9 +347,8 @@ def _marker_names(
         file.note("C3D103", message + listed(skipped_labels))
     if not len(point_indices):
         raise file.error("MKR013", "has no marker points")
-    return file.unique_names(
-        [labels[i] for i in point_indices.tolist()], subject
-    ), point_indices
+    names = [labels[i] for i in point_indices.tolist()]
+    return file.unique_names(names, subject), point_indices
 
 
 def _camera_counts(status_words: IntArray, is_visible: BoolArray) -> IntArray | None:

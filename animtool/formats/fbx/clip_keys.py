@@ -312,12 +312,9 @@ class _ClipBuilder:
         if not self.sampled_channel_count:
             return []
         metres, radians, scale = self.max_errors
-        message = (
-            f"{counted(self.sampled_channel_count, 'channel')} sampled, as a clip "
-        )
-        message += "has no such keys (layers, pivots, inherited scales, steps of one "
-        message += (
-            f"part): up to {metres * 1e3:.3g} mm, {np.degrees(radians):.3g} degrees "
-        )
+        channels = counted(self.sampled_channel_count, "channel")
+        message = f"{channels} sampled, as a clip has no such keys (layers, pivots, "
+        message += "inherited scales, steps of one part): up to "
+        message += f"{metres * 1e3:.3g} mm, {np.degrees(radians):.3g} degrees "
         message += f"and {scale:.3g} of scale off between keys"
         return [Fault("FBX121", message, severity=Severity.NOTE)]

@@ -76,10 +76,8 @@ class FbxCurve:
         first, last = int(self.times[0]), int(self.times[-1])
         duration = last - first
         distance = ticks - last if is_post else first - ticks
-        end_value, end_time = (
-            self.values[-1 if is_post else 0],
-            last if is_post else first,
-        )
+        end_value = self.values[-1 if is_post else 0]
+        end_time = last if is_post else first
         if extrapolation.mode == "K":
             slope = self.in_slopes[-2] if is_post else self.out_slopes[0]
             return np.asarray(end_value + slope * (ticks - end_time) / TICKS_PER_SECOND)

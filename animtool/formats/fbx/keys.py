@@ -67,15 +67,12 @@ def read_curve(
         )
     attribute_bits = _attribute_bits(attribute_data, notes)
     is_valid_count = (reference_counts >= 0) & (reference_counts <= key_count)
-    has_valid_attributes = len(key_flags) == len(
-        reference_counts
-    ) and attribute_bits.size == 4 * len(key_flags)
-    has_valid_attributes = (
-        has_valid_attributes
+    if not (
+        len(key_flags) == len(reference_counts)
+        and attribute_bits.size == 4 * len(key_flags)
         and is_valid_count.all()
         and int(reference_counts.sum()) == key_count
-    )
-    if not has_valid_attributes:
+    ):
         message = f"the attributes of {key_count} keys do not fit them"
         notes.fail("FBX006", element.location, message)
     key_flags = np.repeat(key_flags, reference_counts)
@@ -173,10 +170,6 @@ def _read_extrapolation(
     if mode not in tuple("CRAMK"):
         message = f"{name} {mode!r} is not known"
         notes.fail("FBX006", type_element.location, message)
-    repetition_element = element.find("Repetition")
-    count = (
-        -1.0
-        if repetition_element is None
-        else read_number(repetition_element, 0, notes)
-    )
+    repetition = element.find("Repetition")
+    count = -1.0 if repetition is None else read_number(repetition, 0, notes)
     return FbxExtrapolation(str(mode), int(max(-1.0, min(count, 1e9))))

@@ -137,16 +137,10 @@ class _StackReader:
         if len(layers) > MAX_LAYERS:
             message = f"{len(layers)} layers of {stack.name!r}"
             file.notes.fail("FBX013", stack.element.location, message)
-        active_layers = [
-            layer_object
-            for layer_object in layers
-            if read_scalar(layer_object, "Solo", 0, file.notes)
-        ]
+        active_layers = [o for o in layers if read_scalar(o, "Solo", 0, file.notes)]
         if not active_layers:
             active_layers = [
-                layer_object
-                for layer_object in layers
-                if not read_scalar(layer_object, "Mute", 0, file.notes)
+                o for o in layers if not read_scalar(o, "Mute", 0, file.notes)
             ]
         take.layers += [layer.name for layer in layers]
         for i, layer in enumerate(layers):

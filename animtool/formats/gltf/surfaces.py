@@ -154,13 +154,9 @@ def _build_skin(
     influences = [
         read_skin_weights(v.primitive, len(joints), gltf.accessors) for v in vertex_sets
     ]
-    influence_count = max(indices.shape[1] for indices, _ in influences)
-    indices = np.concatenate(
-        [_pad_columns(row, influence_count) for row, _ in influences]
-    )
-    weights = np.concatenate(
-        [_pad_columns(row, influence_count) for _, row in influences]
-    )
+    width = max(indices.shape[1] for indices, _ in influences)
+    indices = np.concatenate([_pad_columns(values, width) for values, _ in influences])
+    weights = np.concatenate([_pad_columns(values, width) for _, values in influences])
     blended_count = int((weights.max(axis=1) < 1.0 - BLEND_TOLERANCE).sum())
     _warn_of_equal_binds(gltf, skin_index, blended_count)
     return binder.build_skin("linear", joints, indices, weights), geom_bind
@@ -173,12 +169,10 @@ def _warn_of_equal_binds(gltf: Gltf, skin_index: int, blended_count: int) -> Non
     points may be stored in the frames of their joints.
     """
     skin = gltf.skins[skin_index]
-    bind_matrices = skin.inverse_bind
-    if (
-        len(bind_matrices) < MIN_EQUAL_BINDS
-        or not blended_count
-        or np.ptp(bind_matrices, axis=0).max() > 0
-    ):
+    binds = skin.inverse_bind
+    if len(binds) < MIN_EQUAL_BINDS or not blended_count:
+        return
+    if np.ptp(binds, axis=0).max() > 0:
         return
     offsets = [
         np.linalg.norm(gltf.nodes[node].translation)
@@ -187,14 +181,11 @@ def _warn_of_equal_binds(gltf: Gltf, skin_index: int, blended_count: int) -> Non
     ]
     if not any(offsets):
         return
-    message = (
-        f"the inverse bind matrices of all {len(bind_matrices)} joints are equal, but "
-    )
+    message = f"the inverse bind matrices of all {len(binds)} joints are equal, but "
     message += f"joints are up to {length_text(float(max(offsets)))} from their "
     message += f"parents, and {counted(blended_count, 'point')} "
-    message += (
-        f"follow{'s' if blended_count == 1 else ''} several of them: the mesh tears"
-    )
+    message += "follows" if blended_count == 1 else "follow"
+    message += " several of them: the mesh tears"
     hint = "export it again with the inverse bind matrices of the bind pose"
     gltf.notes.warn("GLT119", f"{skin.location}/inverseBindMatrices", message, hint)
 

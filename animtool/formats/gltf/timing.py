@@ -67,18 +67,8 @@ def find_frame_range(
         return GltfFrames(fps or RATES_BY_PREFERENCE[0], Fraction(0), Fraction(0), 1)
     stated_rate, start = _recorded_timing(animation.extras)
     times = key_times(animation)
-    rate = (
-        fps
-        or stated_rate
-        or next(
-            (
-                candidate
-                for candidate in RATES_BY_PREFERENCE
-                if _fits_rate(times, candidate)
-            ),
-            DEFAULT_RATE,
-        )
-    )
+    fitting_rates = (rate for rate in RATES_BY_PREFERENCE if _fits_rate(times, rate))
+    rate = fps or stated_rate or next(fitting_rates, DEFAULT_RATE)
     first_time, last_time = animation.span
     first_frame = 0
     if first_time < 0:

@@ -198,9 +198,8 @@ def _samples_by_row(
     values = channel.values
     if not len(values):
         return {}
-    joint_samples = _joints_first(
-        values, np.float32 if converts_to_float32 else np.float64
-    )
+    dtype = np.float32 if converts_to_float32 else np.float64
+    joint_samples = _joints_first(values, dtype)
     return dict(zip(channel.animated.tolist(), joint_samples, strict=True))
 
 

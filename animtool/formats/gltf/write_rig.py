@@ -183,9 +183,8 @@ class _SurfaceWriter:
     def _write_attributes(
         self, points: FloatArray, normals: FloatArray | None
     ) -> dict[str, int]:
-        attributes = {
-            "POSITION": self._add_accessor(points.astype(np.float32), has_bounds=True)
-        }
+        positions = points.astype(np.float32)
+        attributes = {"POSITION": self._add_accessor(positions, has_bounds=True)}
         if normals is not None:
             lengths = np.linalg.norm(normals, axis=1, keepdims=True)
             if (lengths > 0).all():
@@ -230,11 +229,8 @@ class _SurfaceWriter:
                 vertices = np.arange(len(surface.points))
             offsets = np.zeros((len(surface.points), 3))
             np.add.at(offsets, vertices, shape.deltas)
-            target = {
-                "POSITION": self._add_accessor(
-                    offsets.astype(np.float32), has_bounds=True
-                )
-            }
+            stored_offsets = offsets.astype(np.float32)
+            target = {"POSITION": self._add_accessor(stored_offsets, has_bounds=True)}
             if "NORMAL" in primitive["attributes"]:
                 normal_offsets = np.zeros_like(offsets)
                 if shape.normals is not None:

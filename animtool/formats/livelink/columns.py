@@ -18,7 +18,7 @@ from animtool.formats.trajectories import CaptureFile
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE
 from animtool.rig.shapes import arkit_name
 
-_DECIMAL_COMMA = re.compile(r"-?\d+,\d+")
+_DECIMAL_COMMA_PATTERN = re.compile(r"-?\d+,\d+")
 # Names as written by the app; they are read case-insensitively.
 TIMECODE_COLUMN, COUNT_COLUMN = "Timecode", "BlendShapeCount"
 # Rotations about the axes of the face: up, left, and forward.
@@ -221,16 +221,15 @@ class _RecordingTable:
                     try:
                         values[row, column] = float(text) if text else np.nan
                     except ValueError:
-                        if _DECIMAL_COMMA.fullmatch(text):
+                        if _DECIMAL_COMMA_PATTERN.fullmatch(text):
                             message = "numbers have decimal commas, such as "
                             fault = self._cell_fault(
                                 "LLF004", column, message + excerpt(text), line_number
                             )
                             hint = "write decimal points in their place"
                             raise FormatError(replace(fault, hint=hint)) from None
-                        message = (
-                            f"{self.names[column]}: {excerpt(text)} is not a number"
-                        )
+                        message = f"{excerpt(text)} is not a number"
+                        message = f"{self.names[column]}: {message}"
                         faults.append(
                             self._cell_fault("LLF004", column, message, line_number)
                         )

@@ -180,11 +180,9 @@ def _parse_header(
         elif text.startswith("angles are in "):
             units = {"degrees": True, "radians": False}
             default_in_degrees = units.get(text[14:].rstrip(". "), default_in_degrees)
-    return (
-        stated_numbers,
-        default_in_degrees if in_degrees is None else in_degrees,
-        stated_texts,
-    )
+    if in_degrees is None:
+        in_degrees = default_in_degrees
+    return stated_numbers, in_degrees, stated_texts
 
 
 def _column_names(

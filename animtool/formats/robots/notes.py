@@ -42,19 +42,11 @@ class XmlNotes:
         severity: Severity = Severity.ERROR,
     ) -> None:
         """Record a fault at an element; None is the file."""
-        path = self.path if element is None else element.path
+        path = str(self.path if element is None else element.path)
         lines = () if element is None else (element.line,)
         column = None if element is None else element.column
         fault = Fault(
-            code,
-            message,
-            str(path),
-            lines,
-            hint,
-            severity,
-            column,
-            location,
-            joint=joint,
+            code, message, path, lines, hint, severity, column, location, joint=joint
         )
         (self.faults if severity is Severity.ERROR else self.notices).append(fault)
 

@@ -356,13 +356,9 @@ def _read_mass(inertial: XmlElement, location: str, notes: XmlNotes) -> LinkMass
     if problem:
         message = f"no body can have this mass: {problem}; it is ignored"
         hint = "bodies of a ragdoll then weigh what the density of colliders gives"
+        severity = Severity.WARNING
         notes.add(
-            "URD107",
-            inertial,
-            message,
-            hint,
-            location=location,
-            severity=Severity.WARNING,
+            "URD107", inertial, message, hint, location=location, severity=severity
         )
         return None
     matrix = so3.to_matrix(np.array(rotation))

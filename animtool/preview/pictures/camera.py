@@ -268,9 +268,7 @@ def _perspective_matrix(
     """Return a perspective projection matrix from half sizes at distance 1."""
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[1, 1] = 1 / half_width, 1 / half_height
-    matrix[2, 2], matrix[2, 3] = (
-        (far + near) / (near - far),
-        2 * far * near / (near - far),
-    )
+    matrix[2, 2] = (far + near) / (near - far)
+    matrix[2, 3] = 2 * far * near / (near - far)
     matrix[3, 2] = -1.0
     return matrix

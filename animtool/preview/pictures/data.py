@@ -62,13 +62,10 @@ class StreamReader:
         block_bytes = zlib.decompress(base64.b64decode(self._block_texts[block]), -15)
         values, start = {}, 0
         for entry, sample_count in self._streams_by_block[block]:
-            byte_count = (
-                entry["width"] * sample_count * np.dtype(DTYPES[entry["kind"]]).itemsize
-            )
-            stream_values = _unpack_stream(
-                block_bytes[start : start + byte_count], entry, sample_count
-            )
-            start += byte_count
+            item_bytes = np.dtype(DTYPES[entry["kind"]]).itemsize
+            end = start + entry["width"] * sample_count * item_bytes
+            stream_values = _unpack_stream(block_bytes[start:end], entry, sample_count)
+            start = end
             values[entry["id"]] = stream_values
             if sum(span[2] for span in entry["block"]) == 1:
                 self._static_values[entry["id"]] = stream_values[0]
@@ -90,15 +87,12 @@ def _unpack_stream(
     """Return the values of one stream of a block ``(samples, width)``."""
     dtype, width = np.dtype(DTYPES[entry["kind"]]), entry["width"]
     columns, rows = (1, width) if sample_count == 1 else (width, sample_count)
-    planes = np.frombuffer(stream_bytes, np.uint8).reshape(
-        columns, dtype.itemsize, rows
-    )
+    planes = np.frombuffer(stream_bytes, np.uint8)
+    planes = planes.reshape(columns, dtype.itemsize, rows)
     integers = np.ascontiguousarray(planes.swapaxes(1, 2)).view(dtype)[..., 0]
     if entry["coding"] == "delta":
-        unsigned_integers = integers.view(f"<u{dtype.itemsize}")
-        integers = np.cumsum(
-            unsigned_integers, axis=1, dtype=unsigned_integers.dtype
-        ).view(dtype)
+        deltas = integers.view(f"<u{dtype.itemsize}")
+        integers = np.cumsum(deltas, axis=1, dtype=deltas.dtype).view(dtype)
     stored_values = integers.reshape(1, -1) if sample_count == 1 else integers.T
     scale, offset = entry["scale"], entry["offset"]
     if scale == 1 and offset == 0 and entry["kind"] != "i16":

@@ -68,12 +68,10 @@ class GroundRenderer:
                     continue
                 left, right = (cx + k) * cell_size, (cx + k + SEGMENT_CELLS) * cell_size
                 back, front = (cz + k) * cell_size, (cz + k + SEGMENT_CELLS) * cell_size
-                segments.append(
-                    (x, back, x, front, *(line_color if cx + i else axis_color))
-                )
-                segments.append(
-                    (left, z, right, z, *(line_color if cz + i else axis_color))
-                )
+                x_color = line_color if cx + i else axis_color
+                z_color = line_color if cz + i else axis_color
+                segments.append((x, back, x, front, *x_color))
+                segments.append((left, z, right, z, *z_color))
         table = np.array(segments, np.float64)
         ends = np.zeros((2, len(table), 3))
         ends[0][:, [0, 2]], ends[1][:, [0, 2]] = (table[:, :2], table[:, 2:4])

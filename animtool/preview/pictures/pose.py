@@ -52,14 +52,13 @@ class PosedTake:
         self.count = len(self.names)
         self.levels = _joints_by_depth(self.parents)
         static_values = record.get("still") or skeleton["rest"]
-        unit_scales = np.ones((self.count, 3))
         self._values = {
             "t": np.reshape(static_values["t"], (-1, 3)).astype(np.float64),
             "r": np.reshape(static_values["r"], (-1, 4)).astype(np.float64),
-            "s": unit_scales
-            if static_values.get("s") is None
-            else np.array(static_values["s"], np.float64),
+            "s": np.ones((self.count, 3)),
         }
+        if static_values.get("s") is not None:
+            self._values["s"] = np.array(static_values["s"], np.float64)
         self._animated_components = [
             (
                 component,
