@@ -89,17 +89,17 @@ def fit_frames_with_gaps(
     return fit_frames(times, frames, rounding)
 
 
-def rate_of_step(step: float, rounding: float, steps: int) -> Fraction | None:
+def rate_of_step(step: float, rounding: float, step_count: int) -> Fraction | None:
     """Return the frame rate of a step [s] within rounding; None if out of range.
 
-    ``steps`` is the number of steps between the two times it was measured from.
+    ``step_count`` is the number of steps between the two times it was measured from.
     """
     rate = 1.0 / step if step > 0 else np.inf
     if not float(MIN_STATED_RATE) <= rate <= float(MAX_STATED_RATE):
         return None
     # Prefer the nearest integer rate within the rounding of the printed times.
     integer_rate = round(rate)
-    if integer_rate and abs(1.0 / integer_rate - step) <= 2 * rounding / steps:
+    if integer_rate and abs(1.0 / integer_rate - step) <= 2 * rounding / step_count:
         return Fraction(integer_rate)
     return rate_from_float(rate)
 
@@ -211,9 +211,9 @@ class RowFrames:
         if np.array_equal(integer_frames, self.frames):
             if frame_count == len(positions):
                 return positions
-            resampled = np.full((frame_count, *positions.shape[1:]), np.nan)
-            resampled[integer_frames.astype(np.int64)] = positions
-            return resampled
+            frame_positions = np.full((frame_count, *positions.shape[1:]), np.nan)
+            frame_positions[integer_frames.astype(np.int64)] = positions
+            return frame_positions
         frames = np.arange(frame_count)
         row_before = (
             np.searchsorted(self.frames, frames + STEP_TOLERANCE, side="right") - 1
@@ -223,12 +223,12 @@ class RowFrames:
         fraction = np.clip((frames - self.frames[row_before]) / row_interval, 0.0, 1.0)
         tolerance = STEP_TOLERANCE / row_interval
         weight = fraction[:, None, None]
-        resampled = (
+        frame_positions = (
             positions[row_before] * (1.0 - weight) + positions[row_before + 1] * weight
         )
         is_at_row, is_at_next = fraction <= tolerance, fraction >= 1.0 - tolerance
-        resampled[is_at_row] = positions[row_before][is_at_row]
-        resampled[is_at_next] = positions[row_before + 1][is_at_next]
+        frame_positions[is_at_row] = positions[row_before][is_at_row]
+        frame_positions[is_at_next] = positions[row_before + 1][is_at_next]
         is_in_gap = (row_interval > MAX_INTERPOLATED_GAP) & ~is_at_row & ~is_at_next
-        resampled[is_in_gap] = np.nan
-        return resampled
+        frame_positions[is_in_gap] = np.nan
+        return frame_positions

@@ -28,7 +28,7 @@ MAX_LOST_WEIGHT = 0.02
 BLOCK_FRAMES = 64
 PALETTE = ((0.53, 0.56, 0.6), (0.6, 0.5, 0.42), (0.44, 0.55, 0.5), (0.55, 0.48, 0.57))
 STRAND_WIDTH = 0.001
-WEIGHT_ERROR = 1e-4
+WEIGHT_TOLERANCE = 1e-4
 
 
 def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) -> None:
@@ -65,7 +65,7 @@ def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) 
             visible_weights.append(column_values[:, active_columns])
     if shape_labels:
         all_weights = np.concatenate(visible_weights, axis=1)
-        quantized_weights = quantize_range(all_weights, WEIGHT_ERROR)
+        quantized_weights = quantize_range(all_weights, WEIGHT_TOLERANCE)
         page_take.entry["shapes"] = {
             "names": shape_labels,
             "weights": draft.packer.add(quantized_weights),

@@ -33,7 +33,7 @@ _SECURITY_POLICY = (
 )
 
 # Inflates the modules, creates a URL for each after its imports, and starts the last.
-_BOOTSTRAP = """\
+_BOOTSTRAP_SCRIPT = """\
 (async () => {
   const page = (window.animtool = window.animtool || {errors: []});
   page.errors = page.errors || [];
@@ -94,7 +94,7 @@ def page_parts(
         f"{json_text(manifest)}</script>",
         "modules": f'<script type="text/plain" id="modules">'
         f"{deflate_base64([json.dumps(viewer_modules()).encode()])}</script>",
-        "bootstrap": _BOOTSTRAP,
+        "bootstrap": _BOOTSTRAP_SCRIPT,
     }
     template = viewer_text("page.html")
     # The template is split once, so that inserted text is never parsed.

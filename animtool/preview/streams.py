@@ -27,7 +27,7 @@ MAX_QUANTIZED = 32767
 # Stands for NaN in streams with gaps.
 STORED_NAN = -32768
 # Coarser than this, positions are stored as float32 [m].
-POSITION_ERROR = 1e-4
+POSITION_TOLERANCE = 1e-4
 
 Array = npt.NDArray[Any]
 DTYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
@@ -72,7 +72,7 @@ def quantize_units(values: FloatArray) -> Quantized:
 
 
 def quantize_range(
-    values: Array, tolerance: float = POSITION_ERROR, *, period: int = 0
+    values: Array, tolerance: float = POSITION_TOLERANCE, *, period: int = 0
 ) -> Quantized:
     """Quantize columns over their range; use float32 if that is too coarse.
 

@@ -16,6 +16,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import PageDraft, json_number
 from animtool.preview.streams import (
+    POSITION_TOLERANCE,
     Quantized,
     json_numbers,
     quantize_range,
@@ -28,8 +29,8 @@ from animtool.rig.skeleton import Rig
 
 # Frames whose joints are in memory at once.
 BLOCK_FRAMES = 1024
-# Quantization error allowed for weights and scales [1].
-WEIGHT_ERROR = 5e-5
+# Quantization error allowed for scales [1].
+SCALE_TOLERANCE = 5e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +253,9 @@ def _store_track(component: str, track: QuantizedTrack | None) -> Quantized | No
     )
     if component == "r":
         return quantize_units(values)
-    return quantize_range(values, WEIGHT_ERROR if component == "s" else 1e-4)
+    return quantize_range(
+        values, SCALE_TOLERANCE if component == "s" else POSITION_TOLERANCE
+    )
 
 
 def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
@@ -298,7 +301,7 @@ def _measure_error(
     """Record the quantization error of a take; return its foot contacts."""
     if not rig.joints or not frame_count:
         return []
-    skeleton, legs = _roled_legs(draft, rig)
+    skeleton, legs = _roles_and_legs(draft, rig)
     foot_joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
     foot_positions = []
     for begin in range(0, frame_count, BLOCK_FRAMES):
@@ -332,7 +335,9 @@ def _measure_error(
 LegJoints = dict[str, tuple[int, int, int, int]]
 
 
-def _roled_legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, LegJoints]:
+def _roles_and_legs(
+    draft: PageDraft, rig: Rig
+) -> tuple[RoledSkeleton | None, LegJoints]:
     """Return a rig's roles (None without legs) and its legs, cached by rig."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)

@@ -119,11 +119,11 @@ def _position_channels(
     """Return the position channels needed to store a joint's translations."""
     declared_names = tuple(n for n in joint.channels or () if n.endswith("position"))
     is_off_rest = np.abs(values - offset).max(axis=0) > tolerance
-    is_covered = all(
+    has_needed_channels = all(
         not is_off_rest[axis] or _POSITION_CHANNELS[axis] in declared_names
         for axis in range(3)
     )
-    if joint.channels is not None and is_covered:
+    if joint.channels is not None and has_needed_channels:
         return declared_names
     if joint.parent < 0 or is_off_rest.any():
         return _POSITION_CHANNELS

@@ -137,10 +137,14 @@ def choose_layout(
     if candidates[0].cost < MIN_DECISIVE_WEIGHT:
         return LayoutResult(candidates[0])
     result = _choose_by_evidence(candidates, truncated_layout, measure_evidence)
-    best = result.layout
-    if best is None or not best.trailing_bytes or truncated_layout is None:
+    best_layout = result.layout
+    if (
+        best_layout is None
+        or not best_layout.trailing_bytes
+        or truncated_layout is None
+    ):
         return result
-    if truncated_layout.cost < best.cost - TRAILING_BYTES_COST:
+    if truncated_layout.cost < best_layout.cost - TRAILING_BYTES_COST:
         return LayoutResult(None, truncated_layout)
     return result
 

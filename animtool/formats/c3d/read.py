@@ -227,13 +227,13 @@ def _layout_error(file: CaptureFile, result: LayoutResult, size: int) -> FormatE
             )
             message += f"end at {rival_layouts[0].end}, and are not positions"
         return file.error("C3D003", message, "export it again")
-    truncated = result.truncated_layout
-    if truncated is None or not truncated.point_count or not truncated.frame_count:
+    layout = result.truncated_layout
+    if layout is None or not layout.point_count or not layout.frame_count:
         return file.error("MKR013", "has no points in frames")
-    available_bytes = max(0, size - truncated.data_offset)
-    frame_bytes = truncated.number_bytes * truncated.numbers_per_frame
+    available_bytes = max(0, size - layout.data_offset)
+    frame_bytes = layout.number_bytes * layout.numbers_per_frame
     message = (
-        f"is truncated: it claims {truncated}, {truncated.end - truncated.data_offset} "
+        f"is truncated: it claims {layout}, {layout.end - layout.data_offset} "
         f"bytes; it has {available_bytes}, {available_bytes // frame_bytes} frames"
     )
     return file.error("C3D002", message, "copy or export it again")

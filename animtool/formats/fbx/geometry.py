@@ -117,14 +117,14 @@ def _read_faces(
     if not is_last[-1] or not is_valid.all():
         message = f"a face of {name!r} has a corner outside its {point_count} points"
         file.notes.fail("FBX008", mesh_object.element.location, message)
-    last_corners = np.flatnonzero(is_last)
-    corner_counts = np.diff(np.concatenate([[-1], last_corners]))
+    last_corner_indices = np.flatnonzero(is_last)
+    corner_counts = np.diff(np.concatenate([[-1], last_corner_indices]))
     if int(corner_counts.max()) * len(corner_counts) > MAX_TABLE_VALUES:
         message = f"faces of {name!r} have up to {int(corner_counts.max())} corners"
         file.notes.fail("FBX013", mesh_object.element.location, message)
     face_indices = np.repeat(np.arange(len(corner_counts)), corner_counts)
-    first_corners = last_corners + 1 - corner_counts
-    corner_numbers = np.arange(len(point_indices)) - first_corners[face_indices]
+    first_corner_indices = last_corner_indices + 1 - corner_counts
+    corner_numbers = np.arange(len(point_indices)) - first_corner_indices[face_indices]
     table_shape = len(corner_counts), max(3, int(corner_counts.max()))
     faces = np.full(table_shape, -1, np.int64)
     faces[face_indices, corner_numbers] = point_indices

@@ -39,19 +39,19 @@ DEFAULT_5000_LAYOUT = 4004
 
 
 def read_channel_curve(
-    element: Element, notes: FileNotices, layout: int
+    element: Element, notes: FileNotices, default_layout: int
 ) -> FbxCurve | None:
     """Return the curve of a channel of a take (before FBX 7000).
 
-    ``layout`` is the key layout if the channel states none.
+    ``default_layout`` is the key layout if the channel states none.
     """
     key_element = element.find("Key")
     if key_element is None or not key_element.values:
         return None
     version = element.find("KeyVer")
     key_version = None if version is None or not version.values else version.values[0]
-    layout = key_version if isinstance(key_version, int) else layout
-    cursor, key_rows = _KeyCursor(key_element, notes, layout), []
+    key_layout = key_version if isinstance(key_version, int) else default_layout
+    cursor, key_rows = _KeyCursor(key_element, notes, key_layout), []
     while cursor.has_more():
         key_rows.append(_read_key(cursor))
     if cursor.approximated_kinds:
@@ -80,12 +80,12 @@ def read_channel_curve(
 class _KeyCursor:
     """Reads the numbers and letters that state the keys of a channel, in order."""
 
-    def __init__(self, element: Element, notes: FileNotices, layout: int) -> None:
+    def __init__(self, element: Element, notes: FileNotices, key_layout: int) -> None:
         values = element.values
         is_array = len(values) == 1 and isinstance(values[0], np.ndarray)
         self.values = values[0].tolist() if is_array else values
         self.element, self.notes, self.offset = element, notes, 0
-        self.layout = layout
+        self.key_layout = key_layout
         self.approximated_kinds: set[str] = set()
 
     def has_more(self) -> bool:
@@ -126,7 +126,7 @@ def _read_key(cursor: _KeyCursor) -> tuple[int, float, int, float, float, float,
         return time, value, STRAIGHT, 0.0, 0.0, ONE_THIRD, ONE_THIRD
     if mode == "C":
         step_letter = (
-            cursor.next_letter() if cursor.layout >= STEP_LETTER_LAYOUT else ""
+            cursor.next_letter() if cursor.key_layout >= STEP_LETTER_LAYOUT else ""
         )
         flags = STEPPED | (NEXT_VALUE if step_letter == "n" else 0)
         return time, value, flags, 0.0, 0.0, ONE_THIRD, ONE_THIRD
@@ -154,10 +154,10 @@ def _read_tangent(cursor: _KeyCursor) -> tuple[int, float, float, int]:
     tangent_kind = cursor.next_letter()
     if tangent_kind in {"s", "b"}:
         out_slope, in_slope = cursor.next_number(), cursor.next_number()
-        weight_list_count = 0 if cursor.layout == UNWEIGHTED_LAYOUT else 1
+        weight_list_count = 0 if cursor.key_layout == UNWEIGHTED_LAYOUT else 1
         return CURVED | USER, out_slope, in_slope, weight_list_count
     auto_flags = CURVED | PROGRESSIVE | TIME_INDEPENDENT
-    is_6100 = cursor.layout >= WEIGHTED_LAYOUT
+    is_6100 = cursor.key_layout >= WEIGHTED_LAYOUT
     if tangent_kind == "a":
         return auto_flags, 0.0, 0.0, 1 if is_6100 else 0
     if tangent_kind not in _UNDOCUMENTED_TANGENTS:

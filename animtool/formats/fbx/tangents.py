@@ -41,7 +41,9 @@ def compute_key_slopes(
     is_cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)
     is_tcb = is_cubic & (flags & TCB != 0)
     is_auto = is_cubic & ~is_tcb & (flags & USER == 0)
-    chords = _chord_slopes(seconds, values)
+    steps = np.diff(seconds)
+    # Slopes between keys; 0 between keys of equal time.
+    chords = np.diff(values) / np.where(steps > 0, steps, np.inf)
     out_slopes, in_slopes = key_data[:, 0].copy(), key_data[:, 1].copy()
     is_straight = (flags & (STEPPED | CURVED)) == 0
     straight_slopes = np.append(chords, 0.0)[is_straight]
@@ -56,12 +58,6 @@ def compute_key_slopes(
         _set_tcb_slopes(is_tcb, slopes, chords, key_data)
     # The last key has no segment after it.
     return out_slopes, np.append(slopes_before[1:], in_slopes[-1:])
-
-
-def _chord_slopes(seconds: FloatArray, values: FloatArray) -> FloatArray:
-    """Return chord slopes between keys; 0 between keys of equal time."""
-    steps = np.diff(seconds)
-    return np.asarray(np.diff(values) / np.where(steps > 0, steps, np.inf))
 
 
 def _set_auto_slopes(

@@ -116,7 +116,7 @@ class Accessors:
         self.buffers = Buffers(self.container, self.folder)
         for i in range(len(self.buffers)):
             if i not in self.unused_indices.buffers:
-                self.buffers.check_source(i)
+                self.buffers.check_available(i)
         for i, item in enumerate(root.children("bufferViews")):
             self.views.append(self._read_view(item, i in self.unused_indices.views))
         for i, item in enumerate(root.children("accessors")):

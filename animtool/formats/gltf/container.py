@@ -196,19 +196,16 @@ class Buffers:
         elif uri.startswith("data:"):
             content = memoryview(_decode_data(uri, buffer))
         else:
-            content = memoryview(self._read_file(uri, buffer))
+            path = self._find_file(uri, buffer)
+            try:
+                content = memoryview(read_input(path))
+            except FormatError as error:
+                message = str(error.faults[0].message)
+                self.notes.fail("GLT007", buffer.pointer_to("uri"), message)
         if len(content) < length:
             message = f"byteLength is {length}, but there are {len(content)} bytes"
             self.notes.fail("GLT007", buffer.pointer, message)
         return content[:length]
-
-    def _read_file(self, uri: str, buffer: JsonItem) -> bytes:
-        path = self._find_file(uri, buffer)
-        try:
-            return read_input(path)
-        except FormatError as error:
-            message = str(error.faults[0].message)
-            self.notes.fail("GLT007", buffer.pointer_to("uri"), message)
 
     def _find_file(self, uri: str, buffer: JsonItem) -> Path:
         """Return the path of a URI's file; raise if it is not a file."""
@@ -243,7 +240,7 @@ class Buffers:
             self.notes.fail("GLT007", pointer, message, "put the file next to the glTF")
         return path
 
-    def check_source(self, index: int) -> None:
+    def check_available(self, index: int) -> None:
         """Raise if a buffer's bytes are missing or too few, without opening a file."""
         buffer, length = self.items[index], self.size(index)
         uri = buffer.text("uri")

@@ -241,7 +241,12 @@ def _check_vertices(
         elif name.startswith("WEIGHTS_"):
             types = "VEC4", (FLOAT_COMPONENT, U8, U16)
         accessor = _require_accessor(attributes, name, index, accessors, *types)
-        _check_weight_normalization(attributes, name, accessor)
+        if name.startswith("WEIGHTS_") and not (
+            accessor.is_normalized or accessor.component_type == FLOAT_COMPONENT
+        ):
+            message = f"{name} are integers that are not normalized: "
+            message += "divided by their sum"
+            attributes.notes.warn("GLT104", attributes.pointer_to(name), message)
         if vertex_count < 0:
             vertex_count = accessor.count
         elif accessor.count != vertex_count:
@@ -257,17 +262,6 @@ def _check_vertices(
             message = "a weight of a vertex is negative"
             attributes.notes.fail("GLT010", attributes.pointer_to(name), message)
     return vertex_count
-
-
-def _check_weight_normalization(
-    attributes: JsonItem, name: str, accessor: Accessor
-) -> None:
-    """Warn about integer weights that are not normalised."""
-    if not name.startswith("WEIGHTS_") or accessor.component_type == FLOAT_COMPONENT:
-        return
-    if not accessor.is_normalized:
-        message = f"{name} are integers that are not normalized: divided by their sum"
-        attributes.notes.warn("GLT104", attributes.pointer_to(name), message)
 
 
 def _check_indices(

@@ -104,7 +104,7 @@ def _read_transform(item: JsonItem) -> tuple[Vector, Quaternion, Vector, bool]:
             if component is not None:
                 message = f"{key} next to a matrix is ignored"
                 item.notes.warn("GLT106", item.pointer_to(key), message)
-        return (*_decompose(np.array(matrix), item), True)
+        return (*_decompose_matrix(np.array(matrix), item), True)
     translation, rotation, scale = (
         default if component is None else component
         for component, default in zip(components, NO_TRANSFORM, strict=True)
@@ -122,7 +122,7 @@ def _read_transform(item: JsonItem) -> tuple[Vector, Quaternion, Vector, bool]:
     return (x, y, z), (a, b, c, w), (u, v, s), False
 
 
-def _decompose(
+def _decompose_matrix(
     columns: FloatArray, item: JsonItem
 ) -> tuple[Vector, Quaternion, Vector]:
     """Return translation, rotation and scale of a matrix; shear is dropped."""

@@ -43,8 +43,8 @@ def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
     unused_views = {_valid_index(i["bufferView"]) for i in images if "bufferView" in i}
     used_views = set[int]()
     for i, accessor in enumerate(_objects(root.get("accessors"))):
-        target = unused_views if i in accessors else used_views
-        target.update(_accessor_views(accessor))
+        view_set = unused_views if i in accessors else used_views
+        view_set.update(_accessor_views(accessor))
     views = frozenset(unused_views - used_views)
     used_buffers, unused_buffers = {-1}, set[int]()
     for i, view in enumerate(_objects(root.get("bufferViews"))):

@@ -158,11 +158,7 @@ def _build_motion(
     frame_numbers = np.arange(int(row_frames[-1]) + 1)
     filled_weights = fill_gaps(recording.weights[timing.row_indices], row_frames)
     shape_weights = links.apply(filled_weights, len(rig.shapes))
-    weights = np.stack(
-        [_interpolate_rows(column, row_frames, frame_numbers, dropped)
-         for column in shape_weights.T],
-        axis=-1,
-    ) if len(rig.shapes) else np.zeros((len(frame_numbers), 0))  # fmt: skip
+    weights = _interpolate_rows(shape_weights, row_frames, frame_numbers, dropped)
     channel = Channel.static(rig.rest_rotations, len(frame_numbers))
     for joint_key, angles in _part_angles(recording).items():
         if joint_key not in joints:
@@ -187,10 +183,14 @@ def _interpolate_rows(
     frame_numbers: IntArray,
     dropped: DroppedFrames,
 ) -> FloatArray:
+    """Return values ``(F, S)`` at frames from ``(R, S)`` at rows, held or linear."""
     if dropped == "hold":
         row_before = np.searchsorted(row_frames, frame_numbers, side="right") - 1
-        return np.asarray(values[row_before])
-    return np.interp(frame_numbers, row_frames, values)
+        return values[row_before]
+    frame_values = np.zeros((len(frame_numbers), values.shape[1]))
+    for column, row_values in enumerate(values.T):
+        frame_values[:, column] = np.interp(frame_numbers, row_frames, row_values)
+    return frame_values
 
 
 def _slerp_rows(

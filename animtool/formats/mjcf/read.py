@@ -91,10 +91,10 @@ def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
         for j in range(model.njnt)
         if model.jnt_limited[j] and model.jnt_type[j] == HINGE
     ]
-    suspects = limits_in_other_unit(limits, angle_unit)
-    if not suspects:
+    suspect_limits = limits_in_other_unit(limits, angle_unit)
+    if not suspect_limits:
         return
-    widest_limit = max(suspects, key=lambda limit: limit.largest_value)
+    widest_limit = max(suspect_limits, key=lambda limit: limit.largest_value)
     element = next(
         (
             element
@@ -107,7 +107,7 @@ def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
     likely_unit, ratio = OTHER_ANGLE_UNITS[angle_unit]
     lower, upper = widest_limit.values
     message = (
-        f"the ranges of {counted(len(suspects), 'joint')} look like "
+        f"the ranges of {counted(len(suspect_limits), 'joint')} look like "
         f"{ANGLE_NAMES[likely_unit]}, but the unit is {ANGLE_NAMES[angle_unit]}: "
         f"{widest_limit.joint!r} has {lower:.4g} to {upper:.4g}"
     )

@@ -207,7 +207,7 @@ def _warn_of_irregular_times(
 
 
 def _warn_of_numbers(
-    file: CaptureFile, numbers: FloatArray, line_numbers: IntArray, fallback: str
+    file: CaptureFile, numbers: FloatArray, line_numbers: IntArray, consequence: str
 ) -> None:
     """Warn about a Frame# column that does not count frames (TRC107)."""
     with np.errstate(invalid="ignore"):
@@ -224,7 +224,7 @@ def _warn_of_numbers(
         message += f" after {numbers[row - 1]:g}" if row else ""
     if len(indices) > 1:
         message += f", and {counted(len(indices) - 1, 'other row')} too"
-    file.warn("TRC107", f"{message}; {fallback}", None, int(line_numbers[row]))
+    file.warn("TRC107", f"{message}; {consequence}", None, int(line_numbers[row]))
 
 
 def _first_frame_and_time(

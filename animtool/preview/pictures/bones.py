@@ -114,7 +114,7 @@ class BoneRenderer:
                 self._line_program, [buffer_layout]
             )
         self._device.set_uniforms(self._line_program, eye)
-        self._line_array.render(self._device.module.LINES, vertices=len(values))
+        self._line_array.render(self._device.moderngl.LINES, vertices=len(values))
 
     def _draw_axes(self, eye: EyeMatrices, poses: Sequence[PosedTake]) -> None:
         """Draw the x, y and z axes of each joint in red, green and blue."""

@@ -60,7 +60,7 @@ class TextureTable:
             self._height = max(height, self._height)
             size = self._width, self._height
             self.texture = self._device.gl.texture(size, 4, dtype="f4")
-            nearest = self._device.module.NEAREST
+            nearest = self._device.moderngl.NEAREST
             self.texture.filter = nearest, nearest
         row_count = max(-(-count // self._width), 1)
         padded_texels = np.zeros((row_count * self._width, 4), "<f4")
@@ -74,9 +74,9 @@ class Device:
     """An OpenGL context with cached programs."""
 
     def __init__(self) -> None:
-        self.module = import_package("moderngl")
-        self.gl = _create_context(self.module)
-        self.gl.enable(self.module.PROGRAM_POINT_SIZE)
+        self.moderngl = import_package("moderngl")
+        self.gl = _create_context(self.moderngl)
+        self.gl.enable(self.moderngl.PROGRAM_POINT_SIZE)
         self._programs: dict[tuple[str, ...], Any] = {}
         self._empty_arrays: dict[Any, Any] = {}
 
@@ -128,18 +128,18 @@ class Device:
         """Draw triangles whose corners the vertex shader generates."""
         if program not in self._empty_arrays:
             self._empty_arrays[program] = self.gl.vertex_array(program, [])
-        mode = self.module.TRIANGLES if mode is None else mode
+        mode = self.moderngl.TRIANGLES if mode is None else mode
         self._empty_arrays[program].render(mode, vertices=vertex_count)
 
     @contextmanager
     def blending(self) -> Iterator[None]:
         """Return a context in which drawing is alpha-blended."""
-        self.gl.enable(self.module.BLEND)
-        self.gl.blend_func = self.module.SRC_ALPHA, self.module.ONE_MINUS_SRC_ALPHA
+        self.gl.enable(self.moderngl.BLEND)
+        self.gl.blend_func = self.moderngl.SRC_ALPHA, self.moderngl.ONE_MINUS_SRC_ALPHA
         try:
             yield
         finally:
-            self.gl.disable(self.module.BLEND)
+            self.gl.disable(self.moderngl.BLEND)
 
     def close(self) -> None:
         """Release the OpenGL context and everything in it."""
@@ -167,7 +167,7 @@ class Framebuffer:
         self._samples_buffer.use()
         self._samples_buffer.depth_mask = True
         self._samples_buffer.clear(*(x / 255 for x in background), 1.0, depth=1.0)
-        gl.enable(self._device.module.DEPTH_TEST)
+        gl.enable(self._device.moderngl.DEPTH_TEST)
         draw(self._samples_buffer)
         gl.copy_framebuffer(self._pixel_buffer, self._samples_buffer)
         width, height = self.size

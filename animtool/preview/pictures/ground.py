@@ -171,14 +171,14 @@ class ContactShadow:
     """Draws contact shadows of geometry near the ground."""
 
     def __init__(self, device: Device) -> None:
-        gl, module = device.gl, device.module
+        gl, moderngl = device.gl, device.moderngl
         self._device = device
         program, size = device.program, (SHADOW_PIXELS, SHADOW_PIXELS)
         self._blur_program = program("shadow.js", "SCREEN_VERTEX", "BLUR_FRAGMENT")
         self._ground_program = program("shadow.js", "GROUND_VERTEX", "GROUND_FRAGMENT")
         self._height_map = gl.depth_texture(size)
         self._height_map.compare_func = ""
-        self._height_map.filter = module.NEAREST, module.NEAREST
+        self._height_map.filter = moderngl.NEAREST, moderngl.NEAREST
         self._height_buffer = gl.framebuffer([], self._height_map)
         self._blurred_maps = [gl.texture(size, 1) for _ in range(2)]
         for texture in (self._height_map, *self._blurred_maps):
@@ -197,13 +197,13 @@ class ContactShadow:
         texel = 2 * half_width / SHADOW_PIXELS
         x, z = (math.floor(view.target[k] / texel + 0.5) * texel for k in (0, 2))
         self._shadow_area = x, z, half_width
-        gl, module = self._device.gl, self._device.module
+        gl, moderngl = self._device.gl, self._device.moderngl
         self._height_buffer.use()
         self._height_buffer.clear(depth=1.0)
-        gl.enable(module.DEPTH_TEST)
+        gl.enable(moderngl.DEPTH_TEST)
         eye = _upward_view(view, x, z, half_width)
         draw(eye)
-        gl.disable(module.DEPTH_TEST)
+        gl.disable(moderngl.DEPTH_TEST)
         blur_radius = 1.5 / SHADOW_PIXELS
         passes = (
             (self._blur_buffers[0], self._height_map, (blur_radius, 0.0), 1.0),
@@ -224,7 +224,7 @@ class ContactShadow:
         self._blurred_maps[1].use(0)
         self._device.set_uniforms(self._ground_program, eye, area=self._shadow_area)
         self._ground_program["map"].value = 0
-        strip = self._device.module.TRIANGLE_STRIP
+        strip = self._device.moderngl.TRIANGLE_STRIP
         self._device.draw_generated(self._ground_program, 4, strip)
 
 

@@ -142,7 +142,7 @@ class SpriteRenderer:
             least=min_radius * 2,
             perMetre=eye.per_metre,
         )
-        self._array.render(self._device.module.POINTS, vertices=self._count)
+        self._array.render(self._device.moderngl.POINTS, vertices=self._count)
 
 
 def move_missing_offscreen(values: Values) -> FloatArray:

@@ -252,7 +252,7 @@ class MeshRenderer:
             **palette,
         )
         vertex_array = self._array if array is None else array
-        vertex_array.render(self._device.module.TRIANGLES, instances=instance_count)
+        vertex_array.render(self._device.moderngl.TRIANGLES, instances=instance_count)
 
 
 class InstanceRenderer:
