@@ -22,7 +22,7 @@ from animtool.documents.references import split_reference
 from animtool.formats.trajectories import MAX_POSITIONS, CaptureFile
 from animtool.motion.markers import Markers
 
-_UNIT_SUFFIX = re.compile(r"_(mm|cm|m|in)")
+_UNIT_PATTERN = re.compile(r"_(mm|cm|m|in)")
 # Prefix of the default array of positions.
 DEFAULT_PREFIX = "markers"
 # The array of marker names, and names that others give it.
@@ -105,7 +105,7 @@ def _read_arrays(
     if frame_count * point_count > MAX_POSITIONS:
         raise file.error("MKR012", f"{counts_text}, above the limit")
     _, underscore, suffix_text = positions_name.rpartition("_")
-    suffix = _UNIT_SUFFIX.fullmatch(underscore + suffix_text)
+    suffix = _UNIT_PATTERN.fullmatch(underscore + suffix_text)
     length_unit = file.choose_unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
     has_default_prefix = positions_name.partition("_")[0] == DEFAULT_PREFIX
@@ -203,7 +203,7 @@ def _find_positions_array(
         name for name in array_names if name.partition("_")[0] == DEFAULT_PREFIX
     ]
     if not candidates:
-        names_with_unit = [name for name in array_names if _UNIT_SUFFIX.search(name)]
+        names_with_unit = [name for name in array_names if _UNIT_PATTERN.search(name)]
         if not PIXEL_ARRAYS.isdisjoint(array_names):
             message = "holds pixels of cameras, not positions"
             pixels_hint = (
@@ -220,7 +220,7 @@ def _find_positions_array(
         raise file.error("MKR012", message, hint)
     if len(candidates) > 1:
         # The array of marker names has the same prefix.
-        candidates = [k for k in candidates if _UNIT_SUFFIX.search(k)] or candidates
+        candidates = [k for k in candidates if _UNIT_PATTERN.search(k)] or candidates
     return candidates[0]
 
 

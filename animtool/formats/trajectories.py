@@ -32,7 +32,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats import FLOAT32_MAX
 
 # Names of unlabelled points, besides an empty name.
-_UNLABELLED = re.compile(
+_UNLABELLED_PATTERN = re.compile(
     r"\*\d*|uname\*\d*|unlabell?ed[\W_]*\d*|unidentified[\W_]*\d*|unknown[\W_]*\d*",
     re.IGNORECASE | re.ASCII,
 )
@@ -202,4 +202,4 @@ def is_unlabelled(name: str) -> bool:
     >>> is_unlabelled("*12"), is_unlabelled(""), is_unlabelled("LFHD")
     (True, True, False)
     """
-    return not name or _UNLABELLED.fullmatch(name) is not None
+    return not name or _UNLABELLED_PATTERN.fullmatch(name) is not None

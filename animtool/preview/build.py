@@ -44,7 +44,7 @@ LARGE_PAGE_BYTES = 64_000_000
 MAX_TITLE_LENGTH = 120
 # Maximum number of findings listed on a page; the others are only counted.
 MAX_FINDINGS = 500
-_QUOTED_TEXT = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
+_QUOTED_TEXT_PATTERN = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,7 +354,7 @@ def _finding_entry(
     joint = fault.joint
     if joint is None:
         # Rules quote the joints concerned in their messages.
-        quoted_texts = [a or b for a, b in _QUOTED_TEXT.findall(fault.message)]
+        quoted_texts = [a or b for a, b in _QUOTED_TEXT_PATTERN.findall(fault.message)]
         joint = next((name for name in quoted_texts if name in set(joint_names)), None)
     hint = f"; {fault.hint}" if fault.hint else ""
     return {

@@ -14,7 +14,7 @@ from animtool.preview.streams import deflate_base64
 
 VIEWER_FOLDER = Path(__file__).parent / "viewer"
 ENTRY_MODULE = "main.js"
-_IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
+_IMPORT_PATTERN = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
 _OMITTED_PATTERNS = tuple(
     re.compile(pattern, re.M | re.S)
     for pattern in (
@@ -123,7 +123,7 @@ def viewer_modules() -> dict[str, str]:
         """Append a module after all the modules that it imports."""
         if name in modules or name in importers or name not in texts:
             return
-        for match in _IMPORT.finditer(texts[name]):
+        for match in _IMPORT_PATTERN.finditer(texts[name]):
             add(match[3], (*importers, name))
         modules[name] = texts[name]
 

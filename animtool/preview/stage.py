@@ -25,7 +25,7 @@ from animtool.usd.props.reader import open_prop
 # dark.
 MIN_SMALL_INSTANCES, DARK_COLOR = 100, (0.03, 0.04, 0.06)
 # Quantization error allowed for instance scales [1].
-SCALE_ERROR = 1e-4
+SCALE_TOLERANCE = 1e-4
 
 
 def add_stage(draft: PageDraft, contents: StageContents) -> None:
@@ -125,7 +125,7 @@ def _add_prototype(
         "r": draft.packer.add(units),
         "s": None
         if np.allclose(scale_rows, 1.0, atol=1e-6)
-        else draft.packer.add(quantize_range(scale_rows, SCALE_ERROR, period=3)),
+        else draft.packer.add(quantize_range(scale_rows, SCALE_TOLERANCE, period=3)),
         "visible": None,
     }
     draft.instances.append(entry)

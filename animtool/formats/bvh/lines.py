@@ -41,7 +41,7 @@ MAX_FILLED_SAMPLES = 10
 MAX_FILLED_FRACTION = 0.1
 MAX_LISTED_CHANNELS = 20
 
-_LINE_END = re.compile(rb"\r\n?|\n")
+_LINE_END_PATTERN = re.compile(rb"\r\n?|\n")
 
 
 class HeaderLines:
@@ -78,7 +78,7 @@ class HeaderLines:
     def next_line(self) -> str | None:
         """Return the next line without its line break; None after the last line."""
         while True:
-            match = _LINE_END.search(self._data, self._offset)
+            match = _LINE_END_PATTERN.search(self._data, self._offset)
             is_chunk_end = match is not None and match.end() == len(self._data)
             # A CR at the end of the chunk may be half of a CR LF.
             if match is not None and not (is_chunk_end and match.group() == b"\r"):

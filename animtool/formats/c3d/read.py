@@ -41,7 +41,7 @@ from animtool.formats.trajectories import MAX_POSITIONS, CaptureFile
 from animtool.motion.markers import Markers
 
 _UP_HINT = f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}"
-_AXIS = re.compile(r"([+-]?)([XYZ])")
+_AXIS_PATTERN = re.compile(r"([+-]?)([XYZ])")
 # For other up axes than +Y and +Z: the up axis after conversion, and the order and
 # signs of the coordinates that become x, y and z.
 _UP_CONVERSIONS = {
@@ -95,7 +95,7 @@ def _read_axis(file: CaptureFile, sections: Sections, name: str) -> str | None:
     text = texts[0].strip() if texts else ""
     if not text:
         return None
-    match = _AXIS.fullmatch(text.upper())
+    match = _AXIS_PATTERN.fullmatch(text.upper())
     if match is None:
         message = f"{name} is {excerpt(text)}, not one of +X, -X, +Y, -Y, +Z, -Z"
         file.warn("C3D105", message, _UP_HINT)

@@ -32,7 +32,7 @@ MAX_BLOCKS = 255
 # Steps of a residual, which is a byte; 0 means that a point was not measured.
 RESIDUAL_STEPS = 255
 # Integer range from which readers expect the scale of floats to be derived.
-INTEGER_RANGE = 32000
+MAX_STORED_INTEGER = 32000
 BLOCK_FRAMES = 4096
 # Analogue samples per channel and frame. There are no channels, but readers compare
 # this number with the rates.
@@ -115,7 +115,7 @@ def _residual_scale(markers: Markers) -> float:
         return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS
     magnitudes = np.abs(markers.positions) * 1000.0
     magnitudes = np.where(magnitudes <= FLOAT32_MAX, magnitudes, 0.0)
-    return -max(float(np.nanmax(magnitudes, initial=0.0)), 1.0) / INTEGER_RANGE
+    return -max(float(np.nanmax(magnitudes, initial=0.0)), 1.0) / MAX_STORED_INTEGER
 
 
 def _build_parameters(markers: Markers, data_block: int) -> bytes:

@@ -53,7 +53,7 @@ class SkinBinder:
         self.notices: list[Fault] = []
         self._rig = rig
         self._bind_worlds: dict[int, FloatArray] = {}  # by joint, in file units
-        self._helpers: list[tuple[int, FloatArray]] = []
+        self._helper_joints: list[tuple[int, FloatArray]] = []
         self._skins: dict[int, tuple[FloatArray, list[int]]] = {}
 
     def bind_skin(self, index: int) -> tuple[FloatArray, list[int]]:
@@ -138,8 +138,8 @@ class SkinBinder:
             if np.abs(joint_bind - bind).max() <= BIND_TOLERANCE * magnitude:
                 bound_joints.append(joint)
                 continue
-            self._helpers.append((joint, bind))
-            bound_joints.append(len(self._rig.joints) + len(self._helpers) - 1)
+            self._helper_joints.append((joint, bind))
+            bound_joints.append(len(self._rig.joints) + len(self._helper_joints) - 1)
         return geom_bind, bound_joints
 
     def _rigid_geom_bind(self, bind_matrices: FloatArray) -> FloatArray:
@@ -159,16 +159,16 @@ class SkinBinder:
     def joint_names(self) -> list[str]:
         """Return unique names of the rig's joints, those of helper joints last."""
         names = self._rig.names
-        helper_names = [f"{names[parent]}_bind" for parent, _ in self._helpers]
+        helper_names = [f"{names[parent]}_bind" for parent, _ in self._helper_joints]
         return numbered_names([*names, *helper_names])
 
     def build_rig(self, meshes: tuple[Mesh, ...], shapes: tuple[Shape, ...]) -> Rig:
         """Return the rig with bind pose, meshes and shapes."""
         rig, names = self._rig, self.joint_names()
-        named_helpers = zip(names[len(rig.joints) :], self._helpers, strict=True)
+        named_helpers = zip(names[len(rig.joints) :], self._helper_joints, strict=True)
         helper_joints = [Joint(name, parent) for name, (parent, _) in named_helpers]
         rig = replace(rig, joints=(*rig.joints, *helper_joints))
-        helpers = enumerate(self._helpers, len(self._rig.joints))
+        helpers = enumerate(self._helper_joints, len(self._rig.joints))
         bind_worlds = self._bind_worlds | {
             j: bind_world for j, (_, bind_world) in helpers
         }

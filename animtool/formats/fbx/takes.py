@@ -40,8 +40,8 @@ from animtool.formats.fbx.old_keys import (
 )
 from animtool.formats.fbx.settings import convert_new_ticks, has_new_ticks
 
-# Component names of each animatable property, as in curve nodes.
 _OTHER_PROPERTIES = (*PIVOT_PROPERTIES, *OUTER_ROTATIONS)
+# Component names of each animatable property, as in curve nodes.
 COMPONENTS: dict[str, tuple[str, ...]] = dict.fromkeys(
     (TRANSLATION, ROTATION, SCALING, *_OTHER_PROPERTIES), ("d|X", "d|Y", "d|Z")
 )

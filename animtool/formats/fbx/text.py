@@ -11,7 +11,7 @@ from animtool.core.errors import excerpt
 from animtool.formats.fbx.elements import MAX_ELEMENTS, MAX_NESTING, Element
 from animtool.formats.file_notices import FileNotices
 
-_TOKEN = re.compile(
+_TOKEN_PATTERN = re.compile(
     rb"""(?P<space>(?:[\s\x00]+|;[^\n]*)+)
     |"(?P<text>[^"]*)"
     |(?P<name>[A-Za-z_][\w .|\-]*):
@@ -26,22 +26,22 @@ _TOKEN = re.compile(
 MAX_NUMBER_BYTES = 100
 # Minimum number of numbers that are parsed as one array.
 MIN_BATCH_NUMBERS = 8
-_VERSION = re.compile(rb"FBXVersion:\s*(\d{1,9})")
-_COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
+_VERSION_PATTERN = re.compile(rb"FBXVersion:\s*(\d{1,9})")
+_COMMENT_PATTERN = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
 
 
 def looks_like_text(content: bytes) -> bool:
     """Return whether bytes begin like a text FBX."""
     start = content[:4096]
-    return bool(_COMMENT.match(start)) or b"FBXHeaderExtension" in start
+    return bool(_COMMENT_PATTERN.match(start)) or b"FBXHeaderExtension" in start
 
 
 def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
     """Return the version and root element of a text FBX."""
-    match = _VERSION.search(content, 0, 100_000)
+    match = _VERSION_PATTERN.search(content, 0, 100_000)
     version = int(match[1]) if match else 0
     if not version:
-        comment = _COMMENT.match(content)
+        comment = _COMMENT_PATTERN.match(content)
         digits = comment.groups() if comment else (b"0",)
         version = int(b"".join(digits)) * 10
     return version, _TextParser(content, notes).parse()
@@ -74,7 +74,7 @@ class _TextParser:
         offset = 3 if self.content[:3] == b"\xef\xbb\xbf" else 0
         size = len(self.content)
         while offset < size:
-            token = _TOKEN.match(self.content, offset)
+            token = _TOKEN_PATTERN.match(self.content, offset)
             if token is None:
                 next_bytes = self.content[offset : offset + 12]
                 if next_bytes[:1] == b'"':

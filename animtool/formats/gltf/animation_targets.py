@@ -32,11 +32,11 @@ _PATH_WIDTHS = {
     TargetPath.SCALE: 3,
     TargetPath.VISIBLE: 1,
 }
-_NODE_POINTER = re.compile(
+_NODE_POINTER_PATTERN = re.compile(
     r"/nodes/(\d+)/(translation|rotation|scale|weights"
     rf"|extensions/{VISIBILITY}/visible)(?:/(\d+))?$"
 )
-_MESH_POINTER = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
+_MESH_POINTER_PATTERN = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ def _read_pointer_target(
         message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
         target.notes.warn("GLT106", pointer, message)
         return None
-    if match := _NODE_POINTER.fullmatch(text):
+    if match := _NODE_POINTER_PATTERN.fullmatch(text):
         node = int(match[1][:9])
         if node >= len(nodes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
@@ -130,7 +130,7 @@ def _read_pointer_target(
         if match[3] is None or path is TargetPath.WEIGHTS:
             weight_index = -1 if match[3] is None else int(match[3][:9])
             return _build_node_target(target, nodes, meshes, node, path, weight_index)
-    elif match := _MESH_POINTER.fullmatch(text):
+    elif match := _MESH_POINTER_PATTERN.fullmatch(text):
         mesh = int(match[1][:9])
         if mesh >= len(meshes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")

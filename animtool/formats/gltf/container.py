@@ -22,7 +22,9 @@ HEADER_BYTES, CHUNK_HEADER_BYTES = 12, 8
 _BOM = b"\xef\xbb\xbf"
 # Limit of JSON; larger files take minutes to parse.
 MAX_JSON_BYTES = 200_000_000
-_DATA_URI = re.compile(r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?")
+_DATA_URI_PATTERN = re.compile(
+    r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +269,7 @@ def _decode_data(uri: str, item: JsonItem) -> bytes:
     """Return the bytes of a data URI of any media type."""
     media_type, comma, text = uri.partition(",")
     pointer = item.pointer_to("uri")
-    if not comma or not _DATA_URI.fullmatch(media_type):
+    if not comma or not _DATA_URI_PATTERN.fullmatch(media_type):
         item.notes.fail("GLT007", pointer, f"{excerpt(uri)} is not a data URI")
     if not media_type.endswith(";base64"):
         return unquote_to_bytes(text)

@@ -131,7 +131,7 @@ class GltfSampler:
             first_key = key_indices.start
             chunk_keys = slice(first_key + chunk.start, first_key + chunk.stop)
             return np.stack([track.values[chunk_keys] for track in tracks], axis=1)
-        if fractions is _ON_KEYS:
+        if fractions is _TIMES_ON_KEYS:
             return np.stack([t.values[key_indices[chunk]] for t in tracks], axis=1)
         return interpolate_tracks(tracks, key_indices[chunk], fractions[chunk])
 
@@ -154,7 +154,7 @@ class NativeKeys:
     last_time: float
 
 
-_ON_KEYS = np.zeros(0)
+_TIMES_ON_KEYS = np.zeros(0)
 
 
 def _find_segments(
@@ -162,8 +162,8 @@ def _find_segments(
 ) -> tuple[IntArray | slice, FloatArray]:
     """Return the index of the key before each time, and times snapped to nearby keys.
 
-    If all times are keys or outside the keys, the times are `_ON_KEYS` and the indices
-    are those of the keys.
+    If all times are keys or outside the keys, the times are `_TIMES_ON_KEYS` and the
+    indices are those of the keys.
     """
     last_index = len(key_times) - 1
     key_indices = np.searchsorted(key_times, times, "right") - 1
@@ -177,8 +177,8 @@ def _find_segments(
     if is_on_key.all():
         if len(key_indices) == 1 or (np.diff(key_indices) == 1).all():
             first_index = int(key_indices[0])
-            return slice(first_index, first_index + len(key_indices)), _ON_KEYS
-        return np.asarray(key_indices), _ON_KEYS
+            return slice(first_index, first_index + len(key_indices)), _TIMES_ON_KEYS
+        return np.asarray(key_indices), _TIMES_ON_KEYS
     snapped_times = np.where(is_on_key, key_times[key_indices], times)
     return np.minimum(key_indices, last_index - 1), snapped_times
 

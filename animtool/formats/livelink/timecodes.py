@@ -30,7 +30,7 @@ MAX_GAP_SECONDS = 600
 MAX_LISTED_LINES = 12
 # If more than this fraction of time codes exceed a stated rate, the rate is wrong.
 MIN_ABOVE_LIMIT_FRACTION = 0.1
-_TIMECODE = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
+_TIMECODE_PATTERN = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def _timecode_fields(
     file: CaptureFile, timecodes: Sequence[str], line_numbers: IntArray
 ) -> IntArray:
     """Return hours, minutes, seconds and frames of time codes ``(R, 4)``."""
-    matches = [_TIMECODE.fullmatch(timecode) for timecode in timecodes]
+    matches = [_TIMECODE_PATTERN.fullmatch(timecode) for timecode in timecodes]
     rows = zip(timecodes, matches, line_numbers.tolist(), strict=True)
     faults = [
         _timecode_fault(

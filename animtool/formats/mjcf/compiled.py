@@ -44,8 +44,8 @@ _MUJOCO_ERRORS = (
         "types of joints are free, ball, slide and hinge",
     ),
 )
-_ERROR_LINE = re.compile(r",? line (\d+)")
-_ERROR_PREFIX = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
+_ERROR_LINE_PATTERN = re.compile(r",? line (\d+)")
+_ERROR_PREFIX_PATTERN = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
 _INSTALL_COMMAND = "pip install 'animtool[mjcf]'"
 # Joint and geom types by MuJoCo's numbers.
 _JOINT_TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
@@ -82,13 +82,13 @@ def _record_mujoco_error(
     text: str, reduced_model: ReducedModel, notes: XmlNotes
 ) -> None:
     """Record a MuJoCo error at its line in the source file."""
-    match = _ERROR_LINE.search(text)
+    match = _ERROR_LINE_PATTERN.search(text)
     element, body = None, ""
     if match is not None and 0 < int(match[1]) <= len(reduced_model.elements):
         line_index = int(match[1]) - 1
         element = reduced_model.elements[line_index]
         body = reduced_model.bodies[line_index]
-    message = _ERROR_LINE.sub("", _ERROR_PREFIX.sub("", text)).strip()
+    message = _ERROR_LINE_PATTERN.sub("", _ERROR_PREFIX_PATTERN.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
     location = None if element is None else named_element_label(element)

@@ -15,7 +15,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 # Rotation order of ball and free joints about rotating axes: R = Rx · Ry · Rz from the
 # rest frame, as in OpenSim.
 ROTATION_ORDER = "XYZ"
-_TRANSLATION_SUFFIX = re.compile(
+_TRANSLATION_SUFFIX_PATTERN = re.compile(
     r"(?:_t|_?trans(?:lation)?_?|\.translation\.)([xyz])|\.slide", re.IGNORECASE
 )
 
@@ -126,7 +126,7 @@ def build_rig_from_columns(name: str, columns: list[str]) -> Rig:
 
 
 def _build_column_joint(column: str) -> Joint:
-    for match in _TRANSLATION_SUFFIX.finditer(column):
+    for match in _TRANSLATION_SUFFIX_PATTERN.finditer(column):
         if match.end() == len(column):
             vectors = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
             axis = vectors.get((match[1] or "z").lower(), (0.0, 0.0, 1.0))

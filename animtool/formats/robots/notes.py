@@ -16,7 +16,7 @@ from animtool.formats.robots.xml import XmlElement
 MAX_FAULTS = 50
 # Largest value of lengths [m], angles and masses.
 MAX_VALUE = 1e9
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(slots=True, eq=False)
@@ -122,7 +122,7 @@ def to_number(text: str) -> float | None:
     >>> to_number("1e-3"), to_number("1_0"), to_number("0x1p3")
     (0.001, None, None)
     """
-    if _NUMBER.fullmatch(text):
+    if _NUMBER_PATTERN.fullmatch(text):
         return float(text)
     if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
         return math.nan

@@ -11,7 +11,7 @@ from animtool.core.files.reading import exists
 from animtool.core.record import dataclass
 from animtool.formats.robots.xml import XmlCodes, read_xml
 
-_URI_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
+_URI_SCHEME_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _PACKAGE_SCHEMES = {"package", "model"}
 # Maximum number of parent folders that are searched for a file's package.
 MAX_PARENT_FOLDERS = 12
@@ -51,7 +51,7 @@ class PackageFolders:
 
     def find(self, name: str) -> Path | None:
         """Return the file of a name or URI; None if missing, an error if outside."""
-        uri_match = _URI_SCHEME.fullmatch(name)
+        uri_match = _URI_SCHEME_PATTERN.fullmatch(name)
         if uri_match is None:
             return self._inside_project(self.folder / name, name)
         scheme, uri_path = uri_match[1].lower(), uri_match[2]

@@ -30,7 +30,7 @@ from animtool.motion.markers import Markers
 MAX_MARKERS = 10_000
 # Maximum header lines before the marker names.
 MAX_HEADER_LINES = 12
-_NAMES_LINE = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
+_NAMES_PATTERN = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ def read_header(file: CaptureFile, lines: list[bytes]) -> TrcHeader:
     first_words = re.split(rb"[\s,;]+", lines[0].strip(BLANK_CHARACTERS + b'"'))
     if first_words[0].strip(b'"').lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
-    name_matches = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
+    name_matches = [_NAMES_PATTERN.match(line) for line in lines[:MAX_HEADER_LINES]]
     names_index = next((i for i, n in enumerate(name_matches) if n), 0)
     indices_above = [
         i for i in range(1, names_index) if lines[i].strip(BLANK_CHARACTERS)

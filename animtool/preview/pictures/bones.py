@@ -44,10 +44,10 @@ class BoneRenderer:
         shows_axes: bool,
     ) -> None:
         """Draw the bones and joint axes of posed takes; crowds as thin lines."""
-        poses = [pose for pose in poses if pose.count]
+        poses = [pose for pose in poses if pose.joint_count]
         if not poses:
             return
-        if shows_bones and sum(pose.count for pose in poses) > MAX_THICK_JOINTS:
+        if shows_bones and sum(pose.joint_count for pose in poses) > MAX_THICK_JOINTS:
             self._draw_lines(eye, poses, color_of_take)
             return
         if shows_bones:
@@ -122,7 +122,7 @@ class BoneRenderer:
         ends: list[FloatArray] = []
         colors: list[FloatArray] = []
         for pose in poses:
-            axes = pose.world[:, :3, :3]
+            axes = pose.world_matrices[:, :3, :3]
             lengths = np.linalg.norm(axes, axis=1, keepdims=True)
             axes = (
                 axes / np.where(lengths > 0, lengths, 1.0) * pose.bounds_radius * 0.06
@@ -130,6 +130,6 @@ class BoneRenderer:
             for k in range(3):
                 begins.append(pose.positions)
                 ends.append(pose.positions + axes[:, :, k])
-                colors.append(np.tile([*AXIS_COLORS[k], 255.0], (pose.count, 1)))
+                colors.append(np.tile([*AXIS_COLORS[k], 255.0], (pose.joint_count, 1)))
         self._axes.set_segments(*map(np.concatenate, (begins, ends, colors)))
         self._axes.draw(eye, width=1.5)

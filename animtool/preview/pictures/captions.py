@@ -104,7 +104,7 @@ def with_caption(
     drawing = draw_module.Draw(image)
     text_height = caption.text_height
     for i, line in enumerate(caption.lines):
-        position = MARGIN * text_height, text_height * (MARGIN + LINE_SPACING * i)
+        position = (MARGIN * text_height, text_height * (MARGIN + LINE_SPACING * i))
         _draw_text(drawing, position, line, _load_font(text_height), ink, background)
     if frame_text:
         text_height = max(MIN_TEXT_HEIGHT, round(font_size(image.height) * 0.8))

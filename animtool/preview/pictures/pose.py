@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.preview.pictures.data import StreamReader
 
-_FOOT_NAME = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
+_FOOT_NAME_PATTERN = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
 
 
 def compose_matrices(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
@@ -35,7 +35,7 @@ class PosedTake:
     """A take of a page in the pose of one sample.
 
     Attributes:
-        world: World matrices of its joints ``(J, 4, 4)``.
+        world_matrices: World matrices of its joints ``(J, 4, 4)``.
         is_visible: Whether it is drawn at the sample.
         bounds_radius: Radius of its bounds [m].
         root: The first joint with animated translation, else the first joint.
@@ -47,15 +47,15 @@ class PosedTake:
     ) -> None:
         self._streams, self.record, self.index = streams, record, index
         skeleton = record["skeleton"]
-        self.names: list[str] = skeleton["names"]
+        self.joint_names: list[str] = skeleton["names"]
         self.parents = np.array(skeleton["parents"], np.int64)
-        self.count = len(self.names)
+        self.joint_count = len(self.joint_names)
         self.levels = _joints_by_depth(self.parents)
         static_values = record.get("still") or skeleton["rest"]
         self._values = {
             "t": np.reshape(static_values["t"], (-1, 3)).astype(np.float64),
             "r": np.reshape(static_values["r"], (-1, 4)).astype(np.float64),
-            "s": np.ones((self.count, 3)),
+            "s": np.ones((self.joint_count, 3)),
         }
         if static_values.get("s") is not None:
             self._values["s"] = np.array(static_values["s"], np.float64)
@@ -73,7 +73,7 @@ class PosedTake:
         self.tips = [
             (int(j), np.array(position)) for j, *position in skeleton.get("tips") or []
         ]
-        self.world = np.zeros((self.count, 4, 4))
+        self.world_matrices = np.zeros((self.joint_count, 4, 4))
         self.is_visible, self.bounds_radius = True, 1.0
         self.root = self._find_root()
         self.trail_joints = self._trail_joints()
@@ -95,17 +95,17 @@ class PosedTake:
 
     def _trail_joints(self) -> list[int]:
         """Return the joints with trails: the root and the feet."""
-        if not self.count:
+        if not self.joint_count:
             return []
         feet = [contact["joint"] for contact in self.record.get("contacts") or []]
         if not feet:
-            parent_names = [self.names[p] if p >= 0 else "" for p in self.parents]
+            parent_names = [self.joint_names[p] if p >= 0 else "" for p in self.parents]
             feet = [
                 int(j)
                 for level in self.levels
                 for j in level
-                if _FOOT_NAME.search(self.names[j])
-                and not _FOOT_NAME.search(parent_names[j])
+                if _FOOT_NAME_PATTERN.search(self.joint_names[j])
+                and not _FOOT_NAME_PATTERN.search(parent_names[j])
             ][:8]
         return list(dict.fromkeys([self.root, *feet]))
 
@@ -119,7 +119,7 @@ class PosedTake:
         """Set the visibility and the world matrices of the take at a sample."""
         visibility = self.sample_values(self.record.get("visible"), sample)
         self.is_visible = visibility is None or visibility[0] != 0
-        self.world = self._posed_matrices(sample)
+        self.world_matrices = self._posed_matrices(sample)
 
     def _posed_matrices(self, sample: int) -> FloatArray:
         """Return the world matrices of the joints at a sample ``(J, 4, 4)``."""
@@ -138,7 +138,7 @@ class PosedTake:
     @property
     def positions(self) -> FloatArray:
         """World positions of the joints ``(J, 3)`` [m]."""
-        return self.world[:, :3, 3]
+        return self.world_matrices[:, :3, 3]
 
     @property
     def root_position(self) -> FloatArray:
@@ -150,7 +150,8 @@ class PosedTake:
         """Return the joints that have a tip, and the tip positions ``(N, 3)``."""
         joints = [j for j, _ in self.tips]
         ends = [
-            self.world[j, :3, :3] @ tip_position + self.world[j, :3, 3]
+            self.world_matrices[j, :3, :3] @ tip_position
+            + self.world_matrices[j, :3, 3]
             for j, tip_position in self.tips
         ]
         return joints, np.reshape(ends, (-1, 3))

@@ -26,8 +26,8 @@ from animtool.preview.pictures.scene import DEFAULT_LAYERS, LAYERS
 SHEET_PICTURE_SIZE = (480, 360)
 # Smallest and largest size of a picture [px], and most cells of a sheet.
 MIN_SIZE, MAX_SIZE, MAX_SHEET_PICTURES = 16, 8192, 400
-_SIZE_PAIR = re.compile(r"(\d{1,5})x(\d{1,5})")
-_SHOT_CAMERA = re.compile(r"shot:(\d{1,6})")
+_SIZE_PAIR_PATTERN = re.compile(r"(\d{1,5})x(\d{1,5})")
+_SHOT_CAMERA_PATTERN = re.compile(r"shot:(\d{1,6})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
 
 def _parse_pair(text: str, option: str, example: str) -> tuple[int, int]:
     """Return the two numbers of a text such as `960x540`; refuse any other text."""
-    match = _SIZE_PAIR.fullmatch(text.strip().lower())
+    match = _SIZE_PAIR_PATTERN.fullmatch(text.strip().lower())
     if match is None:
         raise option_error(
             option,
@@ -130,7 +130,7 @@ def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:
         return CameraChoice(*VIEW_ANGLES[text])
     if text in names:
         return CameraChoice(shot=names.index(text))
-    if match := _SHOT_CAMERA.fullmatch(text):
+    if match := _SHOT_CAMERA_PATTERN.fullmatch(text):
         if int(match[1]) < len(names):
             return CameraChoice(shot=int(match[1]))
     else:

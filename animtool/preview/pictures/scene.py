@@ -73,7 +73,7 @@ class SceneRenderer:
             PosedTake(streams, take, i) for i, take in enumerate(manifest["takes"])
         ]
         # The take that the camera follows; None without joints.
-        has_joints = bool(self._poses) and self._poses[0].count > 0
+        has_joints = bool(self._poses) and self._poses[0].joint_count > 0
         self._main_pose = self._poses[0] if has_joints else None
         geometries: dict[tuple[Any, ...], Any] = {}
         self._meshes = [

@@ -177,7 +177,7 @@ class MeshRenderer:
         if self.is_hidden:
             return
         if pose is not None and self._joints is not None:
-            matrices = pose.world[self._joints] @ self.geometry.bind
+            matrices = pose.world_matrices[self._joints] @ self.geometry.bind
             texels = np.zeros((len(matrices), 4, 4), np.float32)
             texels[:, :3], texels[:, 3, 0] = matrices[:, :3], -1
             self._palette.upload(texels.reshape(-1, 4))
@@ -217,7 +217,10 @@ class MeshRenderer:
             None, None, max(-(-len(geometry.rest_points) // BOUNDS_VERTICES), 1)
         )
         first_joints = geometry.joints[sampled_vertices, 0]
-        matrices = pose.world[self._joints[first_joints]] @ geometry.bind[first_joints]
+        matrices = (
+            pose.world_matrices[self._joints[first_joints]]
+            @ geometry.bind[first_joints]
+        )
         points = geometry.rest_points[sampled_vertices].astype(np.float64)
         bounds.add(
             np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3]
@@ -267,9 +270,9 @@ class InstanceRenderer:
     ) -> None:
         self._streams, self._record, self._mesh = streams, record, mesh
         self._matrix_buffer, self._colors = VertexBuffer(device), VertexBuffer(device)
-        self._count = streams.width(record["t"]) // 3
+        self._instance_count = streams.width(record["t"]) // 3
         color = mesh.record.get("color") or DEFAULT_COLOR
-        self._colors.write(repeat_color(self._count, srgb_bytes(color)))
+        self._colors.write(repeat_color(self._instance_count, srgb_bytes(color)))
         self._array: Any = None
         self.pose = None
         self.matrices = np.zeros((0, 4, 4))
@@ -376,7 +379,7 @@ class StrandRenderer:
         if pose is not None:
             joint, bind = record.get("joint"), record.get("bind")
             if joint is not None and bind:
-                matrix = pose.world[joint] @ np.reshape(bind, (4, 4)).T
+                matrix = pose.world_matrices[joint] @ np.reshape(bind, (4, 4)).T
                 points = points @ matrix[:3, :3].T + matrix[:3, 3]
             else:
                 points = points + pose.shift
