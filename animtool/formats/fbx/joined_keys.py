@@ -155,9 +155,9 @@ def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
         end_slopes.append(np.where(is_in_range & ~is_stepped, slopes, 0.0))
     out_slopes, in_slopes = end_slopes
     # Complete segments keep the slopes of the keys, whatever their weights.
-    is_whole_segment = is_cubic & ~is_split
-    out_slopes = np.where(is_whole_segment, curve.out_slopes[key_indices], out_slopes)
-    in_slopes = np.where(is_whole_segment, curve.in_slopes[key_indices], in_slopes)
+    is_unsplit_cubic = is_cubic & ~is_split
+    out_slopes = np.where(is_unsplit_cubic, curve.out_slopes[key_indices], out_slopes)
+    in_slopes = np.where(is_unsplit_cubic, curve.in_slopes[key_indices], in_slopes)
     weights = np.where(is_cubic[:, None], curve.weights[key_indices], ONE_THIRD)
     # The value of a NEXT segment applies from its start; NaN weights mark that it
     # cannot be joined.

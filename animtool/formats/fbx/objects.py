@@ -44,8 +44,7 @@ class FbxObject:
 
     def values(self, name: str) -> list[Any]:
         """Return the values of a property; empty if it is missing."""
-        own_values = self.properties.get(name)
-        return own_values if own_values is not None else self.defaults.get(name, [])
+        return self.properties.get(name, self.defaults.get(name, []))
 
 
 @dataclass(slots=True, eq=False)

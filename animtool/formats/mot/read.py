@@ -53,7 +53,7 @@ MAX_PLAUSIBLE_ANGLE = 4 * np.pi
 MIN_TRAVEL, MIN_TRAVELLING_ANGLES = 0.5, 5
 MIN_STANDING_ANGLES, MAX_STANDING_RADIANS = 8, 3.3
 # Smaller changes and angles are noise [deg].
-MIN_CHANGE, MIN_RADIANS = 0.1, 0.7
+MIN_ANGLE_CHANGE, MIN_LARGEST_ANGLE = 0.1, 0.7
 
 
 def read_mot(
@@ -172,18 +172,18 @@ def _warn_likely_radians(
     Either the body travels by ``slides`` ``(R, S)`` [m], or many angles change, and all
     angles are tiny.
     """
-    changing_count = int((np.ptp(angles, axis=0) > MIN_CHANGE).sum())
-    largest = float(np.abs(angles).max(initial=0.0))
+    changing_count = int((np.ptp(angles, axis=0) > MIN_ANGLE_CHANGE).sum())
+    largest_angle = float(np.abs(angles).max(initial=0.0))
     travel = float(np.ptp(slides, axis=0).max(initial=0.0))
     is_travelling = travel >= MIN_TRAVEL and changing_count >= MIN_TRAVELLING_ANGLES
-    limit = 2 * np.pi if is_travelling else MAX_STANDING_RADIANS
+    max_radians = 2 * np.pi if is_travelling else MAX_STANDING_RADIANS
     is_body = is_travelling or changing_count >= MIN_STANDING_ANGLES
-    if not is_body or not MIN_RADIANS <= largest <= limit:
+    if not is_body or not MIN_LARGEST_ANGLE <= largest_angle <= max_radians:
         return
     message = f"angles are read as degrees, but none of {changing_count} that change "
-    message += f"exceeds {largest:.3g}"
+    message += f"exceeds {largest_angle:.3g}"
     hint = "write inDegrees=no in the header if they are radians: "
-    hint += f"{largest:.3g} rad is {np.degrees(largest):.3g} deg"
+    hint += f"{largest_angle:.3g} rad is {np.degrees(largest_angle):.3g} deg"
     file.warn("MOF112", message, hint)
 
 
