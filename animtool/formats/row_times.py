@@ -45,7 +45,7 @@ class FrameFit:
 
 
 def rounding_error(decimals: int) -> float:
-    """Return the largest rounding error of numbers printed with that many decimals."""
+    """Return the largest rounding error of numbers with so many decimals."""
     return float(0.5 * 10.0**-decimals)
 
 

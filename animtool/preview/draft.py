@@ -120,7 +120,7 @@ class PageDraft:
         color_stream: int | None = None,
         names: Sequence[str] | None = None,
     ) -> None:
-        """Add points, drawn as balls.
+        """Add an animated set of points, drawn as balls.
 
         Args:
             name: Name of the set of points.

@@ -99,7 +99,7 @@ class WatchedPage:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers requests for the page and its state, if they hold the secret."""
+    """Answers requests for the page and its state that have the secret token."""
 
     server: PageServer
     server_version, sys_version = "animtool", ""

@@ -61,9 +61,9 @@ class BvhHeader:
 
 @dataclass(slots=True)
 class _OpenBlock:
-    """An unclosed block of a joint, or of an End Site with the index of its parent."""
+    """A block that is not closed yet: of a joint, or of the End Site of a joint."""
 
-    joint_index: int
+    joint_index: int  # index of the joint, or of the End Site's parent
     is_end_site: bool
     line: int
     has_brace: bool = False  # whether the opening brace was read

@@ -273,7 +273,7 @@ def _values_agree(values: Sequence[FieldValue]) -> bool:
 
 
 def _can_solve(values: Sequence[FieldValue]) -> bool:
-    """Return whether the file size may decide a count: few or unequal values."""
+    """Return whether the file size may decide a count: stated once or unequally."""
     decisive_values = [v for v in values if v.weight >= MIN_DECISIVE_WEIGHT]
     return len(decisive_values) < 2 or not _values_agree(values)
 

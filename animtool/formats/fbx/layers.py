@@ -31,7 +31,7 @@ MIN_FULL_WEIGHT = 0.99999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """An animation layer of a take."""
+    """Weight and blend mode of an animation layer of a take."""
 
     weight: float = 1.0  # weight without a curve [1]
     # Weight over time [%]; None uses the constant weight.
@@ -68,7 +68,7 @@ class LayerValues:
         return values
 
     def is_static(self) -> bool:
-        """Return whether no curve changes."""
+        """Return whether no curve of the layer changes its value."""
         return all(curve is None or curve.is_static() for curve in self.curves)
 
 
@@ -84,7 +84,7 @@ class PropertyTrack:
         return [c for v in self.layers for c in v.curves if c is not None]
 
     def is_static(self) -> bool:
-        """Return whether the value never changes."""
+        """Return whether neither values nor effective layer weights ever change."""
         return all(
             values.is_static()
             and (

@@ -36,7 +36,7 @@ _REST_TICKS = np.zeros(1, np.int64)
 
 
 class TransformPart(Enum):
-    """Which part of a node's transform a joint has: a node may become two joints."""
+    """The part of a node's transform that a joint has; a node may need two joints."""
 
     FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent

@@ -40,7 +40,7 @@ class SamplerInterpolation(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfTrack:
-    """Keys of one animated property."""
+    """Times, values and slopes of the keys of one animated property."""
 
     node: int  # the animated node; -1 if a mesh is animated
     # The mesh whose weights are animated, on all nodes; -1 if a node is animated.

@@ -78,7 +78,7 @@ class GltfMesh:
 
 
 def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[GltfMesh, ...]:
-    """Return the meshes of a file."""
+    """Return the meshes of a file with primitives and morph targets, checked."""
     return tuple(_read_mesh(item, accessors) for item in root.children("meshes"))
 
 
@@ -314,7 +314,7 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
 def read_skins(
     root: JsonItem, accessors: Accessors, node_count: int
 ) -> tuple[FileSkin, ...]:
-    """Return the skins of a file."""
+    """Return the skins of a file with joints and inverse bind matrices, checked."""
     return tuple(_read_skin(i, accessors, node_count) for i in root.children("skins"))
 
 

@@ -23,7 +23,7 @@ _TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
 
 
 def read_nodes(root: JsonItem, mesh_count: int, skin_count: int) -> tuple[Node, ...]:
-    """Return the nodes in file order."""
+    """Return the nodes in file order, with parents and rest transforms."""
     items = root.children("nodes")
     if len(items) > MAX_NODES:
         message = f"{len(items)} nodes; the limit is {MAX_NODES}"

@@ -69,7 +69,7 @@ def build_meshes(
 
 
 def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
-    """Return unique mesh names by node."""
+    """Return a unique, printable mesh name for each node with a mesh."""
     names = []
     for node in nodes:
         gltf_node = gltf.nodes[node]

@@ -103,7 +103,7 @@ def _transform_properties(
 
 @dataclass(slots=True)
 class _SurfaceWriter:
-    """Writes the meshes of a rig."""
+    """Writes the meshes of a rig with their skins and morph targets."""
 
     builder: GlbBuilder
     rig: Rig

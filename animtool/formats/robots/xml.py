@@ -35,7 +35,7 @@ class XmlElement:
     text: str = ""  # text content, without that of children
 
     def find_all(self, tag: str) -> list[XmlElement]:
-        """Return the children with a tag."""
+        """Return the child elements with a tag, in file order."""
         return [child for child in self.children if child.tag == tag]
 
     def walk(self) -> Iterator[XmlElement]:

@@ -226,7 +226,7 @@ class CameraView:
 
 
 def spherical_offset(yaw: float, pitch: float, distance: float = 1.0) -> FloatArray:
-    """Return the offset ``(3,)`` of a length along a yaw and pitch [rad].
+    """Return the vector ``(3,)`` of a length that points along a yaw and pitch [rad].
 
     >>> spherical_offset(0.0, 0.0, 2.0).tolist()
     [0.0, 0.0, 2.0]
