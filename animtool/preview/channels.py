@@ -12,7 +12,7 @@ from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.preview.draft import PageDraft, json_number
-from animtool.preview.streams import Quantized, json_numbers
+from animtool.preview.streams import QuantizedValues, json_numbers
 from animtool.preview.takes import PageTake
 from animtool.rig.kinematics import rest_size
 
@@ -54,7 +54,9 @@ def add_channels(
     if key_count > MAX_KEYS:
         draft.add_notice(f"{key_count} keys: curves are drawn without them")
     stacked_values = np.stack([curve.values for curve in curves], axis=1)
-    stream_index = draft.packer.add(Quantized(stacked_values.astype("<f4"), "f32"))
+    stream_index = draft.packer.add(
+        QuantizedValues(stacked_values.astype("<f4"), "f32")
+    )
     rig_size = rest_size(page_take.rig) or 1.0
     for column, curve in enumerate(curves):
         keys = curve.keys if key_count <= MAX_KEYS else None

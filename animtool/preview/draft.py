@@ -15,7 +15,12 @@ from animtool.core.clock import time_codes
 from animtool.core.errors import AnimtoolError, counted
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.preview.streams import Array, Quantized, StreamPacker, quantize_range
+from animtool.preview.streams import (
+    Array,
+    QuantizedValues,
+    StreamPacker,
+    quantize_range,
+)
 
 FORMAT_VERSION = 1
 
@@ -107,7 +112,7 @@ class PageDraft:
         if is_visible.all():
             return None
         mask_rows = is_visible[:, None] if is_visible.any() else is_visible[:1, None]
-        return self.packer.add(Quantized(mask_rows.astype("<u1"), "u8"))
+        return self.packer.add(QuantizedValues(mask_rows.astype("<u1"), "u8"))
 
     def add_points(
         self,

@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulate
 from animtool.preview.draft import PageDraft
 from animtool.preview.open_file import TakeToShow
-from animtool.preview.streams import Quantized, json_numbers, quantize_range
+from animtool.preview.streams import QuantizedValues, json_numbers, quantize_range
 from animtool.preview.takes import PageTake
 from animtool.rig.surfaces import Surface
 from animtool.skin.character import CharacterMesh, character_meshes
@@ -187,7 +187,7 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
     return {
         "palette": skin.joints.tolist(),
         "joints": draft.packer.add_static(joints, "u16"),
-        "weights": draft.packer.add(Quantized(stored_weights, "u16", 1 / 65535)),
+        "weights": draft.packer.add(QuantizedValues(stored_weights, "u16", 1 / 65535)),
         "bind": draft.packer.add_static(bind.swapaxes(1, 2), "f32"),
     }
 

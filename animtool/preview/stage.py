@@ -14,7 +14,7 @@ from animtool.maths import so3
 from animtool.motion.transforms import PropRequest, Track
 from animtool.preview.draft import PageDraft, skip_unreadable
 from animtool.preview.meshes import mesh_entry
-from animtool.preview.streams import Quantized, quantize_range, quantize_units
+from animtool.preview.streams import QuantizedValues, quantize_range, quantize_units
 from animtool.usd.caches.reader import PointSample
 from animtool.usd.caches.shown import ShownMesh, ShownPrim, StageContents
 from animtool.usd.layers.sdf import usd_errors
@@ -307,7 +307,7 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
             )
             is_visible = uses_prototype[:, used_slots]
             if not is_visible.all():
-                data = Quantized(is_visible.astype("<u1"), "u8")
+                data = QuantizedValues(is_visible.astype("<u1"), "u8")
                 entry["visible"] = draft.packer.add(data)
 
 
@@ -363,7 +363,7 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
             "focal_mm": float(focal[0, 0]),
             "focal": None
             if np.ptp(focal) == 0
-            else draft.packer.add(Quantized(focal.astype("<f4"), "f32")),
+            else draft.packer.add(QuantizedValues(focal.astype("<f4"), "f32")),
             "aperture_mm": [
                 float(lens_values[name][0, 0]) if name in lens_values else default
                 for name, default in (

@@ -34,8 +34,8 @@ DTYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
 
 
 @dataclass(frozen=True, slots=True)
-class Quantized:
-    """Quantized values with their scale, offset and largest error.
+class QuantizedValues:
+    """QuantizedValues values with their scale, offset and largest error.
 
     Attributes:
         stored_values: Integers or floats ``(F, width)`` of the type ``kind``.
@@ -64,16 +64,16 @@ def json_numbers(values: FloatArray, digits: int = 6) -> list[Any]:
     return list(rounded_values.tolist())
 
 
-def quantize_units(values: FloatArray) -> Quantized:
+def quantize_units(values: FloatArray) -> QuantizedValues:
     """Quantize numbers from -1 to 1, such as unit quaternions."""
     integers = np.rint(np.clip(values, -1.0, 1.0) * MAX_QUANTIZED).astype("<i2")
     error = np.abs(integers / MAX_QUANTIZED - values).max(initial=0.0)
-    return Quantized(integers, "i16", 1.0 / MAX_QUANTIZED, error=float(error))
+    return QuantizedValues(integers, "i16", 1.0 / MAX_QUANTIZED, error=float(error))
 
 
 def quantize_range(
     values: Array, tolerance: float = POSITION_TOLERANCE, *, period: int = 0
-) -> Quantized:
+) -> QuantizedValues:
     """Quantize columns over their range; use float32 if that is too coarse.
 
     Args:
@@ -87,7 +87,7 @@ def quantize_range(
     float32_values = np.where(np.isfinite(float32_values), float32_values, np.nan)
     rows = float32_values.reshape(-1, period) if period else float32_values
     if not rows.size:
-        return Quantized(np.zeros(values.shape, "<f4"), "f32")
+        return QuantizedValues(np.zeros(values.shape, "<f4"), "f32")
     has_gaps = bool(np.isnan(rows).any())
     is_finite = np.isfinite(rows)
     low = np.where(is_finite, rows, np.inf).min(axis=0)
@@ -96,7 +96,9 @@ def quantize_range(
     scale = (high - low) / (2 * MAX_QUANTIZED)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
         floats = np.asarray(values, np.float32)
-        return Quantized(floats, "f32", error=_largest_difference(floats - values))
+        return QuantizedValues(
+            floats, "f32", error=_largest_difference(floats - values)
+        )
     offset = (high + low) / 2
     divisor = np.where(scale > 0, scale, 1.0)
     steps = np.rint((rows - offset) / divisor)
@@ -106,7 +108,7 @@ def quantize_range(
         scale, offset = scale[:1], offset[:1]
     integers = integers.reshape(values.shape)
     scale_and_offset = _single_or_list(scale), _single_or_list(offset)
-    return Quantized(integers, "i16", *scale_and_offset, has_gaps, error)
+    return QuantizedValues(integers, "i16", *scale_and_offset, has_gaps, error)
 
 
 def _single_or_list(values: FloatArray) -> float | list[float]:
@@ -125,7 +127,7 @@ class _Stream:
     """A stream of the page and its encoded blocks."""
 
     id: int
-    data: Quantized
+    data: QuantizedValues
     blocks: list[list[int]] = field(default_factory=list)
 
     @property
@@ -161,7 +163,7 @@ class StreamPacker:
         self._streams: list[_Stream] = []
         self._static: dict[tuple[object, ...], int] = {}
 
-    def add(self, data: Quantized) -> int:
+    def add(self, data: QuantizedValues) -> int:
         """Add a stream and return its index; equal one-sample streams share one."""
         index = len(self._streams)
         if len(data.stored_values) == 1:
@@ -176,7 +178,7 @@ class StreamPacker:
     def add_static(self, values: npt.ArrayLike, kind: str) -> int:
         """Add a one-sample stream without quantization; return its index."""
         row = np.asarray(values).reshape(1, -1).astype(DTYPES[kind])
-        return self.add(Quantized(row, kind))
+        return self.add(QuantizedValues(row, kind))
 
     def add_static_range(self, values: FloatArray) -> int:
         """Add a one-sample stream of positions or offsets [m]; return its index."""

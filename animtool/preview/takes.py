@@ -17,7 +17,7 @@ from animtool.motion.take import TakeStream
 from animtool.preview.draft import PageDraft, json_number
 from animtool.preview.streams import (
     POSITION_TOLERANCE,
-    Quantized,
+    QuantizedValues,
     json_numbers,
     quantize_range,
     quantize_units,
@@ -244,7 +244,9 @@ def _with_positive_w(track: QuantizedTrack) -> QuantizedTrack:
     return QuantizedTrack(static_values, track.animated_joints, values)
 
 
-def _store_track(component: str, track: QuantizedTrack | None) -> Quantized | None:
+def _store_track(
+    component: str, track: QuantizedTrack | None
+) -> QuantizedValues | None:
     """Return the quantized values of a component; None if no joint is animated."""
     if track is None or not track.animated_values.size:
         return None
@@ -258,7 +260,9 @@ def _store_track(component: str, track: QuantizedTrack | None) -> Quantized | No
     )
 
 
-def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
+def _decoded_track(
+    track: QuantizedTrack, data: QuantizedValues | None
+) -> QuantizedTrack:
     """Return a track with the values that the viewer decodes."""
     if data is None:
         return track

@@ -57,10 +57,10 @@ class Processor(IntEnum):
                 return np.frombuffer(data, f"{self.order}f4").astype(np.float64)
         words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
         bits = np.ascontiguousarray(words).view("<u4").ravel()
-        fraction = (bits & 0x7FFFFF) | 0x800000
+        mantissa = (bits & 0x7FFFFF) | 0x800000
         exponent = ((bits >> 23) & 0xFF).astype(np.int64)
         # An exponent of 0 means zero, and there is no infinity.
-        magnitude = np.where(exponent == 0, 0.0, np.ldexp(fraction, exponent - 152))
+        magnitude = np.where(exponent == 0, 0.0, np.ldexp(mantissa, exponent - 152))
         return np.where(bits >> 31, -magnitude, magnitude)
 
     def rows(

@@ -100,10 +100,10 @@ def build_rig(
             scale = float(scales[j].mean()) if is_baked[j] else 1.0
             baked_scales[source.model] = scale_above * scale
     names, notices = _joint_names(scene, sources)
-    rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
+    rest_transforms = NodeTransforms(scene, None, np.zeros(1, np.int64))
     rig_joints = []
     for j, source in enumerate(sources):
-        translations, rotations, _ = rest.joint_transforms(source)
+        translations, rotations, _ = rest_transforms.joint_transforms(source)
         x, y, z = (translations[0] * factors[j]).tolist()
         a, b, c, w = rotations[0].tolist()
         joint = Joint(

@@ -101,13 +101,13 @@ def _csv_rows(
     # Adding 0 removes negative zeros.
     values = np.round(np.concatenate([weights, angles], axis=1), WEIGHT_DECIMALS) + 0.0
     for frame, row_values in enumerate(values.tolist()):
-        yield (row_format % (timecode(frame, rate), *row_values)).encode()
+        yield (row_format % (format_timecode(frame, rate), *row_values)).encode()
 
 
-def timecode(frame: int, rate: Fraction) -> str:
+def format_timecode(frame: int, rate: Fraction) -> str:
     """Return the timecode of a frame counted from midnight, with fractions.
 
-    >>> timecode(1800, Fraction(30000, 1001)), timecode(61, Fraction(60))
+    >>> format_timecode(1800, Fraction(30000, 1001)), format_timecode(61, Fraction(60))
     ('00:01:00;02.000', '00:00:01:01.000')
     """
     is_drop_frame = rate in {Fraction(30000, 1001), Fraction(60000, 1001)}

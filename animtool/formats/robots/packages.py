@@ -60,15 +60,17 @@ class PackageFolders:
         if scheme not in _PACKAGE_SCHEMES:
             raise OutsideError(f"{scheme}:// is of a network, and is never opened")
         # Some writers add a third slash.
-        package, _, relative = uri_path.lstrip("/").partition("/")
-        candidates = [folder for folder in self._candidate_folders(package) if relative]
+        package, _, relative_path = uri_path.lstrip("/").partition("/")
+        candidates = [
+            folder for folder in self._candidate_folders(package) if relative_path
+        ]
         for folder in candidates:
-            path = self._inside_project(folder / relative, name)
+            path = self._inside_project(folder / relative_path, name)
             if path is not None:
                 return path
         if not candidates:
             # A name that leaves one candidate folder leaves all of them.
-            self._inside_project(self.folder / package / relative, name)
+            self._inside_project(self.folder / package / relative_path, name)
         return None
 
     def _candidate_folders(self, package: str) -> list[Path]:

@@ -183,7 +183,9 @@ class ContactShadow:
         self._blurred_maps = [gl.texture(size, 1) for _ in range(2)]
         for texture in (self._height_map, *self._blurred_maps):
             texture.repeat_x = texture.repeat_y = False
-        self._blur_buffers = [gl.framebuffer([map_]) for map_ in self._blurred_maps]
+        self._blur_buffers = [
+            gl.framebuffer([height_map]) for height_map in self._blurred_maps
+        ]
         self._shadow_area = (0.0, 0.0, 1.0)
 
     def cast(self, view: CameraView, draw: Callable[[EyeMatrices], None]) -> bool:
