@@ -339,10 +339,8 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     elif rate.ambiguous_rates:
         code, severity = "BVH107", Severity.NOTE
         other_rates = listed(rate.ambiguous_rates, 6)
-        message = (
-            f"Frame Time {frame_time} is rounded: {other_rates} fps would be printed "
-        )
-        message += f"the same; using {rate_label(rate.fps)}"
+        message = f"Frame Time {frame_time} is rounded: {other_rates} fps would be "
+        message += f"printed the same; using {rate_label(rate.fps)}"
     else:
         return []
     return [Fault(code, message, path, (line,), hint, severity)]

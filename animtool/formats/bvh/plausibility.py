@@ -37,14 +37,10 @@ def stated_rate_note(
         return []
     if rate_warning(file_rate) or rate_warning(stated_rate):
         return []
-    durations = [
-        f"{float(frame_count / fps):.3g} s" for fps in (stated_rate, file_rate)
-    ]
+    durations = (float(frame_count / fps) for fps in (stated_rate, file_rate))
     message = f"Frame Time {header.frame_time} is {rate_label(file_rate)}, not "
-    message += (
-        f"{argument('source.fps', f'{float(stated_rate):g}')}: {frame_count} frames "
-    )
-    message += f"last {durations[0]} instead of {durations[1]}"
+    message += f"{argument('source.fps', f'{float(stated_rate):g}')}: {frame_count} "
+    message += "frames last {:.3g} s instead of {:.3g} s".format(*durations)
     hint = f"to resample the motion, use {argument('fps')} instead"
     return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 

@@ -222,10 +222,9 @@ def _layout_error(file: CaptureFile, result: LayoutResult, size: int) -> FormatE
         message = "its header, parameters and size disagree, and nothing resolves it: "
         message += f"between {' or '.join(map(str, rival_layouts))}"
         if len(rival_layouts) == 1:
-            message = (
-                f"its counts do not match its size of {size} bytes: {rival_layouts[0]} "
-            )
-            message += f"end at {rival_layouts[0].end}, and are not positions"
+            message = f"its counts do not match its size of {size} bytes: "
+            message += f"{rival_layouts[0]} end at {rival_layouts[0].end}, and are not "
+            message += "positions"
         return file.error("C3D003", message, "export it again")
     layout = result.truncated_layout
     if layout is None or not layout.point_count or not layout.frame_count:

@@ -104,10 +104,9 @@ def choose_character(
         other_paths = [c.path for c in candidates if c is not character]
         if not other_paths:
             return character, []
-        message = (
-            f"reading {character.path} of {counted(len(candidates), 'character')}: "
-        )
-        message += f"others are {listed(other_paths, MAX_LISTED_CHARACTERS)}"
+        message = f"reading {character.path} of "
+        message += f"{counted(len(candidates), 'character')}: others are "
+        message += listed(other_paths, MAX_LISTED_CHARACTERS)
         hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
         return character, [
             Fault(skipped_code, message, path_text, (), hint, Severity.NOTE)

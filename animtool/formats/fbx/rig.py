@@ -55,8 +55,9 @@ class FbxRig:
     is_baked: BoolArray  # whether each joint's scale is baked into lengths ``(J,)``
     remaining_scales: FloatArray  # saved scales that are not baked ``(J, 3)`` [1]
     # Channel of each shape, and its percentage at weight 1 [%].
-    shape_channels: list[tuple[ShapeChannel, float]]
-    mesh_names: dict[int, str]  # name of the mesh that each node shows
+    shape_channels: list[tuple[ShapeChannel, float]] = field(default_factory=list)
+    # Name of the mesh that each node shows.
+    mesh_names: dict[int, str] = field(default_factory=dict)
     # Warnings about data that rigs cannot store.
     notices: list[Fault] = field(default_factory=list)
 
@@ -116,17 +117,9 @@ def build_rig(
     scales = np.where(is_baked[:, None], 1.0, scales)
     rig = Rig(name, tuple(rig_joints), unit, scene.settings.up)
     fbx_rig = FbxRig(
-        rig,
-        sources,
-        joint_of_node,
-        baked_scales,
-        factors,
-        is_baked,
-        scales,
-        [],
-        {},
-        notices,
+        rig, sources, joint_of_node, baked_scales, factors, is_baked, scales
     )
+    fbx_rig.notices += notices
     _add_shapes_and_meshes(scene, character, fbx_rig)
     fbx_rig.notices += _moved_meshes_notice(scene, character)
     return fbx_rig

@@ -289,10 +289,8 @@ class Accessors:
             return
         view = self.views[accessor.view_index]
         if view is not None and view.stride:
-            message = (
-                f"bufferView {accessor.view_index} has a byteStride, and holds no "
-            )
-            message += "vertices"
+            message = f"bufferView {accessor.view_index} has a byteStride, "
+            message += "and holds no vertices"
             self.notes.warn("GLT105", pointer, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
@@ -389,8 +387,6 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
             return
     non_finite_indices = np.argwhere(~np.isfinite(values))
     if len(non_finite_indices):
-        element = int(non_finite_indices[0, 0])
-        message = (
-            f"element {element} is {values[tuple(non_finite_indices[0])]}, not finite"
-        )
+        element, value = int(non_finite_indices[0, 0]), values[*non_finite_indices[0]]
+        message = f"element {element} is {value}, not finite"
         accessor.item.notes.fail("GLT010", accessor.pointer, message)

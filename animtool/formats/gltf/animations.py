@@ -338,18 +338,14 @@ def _sort_keys(
     times, key_rows = times[time_order], key_rows[time_order]
     duplicate_indices = np.flatnonzero(np.diff(times) == 0)
     if len(duplicate_indices):
-        if (
-            has_times
-            and (key_rows[duplicate_indices] != key_rows[duplicate_indices + 1]).any()
-        ):
-            duplicate_time = float(times[duplicate_indices[0]])
-            message = f"two keys at {duplicate_time:.6g} s have different values"
-            notes.fail("GLT012", pointer, message)
-        message = (
-            f"{len(duplicate_indices)} equal keys with the time of another are removed"
-        )
         if has_times:
-            notes.warn("GLT107", pointer, message)
+            next_rows = key_rows[duplicate_indices + 1]
+            if (key_rows[duplicate_indices] != next_rows).any():
+                duplicate_time = float(times[duplicate_indices[0]])
+                message = f"two keys at {duplicate_time:.6g} s have different values"
+                notes.fail("GLT012", pointer, message)
+            message = f"{len(duplicate_indices)} equal keys with the time of another "
+            notes.warn("GLT107", pointer, f"{message}are removed")
         unique_indices = np.setdiff1d(np.arange(len(times)), duplicate_indices + 1)
         times, key_rows = times[unique_indices], key_rows[unique_indices]
     return times, key_rows

@@ -298,15 +298,10 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
         if not isinstance(stated_bound, list) or len(stated_bound) != len(bound):
             continue
         numbers = zip(stated_bound, bound.tolist(), strict=True)
-        for i, (stated_value, actual_value) in enumerate(numbers):
-            if (
-                is_number(stated_value)
-                and not abs(stated_value - actual_value) <= tolerance
-            ):
-                message = (
-                    f"{key} is {stated_value!r}, but the data has {actual_value:.9g}: "
-                )
-                message += "using the data"
+        for i, (stated_value, value) in enumerate(numbers):
+            if is_number(stated_value) and not abs(stated_value - value) <= tolerance:
+                message = f"{key} is {stated_value!r}, but the data has "
+                message += f"{value:.9g}: using the data"
                 item.notes.warn("GLT102", f"{item.pointer_to(key)}/{i}", message)
                 break
 

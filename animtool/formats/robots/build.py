@@ -250,9 +250,8 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
     }
     if name_changes:
         message = f"{counted(len(name_changes), 'name')} changed, as links and joints "
-        message += (
-            f"of a rig share their names: {listed(name_changes, MAX_LISTED_JOINTS)}"
-        )
+        message += "of a rig share their names: "
+        message += listed(name_changes, MAX_LISTED_JOINTS)
         notes.add(codes.renamed_code, None, message, severity=Severity.NOTE)
     return _JointNames(link_names, joint_names, merged_flags, sites, name_of_file_joint)
 

@@ -58,9 +58,8 @@ class XmlNotes:
         omitted_count = len(self.faults) - len(first_faults)
         if omitted_count:
             last_fault = first_faults[-1]
-            message = (
-                f"and {counted(omitted_count, 'more fault')} of this kind or another"
-            )
+            omitted_faults = counted(omitted_count, "more fault")
+            message = f"and {omitted_faults} of this kind or another"
             first_faults.append(Fault(last_fault.code, message, str(self.path)))
         raise FormatError(first_faults)
 

@@ -249,16 +249,12 @@ def _marker_names(file: CaptureFile, header: TrcHeader, rows: TextRows) -> list[
     # The last cell may be followed by a separator.
     is_ragged = ((rows.value_counts - 2) % 3 != 0) & ((rows.cell_counts - 2) % 3 != 0)
     is_ragged &= (rows.cell_counts == rows.value_counts) | (rows.cell_counts % 3 != 0)
-    ragged_indices = np.flatnonzero(is_too_wide & is_ragged)
-    if len(ragged_indices) or len(names) > MAX_MARKERS:
-        row = (
-            int(ragged_indices[0])
-            if len(ragged_indices)
-            else int(rows.value_counts.argmax())
-        )
+    ragged_rows = np.flatnonzero(is_too_wide & is_ragged)
+    if len(ragged_rows) or len(names) > MAX_MARKERS:
+        row = int(ragged_rows[0] if len(ragged_rows) else rows.value_counts.argmax())
         message = f"the row has {int(rows.value_counts[row])} values, not "
         message += str(2 + 3 * len(names))
-        if len(ragged_indices):
+        if len(ragged_rows):
             message = f"the row has {int(rows.value_counts[row])} values, but frame, "
             message += f"time and {counted(len(header.names), 'named marker')} take "
             message += str(2 + 3 * len(header.names))

@@ -131,10 +131,8 @@ def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
     if not degree_angles:
         return
     element, name, value = degree_angles[0]
-    message = (
-        f"{counted(len(degree_angles), 'angle')} beyond two revolutions in radians, "
-    )
-    message += f"such as {name} {value:g} of <{element.tag}>"
+    message = f"{counted(len(degree_angles), 'angle')} beyond two revolutions in "
+    message += f"radians, such as {name} {value:g} of <{element.tag}>"
     hint = f"URDF has radians: {value:g} degrees are {math.radians(value):.6g}"
     notes.add("URD111", element, message, hint, severity=Severity.WARNING)
 
