@@ -122,5 +122,5 @@ def choose_character(
             return candidate, []
     paths = [candidate.path for candidate in candidates]
     message = f"unknown character or node {name!r}"
-    hint = nearest(prim_path, paths)
+    hint = name_hint(prim_path, paths)
     raise FormatError(Fault(unknown_code, message, path_text, (), hint))

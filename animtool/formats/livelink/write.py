@@ -111,4 +111,4 @@ def format_timecode(frame: int, rate: Fraction) -> str:
     ('00:01:00;02.000', '00:00:01:01.000')
     """
     is_drop_frame = rate in {Fraction(30000, 1001), Fraction(60000, 1001)}
-    return f"{timecode_label(frame, rate, drop=is_drop_frame)}.000"
+    return f"{timecode_label(frame, rate, is_drop_frame=is_drop_frame)}.000"

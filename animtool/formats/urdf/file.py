@@ -182,7 +182,7 @@ def _read_joint(
     if type_name not in list(UrdfJointKind):
         if type_name:
             message = f"unknown joint type {excerpt(type_name)}"
-            hint = nearest(type_name, [kind.value for kind in UrdfJointKind])
+            hint = name_hint(type_name, [kind.value for kind in UrdfJointKind])
             notes.add("URD008", element, message, hint, location=location, joint=name)
         type_name = UrdfJointKind.FIXED
     link_names = []
