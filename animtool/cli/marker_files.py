@@ -97,12 +97,12 @@ def run_on_markers(
     from animtool.core.errors import refuse_warnings
     from animtool.core.files.output import check_outputs
     from animtool.core.writers import marker_writer
-    from animtool.formats.marker_files import file_of, write_markers
+    from animtool.formats.marker_files import marker_file_path, write_markers
 
     if skip_existing_outputs(console, command, params, output, lambda: [output]):
         return
     marker_writer(output)
-    files = [file_of(path) for path in sources]
+    files = [marker_file_path(path) for path in sources]
     check_outputs([output], files, overwrite=params["overwrite"])
     with atomic_command(), console.progress(f"{command} {sources[0].name}"):
         marker_sets = [read_marker_file(path, params) for path in sources]

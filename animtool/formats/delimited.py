@@ -24,12 +24,12 @@ COMMA_CHECK_ROWS = 100
 MAX_CELL_BYTES = 40
 # Maximum ratio of padded to actual values.
 MAX_PADDING_RATIO = 20
-# Tables up to this many values may be padded freely.
-SMALL_TABLE_VALUES = 5_000_000
+# Tables up to this many values may be padded at any ratio.
+FREE_PADDING_VALUES = 5_000_000
 
 
 def read_lines(path: Path) -> list[bytes]:
-    """Return the lines of a text file, with any line ending and without BOM."""
+    """Return the lines of a text file without line ends and byte order mark."""
     data = read_input(path, MAX_INPUT_BYTES)
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         # Spreadsheets save "Unicode text" as UTF-16.
@@ -92,7 +92,7 @@ def parse_number(text: str | None) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class TextRows:
-    """Rows of numbers as text."""
+    """The rows of a table as text, before their numbers are parsed."""
 
     # The R rows that are not blank: cells between blanks or tabs, ``nan`` for empty
     # cells, without trailing empty cells.
@@ -112,7 +112,7 @@ class TextRows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the most decimals in a column; a number with an exponent has 15."""
+        """Return the largest number of decimals in a column; 15 with an exponent."""
         max_decimals = 0
         for text in self.texts:
             prefix = text[: MAX_CELL_BYTES * (column + 1)]
@@ -133,7 +133,7 @@ class TextRows:
         """
         value_count = column_count * len(self.texts)
         if value_count > max(
-            SMALL_TABLE_VALUES, MAX_PADDING_RATIO * int(self.value_counts.sum())
+            FREE_PADDING_VALUES, MAX_PADDING_RATIO * int(self.value_counts.sum())
         ):
             line = int(self.line_numbers[np.argmax(self.value_counts)])
             raise build_error(
@@ -146,11 +146,11 @@ class TextRows:
             for row in np.flatnonzero(block_counts < column_count).tolist():
                 texts[row] += b" nan" * (column_count - int(block_counts[row]))
             text = b"\n".join(texts) + b"\n"
-            block, _, _, _, _, count, token = _kernels.parse_bvh_rows(
+            block, _, _, _, _, number_count, token = _kernels.parse_bvh_rows(
                 text, column_count, len(texts), True
             )
             if len(block) < len(texts):
-                message = f"has {count} values instead of {column_count}"
+                message = f"has {number_count} values instead of {column_count}"
                 if token:
                     message = f"{excerpt(decode_text(token))} is not a number"
                 raise build_error(message, int(self.line_numbers[begin + len(block)]))
@@ -159,22 +159,22 @@ class TextRows:
 
 
 def gather_rows(lines: list[bytes], start: int, separator: bytes) -> TextRows:
-    """Collect the rows of numbers from a line index on.
+    """Return the rows of numbers in the lines from index ``start`` on.
 
     A line without the separator is split at blanks. Commas are decimal if they are not
     the separator and no line has a point.
     """
     texts, line_numbers, value_counts, cell_counts = [], [], [], []
-    empty_gap, nan_gap = separator * 2, separator + b"nan" + separator
+    empty_cell, nan_cell = separator * 2, separator + b"nan" + separator
     for i in range(start, len(lines)):
         line = lines[i]
         if separator not in line or separator == b" ":
             if not line.strip(BLANK_CHARACTERS):
                 continue
             line = line.strip()
-            total_count = value_count = len(line.split())
+            cell_count = value_count = len(line.split())
         else:
-            total_count = value_count = line.count(separator) + 1
+            cell_count = value_count = line.count(separator) + 1
             if b" " in line:
                 line = separator.join([cell.strip() for cell in line.split(separator)])
             if line[-1:] == separator:
@@ -183,10 +183,10 @@ def gather_rows(lines: list[bytes], start: int, separator: bytes) -> TextRows:
                     continue
                 value_count = line.count(separator) + 1
             length = len(line)
-            line = line.replace(empty_gap, nan_gap)
+            line = line.replace(empty_cell, nan_cell)
             if len(line) > length:
                 # The first pass skips every second gap of consecutive empty cells.
-                line = line.replace(empty_gap, nan_gap)
+                line = line.replace(empty_cell, nan_cell)
             if line[:1] == separator:
                 line = b"nan" + line
             if separator != b"\t":
@@ -194,19 +194,17 @@ def gather_rows(lines: list[bytes], start: int, separator: bytes) -> TextRows:
         texts.append(line)
         line_numbers.append(i + 1)
         value_counts.append(value_count)
-        cell_counts.append(total_count)
+        cell_counts.append(cell_count)
     has_decimal_commas = separator != b"," and any(
         b"," in text for text in texts[:COMMA_CHECK_ROWS]
     )
     has_decimal_commas = has_decimal_commas and not any(b"." in text for text in texts)
     if has_decimal_commas:
         texts = [text.replace(b",", b".") for text in texts]
-    line_array = np.array(line_numbers, np.int64)
-    value_count_array = np.array(value_counts, np.int64)
     return TextRows(
         texts,
-        line_array,
-        value_count_array,
+        np.array(line_numbers, np.int64),
+        np.array(value_counts, np.int64),
         np.array(cell_counts, np.int64),
         has_decimal_commas,
     )

@@ -18,28 +18,29 @@ class FileNotices:
 
     path: str
     notices: list[Fault] = field(default_factory=list)
-    counts: dict[str, int] = field(default_factory=dict)  # number of warnings by code
-    reported: set[tuple[str, str, str]] = field(default_factory=set)
+    warning_counts: dict[str, int] = field(default_factory=dict)  # by code
+    # Code, location and message of each warning, to report it once.
+    reported_warnings: set[tuple[str, str, str]] = field(default_factory=set)
 
     def fail(
-        self, code: str, where: str, message: str, hint: str | None = None
+        self, code: str, location: str, message: str, hint: str | None = None
     ) -> NoReturn:
-        """Raise a `FormatError` about the file."""
-        raise FormatError(Fault(code, message, self.path, (), hint, where=where))
+        """Raise a `FormatError` at a location in the file."""
+        raise FormatError(Fault(code, message, self.path, (), hint, where=location))
 
     def warn(
         self,
         code: str,
-        where: str,
+        location: str,
         message: str,
         hint: str | None = None,
         severity: Severity = Severity.WARNING,
     ) -> None:
         """Record a warning or note once, and at most `MAX_WARNINGS` per code."""
-        if (code, where, message) in self.reported:
+        if (code, location, message) in self.reported_warnings:
             return
-        self.reported.add((code, where, message))
-        count = self.counts[code] = self.counts.get(code, 0) + 1
-        if count <= MAX_WARNINGS:
-            fault = Fault(code, message, self.path, (), hint, severity, where=where)
+        self.reported_warnings.add((code, location, message))
+        warning_count = self.warning_counts[code] = self.warning_counts.get(code, 0) + 1
+        if warning_count <= MAX_WARNINGS:
+            fault = Fault(code, message, self.path, (), hint, severity, where=location)
             self.notices.append(fault)

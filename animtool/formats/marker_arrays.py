@@ -22,7 +22,7 @@ from animtool.documents.references import split_reference
 from animtool.formats.trajectories import MAX_POSITIONS, CaptureFile
 from animtool.motion.markers import Markers
 
-_UNIT_SUFFIX = re.compile(r"_(mm|cm|m|in)")
+_UNIT_PATTERN = re.compile(r"_(mm|cm|m|in)")
 # Prefix of the default array of positions.
 DEFAULT_PREFIX = "markers"
 # The array of marker names, and names that others give it.
@@ -60,8 +60,8 @@ def read_markers(
         fps: The frame rate, if the file has a wrong one or none.
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
     """
-    text, array_name = split_reference(str(path), "")
-    path = Path(text)
+    path_text, array_name = split_reference(str(path), "")
+    path = Path(path_text)
     file = CaptureFile(str(path))
     # A missing or unreadable file raises the common error of all files.
     open_input(path, None).close()
@@ -96,20 +96,19 @@ def _read_arrays(
     positions_name = _find_positions_array(file, archives, path, array_names, array)
     header = archives.header(path, positions_name)
     if len(header.shape) != 3 or header.shape[2] != 3 or header.kind not in "fiu":
-        message = f"{positions_name!r} has shape {header.shape}, not (frames, markers, "
-        message += "3)"
-        raise file.error("MKR012", message)
+        message = f"{positions_name!r} has shape {header.shape}, "
+        raise file.error("MKR012", f"{message}not (frames, markers, 3)")
     frame_count, point_count, _ = header.shape
-    message = f"{positions_name!r} has {frame_count} frames of {point_count} points"
+    counts_text = f"{positions_name!r} has {frame_count} frames of {point_count} points"
     if frame_count == 0 or point_count == 0:
-        raise file.error("MKR013", message)
+        raise file.error("MKR013", counts_text)
     if frame_count * point_count > MAX_POSITIONS:
-        raise file.error("MKR012", f"{message}, above the limit")
+        raise file.error("MKR012", f"{counts_text}, above the limit")
     _, underscore, suffix_text = positions_name.rpartition("_")
-    suffix = _UNIT_SUFFIX.fullmatch(underscore + suffix_text)
+    suffix = _UNIT_PATTERN.fullmatch(underscore + suffix_text)
     length_unit = file.choose_unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
-    is_default = positions_name.partition("_")[0] == DEFAULT_PREFIX
+    has_default_prefix = positions_name.partition("_")[0] == DEFAULT_PREFIX
 
     def read_number(name: str) -> float | None:
         if name not in array_names:
@@ -117,7 +116,7 @@ def _read_arrays(
         return float(archives.load_stored(path, name).ravel()[0])
 
     def read_point_array(name: str) -> npt.NDArray[Any] | None:
-        if name not in array_names or not is_default:
+        if name not in array_names or not has_default_prefix:
             return None
         return archives.load_stored(path, name)
 
@@ -129,16 +128,16 @@ def _read_arrays(
     labels = names if len(names) == point_count else [""] * point_count
     positions = np.array(archives.load_stored(path, positions_name), np.float64)
     residuals, cameras = read_point_array("residuals_m"), read_point_array("cameras")
-    filled, start = read_point_array("filled"), read_number("start")
+    is_filled, start_frame = read_point_array("filled"), read_number("start")
     with faults_in(path):
         return Markers(
             file.unique_names(labels, subject),
-            Clock(rate, _start_frame(start), Fraction(1), frame_count),
+            Clock(rate, _start_frame(start_frame), Fraction(1), frame_count),
             file.clean_positions(positions, length_unit.meters),
             up_axis,
             None if cameras is None else cameras.astype(np.int64),
             None if residuals is None else residuals.astype(np.float64),
-            None if filled is None else filled.astype(bool),
+            None if is_filled is None else is_filled.astype(bool),
             tuple(file.notices),
         )
 
@@ -151,19 +150,20 @@ def _marker_names(
     positions_name: str,
     shape: tuple[int, int],
 ) -> list[str]:
-    """Return the names of the points of an array of frames and points.
+    """Return the marker names that apply to an array of positions, or none.
 
-    Refuse swapped dimensions (MKR012); warn about names that do not apply (MKR106).
+    ``shape`` is the number of frames and points. Raises if they are swapped (MKR012);
+    warns about names that do not match the points (MKR106).
     """
-    frame_count, count = shape
-    is_default = positions_name.partition("_")[0] == DEFAULT_PREFIX
+    frame_count, point_count = shape
+    has_default_prefix = positions_name.partition("_")[0] == DEFAULT_PREFIX
     if NAMES_ARRAY in array_names:
         names = archives.texts(path, NAMES_ARRAY)
-        if not is_default or not names or len(names) == count:
+        if not has_default_prefix or not names or len(names) == point_count:
             return names
         message = (
             f"{positions_name!r} has {counted(frame_count, 'frame')} of "
-            f"{counted(count, 'point')}, "
+            f"{counted(point_count, 'point')}, "
             f"but {NAMES_ARRAY!r} has {counted(len(names), 'name')}"
         )
         if len(names) == frame_count:
@@ -173,13 +173,13 @@ def _marker_names(
         file.warn("MKR106", message, hint)
         return names
     for name in array_names:
-        if not is_default or name not in OTHER_NAMES_ARRAYS:
+        if not has_default_prefix or name not in OTHER_NAMES_ARRAYS:
             continue
         try:
             texts = archives.texts(path, name)
         except ValueError:
             continue
-        if len(texts) == count:
+        if len(texts) == point_count:
             message = f"there is no array {NAMES_ARRAY!r}: the points are unlabelled"
             hint = f"{name!r} has a text for each: rename it to {NAMES_ARRAY!r}"
             file.warn("MKR106", message, hint)
@@ -199,9 +199,11 @@ def _find_positions_array(
         # The archive reports a missing array and lists those it has.
         archives.header(path, array)
         return array
-    candidates = [key for key in array_names if key.partition("_")[0] == DEFAULT_PREFIX]
+    candidates = [
+        name for name in array_names if name.partition("_")[0] == DEFAULT_PREFIX
+    ]
     if not candidates:
-        names_with_unit = [key for key in array_names if _UNIT_SUFFIX.search(key)]
+        names_with_unit = [name for name in array_names if _UNIT_PATTERN.search(name)]
         if not PIXEL_ARRAYS.isdisjoint(array_names):
             message = "holds pixels of cameras, not positions"
             pixels_hint = (
@@ -218,7 +220,7 @@ def _find_positions_array(
         raise file.error("MKR012", message, hint)
     if len(candidates) > 1:
         # The array of marker names has the same prefix.
-        candidates = [k for k in candidates if _UNIT_SUFFIX.search(k)] or candidates
+        candidates = [k for k in candidates if _UNIT_PATTERN.search(k)] or candidates
     return candidates[0]
 
 

@@ -22,7 +22,7 @@ def is_marker_file(path: Path) -> bool:
     >>> is_marker_file(Path("take.npz#unlabelled_mm")), is_marker_file(Path("a.bvh"))
     (True, False)
     """
-    path = file_of(path)
+    path = marker_file_path(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None or not reader.has_markers:
         return reader is not None and bool(reader.markers)
@@ -30,8 +30,8 @@ def is_marker_file(path: Path) -> bool:
     return has_markers(path)
 
 
-def file_of(path: Path) -> Path:
-    """Return the file of a path that may end in ``#array``."""
+def marker_file_path(path: Path) -> Path:
+    """Return a path without the ``#array`` that may follow the file."""
     return Path(split_reference(str(path), "")[0])
 
 
@@ -53,8 +53,8 @@ def open_markers(
         subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names.
     """
     path = Path(path)
-    opener = find_reader(file_of(path)).markers_opener(path)
-    return cast(Markers, opener(path, unit=unit, up=up, fps=fps, subject=subject))
+    open_file = find_reader(marker_file_path(path)).markers_opener(path)
+    return cast(Markers, open_file(path, unit=unit, up=up, fps=fps, subject=subject))
 
 
 def write_markers(

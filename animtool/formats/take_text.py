@@ -18,7 +18,7 @@ CHUNK_ROWS = 4096
 
 @dataclass(frozen=True, slots=True)
 class TakeText:
-    """A text file in parts: header and rows."""
+    """Header, rows and notices of a text file that is about to be written."""
 
     header: Iterable[str]  # lines above the rows
     rows: Iterator[bytes]  # formatted on demand
@@ -32,7 +32,7 @@ class TakeText:
 
 
 def format_rows(
-    values: FloatArray, decimals: Sequence[int], *, tabs: bool = False
+    values: FloatArray, decimals: Sequence[int], *, uses_tabs: bool = False
 ) -> Iterator[bytes]:
     """Yield formatted rows ``(F, C)`` in chunks, separated by blanks or tabs.
 
@@ -42,7 +42,7 @@ def format_rows(
     for begin in range(0, len(values), CHUNK_ROWS):
         block = np.ascontiguousarray(values[begin : begin + CHUNK_ROWS])
         text = _kernels.format_bvh_rows(block, digits)
-        yield text.replace(b" ", b"\t") if tabs else text
+        yield text.replace(b" ", b"\t") if uses_tabs else text
 
 
 def write_text(

@@ -32,7 +32,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats import FLOAT32_MAX
 
 # Names of unlabelled points, besides an empty name.
-_UNLABELLED = re.compile(
+_UNLABELLED_PATTERN = re.compile(
     r"\*\d*|uname\*\d*|unlabell?ed[\W_]*\d*|unidentified[\W_]*\d*|unknown[\W_]*\d*",
     re.IGNORECASE | re.ASCII,
 )
@@ -93,26 +93,26 @@ class CaptureFile:
         raise self.error("MKR010", message, hint)
 
     def choose_unit(
-        self, stated_unit: str | None, option: LengthUnit | None, default: LengthUnit
+        self, stated_unit: str | None, unit: LengthUnit | None, default: LengthUnit
     ) -> LengthUnit:
         """Return the length unit: the option, else the stated one, else the default."""
-        if option is not None:
-            return LengthUnit(option)
+        if unit is not None:
+            return LengthUnit(unit)
         if stated_unit is None or not stated_unit.strip():
             message = f"the file states no unit; using {default}"
             self.note("MKR104", message, f"set the unit with {argument('source.unit')}")
             return default
-        unit = _parse_unit(stated_unit.strip().lower().rstrip("s."))
-        if unit is None:
+        known_unit = _parse_unit(stated_unit.strip().lower().rstrip("s."))
+        if known_unit is None:
             message = f"unknown unit {excerpt(stated_unit)}"
             hint = f"set one of {', '.join(LengthUnit)} with {argument('source.unit')}"
             raise self.error("MKR011", message, hint)
-        return unit
+        return known_unit
 
-    def choose_up(self, stated_up: UpAxis | None, option: UpAxis | None) -> UpAxis:
+    def choose_up(self, stated_up: UpAxis | None, up: UpAxis | None) -> UpAxis:
         """Return the up axis: the option, else the stated one, else Y."""
-        if option is not None:
-            return UpAxis(option)
+        if up is not None:
+            return UpAxis(up)
         if stated_up is None:
             message = "the file states no up axis; using Y"
             self.note("MKR103", message, f"set Z up with {argument('source.up', 'Z')}")
@@ -133,17 +133,19 @@ class CaptureFile:
             subject = next(iter(prefixes))
         if subject:
             clean_labels = [name.removeprefix(f"{subject}:") for name in clean_labels]
-        label_names = [
+        names = [
             f"*{i}" if is_unlabelled(name) else name
             for i, name in enumerate(clean_labels)
         ]
-        unique = numbered_names(label_names)
-        renamed = [u for s, u in zip(label_names, unique, strict=True) if s != u]
-        if renamed:
+        unique_labels = numbered_names(names)
+        renamed_labels = [
+            u for s, u in zip(names, unique_labels, strict=True) if s != u
+        ]
+        if renamed_labels:
             hint = "rename them in the capture software"
             message = "duplicate names; later ones became "
-            self.warn_of_names("MKR101", message, renamed, hint)
-        return tuple(unique)
+            self.warn_of_names("MKR101", message, renamed_labels, hint)
+        return tuple(unique_labels)
 
     def clean_positions(self, positions: FloatArray, meters: float) -> FloatArray:
         """Return positions [m] with NaN for invalid ones.
@@ -155,25 +157,25 @@ class CaptureFile:
         ``positions`` ``(F, M, 3)``, in file units, are changed in place.
         """
         with np.errstate(invalid="ignore"):
-            beyond_float32 = (np.abs(positions) > FLOAT32_MAX).any(axis=-1)
-            origin = (positions == 0.0).all(axis=-1)
+            is_beyond_float32 = (np.abs(positions) > FLOAT32_MAX).any(axis=-1)
+            is_at_origin = (positions == 0.0).all(axis=-1)
             is_missing_code = (positions == positions[..., :1]).all(axis=-1)
-            is_missing_code &= np.abs(positions[..., 0]) * meters > MAX_DISTANCE
-            is_missing_code &= ~beyond_float32
-        if beyond_float32.any():
-            count = counted(int(beyond_float32.sum()), "position")
+            is_missing_code &= np.abs(positions[..., 0]) * meters > MAX_COORDINATE
+            is_missing_code &= ~is_beyond_float32
+        if is_beyond_float32.any():
+            count = counted(int(is_beyond_float32.sum()), "position")
             message = f"{count} beyond the largest float32, treated as missing"
             self.warn("MKR102", message, "export the file again")
-        if origin.any():
-            count = counted(int(origin.sum()), "position")
+        if is_at_origin.any():
+            count = counted(int(is_at_origin.sum()), "position")
             message = f"{count} at exactly 0, 0, 0, treated as missing"
             self.note("MKR105", message)
         if is_missing_code.any():
             count = counted(int(is_missing_code.sum()), "position")
-            number = float(positions[is_missing_code][0, 0])
-            message = f"{count} at {number:g} in every coordinate, treated as missing"
+            value = float(positions[is_missing_code][0, 0])
+            message = f"{count} at {value:g} in every coordinate, treated as missing"
             self.warn("MKR102", message, "the number is a code for missing points")
-        is_missing = beyond_float32 | origin | is_missing_code
+        is_missing = is_beyond_float32 | is_at_origin | is_missing_code
         positions[is_missing | np.isnan(positions).any(axis=-1)] = np.nan
         positions *= meters
         return positions
@@ -187,8 +189,8 @@ def _parse_unit(text: str) -> LengthUnit | None:
     return matching_units.pop() if len(matching_units) == 1 else None
 
 
-# Equal coordinates beyond this are a code for a missing point [m].
-MAX_DISTANCE = 1000.0
+# Three equal coordinates beyond this are a code for a missing point [m].
+MAX_COORDINATE = 1000.0
 # Maximum positions of a take; larger files are refused before memory is allocated. An
 # hour of 100 markers at 240 Hz has 86 million.
 MAX_POSITIONS = 200_000_000
@@ -200,4 +202,4 @@ def is_unlabelled(name: str) -> bool:
     >>> is_unlabelled("*12"), is_unlabelled(""), is_unlabelled("LFHD")
     (True, True, False)
     """
-    return not name or _UNLABELLED.fullmatch(name) is not None
+    return not name or _UNLABELLED_PATTERN.fullmatch(name) is not None

@@ -38,18 +38,18 @@ from animtool.preview.timing import (
 )
 
 # Limit of a page's streams before compression [byte].
-MAX_BYTES = 1_000_000_000
+MAX_STREAM_BYTES = 1_000_000_000
 # Larger pages get a warning: browsers open them slowly [byte].
 LARGE_PAGE_BYTES = 64_000_000
 MAX_TITLE_LENGTH = 120
 # Maximum number of findings listed on a page; the others are only counted.
 MAX_FINDINGS = 500
-_QUOTED_TEXT = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
+_QUOTED_TEXT_PATTERN = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
 
 
 @dataclass(frozen=True, slots=True)
 class PreviewPage:
-    """A page that is ready to be written.
+    """Manifest, data blocks and notices of a page that is ready to be written.
 
     Attributes:
         manifest: Description of the contents, for the viewer.
@@ -62,7 +62,7 @@ class PreviewPage:
     notices: list[Fault] = field(default_factory=list)
 
     def chunks(self, watch: dict[str, Any] | None = None) -> Iterable[bytes]:
-        """Yield the page in chunks of bytes.
+        """Yield the page as UTF-8 HTML in chunks of bytes.
 
         Args:
             watch: Server to poll for changes, and the state of the page; None for a
@@ -71,16 +71,16 @@ class PreviewPage:
         manifest = self.manifest
         if watch is not None:
             manifest = manifest | {"watch": watch}
-        return page_parts(manifest, self.blocks, watched=watch is not None)
+        return page_parts(manifest, self.blocks, is_watched=watch is not None)
 
     def html(self) -> str:
-        """Return the page as text."""
+        """Return the complete page as one HTML text."""
         return b"".join(self.chunks()).decode("utf-8")
 
 
 @dataclass(frozen=True, slots=True)
 class PageReport:
-    """Report on a written page."""
+    """Path, size and contents of a page that was written."""
 
     path: Path
     size: int  # size of the file [byte]
@@ -97,7 +97,7 @@ class PageReport:
 
     @property
     def codes(self) -> list[str]:
-        """Codes of the findings on the page."""
+        """Distinct rule codes of the findings on the page."""
         findings = self.page.manifest["findings"]
         return list(dict.fromkeys(finding["code"] for finding in findings))
 
@@ -175,20 +175,20 @@ def _build_page(
 ) -> PreviewPage:
     """Return the finished page of a draft; raise an error if it is too large."""
     title = ", ".join(names)
-    source = {
+    source_entry = {
         "files": names,
         "unit": files[0].unit,
         "up": str(files[0].up).lower(),
     }
-    if draft.packer.total_bytes > MAX_BYTES:
-        size = draft.packer.total_bytes / 1e6
-        message = f"the page would hold {size:.0f} MB of frames"
+    if draft.packer.total_bytes > MAX_STREAM_BYTES:
+        megabytes = draft.packer.total_bytes / 1e6
+        message = f"the page would hold {megabytes:.0f} MB of frames"
         raise OptionError(Fault("PRV003", message, hint=FEWER_FRAMES_HINT))
     manifest, blocks = draft.manifest(
         title
         if len(title) <= MAX_TITLE_LENGTH
         else title[: MAX_TITLE_LENGTH - 1] + "…",
-        source,
+        source_entry,
     )
     size = sum(map(len, blocks))
     if size > LARGE_PAGE_BYTES:
@@ -203,7 +203,9 @@ def _collect_contents(
     files: list[OpenFile], options: PreviewOptions
 ) -> tuple[PageDraft, list[Fault]]:
     """Return a draft with the contents of all files on one timeline, and notices."""
-    notices = [file.at_scene(notice) for file in files for notice in file.notices]
+    notices = [
+        file.relocated_to_scene(notice) for file in files for notice in file.notices
+    ]
     fps = next((rate for file in files if (rate := file.fps)), Fraction(24))
     timeline_takes = [
         fit_to_page(file_index, file, take, fps, options, notices)
@@ -245,13 +247,13 @@ def _collect_contents(
 
 def _add_timeline_take(draft: PageDraft, timeline_take: TimelineTake) -> PageTake:
     """Add a take with its meshes, visibility and curves; return it as stored."""
-    first = draft.timeline.index(timeline_take.first_frame)
+    first_sample = draft.timeline.index(timeline_take.first_frame)
     page_take = add_take(
         draft,
         timeline_take.take.name,
         timeline_take.stream,
         timeline_take.motion,
-        first,
+        first_sample,
     )
     page_take.entry["file"] = timeline_take.file_index
     return page_take
@@ -313,11 +315,13 @@ def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
         dict.fromkeys(_find_faults(files)),
         key=lambda fault: severities.index(fault.severity),
     )
-    takes: dict[str, tuple[int, Sequence[str]]] = {}
-    for take_index, entry in enumerate(draft.takes):
-        path = str(files[entry["file"]])
-        takes.setdefault(path, (take_index, entry["skeleton"]["names"]))
-    draft.findings += [_finding_entry(fault, takes) for fault in faults[:MAX_FINDINGS]]
+    takes_by_path: dict[str, tuple[int, Sequence[str]]] = {}
+    for take_index, take_entry in enumerate(draft.takes):
+        path = str(files[take_entry["file"]])
+        takes_by_path.setdefault(path, (take_index, take_entry["skeleton"]["names"]))
+    draft.findings += [
+        _finding_entry(fault, takes_by_path) for fault in faults[:MAX_FINDINGS]
+    ]
     if len(faults) > MAX_FINDINGS:
         omitted_findings = counted(len(faults) - MAX_FINDINGS, "finding")
         draft.add_notice(f"{omitted_findings} more: animtool validate lists them")
@@ -339,19 +343,19 @@ def _find_faults(files: Sequence[Path]) -> list[Fault]:
 
 
 def _finding_entry(
-    fault: Fault, takes: Mapping[str, tuple[int, Sequence[str]]]
+    fault: Fault, takes_by_path: Mapping[str, tuple[int, Sequence[str]]]
 ) -> dict[str, Any]:
     """Return the entry of a finding in the page manifest.
 
-    ``takes`` maps the path of a file to the index of its take and the names of its
-    joints.
+    ``takes_by_path`` maps the path of a file to the index of its take and the names of
+    its joints.
     """
-    take, joints = takes.get(fault.path or "", (None, ()))
+    take_index, joint_names = takes_by_path.get(fault.path or "", (None, ()))
     joint = fault.joint
     if joint is None:
         # Rules quote the joints concerned in their messages.
-        quoted_texts = [a or b for a, b in _QUOTED_TEXT.findall(fault.message)]
-        joint = next((name for name in quoted_texts if name in set(joints)), None)
+        quoted_texts = [a or b for a, b in _QUOTED_TEXT_PATTERN.findall(fault.message)]
+        joint = next((name for name in quoted_texts if name in set(joint_names)), None)
     hint = f"; {fault.hint}" if fault.hint else ""
     return {
         "code": fault.code,
@@ -359,5 +363,5 @@ def _finding_entry(
         "message": f"{fault.message}{hint}",
         "frame": fault.frame,
         "joint": joint,
-        "take": take,
+        "take": take_index,
     }

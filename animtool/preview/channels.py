@@ -12,7 +12,7 @@ from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.preview.draft import PageDraft, json_number
-from animtool.preview.streams import Quantized, json_numbers
+from animtool.preview.streams import QuantizedValues, json_numbers
 from animtool.preview.takes import PageTake
 from animtool.rig.kinematics import rest_size
 
@@ -54,7 +54,9 @@ def add_channels(
     if key_count > MAX_KEYS:
         draft.add_notice(f"{key_count} keys: curves are drawn without them")
     stacked_values = np.stack([curve.values for curve in curves], axis=1)
-    stream = draft.packer.add(Quantized(stacked_values.astype("<f4"), "f32"))
+    stream_index = draft.packer.add(
+        QuantizedValues(stacked_values.astype("<f4"), "f32")
+    )
     rig_size = rest_size(page_take.rig) or 1.0
     for column, curve in enumerate(curves):
         keys = curve.keys if key_count <= MAX_KEYS else None
@@ -62,7 +64,7 @@ def add_channels(
             {
                 "name": curve.name,
                 "unit": curve.unit,
-                "values": stream,
+                "values": stream_index,
                 "column": column,
                 "keys": None if keys is None else json_numbers(keys),
                 "interp": curve.interp,
@@ -77,9 +79,9 @@ def _curve_range(curve: ChannelCurve, rig_size: float) -> float:
 
     Angles are in radians, lengths relative to the size of the rig.
     """
-    scale = {"deg": float(np.degrees(1.0)), "m": rig_size}.get(curve.unit, 1.0)
+    unit_factor = {"deg": float(np.degrees(1.0)), "m": rig_size}.get(curve.unit, 1.0)
     values = curve.values[np.isfinite(curve.values)]
-    return float(np.ptp(values)) / scale if len(values) else 0.0
+    return float(np.ptp(values)) / unit_factor if len(values) else 0.0
 
 
 def _clip_curves(
@@ -89,9 +91,9 @@ def _clip_curves(
     if clip is None:
         return []
     timeline = draft.timeline
-    codes = timeline.codes[0] + (np.arange(page_take.frames) + page_take.first) * float(
-        timeline.step
-    )
+    codes = timeline.codes[0] + (
+        np.arange(page_take.frames) + page_take.first_sample
+    ) * float(timeline.step)
     frame_ratio, first_frame = float(clip.fps / timeline.fps), float(clip.first)
     times = first_frame + (codes - origin) * frame_ratio
     # Show keyed angles, not the rotations computed from them.

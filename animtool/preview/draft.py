@@ -15,7 +15,12 @@ from animtool.core.clock import time_codes
 from animtool.core.errors import AnimtoolError, counted
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.preview.streams import Array, Quantized, StreamPacker, quantize_range
+from animtool.preview.streams import (
+    Array,
+    QuantizedValues,
+    StreamPacker,
+    quantize_range,
+)
 
 FORMAT_VERSION = 1
 
@@ -84,7 +89,7 @@ class PageDraft:
     rotation_error: float = 0.0
     position_error: float = 0.0
     # Cached results per rig: characters of a crowd share rigs.
-    cache: dict[bytes, Any] = field(default_factory=dict)
+    rig_cache: dict[bytes, Any] = field(default_factory=dict)
 
     def add_notice(self, message: str) -> None:
         """Add a notice unless the page already has it."""
@@ -97,48 +102,48 @@ class PageDraft:
         self.rotation_error = max(self.rotation_error, rotation)
 
     def add_positions(self, positions: Array) -> int:
-        """Add a stream of positions ``(F, ...)`` [m]; return its index."""
+        """Add a quantized stream of positions ``(F, ...)`` [m]; return its index."""
         data = quantize_range(positions.reshape(len(positions), -1), period=3)
         self.record_error(position=data.error)
         return self.packer.add(data)
 
-    def add_mask(self, visible: BoolArray) -> int | None:
+    def add_mask(self, is_visible: BoolArray) -> int | None:
         """Add a visibility mask ``(F,)``; return its stream, None if always visible."""
-        if visible.all():
+        if is_visible.all():
             return None
-        rows = visible[:, None] if visible.any() else visible[:1, None]
-        return self.packer.add(Quantized(rows.astype("<u1"), "u8"))
+        mask_rows = is_visible[:, None] if is_visible.any() else is_visible[:1, None]
+        return self.packer.add(QuantizedValues(mask_rows.astype("<u1"), "u8"))
 
     def add_points(
         self,
         name: str,
-        positions: int,
+        position_stream: int,
         *,
         radius: float = 0.0,
-        radii: int | None = None,
+        radius_stream: int | None = None,
         color: Sequence[float] | None = None,
-        colors: int | None = None,
+        color_stream: int | None = None,
         names: Sequence[str] | None = None,
     ) -> None:
-        """Add points, drawn as balls.
+        """Add an animated set of points, drawn as balls.
 
         Args:
             name: Name of the set of points.
-            positions: Index of the stream of positions.
+            position_stream: Index of the stream of positions.
             radius: Radius of all points [m].
-            radii: Index of the stream of their radii; None uses ``radius``.
+            radius_stream: Index of the stream of their radii; None uses ``radius``.
             color: Color of all points; None is the default color.
-            colors: Index of the stream of their colors; None uses ``color``.
+            color_stream: Index of the stream of their colors; None uses ``color``.
             names: Name of each point; None without names.
         """
         self.points.append(
             {
                 "name": name,
-                "positions": positions,
+                "positions": position_stream,
                 "radius": radius,
-                "radii": radii,
+                "radii": radius_stream,
                 "color": None if color is None else list(color),
-                "colors": colors,
+                "colors": color_stream,
                 "names": names,
             }
         )

@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulate
 from animtool.preview.draft import PageDraft
 from animtool.preview.open_file import TakeToShow
-from animtool.preview.streams import Quantized, json_numbers, quantize_range
+from animtool.preview.streams import QuantizedValues, json_numbers, quantize_range
 from animtool.preview.takes import PageTake
 from animtool.rig.surfaces import Surface
 from animtool.skin.character import CharacterMesh, character_meshes
@@ -26,9 +26,9 @@ MAX_INFLUENCES = 4
 MAX_LOST_WEIGHT = 0.02
 # Frames whose points are in memory at once.
 BLOCK_FRAMES = 64
-COLORS = ((0.53, 0.56, 0.6), (0.6, 0.5, 0.42), (0.44, 0.55, 0.5), (0.55, 0.48, 0.57))
+PALETTE = ((0.53, 0.56, 0.6), (0.6, 0.5, 0.42), (0.44, 0.55, 0.5), (0.55, 0.48, 0.57))
 STRAND_WIDTH = 0.001
-WEIGHT_ERROR = 1e-4
+WEIGHT_TOLERANCE = 1e-4
 
 
 def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) -> None:
@@ -52,9 +52,9 @@ def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) 
             continue
         if mesh.mesh.skin is not None:
             entry["skin"] = _skin_entry(draft, mesh.mesh.skin)
-        weights = mesh.weights(page_take.weights)
-        if mesh.mesh.shapes is not None and weights is not None:
-            column_values = column_weights(mesh.mesh.shapes, weights)
+        shape_weights = mesh.weights(page_take.weights)
+        if mesh.mesh.shapes is not None and shape_weights is not None:
+            column_values = column_weights(mesh.mesh.shapes, shape_weights)
             active_columns = np.flatnonzero(column_values.any(axis=0))
             entry["shapes"] = _shape_entries(
                 draft, mesh.mesh.shapes, active_columns, len(shape_labels)
@@ -65,13 +65,13 @@ def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) 
             visible_weights.append(column_values[:, active_columns])
     if shape_labels:
         all_weights = np.concatenate(visible_weights, axis=1)
-        quantized = quantize_range(all_weights, WEIGHT_ERROR)
+        quantized_weights = quantize_range(all_weights, WEIGHT_TOLERANCE)
         page_take.entry["shapes"] = {
             "names": shape_labels,
-            "weights": draft.packer.add(quantized),
+            "weights": draft.packer.add(quantized_weights),
         }
     for strands in character.strands:
-        count, points_per_strand = strands.points.shape[:2]
+        strand_count, points_per_strand = strands.points.shape[:2]
         joint = page_take.rig.index(strands.joint)
         draft.curves.append(
             {
@@ -82,7 +82,7 @@ def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) 
                     np.linalg.inv(character.bind[joint]).T.reshape(-1), 9
                 ),
                 "counts": draft.packer.add_static(
-                    np.full(count, points_per_strand), "u32"
+                    np.full(strand_count, points_per_strand), "u32"
                 ),
                 "points": draft.packer.add_static_range(strands.points),
                 "width": STRAND_WIDTH,
@@ -104,16 +104,16 @@ def needs_point_cache(skin: PreparedSkin | None) -> bool:
 def largest_influences(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     """Return the joints and weights of the four largest influences ``(V, 4)``."""
     influences = skin.influences
-    counts = np.diff(influences.row_starts)
-    vertices = np.repeat(np.arange(skin.vertex_count), counts)
+    influence_counts = np.diff(influences.row_starts)
+    vertex_indices = np.repeat(np.arange(skin.vertex_count), influence_counts)
     ranks = np.arange(len(influences.joints)) - np.repeat(
-        influences.row_starts[:-1], counts
+        influences.row_starts[:-1], influence_counts
     )
     is_kept = ranks < MAX_INFLUENCES
     joints = np.zeros((skin.vertex_count, MAX_INFLUENCES), np.int64)
     weights = np.zeros((skin.vertex_count, MAX_INFLUENCES))
-    joints[vertices[is_kept], ranks[is_kept]] = influences.joints[is_kept]
-    weights[vertices[is_kept], ranks[is_kept]] = influences.weights[is_kept]
+    joints[vertex_indices[is_kept], ranks[is_kept]] = influences.joints[is_kept]
+    weights[vertex_indices[is_kept], ranks[is_kept]] = influences.weights[is_kept]
     return joints, weights
 
 
@@ -132,7 +132,7 @@ def mesh_entry(
 
     ``colors``: linear colors of the points ``(V, 3)``; None to use one ``color``.
     """
-    default = COLORS[len(draft.meshes) % len(COLORS)]
+    default_color = PALETTE[len(draft.meshes) % len(PALETTE)]
     triangles = triangulate(counts, indices)
     return {
         "name": name,
@@ -142,7 +142,7 @@ def mesh_entry(
         "skin": None,
         "shapes": [],
         "cache": None,
-        "color": list(default if color is None else color),
+        "color": list(default_color if color is None else color),
         "colors": None
         if colors is None
         # sRGB colors, for which 8 bits are enough.
@@ -187,40 +187,46 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
     return {
         "palette": skin.joints.tolist(),
         "joints": draft.packer.add_static(joints, "u16"),
-        "weights": draft.packer.add(Quantized(stored_weights, "u16", 1 / 65535)),
+        "weights": draft.packer.add(QuantizedValues(stored_weights, "u16", 1 / 65535)),
         "bind": draft.packer.add_static(bind.swapaxes(1, 2), "f32"),
     }
 
 
 def _shape_entries(
-    draft: PageDraft, shapes: PreparedShapes, active: IntArray, first_column: int
+    draft: PageDraft,
+    shapes: PreparedShapes,
+    active_columns: IntArray,
+    first_column: int,
 ) -> list[dict[str, Any]]:
     """Return the manifest entries of shapes, with sparse point offsets."""
-    columns = shapes.points
+    sparse_offsets = shapes.points
     names = [
         name if weight == 1.0 else f"{name} at {weight:g}"
         for name, knots in zip(shapes.names, shapes.knots, strict=True)
         for weight in knots[knots != 0].tolist()
     ]
-    vertex_of_entry = np.repeat(
-        np.arange(shapes.vertex_count), np.diff(columns.row_starts)
+    vertex_by_offset = np.repeat(
+        np.arange(shapes.vertex_count), np.diff(sparse_offsets.row_starts)
     )
-    dense_rows = {
-        column: row for row, column in enumerate(np.flatnonzero(columns.is_dense), 1)
+    dense_row_by_column = {
+        column: row
+        for row, column in enumerate(np.flatnonzero(sparse_offsets.is_dense), 1)
     }
     entries = []
-    for index, column in enumerate(active.tolist()):
-        if column in dense_rows:
-            offsets = columns.dense_table[dense_rows[column]].reshape(-1, 3)
+    for shape_number, column in enumerate(active_columns.tolist()):
+        if column in dense_row_by_column:
+            dense_row = sparse_offsets.dense_table[dense_row_by_column[column]]
+            offsets = dense_row.reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))
             offsets = offsets[vertices]
         else:
-            rows = columns.columns == column
-            vertices, offsets = (vertex_of_entry[rows], columns.offsets[rows])
+            is_in_column = sparse_offsets.columns == column
+            vertices = vertex_by_offset[is_in_column]
+            offsets = sparse_offsets.offsets[is_in_column]
         entries.append(
             {
                 "name": names[column],
-                "column": first_column + index,
+                "column": first_column + shape_number,
                 "vertices": draft.packer.add_static(vertices, "u32"),
                 "offsets": draft.packer.add_static_range(offsets),
             }
@@ -235,6 +241,6 @@ def _point_stream(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) ->
     for begin in range(0, page_take.frames, BLOCK_FRAMES):
         frames = slice(begin, min(begin + BLOCK_FRAMES, page_take.frames))
         block_weights = None if weights is None else weights[frames]
-        deformed = deform(mesh.mesh, block_weights, page_take.world(frames))
-        blocks.append(deformed.points.astype(np.float32))
+        deformed_mesh = deform(mesh.mesh, block_weights, page_take.world(frames))
+        blocks.append(deformed_mesh.points.astype(np.float32))
     return draft.add_positions(np.concatenate(blocks))

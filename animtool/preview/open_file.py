@@ -79,7 +79,7 @@ class TakeToShow:
 
 @dataclass(slots=True)
 class OpenFile:
-    """An open file.
+    """A file opened for a page: its takes and other contents to show.
 
     Attributes:
         path: Path of the file, as given by the user.
@@ -103,7 +103,7 @@ class OpenFile:
     notices: list[Fault] = field(default_factory=list)
     folder: Path | None = None
 
-    def at_scene(self, fault: Fault) -> Fault:
+    def relocated_to_scene(self, fault: Fault) -> Fault:
         """Return a fault located at the scene instead of its temporary layer."""
         fault_path = fault.path
         if (
@@ -294,15 +294,15 @@ def _read_characters(
 ) -> dict[str, TakeStream]:
     """Return the takes of all valid characters; report malformed characters."""
     streams: dict[str, TakeStream] = {}
-    errors: list[FormatError] = []
+    format_errors: list[FormatError] = []
     for prim, read_stream in characters.items():
         try:
             streams[prim] = read_stream()
         except FormatError as error:
-            errors.append(error)
-    if errors and not streams:
-        raise errors[0]
-    faults = [fault for error in errors for fault in error.faults]
+            format_errors.append(error)
+    if format_errors and not streams:
+        raise format_errors[0]
+    faults = [fault for error in format_errors for fault in error.faults]
     file.notices += [replace(f, severity=Severity.WARNING) for f in faults]
     return streams
 
@@ -326,13 +326,16 @@ def scene_to_show(scene: Scene) -> Scene:
 
 
 def _combined_stage(
-    folder: Path, layer_path: Path, options: PreviewOptions, weaker: Sequence[Path] = ()
+    folder: Path,
+    layer_path: Path,
+    options: PreviewOptions,
+    weaker_layers: Sequence[Path] = (),
 ) -> Path:
     """Write a stage of a layer over weaker layers, under overlays; return its path."""
     from animtool.usd.layers.view import write_view
 
     overlays = [Path(layer) for layer in options.over]
-    return write_view(folder / "view.usda", layer_path, weaker, overlays)
+    return write_view(folder / "view.usda", layer_path, weaker_layers, overlays)
 
 
 def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> OpenFile:
@@ -342,9 +345,8 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
 
     scene = load_scene(path, dict(options.variables))
     if scene.extra_outputs:
-        message = (
-            f"saves {', '.join(sorted({saved.name for saved in scene.extra_outputs}))}"
-        )
+        names = sorted({extra_output.name for extra_output in scene.extra_outputs})
+        message = f"saves {', '.join(names)}"
         hint = "bake it, and preview its output"
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
     output = scene_to_show(scene).outputs[0]
@@ -366,9 +368,9 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
     file.path, file.folder = path, folder
     if len(outputs) > 1:
         # Meshes are shown as point caches, since their skeleton is in a separate layer.
-        takes = _open_stage(joints_layer, path.name, SourceOptions()).takes
+        joint_takes = _open_stage(joints_layer, path.name, SourceOptions()).takes
         file.takes += [
-            replace(take, surfaces=(), strands=(), prim="") for take in takes
+            replace(take, surfaces=(), strands=(), prim="") for take in joint_takes
         ]
     file.notices += reports[0].notices
     return file

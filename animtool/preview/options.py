@@ -1,4 +1,4 @@
-"""Options of pages."""
+"""Options of pages, of pictures, and of where to show them."""
 
 from __future__ import annotations
 
@@ -106,9 +106,7 @@ class PictureOptions:
         "shadows.  [default: all but axes]",
     )
     turntable: bool = option(
-        False,
-        "switch",
-        help="Turn the camera around once, in 4 s if nothing moves.",
+        False, "switch", help="Turn the camera around once, in 4 s if nothing moves."
     )
 
 

@@ -14,8 +14,8 @@ from animtool.preview.streams import deflate_base64
 
 VIEWER_FOLDER = Path(__file__).parent / "viewer"
 ENTRY_MODULE = "main.js"
-_IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
-_STRIP_PATTERNS = tuple(
+_IMPORT_PATTERN = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
+_OMITTED_PATTERNS = tuple(
     re.compile(pattern, re.M | re.S)
     for pattern in (
         r"^[ \t]*/\*.*?\*/[ \t]*\n",
@@ -25,7 +25,7 @@ _STRIP_PATTERNS = tuple(
     )
 )
 # Characters that would end a script element or a line of it, escaped in JSON.
-_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
+_SCRIPT_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 _SECURITY_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
@@ -33,7 +33,7 @@ _SECURITY_POLICY = (
 )
 
 # Inflates the modules, creates a URL for each after its imports, and starts the last.
-_BOOTSTRAP = """\
+_BOOTSTRAP_SCRIPT = """\
 (async () => {
   const page = (window.animtool = window.animtool || {errors: []});
   page.errors = page.errors || [];
@@ -73,43 +73,43 @@ def json_text(value: Any) -> str:
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     # Lone surrogates, which file names use for bytes that are not text, are replaced.
     text = text.encode("utf-8", "replace").decode("utf-8")
-    return text.translate(_ESCAPES)
+    return text.translate(_SCRIPT_ESCAPES)
 
 
 def page_parts(
-    manifest: Mapping[str, Any], blocks: Sequence[str], *, watched: bool = False
+    manifest: Mapping[str, Any], blocks: Sequence[str], *, is_watched: bool = False
 ) -> Iterator[bytes]:
     """Yield the bytes of a page, block by block.
 
     Args:
         manifest: Description of the contents.
         blocks: Its streams, as text.
-        watched: Whether the page may poll its server for changes.
+        is_watched: Whether the page may poll its server for changes.
     """
     insertions = {
         "title": html.escape(str(manifest["title"])),
-        "csp": _SECURITY_POLICY.format(connect="'self'" if watched else "'none'"),
+        "csp": _SECURITY_POLICY.format(connect="'self'" if is_watched else "'none'"),
         "style": viewer_text("viewer.css"),
         "manifest": f'<script type="application/json" id="manifest">'
         f"{json_text(manifest)}</script>",
         "modules": f'<script type="text/plain" id="modules">'
         f"{deflate_base64([json.dumps(viewer_modules()).encode()])}</script>",
-        "bootstrap": _BOOTSTRAP,
+        "bootstrap": _BOOTSTRAP_SCRIPT,
     }
     template = viewer_text("page.html")
     # The template is split once, so that inserted text is never parsed.
-    for part in re.split(r"(\{\{\w+\}\})", template):
-        name = part.strip("{}")
-        if part == "{{blocks}}":
+    for template_part in re.split(r"(\{\{\w+\}\})", template):
+        name = template_part.strip("{}")
+        if template_part == "{{blocks}}":
             for number, block in enumerate(blocks):
                 yield (
                     f'<script type="text/plain" class="block" id="b{number}">'
                     f"{block}</script>\n"
                 ).encode()
-        elif part.startswith("{{") and name in insertions:
+        elif template_part.startswith("{{") and name in insertions:
             yield insertions[name].encode("utf-8", "replace")
         else:
-            yield part.encode("utf-8")
+            yield template_part.encode("utf-8")
 
 
 @cache
@@ -123,7 +123,7 @@ def viewer_modules() -> dict[str, str]:
         """Append a module after all the modules that it imports."""
         if name in modules or name in importers or name not in texts:
             return
-        for match in _IMPORT.finditer(texts[name]):
+        for match in _IMPORT_PATTERN.finditer(texts[name]):
             add(match[3], (*importers, name))
         modules[name] = texts[name]
 
@@ -137,7 +137,7 @@ def compact_code(text: str) -> str:
     >>> compact_code("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
     'function add(a) {\nreturn a + 1;\n}\n'
     """
-    for pattern in _STRIP_PATTERNS:
+    for pattern in _OMITTED_PATTERNS:
         text = pattern.sub("", text)
     return text
 

@@ -49,7 +49,7 @@ def page_steps(
 
 
 def _bake_steps(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
-    """Yield the bake steps of a scene."""
+    """Yield the steps of baking a scene, without its outputs."""
     scene = scene_to_show(load_scene(path, dict(options.variables)))
     for step in bake_steps(create_outline(scene, None)):
         if step.kind is not StepKind.OUTPUT:
@@ -57,7 +57,7 @@ def _bake_steps(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
 
 
 def _read_step(file: OpenFile) -> PlanStep:
-    """Return the step that reads a file."""
+    """Return the step that reads a file, with a description of its contents."""
     notices = tuple(f"{notice.code} {notice.message}" for notice in file.notices)
     return PlanStep(
         StepKind.SOURCE,

@@ -99,7 +99,7 @@ class WatchedPage:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers HTTP requests for the page and its state."""
+    """Answers requests for the page and its state that have the secret token."""
 
     server: PageServer
     server_version, sys_version = "animtool", ""
@@ -109,7 +109,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send the page or its state; refuse any other path."""
-        watched_page, path = self.server.watched, self.path.partition("?")[0]
+        watched_page, path = self.server.watched_page, self.path.partition("?")[0]
         if not self._is_authorized():
             self._send(403, b"forbidden\n", "text/plain")
         elif path == f"/{watched_page.secret}/":
@@ -129,7 +129,7 @@ class _Handler(BaseHTTPRequestHandler):
         if origin is not None and origin not in {f"http://{host}" for host in hosts}:
             return False
         tokens = self.path.split("/")[1:2]
-        secret = self.server.watched.secret.encode()
+        secret = self.server.watched_page.secret.encode()
         return bool(tokens) and secrets.compare_digest(
             tokens[0].encode("utf-8", "replace"), secret
         )
@@ -157,20 +157,20 @@ class PageServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, watched_page: WatchedPage) -> None:
-        self.watched = watched_page
+        self.watched_page = watched_page
         super().__init__((ADDRESS, 0), _Handler)
 
     @property
     def address(self) -> str:
         """URL of the page."""
-        return f"http://{ADDRESS}:{self.server_address[1]}/{self.watched.secret}/"
+        return f"http://{ADDRESS}:{self.server_address[1]}/{self.watched_page.secret}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore connections that the browser closed."""
 
 
 def rebuild_on_changes(
-    watched: WatchedPage,
+    watched_page: WatchedPage,
     on_error: Callable[[AnimtoolError], object],
     on_page: Callable[[PreviewPage], object],
     wait: Callable[[float], bool],
@@ -178,18 +178,18 @@ def rebuild_on_changes(
     """Rebuild a page whenever its files change.
 
     Args:
-        watched: The page.
+        watched_page: The page.
         on_error: Called with the error when a build fails.
         on_page: Called with each new page.
         wait: Called with an interval [s]; returns whether to stop.
     """
     while not wait(POLL_INTERVAL):
-        if not watched.has_changed():
+        if not watched_page.has_changed():
             continue
         try:
-            watched.build()
+            watched_page.build()
         except AnimtoolError as error:
             on_error(error)
         else:
-            assert watched.page is not None
-            on_page(watched.page)
+            assert watched_page.page is not None
+            on_page(watched_page.page)

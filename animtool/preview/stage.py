@@ -14,11 +14,7 @@ from animtool.maths import so3
 from animtool.motion.transforms import PropRequest, Track
 from animtool.preview.draft import PageDraft, skip_unreadable
 from animtool.preview.meshes import mesh_entry
-from animtool.preview.streams import (
-    Quantized,
-    quantize_range,
-    quantize_units,
-)
+from animtool.preview.streams import QuantizedValues, quantize_range, quantize_units
 from animtool.usd.caches.reader import PointSample
 from animtool.usd.caches.shown import ShownMesh, ShownPrim, StageContents
 from animtool.usd.layers.sdf import usd_errors
@@ -27,9 +23,9 @@ from animtool.usd.props.reader import open_prop
 
 # From this many instances on, they are small on a page; without a color they are drawn
 # dark.
-MANY_INSTANCES, DARK_COLOR = 100, (0.03, 0.04, 0.06)
+MIN_SMALL_INSTANCES, DARK_COLOR = 100, (0.03, 0.04, 0.06)
 # Quantization error allowed for instance scales [1].
-SCALE_ERROR = 1e-4
+SCALE_TOLERANCE = 1e-4
 
 
 def add_stage(draft: PageDraft, contents: StageContents) -> None:
@@ -121,15 +117,15 @@ def _add_prototype(
     frame_count = len(positions)
     units = quantize_units(so3.align_signs(rotations).reshape(frame_count, -1))
     draft.record_error(rotation=2 * units.error)
-    flat_scales = scales.reshape(frame_count, -1)
+    scale_rows = scales.reshape(frame_count, -1)
     entry = {
         "name": name,
         "mesh": len(draft.meshes) - 1,
         "t": draft.add_positions(positions),
         "r": draft.packer.add(units),
         "s": None
-        if np.allclose(flat_scales, 1.0, atol=1e-6)
-        else draft.packer.add(quantize_range(flat_scales, SCALE_ERROR, period=3)),
+        if np.allclose(scale_rows, 1.0, atol=1e-6)
+        else draft.packer.add(quantize_range(scale_rows, SCALE_TOLERANCE, period=3)),
         "visible": None,
     }
     draft.instances.append(entry)
@@ -137,23 +133,23 @@ def _add_prototype(
 
 
 def _point_stream(
-    draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int
+    draft: PageDraft, prim: ShownPrim, codes: FloatArray, point_count: int
 ) -> int:
     """Return the stream index of animated points.
 
     A sample with another number of points is replaced by the previous one.
     """
-    rows = np.empty((len(codes), 3 * count), np.float32)
+    frame_rows = np.empty((len(codes), 3 * point_count), np.float32)
     for i, code in enumerate(codes.tolist()):
         points = prim.points(code)
-        if len(points) == count:
-            rows[i] = points.reshape(-1)
+        if len(points) == point_count:
+            frame_rows[i] = points.reshape(-1)
         else:
-            rows[i] = rows[i - 1] if i else 0.0
+            frame_rows[i] = frame_rows[i - 1] if i else 0.0
             draft.add_notice(
                 f"{prim.name!r} has a different number of points in some frames"
             )
-    return draft.add_positions(rows)
+    return draft.add_positions(frame_rows)
 
 
 def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
@@ -166,8 +162,8 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
         return
     counts = prim.curve_counts()
     times = codes if prim.is_animated else codes[:1]
-    count = len(prim.points(float(codes[0])))
-    if not count or counts.sum() != count:
+    point_count = len(prim.points(float(codes[0])))
+    if not point_count or counts.sum() != point_count:
         return
     widths = prim.widths(float(codes[0]))
     draft.curves.append(
@@ -177,7 +173,7 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
             "joint": None,
             "bind": None,
             "counts": draft.packer.add_static(counts, "u32"),
-            "points": _point_stream(draft, prim, times, count),
+            "points": _point_stream(draft, prim, times, point_count),
             "width": _finite_mean(widths),
             "color": None if prim.color is None else list(prim.color),
         }
@@ -188,21 +184,23 @@ def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     """Add points with widths and colors; each point keeps its slot."""
     times = (codes if prim.is_animated else codes[:1]).tolist()
     slots = PointSlots()
-    frames = [(slots.assign(prim.ids(t), p := prim.points(t)), p) for t in times]
+    slotted_points = [
+        (slots.assign(prim.ids(t), p := prim.points(t)), p) for t in times
+    ]
     if not slots.count:
         return
-    positions = _spread_to_slots(frames, slots.count)
-    widths = _slot_values(frames, [prim.widths(t) for t in times], slots.count)
-    colors = _slot_values(frames, [prim.colors(t) for t in times], slots.count)
+    positions = _spread_to_slots(slotted_points, slots.count)
+    widths = _slot_values(slotted_points, [prim.widths(t) for t in times], slots.count)
+    colors = _slot_values(slotted_points, [prim.colors(t) for t in times], slots.count)
     draft.add_points(
         prim.name,
         draft.add_positions(positions),
         radius=0.0 if widths is None else _finite_mean(widths) / 2,
-        radii=None
+        radius_stream=None
         if widths is None or np.ptp(widths) == 0
         else draft.packer.add_static(widths / 2, "f32"),
         color=prim.color,
-        colors=None
+        color_stream=None
         if colors is None or not np.ptp(colors, axis=0).any()
         else draft.packer.add_static(np.rint(colors.clip(0, 1) * 255), "u8"),
     )
@@ -210,8 +208,8 @@ def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
 
 def _finite_mean(values: FloatArray) -> float:
     """Return the mean of the finite values; 0 without any."""
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else 0.0
+    finite_values = values[np.isfinite(values)]
+    return float(finite_values.mean()) if finite_values.size else 0.0
 
 
 class PointSlots:
@@ -229,18 +227,18 @@ class PointSlots:
             else ids.tolist()
         )
         previous_slots, self._slot_of_id = self._slot_of_id, {}
-        kept_slots = {
+        reused_slots = {
             point_id: previous_slots[point_id]
             for point_id in point_ids
             if point_id in previous_slots
         }
-        used_slots = set(kept_slots.values())
+        used_slots = set(reused_slots.values())
         free_slots = (
             slot for slot in range(self.count + len(points)) if slot not in used_slots
         )
         for point_id in point_ids:
             self._slot_of_id[point_id] = (
-                kept_slots[point_id] if point_id in kept_slots else next(free_slots)
+                reused_slots[point_id] if point_id in reused_slots else next(free_slots)
             )
         slots = np.array(
             [self._slot_of_id[point_id] for point_id in point_ids], np.int64
@@ -250,17 +248,19 @@ class PointSlots:
 
 
 def _spread_to_slots(
-    frames: list[tuple[IntArray, FloatArray]], count: int
+    slotted_points: list[tuple[IntArray, FloatArray]], count: int
 ) -> FloatArray:
     """Return positions arranged by slot ``(F, 3 S)``, with NaN in empty slots."""
-    slot_positions = np.full((len(frames), count, 3), np.nan)
-    for frame, (slots, points) in zip(slot_positions, frames, strict=True):
+    slot_positions = np.full((len(slotted_points), count, 3), np.nan)
+    for frame, (slots, points) in zip(slot_positions, slotted_points, strict=True):
         frame[slots] = points
-    return slot_positions.reshape(len(frames), -1)
+    return slot_positions.reshape(len(slotted_points), -1)
 
 
 def _slot_values(
-    frames: list[tuple[IntArray, FloatArray]], values: list[FloatArray], count: int
+    slotted_points: list[tuple[IntArray, FloatArray]],
+    values: list[FloatArray],
+    count: int,
 ) -> FloatArray | None:
     """Return one value per slot, from its last point; None without values."""
     first_values = next(
@@ -269,20 +269,20 @@ def _slot_values(
     if first_values is None:
         return None
     slot_values = np.zeros((count, *first_values.shape[1:]))
-    for (slots, _), frame_values in zip(frames, values, strict=True):
+    for (slots, _), frame_values in zip(slotted_points, values, strict=True):
         if len(frame_values) in {1, len(slots)} and len(slots):
             slot_values[slots] = frame_values
     return slot_values
 
 
 def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    """Add the instances of each prototype."""
+    """Add the instances of a point instancer, one mesh per prototype."""
     prototypes = prim.prototypes()
     times = (codes if prim.is_animated else codes[:1]).tolist()
     samples = [prim.instances(code) for code in times]
     slots = PointSlots()
-    rows = [slots.assign(sample.ids, sample.points) for sample in samples]
-    instances = _SlotInstances(samples, rows, slots.count)
+    sample_slots = [slots.assign(sample.ids, sample.points) for sample in samples]
+    instances = _SlotInstances(samples, sample_slots, slots.count)
     for k, meshes in enumerate(prototypes):
         # A slot shows the mesh of its point, which may change over frames.
         uses_prototype = instances.prototype_indices == k
@@ -292,7 +292,9 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
         for i, (mesh, matrix) in enumerate(meshes):
             name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(meshes) > 1 else "")
             points = mesh.points @ matrix[:3, :3].T + matrix[:3, 3]
-            default_color = DARK_COLOR if len(used_slots) > MANY_INSTANCES else None
+            default_color = (
+                DARK_COLOR if len(used_slots) > MIN_SMALL_INSTANCES else None
+            )
             color = mesh.color or prim.color or default_color
             prototype = replace(mesh, points=points, color=color)
             entry = _add_prototype(
@@ -303,9 +305,9 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
                 instances.rotations[:, used_slots],
                 instances.scales[:, used_slots],
             )
-            visible = uses_prototype[:, used_slots]
-            if not visible.all():
-                data = Quantized(visible.astype("<u1"), "u8")
+            is_visible = uses_prototype[:, used_slots]
+            if not is_visible.all():
+                data = QuantizedValues(is_visible.astype("<u1"), "u8")
                 entry["visible"] = draft.packer.add(data)
 
 
@@ -313,15 +315,15 @@ class _SlotInstances:
     """Transforms of instances by slot; a removed instance keeps its last transform."""
 
     def __init__(
-        self, samples: list[PointSample], rows: list[IntArray], slot_count: int
+        self, samples: list[PointSample], sample_slots: list[IntArray], slot_count: int
     ) -> None:
-        """Arrange instances by slot; ``rows`` are the slots of each sample."""
+        """Arrange instances by slot; each sample has the slots of its instances."""
         shape = len(samples), slot_count
         self.points = np.zeros((*shape, 3))
         self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (*shape, 1))
         self.scales = np.ones((*shape, 3))
         self.prototype_indices = np.full(shape, -1)
-        for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):
+        for f, (sample, slots) in enumerate(zip(samples, sample_slots, strict=True)):
             if f:
                 for values in (self.points, self.rotations, self.scales):
                     values[f] = values[f - 1]
@@ -332,7 +334,7 @@ class _SlotInstances:
 
 
 def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -> None:
-    """Add the cameras of a stage."""
+    """Add the cameras of a stage; skip unreadable ones with a notice."""
     for path in contents.cameras():
         with skip_unreadable(draft, f"camera {path!r}"):
             prop = open_prop(PropRequest(contents.path, path, path), UpAxis.Y)
@@ -342,16 +344,16 @@ def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -
 def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     """Add a camera to a page, sampled at track times for each frame ``(F,)``."""
     names = [attribute.name for attribute in track.attributes]
-    sampled = track.at(times if track.is_animated else times[:1])
+    camera_samples = track.at(times if track.is_animated else times[:1])
     # Lenses are in tenths of a stage unit, which is metres here.
     lens_values = {
-        name: sampled.values[names.index(name)] * 100
+        name: camera_samples.values[names.index(name)] * 100
         for name in ("focalLength", "horizontalAperture", "verticalAperture")
         if name in names
     }
     focal = lens_values.get("focalLength", np.full((1, 1), 50.0))
-    rotations = quantize_units(sampled.rotations)
-    positions = quantize_range(sampled.translations)
+    rotations = quantize_units(camera_samples.rotations)
+    positions = quantize_range(camera_samples.translations)
     draft.record_error(position=positions.error, rotation=2 * rotations.error)
     draft.cameras.append(
         {
@@ -361,7 +363,7 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
             "focal_mm": float(focal[0, 0]),
             "focal": None
             if np.ptp(focal) == 0
-            else draft.packer.add(Quantized(focal.astype("<f4"), "f32")),
+            else draft.packer.add(QuantizedValues(focal.astype("<f4"), "f32")),
             "aperture_mm": [
                 float(lens_values[name][0, 0]) if name in lens_values else default
                 for name, default in (

@@ -20,22 +20,22 @@ from animtool.core.record import dataclass
 BLOCK_SAMPLES = 256
 BLOCK_BYTES = 1 << 20
 # Static arrays share blocks up to this size [bytes].
-STATIC_BYTES = 1 << 22
+STATIC_BLOCK_BYTES = 1 << 22
 DEFLATE_LEVEL = 6
 # Range of quantized values on either side of the offset.
 MAX_QUANTIZED = 32767
 # Stands for NaN in streams with gaps.
 STORED_NAN = -32768
 # Coarser than this, positions are stored as float32 [m].
-POSITION_ERROR = 1e-4
+POSITION_TOLERANCE = 1e-4
 
 Array = npt.NDArray[Any]
-TYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
+DTYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
 
 
 @dataclass(frozen=True, slots=True)
-class Quantized:
-    """Quantized values with their scale, offset and largest error.
+class QuantizedValues:
+    """QuantizedValues values with their scale, offset and largest error.
 
     Attributes:
         stored_values: Integers or floats ``(F, width)`` of the type ``kind``.
@@ -60,20 +60,20 @@ def json_numbers(values: FloatArray, digits: int = 6) -> list[Any]:
     >>> json_numbers(np.array([-0.0, 0.1234567891]))
     [0.0, 0.123457]
     """
-    rounded = np.round(np.asarray(values, np.float64), digits) + 0.0
-    return list(rounded.tolist())
+    rounded_values = np.round(np.asarray(values, np.float64), digits) + 0.0
+    return list(rounded_values.tolist())
 
 
-def quantize_units(values: FloatArray) -> Quantized:
+def quantize_units(values: FloatArray) -> QuantizedValues:
     """Quantize numbers from -1 to 1, such as unit quaternions."""
     integers = np.rint(np.clip(values, -1.0, 1.0) * MAX_QUANTIZED).astype("<i2")
     error = np.abs(integers / MAX_QUANTIZED - values).max(initial=0.0)
-    return Quantized(integers, "i16", 1.0 / MAX_QUANTIZED, error=float(error))
+    return QuantizedValues(integers, "i16", 1.0 / MAX_QUANTIZED, error=float(error))
 
 
 def quantize_range(
-    values: Array, tolerance: float = POSITION_ERROR, *, period: int = 0
-) -> Quantized:
+    values: Array, tolerance: float = POSITION_TOLERANCE, *, period: int = 0
+) -> QuantizedValues:
     """Quantize columns over their range; use float32 if that is too coarse.
 
     Args:
@@ -87,33 +87,34 @@ def quantize_range(
     float32_values = np.where(np.isfinite(float32_values), float32_values, np.nan)
     rows = float32_values.reshape(-1, period) if period else float32_values
     if not rows.size:
-        return Quantized(np.zeros(values.shape, "<f4"), "f32")
+        return QuantizedValues(np.zeros(values.shape, "<f4"), "f32")
     has_gaps = bool(np.isnan(rows).any())
-    finite = np.isfinite(rows)
-    low = np.where(finite, rows, np.inf).min(axis=0)
-    high = np.where(finite, rows, -np.inf).max(axis=0)
+    is_finite = np.isfinite(rows)
+    low = np.where(is_finite, rows, np.inf).min(axis=0)
+    high = np.where(is_finite, rows, -np.inf).max(axis=0)
     low, high = (np.where(low <= high, bound, 0.0) for bound in (low, high))
     scale = (high - low) / (2 * MAX_QUANTIZED)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
-        integers = np.asarray(values, np.float32)
-        return Quantized(integers, "f32", error=_largest_difference(integers - values))
+        floats = np.asarray(values, np.float32)
+        return QuantizedValues(
+            floats, "f32", error=_largest_difference(floats - values)
+        )
     offset = (high + low) / 2
     divisor = np.where(scale > 0, scale, 1.0)
     steps = np.rint((rows - offset) / divisor)
     integers = np.where(np.isnan(steps), STORED_NAN, steps).astype("<i2")
     error = _largest_difference(offset + scale * steps - values.reshape(rows.shape))
-    per_column = scale.tolist(), offset.tolist()
     if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
-        per_column = scale[:1].tolist(), offset[:1].tolist()
-    scale_and_offset = _single_or_list(per_column[0]), _single_or_list(per_column[1])
-    return Quantized(
-        integers.reshape(values.shape), "i16", *scale_and_offset, has_gaps, error
-    )
+        scale, offset = scale[:1], offset[:1]
+    integers = integers.reshape(values.shape)
+    scale_and_offset = _single_or_list(scale), _single_or_list(offset)
+    return QuantizedValues(integers, "i16", *scale_and_offset, has_gaps, error)
 
 
-def _single_or_list(values: list[float]) -> float | list[float]:
+def _single_or_list(values: FloatArray) -> float | list[float]:
     """Return values as a list, or the number itself if there is only one."""
-    return values[0] if len(values) == 1 else values
+    numbers: list[float] = values.tolist()
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def _largest_difference(differences: Array) -> float:
@@ -126,7 +127,7 @@ class _Stream:
     """A stream of the page and its encoded blocks."""
 
     id: int
-    data: Quantized
+    data: QuantizedValues
     blocks: list[list[int]] = field(default_factory=list)
 
     @property
@@ -137,11 +138,11 @@ class _Stream:
     @property
     def sample_bytes(self) -> int:
         """Size of one sample [bytes]."""
-        item_bytes = np.dtype(TYPES[self.data.kind]).itemsize
+        item_bytes = np.dtype(DTYPES[self.data.kind]).itemsize
         return int(self.data.stored_values.shape[1]) * item_bytes
 
     def manifest_entry(self) -> dict[str, Any]:
-        """Return the manifest entry."""
+        """Return the stream's entry in the page manifest."""
         data = self.data
         entry: dict[str, Any] = {
             "id": self.id,
@@ -162,7 +163,7 @@ class StreamPacker:
         self._streams: list[_Stream] = []
         self._static: dict[tuple[object, ...], int] = {}
 
-    def add(self, data: Quantized) -> int:
+    def add(self, data: QuantizedValues) -> int:
         """Add a stream and return its index; equal one-sample streams share one."""
         index = len(self._streams)
         if len(data.stored_values) == 1:
@@ -176,8 +177,8 @@ class StreamPacker:
 
     def add_static(self, values: npt.ArrayLike, kind: str) -> int:
         """Add a one-sample stream without quantization; return its index."""
-        row = np.asarray(values).reshape(1, -1).astype(TYPES[kind])
-        return self.add(Quantized(row, kind))
+        row = np.asarray(values).reshape(1, -1).astype(DTYPES[kind])
+        return self.add(QuantizedValues(row, kind))
 
     def add_static_range(self, values: FloatArray) -> int:
         """Add a one-sample stream of positions or offsets [m]; return its index."""
@@ -209,7 +210,7 @@ class StreamPacker:
         """Return groups of streams that share blocks, and the samples per block."""
         groups: list[tuple[list[_Stream], int]] = []
         static_streams: list[_Stream] = []
-        by_length: dict[int, list[_Stream]] = {}
+        streams_by_length: dict[int, list[_Stream]] = {}
         for stream in self._streams:
             sample_count = len(stream.data.stored_values)
             if sample_count == 1:
@@ -218,14 +219,15 @@ class StreamPacker:
                 samples_per_block = max(1, BLOCK_BYTES // stream.sample_bytes)
                 groups.append(([stream], samples_per_block))
             elif sample_count:
-                by_length.setdefault(sample_count, []).append(stream)
+                streams_by_length.setdefault(sample_count, []).append(stream)
         groups += [
             (group, BLOCK_SAMPLES)
-            for streams in by_length.values()
+            for streams in streams_by_length.values()
             for group in _split_by_size(streams, BLOCK_BYTES, BLOCK_SAMPLES)
         ]
         groups += [
-            (group, 1) for group in _split_by_size(static_streams, STATIC_BYTES, 1)
+            (group, 1)
+            for group in _split_by_size(static_streams, STATIC_BLOCK_BYTES, 1)
         ]
         return groups
 
@@ -248,21 +250,21 @@ def _split_by_size(
 
 def _encoded_samples(stored_values: Array, kind: str) -> bytes:
     """Return samples as bytes: column-major, delta-coded, split into byte planes."""
-    item_bytes = np.dtype(TYPES[kind]).itemsize
+    item_bytes = np.dtype(DTYPES[kind]).itemsize
     columns = (
         stored_values.reshape(1, -1) if len(stored_values) == 1 else stored_values.T
     )
-    columns = np.ascontiguousarray(columns, TYPES[kind])
+    columns = np.ascontiguousarray(columns, DTYPES[kind])
     if kind != "f32":
-        unsigned = columns.view(f"<u{item_bytes}")
-        columns = unsigned.copy()
-        columns[:, 1:] -= unsigned[:, :-1]
+        unsigned_columns = columns.view(f"<u{item_bytes}")
+        columns = unsigned_columns.copy()
+        columns[:, 1:] -= unsigned_columns[:, :-1]
     planes = columns.view(np.uint8).reshape(*columns.shape, item_bytes)
     return np.ascontiguousarray(planes.swapaxes(1, 2)).tobytes()
 
 
-def deflate_base64(parts: Sequence[bytes]) -> str:
+def deflate_base64(chunks: Sequence[bytes]) -> str:
     """Compress bytes with raw deflate and encode them as base64."""
     deflate = zlib.compressobj(DEFLATE_LEVEL, zlib.DEFLATED, -15)
-    packed = b"".join([*map(deflate.compress, parts), deflate.flush()])
-    return base64.b64encode(packed).decode("ascii")
+    compressed_bytes = b"".join([*map(deflate.compress, chunks), deflate.flush()])
+    return base64.b64encode(compressed_bytes).decode("ascii")

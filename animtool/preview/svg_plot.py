@@ -11,7 +11,7 @@ from animtool.preview.work_precision import Panel, PrecisionPoint
 
 WIDTH, HEIGHT = 720, 400
 # Margins [px].
-LEFT, RIGHT, TOP, BOTTOM = 70, 200, 14, 46
+LEFT_MARGIN, RIGHT_MARGIN, TOP_MARGIN, BOTTOM_MARGIN = 70, 200, 14, 46
 # Distinguishable with color vision deficiency (Okabe and Ito, 2008).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777")
 DASH_PATTERNS = ("", "6 3", "2 3")
@@ -27,26 +27,29 @@ def plot_svg(panel: Panel) -> str:
     """
     curves = [(curve.name, _positive_points(curve.points)) for curve in panel.curves]
     curves = [(name, points) for name, points in curves if points]
-    label = html.escape(f"{panel.title}: {panel.error} against {panel.cost}")
+    aria_label = html.escape(f"{panel.title}: {panel.error} against {panel.cost}")
     elements = [
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}" '
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{aria_label}" '
         'xmlns="http://www.w3.org/2000/svg">'
     ]
     if not curves:
         elements.append(
-            f'<text x="{LEFT}" y="{HEIGHT / 2}">nothing to draw</text></svg>'
+            f'<text x="{LEFT_MARGIN}" y="{HEIGHT / 2}">nothing to draw</text></svg>'
         )
         return "".join(elements)
     all_points = [point for _, points in curves for point in points]
-    floor = [panel.floor] if panel.floor > 0 else []
-    x = _LogAxis.from_values([point.cost for point in all_points], LEFT, WIDTH - RIGHT)
+    floor_errors = [panel.floor] if panel.floor > 0 else []
+    x = _LogAxis.from_values(
+        [point.cost for point in all_points], LEFT_MARGIN, WIDTH - RIGHT_MARGIN
+    )
     y = _LogAxis.from_values(
-        [p.error for p in all_points] + floor, HEIGHT - BOTTOM, TOP
+        [p.error for p in all_points] + floor_errors, HEIGHT - BOTTOM_MARGIN, TOP_MARGIN
     )
     elements += _grid_lines(x, y, panel)
-    if floor:
+    if floor_errors:
         elements.append(
-            f'<path class="floor" d="M{LEFT} {y(panel.floor):.1f}H{WIDTH - RIGHT}"/>'
+            f'<path class="floor" d="M{LEFT_MARGIN} {y(panel.floor):.1f}'
+            f'H{WIDTH - RIGHT_MARGIN}"/>'
         )
     pareto_front = sorted((p.cost, p.error) for p in all_points if p.is_best)
     if len(pareto_front) > 1:
@@ -64,7 +67,7 @@ def _positive_points(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
 
 @dataclass(frozen=True, slots=True)
 class _LogAxis:
-    """A logarithmic axis."""
+    """A logarithmic axis that maps values to pixels."""
 
     low: float  # decimal exponent at the start
     high: float  # decimal exponent at the end
@@ -100,20 +103,20 @@ class _LogAxis:
 
 def _grid_lines(x: _LogAxis, y: _LogAxis, panel: Panel) -> Iterator[str]:
     """Yield grid lines, tick labels and axis labels."""
-    bottom, right = HEIGHT - BOTTOM, WIDTH - RIGHT
+    bottom, right = HEIGHT - BOTTOM_MARGIN, WIDTH - RIGHT_MARGIN
     for value in x.ticks():
         position = x(value)
-        yield f'<path class="grid" d="M{position:.1f} {TOP}V{bottom}"/>'
+        yield f'<path class="grid" d="M{position:.1f} {TOP_MARGIN}V{bottom}"/>'
         yield f'<text x="{position:.1f}" y="{bottom + 16}" class="mid">{value:g}</text>'
     for value in y.ticks():
         position = y(value)
-        yield f'<path class="grid" d="M{LEFT} {position:.1f}H{right}"/>'
-        yield f'<text x="{LEFT - 6}" y="{position + 4:.1f}" class="end">'
+        yield f'<path class="grid" d="M{LEFT_MARGIN} {position:.1f}H{right}"/>'
+        yield f'<text x="{LEFT_MARGIN - 6}" y="{position + 4:.1f}" class="end">'
         yield f"{value:g}</text>"
-    x_middle = (LEFT + right) / 2
+    x_middle = (LEFT_MARGIN + right) / 2
     yield f'<text x="{x_middle}" y="{HEIGHT - 8}" class="mid">{html.escape(panel.cost)}'
     yield "</text>"
-    y_middle = (TOP + bottom) / 2
+    y_middle = (TOP_MARGIN + bottom) / 2
     yield f'<text transform="translate(13 {y_middle}) rotate(-90)" class="mid">'
     yield f"{html.escape(panel.error)}</text>"
 
@@ -138,7 +141,7 @@ def _curve_elements(
             left, top = x(p.cost) - 9, y(p.error) - 9
             yield f'<rect x="{left:.1f}" y="{top:.1f}" width="18" height="18" '
             yield 'class="ring"/>'
-    top = TOP + 10 + 16 * i
-    left = WIDTH - RIGHT + 14
+    top = TOP_MARGIN + 10 + 16 * i
+    left = WIDTH - RIGHT_MARGIN + 14
     yield f'<path class="curve" {style} d="M{left} {top - 4}h22"/>'
     yield f'<text x="{left + 28}" y="{top}">{html.escape(name)}</text>'

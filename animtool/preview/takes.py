@@ -16,7 +16,8 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import PageDraft, json_number
 from animtool.preview.streams import (
-    Quantized,
+    POSITION_TOLERANCE,
+    QuantizedValues,
     json_numbers,
     quantize_range,
     quantize_units,
@@ -28,8 +29,8 @@ from animtool.rig.skeleton import Rig
 
 # Frames whose joints are in memory at once.
 BLOCK_FRAMES = 1024
-# Quantization error allowed for weights and scales [1].
-WEIGHT_ERROR = 5e-5
+# Quantization error allowed for scales [1].
+SCALE_TOLERANCE = 5e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class PageTake:
     Attributes:
         index: Index of the take on the page.
         rig: The rig.
-        first: Page sample of its first frame.
+        first_sample: Page sample of its first frame.
         frames: Number of frames.
         weights: Weights of the rig's shapes ``(F, S)``; None without shapes.
         controls: Values of the rig's controls ``(F, C)``; None without controls.
@@ -65,7 +66,7 @@ class PageTake:
 
     index: int
     rig: Rig
-    first: int
+    first_sample: int
     frames: int
     weights: FloatArray | None
     controls: FloatArray | None
@@ -121,13 +122,13 @@ class BufferedMotion:
             self._first_channels[name],
             np.concatenate(self._value_blocks.pop(name)),
         )
-        static = self._round_like_layer(name, channel.rest).astype(np.float64)
+        static_values = self._round_like_layer(name, channel.rest).astype(np.float64)
         is_animated = np.zeros(len(channel.animated), bool)
         if self.frames:
             is_animated = (values != values[:1]).any(axis=(0, 2))
-            static[channel.animated] = values[0]
+            static_values[channel.animated] = values[0]
         return QuantizedTrack(
-            static, channel.animated[is_animated], values[:, is_animated]
+            static_values, channel.animated[is_animated], values[:, is_animated]
         )
 
     def pop_values(self, name: str) -> FloatArray | None:
@@ -137,16 +138,20 @@ class BufferedMotion:
 
 
 def add_take(
-    draft: PageDraft, name: str, stream: TakeStream, motion: BufferedMotion, first: int
+    draft: PageDraft,
+    name: str,
+    stream: TakeStream,
+    motion: BufferedMotion,
+    first_sample: int,
 ) -> PageTake:
-    """Add a take to a page.
+    """Add the skeleton, motion and contacts of a take to a page.
 
     Args:
         draft: The page.
         name: Name of the take on the page.
         stream: The take, Y up, at the page's rate.
         motion: Its motion.
-        first: Page sample of its first frame.
+        first_sample: Page sample of its first frame.
     """
     rig = stream.rig
     translations, rotations = (
@@ -203,16 +208,16 @@ def add_take(
             for component, data in quantized_by_component.items()
         },
         "shapes": None,
-        "contacts": _contact_spans(draft, contacts, first),
+        "contacts": _contact_spans(draft, contacts, first_sample),
         "offset": [0.0, 0.0, 0.0],
         "visible": None,
-        "span": [first, first + motion.frames - 1],
+        "span": [first_sample, first_sample + motion.frames - 1],
     }
     draft.takes.append(entry)
     return PageTake(
         len(draft.takes) - 1,
         rig,
-        first,
+        first_sample,
         motion.frames,
         motion.pop_values("weights"),
         motion.pop_values("controls"),
@@ -222,24 +227,26 @@ def add_take(
 
 
 def _constant_channel(rest: FloatArray) -> QuantizedTrack:
-    """Return a track with constant values."""
-    empty = np.zeros((0, 0, rest.shape[1]), np.float32)
-    return QuantizedTrack(rest, np.zeros(0, np.int64), empty)
+    """Return a track in which no joint is animated."""
+    no_values = np.zeros((0, 0, rest.shape[1]), np.float32)
+    return QuantizedTrack(rest, np.zeros(0, np.int64), no_values)
 
 
 def _with_positive_w(track: QuantizedTrack) -> QuantizedTrack:
     """Return quaternions with continuous signs and a positive first scalar part."""
-    static = np.where(
+    static_values = np.where(
         track.static_values[:, 3:] < 0, -track.static_values, track.static_values
     )
     values = track.animated_values
     if len(values):
         values = so3.align_signs(values).astype(np.float32)
         values = np.where(values[:1, :, 3:] < 0, -values, values)
-    return QuantizedTrack(static, track.animated_joints, values)
+    return QuantizedTrack(static_values, track.animated_joints, values)
 
 
-def _store_track(component: str, track: QuantizedTrack | None) -> Quantized | None:
+def _store_track(
+    component: str, track: QuantizedTrack | None
+) -> QuantizedValues | None:
     """Return the quantized values of a component; None if no joint is animated."""
     if track is None or not track.animated_values.size:
         return None
@@ -248,10 +255,14 @@ def _store_track(component: str, track: QuantizedTrack | None) -> Quantized | No
     )
     if component == "r":
         return quantize_units(values)
-    return quantize_range(values, WEIGHT_ERROR if component == "s" else 1e-4)
+    return quantize_range(
+        values, SCALE_TOLERANCE if component == "s" else POSITION_TOLERANCE
+    )
 
 
-def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
+def _decoded_track(
+    track: QuantizedTrack, data: QuantizedValues | None
+) -> QuantizedTrack:
     """Return a track with the values that the viewer decodes."""
     if data is None:
         return track
@@ -294,7 +305,7 @@ def _measure_error(
     """Record the quantization error of a take; return its foot contacts."""
     if not rig.joints or not frame_count:
         return []
-    skeleton, legs = _roled_legs(draft, rig)
+    skeleton, legs = _roles_and_legs(draft, rig)
     foot_joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
     foot_positions = []
     for begin in range(0, frame_count, BLOCK_FRAMES):
@@ -308,47 +319,53 @@ def _measure_error(
     rotations = exact_tracks["r"]
     assert rotations is not None
     if rotations.animated_values.size:
-        quantized = quantize_units(rotations.animated_values.astype(np.float64))
-        stored_rotations = so3.normalize(quantized.stored_values / 32767.0)
+        quantized_rotations = quantize_units(
+            rotations.animated_values.astype(np.float64)
+        )
+        stored_rotations = so3.normalize(quantized_rotations.stored_values / 32767.0)
         chords = np.linalg.norm(
             stored_rotations - so3.normalize(rotations.animated_values), axis=-1
         )
         draft.record_error(rotation=2 * float(chords.max()))
     if skeleton is None or frame_count < 2:
         return []
-    feet = dict(
+    positions_by_foot = dict(
         zip(foot_joints, np.concatenate(foot_positions).swapaxes(0, 1), strict=True)
     )
     rate = float(stream.fps / stream.step)
-    return list(_foot_contacts(skeleton, legs, feet, rate))
+    return list(_foot_contacts(skeleton, legs, positions_by_foot, rate))
 
 
 LegJoints = dict[str, tuple[int, int, int, int]]
 
 
-def _roled_legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, LegJoints]:
+def _roles_and_legs(
+    draft: PageDraft, rig: Rig
+) -> tuple[RoledSkeleton | None, LegJoints]:
     """Return a rig's roles (None without legs) and its legs, cached by rig."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
-    if key not in draft.cache:
+    if key not in draft.rig_cache:
         skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
         legs = {side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None}
-        draft.cache[key] = (skeleton if legs else None), legs
-    skeleton_and_legs: tuple[RoledSkeleton | None, LegJoints] = draft.cache[key]
+        draft.rig_cache[key] = (skeleton if legs else None), legs
+    skeleton_and_legs: tuple[RoledSkeleton | None, LegJoints] = draft.rig_cache[key]
     return skeleton_and_legs
 
 
 def _foot_contacts(
     skeleton: RoledSkeleton,
     legs: LegJoints,
-    feet: dict[int, FloatArray],
+    positions_by_foot: dict[int, FloatArray],
     rate: float,
 ) -> Iterator[tuple[int, Any]]:
     """Yield each foot joint with a mask of the frames in contact ``(F,)``."""
     for side, leg in legs.items():
         ankle, toe = leg[2:]
         length = skeleton.leg_length(side)
-        contacts = find_contacts(feet[ankle], feet.get(toe), rate, length)
+        contacts = find_contacts(
+            positions_by_foot[ankle], positions_by_foot.get(toe), rate, length
+        )
         if toe < 0:
             yield ankle, contacts.any
         else:
@@ -356,21 +373,22 @@ def _foot_contacts(
 
 
 def _contact_spans(
-    draft: PageDraft, contacts: list[tuple[int, Any]], first: int
+    draft: PageDraft, contacts: list[tuple[int, Any]], first_sample: int
 ) -> list[dict[str, Any]]:
     """Return the manifest entries of contacts as spans of page frames."""
     timeline = draft.timeline
 
     def page_frame(frame: int) -> int | float:
         """Return the page frame of a take's frame."""
-        return json_number(timeline.first + (first + frame) * timeline.step)
+        return json_number(timeline.first + (first_sample + frame) * timeline.step)
 
     return [
         {
             "joint": joint,
             "spans": [
-                [page_frame(start), page_frame(end - 1)] for start, end in runs(mask)
+                [page_frame(start), page_frame(end - 1)]
+                for start, end in runs(is_in_contact)
             ],
         }
-        for joint, mask in contacts
+        for joint, is_in_contact in contacts
     ]

@@ -83,7 +83,7 @@ def _posed_targets(
         rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))
         bind = bind_matrices(rig)[None].repeat(len(samples), axis=0)
         return rig, WorldTransforms(bind[..., :3, 3], bind[..., :3, :3])
-    take_frames = np.clip(samples - page_take.first, 0, page_take.frames - 1)
+    take_frames = np.clip(samples - page_take.first_sample, 0, page_take.frames - 1)
     world = page_take.world(slice(int(take_frames.min()), int(take_frames.max()) + 1))
     take_frames = take_frames - take_frames.min()
     positions, linear = world.positions[take_frames], world.linear[take_frames]
@@ -102,23 +102,23 @@ def _add_markers(
 ) -> None:
     """Add the goals of each kind as markers; inactive goals are NaN."""
     weights = np.asarray(targets.weights)
-    for kind, (values, weight_column, color, radius) in _GOAL_STYLES.items():
-        active_goals = [
-            e
-            for e, track in enumerate(tracks.goals)
+    for kind, (field_name, weight_column, color, radius) in _GOAL_STYLES.items():
+        active_indices = [
+            goal_index
+            for goal_index, track in enumerate(tracks.goals)
             if track.goal.weights[weight_column] > 0
         ]
-        if not active_goals:
+        if not active_indices:
             continue
-        points: FloatArray = np.asarray(getattr(targets, values), np.float64)[
-            :, active_goals
+        points: FloatArray = np.asarray(getattr(targets, field_name), np.float64)[
+            :, active_indices
         ]
         if up_rotation is not None:
             points = so3.rotate(np.array(up_rotation), points)
         points = np.where(
-            weights[:, active_goals, weight_column, None] > 0, points, np.nan
+            weights[:, active_indices, weight_column, None] > 0, points, np.nan
         )
-        all_positions = np.full((draft.timeline.count, len(active_goals) * 3), np.nan)
+        all_positions = np.full((draft.timeline.count, len(active_indices) * 3), np.nan)
         all_positions[samples] = points.reshape(len(samples), -1)
         if not np.isfinite(all_positions).any():
             continue
@@ -128,5 +128,5 @@ def _add_markers(
             draft.add_positions(all_positions),
             radius=radius,
             color=color,
-            names=[f"{tracks.goals[e].name}{label}" for e in active_goals],
+            names=[f"{tracks.goals[i].name}{label}" for i in active_indices],
         )

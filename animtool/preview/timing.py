@@ -104,7 +104,7 @@ def fit_to_page(
         note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
         notices.append(note)
     motion = BufferedMotion(stream.blocks, stream.rig.meters_per_unit)
-    notices += map(file.at_scene, stream.notices)
+    notices += map(file.relocated_to_scene, stream.notices)
     return TimelineTake(file_index, take, stream, motion, start, clip_origin)
 
 
@@ -167,13 +167,16 @@ def timeline_of(
         default=timeline_takes[0].first_frame if timeline_takes else Fraction(1),
     )
     last = max((span_end for _, span_end in spans), default=first)
-    frames = options.frame_range
-    if frames is not None:
+    frame_range = options.frame_range
+    if frame_range is not None:
         start, end = first, last
-        last = min(last, Fraction(frames.last))
-        first, step = max(first, Fraction(frames.first)), Fraction(frames.step)
+        last = min(last, Fraction(frame_range.last))
+        first = max(first, Fraction(frame_range.first))
+        step = Fraction(frame_range.step)
         if last < first:
-            raise OptionError(missing_frames_fault(frames, start, end, noun="file"))
+            raise OptionError(
+                missing_frames_fault(frame_range, start, end, noun="file")
+            )
     count = int((last - first) / step) + 1
     if count > MAX_FRAMES:
         message = f"the page would have {count} frames; the limit is {MAX_FRAMES}"

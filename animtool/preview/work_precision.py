@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from animtool.sim.trials.table import TrialTable
 
 
-SUFFIXES = (".png", ".svg", ".pdf")
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 # Size of a panel [inch], and dots per inch.
 WIDTH, HEIGHT, DPI = 7.0, 4.6, 130
-MARKERS = "osD^vP<>Xphd*H8"
+MARKER_SHAPES = "osD^vP<>Xphd*H8"
 # Axis label and row field of each cost measure; others are counted in the table's unit.
 COST_LABELS = {
     CostMeasure.SECONDS: ("seconds", "seconds"),
@@ -59,7 +59,7 @@ class PrecisionCurve:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """Content of one plot."""
+    """Title, axis labels and curves of one plot."""
 
     title: str
     error: str  # label of the error axis
@@ -72,9 +72,9 @@ class Panel:
 
 def check_drawable(path: Path) -> None:
     """Raise an error if matplotlib is missing (IO005) or a format unknown (SCN072)."""
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in PLOT_SUFFIXES:
         message = f"{path.suffix or 'a name without a suffix'} is not a kind of picture"
-        hint = f"name it {', '.join(SUFFIXES)}"
+        hint = f"name it {', '.join(PLOT_SUFFIXES)}"
         raise OptionError(Fault("SCN072", message, str(path), (), hint))
     _import_matplotlib()
 
@@ -89,9 +89,9 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
     axes_of_panels = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
     for axes, panel in zip(axes_of_panels, panels, strict=True):
         _draw_panel(axes, panel, ticker)
-    kind = path.suffix.lower().removeprefix(".")
+    format_name = path.suffix.lower().removeprefix(".")
     # No metadata that changes between runs: equal plots are equal bytes.
-    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
     try:
         with (
             matplotlib.rc_context({"svg.hashsalt": "animtool"}),
@@ -100,7 +100,9 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
         ):
             # Characters missing in a font are drawn as boxes, without a warning.
             warnings.filterwarnings("ignore", "Glyph", UserWarning)
-            figure.savefig(temporary, format=kind, metadata=dates[kind])
+            figure.savefig(
+                temporary, format=format_name, metadata=metadata[format_name]
+            )
     except OSError as error:
         raise output_error(path, error) from error
 
@@ -140,10 +142,7 @@ def _draw_panel(axes: Any, panel: Panel, ticker: Any) -> None:
     axes.grid(visible=True, which="both", alpha=0.2)
     if axes.get_legend_handles_labels()[0]:
         legend = axes.legend(
-            fontsize=7,
-            labelspacing=0.9,
-            loc="center left",
-            bbox_to_anchor=(1.01, 0.5),
+            fontsize=7, labelspacing=0.9, loc="center left", bbox_to_anchor=(1.01, 0.5)
         )
         for text in legend.get_texts():
             text.set_parse_math(False)
@@ -166,12 +165,12 @@ def _ring_current(axes: Any, current_points: Sequence[PrecisionPoint]) -> None:
 
 
 def _draw_curve(axes: Any, curve: PrecisionCurve, i: int) -> None:
-    """Draw the curve of one method."""
+    """Draw the curve of one method, with its best settings marked."""
     visible_points = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
     if not visible_points:
         return
     x, y = [p.cost for p in visible_points], [p.error for p in visible_points]
-    marker = MARKERS[i % len(MARKERS)]
+    marker = MARKER_SHAPES[i % len(MARKER_SHAPES)]
     (line,) = axes.plot(
         x, y, marker=marker, markersize=4, linewidth=1, label=curve.name
     )
@@ -194,15 +193,15 @@ def panels_of(tables: Sequence[TrialTable]) -> list[Panel]:
 
 def _panel_of(table: TrialTable) -> Panel:
     """Return the panel of a table."""
-    by_method: dict[str, list[PrecisionPoint]] = {}
+    points_by_method: dict[str, list[PrecisionPoint]] = {}
     for row in table.rows:
         error = table.error_of(row)
         if error is not None:
             cost = getattr(row, COST_LABELS[table.cost][0])
             point = PrecisionPoint(cost, error, row.chosen, row.best, row.recommended)
-            by_method.setdefault(row.setting.method, []).append(point)
+            points_by_method.setdefault(row.setting.method, []).append(point)
     curves = tuple(
-        PrecisionCurve(name, tuple(points)) for name, points in by_method.items()
+        PrecisionCurve(name, tuple(points)) for name, points in points_by_method.items()
     )
     reference = table.reference
     remark, floor = "", 0.0

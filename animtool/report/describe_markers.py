@@ -13,7 +13,7 @@ from animtool.capture.markers.spikes import find_spikes
 from animtool.core.errors import Fault
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
-from animtool.formats.marker_files import file_of
+from animtool.formats.marker_files import marker_file_path
 from animtool.motion.markers import Markers
 
 
@@ -63,7 +63,7 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
     clock = markers.clock
     return MarkersDescription(
         str(path),
-        find_reader(file_of(path)).about,
+        find_reader(marker_file_path(path)).about,
         len(markers.names),
         int((~is_labelled).sum()),
         clock.count,

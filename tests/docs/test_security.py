@@ -12,7 +12,7 @@ from animtool.core.files.reading import MAX_INPUT_BYTES, MAX_TEXT_BYTES
 from animtool.core.rules import builtin_rules
 from animtool.documents import archive, fields, variables, yaml_values
 from animtool.documents.document import MAX_FAULTS
-from animtool.formats.bvh.lines import MAX_LINES
+from animtool.formats.bvh.lines import MAX_HEADER_LINES
 from animtool.scene.systems.run import MAX_STEPS
 from animtool.usd.layers.sdf import MAX_LAYER_BYTES, MAX_TEXT_LAYER_BYTES
 
@@ -42,7 +42,7 @@ def test_its_limits_are_those_of_the_code(page: str) -> None:
     assert f"cut lists, reports | {MAX_INPUT_BYTES // 10**9} GB" in page
     assert (MAX_TEXT_LAYER_BYTES, MAX_LAYER_BYTES) == (4 * 10**9, 10**12)
     assert "4 GB, 1 TB" in page
-    assert MAX_LINES == 10**6
+    assert MAX_HEADER_LINES == 10**6
     assert "of the header: a million" in page
     assert MAX_STEPS == MAX_FRAMES == 10**7
     assert page.count("| 10 million |") == 3

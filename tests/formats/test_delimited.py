@@ -40,7 +40,7 @@ def test_decimals_and_decimal_commas() -> None:
 
 
 def test_one_wide_row_does_not_widen_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("animtool.formats.delimited.SMALL_TABLE_VALUES", 100)
+    monkeypatch.setattr("animtool.formats.delimited.FREE_PADDING_VALUES", 100)
     rows = gather_rows([b"\t".join([b"1"] * 50), *[b"1"] * 200], 0, b"\t")
     with raises(FormatError, "TRC002") as caught:
         rows.values(50, fault)

@@ -8,7 +8,7 @@ from animtool.preview.draft import round_up_error
 from animtool.preview.page import page_parts
 from animtool.preview.streams import (
     BLOCK_SAMPLES,
-    Quantized,
+    QuantizedValues,
     StreamPacker,
     quantize_range,
     quantize_units,
@@ -71,7 +71,7 @@ def test_equal_static_arrays_are_stored_once() -> None:
     first = packer.add_static_range(points)
     assert packer.add_static_range(points.copy()) == first
     assert packer.add_static_range(points + 1) != first
-    moving = Quantized(np.zeros((2, 1), "<u1"), "u8")
+    moving = QuantizedValues(np.zeros((2, 1), "<u1"), "u8")
     assert packer.add(moving) != packer.add(moving)
 
 

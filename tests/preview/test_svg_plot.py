@@ -7,11 +7,11 @@ import re
 from xml.etree import ElementTree as ET
 
 from animtool.preview.svg_plot import (
-    BOTTOM,
+    BOTTOM_MARGIN,
     HEIGHT,
-    LEFT,
-    RIGHT,
-    TOP,
+    LEFT_MARGIN,
+    RIGHT_MARGIN,
+    TOP_MARGIN,
     WIDTH,
     plot_svg,
 )
@@ -41,9 +41,11 @@ def test_points_stand_where_their_logarithms_say() -> None:
     assert math.isclose(x1 - x0, x2 - x1, abs_tol=0.11)
     assert math.isclose(y1 - y0, y2 - y1, abs_tol=0.11)
     # A margin of a twentieth at each end.
-    share = (WIDTH - RIGHT - LEFT) / 1.1
+    share = (WIDTH - RIGHT_MARGIN - LEFT_MARGIN) / 1.1
     assert math.isclose(x2 - x0, share, abs_tol=0.2)
-    assert math.isclose(y2 - y0, (HEIGHT - BOTTOM - TOP) / 1.1, abs_tol=0.2)
+    assert math.isclose(
+        y2 - y0, (HEIGHT - BOTTOM_MARGIN - TOP_MARGIN) / 1.1, abs_tol=0.2
+    )
 
 
 def test_names_are_escaped_and_points_without_a_logarithm_are_left_out() -> None:

@@ -12,8 +12,8 @@ import pytest
 
 from animtool.core.errors import OptionError, OutputError
 from animtool.preview.work_precision import (
-    MARKERS,
-    SUFFIXES,
+    MARKER_SHAPES,
+    PLOT_SUFFIXES,
     Panel,
     PrecisionCurve,
     PrecisionPoint,
@@ -43,7 +43,7 @@ PANEL = Panel(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", PLOT_SUFFIXES)
 def test_a_picture_is_drawn_and_the_same_each_time(tmp_path: Path, suffix: str) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
     made = []
@@ -131,11 +131,11 @@ def test_settings_without_an_error_or_with_none_at_all_have_no_point(
 def test_curves_have_markers_in_turn_and_the_legend_is_right_of_the_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    names = [f"method {i}" for i in range(len(MARKERS) + 2)]
+    names = [f"method {i}" for i in range(len(MARKER_SHAPES) + 2)]
     curves = tuple(PrecisionCurve(name, (PrecisionPoint(0.1, 0.1),)) for name in names)
     frame = drawn(Panel("many", "error [m]", curves), tmp_path / "a.png", monkeypatch)
     found = [line.get_marker() for line in frame.lines[::2]]
-    assert found == [*MARKERS, *MARKERS[:2]]
+    assert found == [*MARKER_SHAPES, *MARKER_SHAPES[:2]]
     # Nothing is chosen, so that there is no ring.
     assert len(frame.lines) == 2 * len(names)
     legend, inside = frame.get_legend().get_window_extent(), frame.get_window_extent()

@@ -72,7 +72,7 @@ class FbxCharacter:
         if joint < 0:
             return None
         back = self.scene.settings.basis.T
-        linear = posed.world.linear[0, joint] * made.folded_scales[node]
+        linear = posed.world.linear[0, joint] * made.baked_scales[node]
         place = posed.world.positions[0, joint] / made.rig.meters_per_unit
         return np.concatenate([back @ linear, (back @ place)[:, None]], axis=1)
 

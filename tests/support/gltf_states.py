@@ -99,7 +99,7 @@ def _places(
         apart.add("position", own / size)
         if state.get("matrices"):
             rows = np.array(state["matrices"][node]).reshape(3, 4)[:, :3]
-            scaled = world.linear[k, joint] * made.folded_scales[node]
+            scaled = world.linear[k, joint] * made.baked_scales[node]
             apart.add("matrix", (scaled - rows) / max(1.0, float(np.abs(rows).max())))
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from animtool.maths import so3
 from animtool.preview.page import page_parts
 from animtool.preview.streams import (
-    Quantized,
+    QuantizedValues,
     StreamPacker,
     json_numbers,
     quantize_range,
@@ -92,7 +92,7 @@ class PageDraft:
     def moving(self, values: Array) -> int:
         """Return a stream of float32 values ``(F, ...)``."""
         rows = np.asarray(values, np.float32).reshape(len(values), -1)
-        return self.packer.add(Quantized(rows, "f32"))
+        return self.packer.add(QuantizedValues(rows, "f32"))
 
     def take(self, chain: Chain, name: str = "sway", **more: Any) -> dict[str, Any]:
         frames = len(chain.translations)
@@ -197,7 +197,7 @@ def ribbon(
     bind = np.tile(np.eye(4), (joints, 1, 1))
     bind[:, 1, 3] = -heights
     stream = draft.packer.add(
-        Quantized(weights.reshape(1, -1).astype("<u2"), "u16", 1 / 65535)
+        QuantizedValues(weights.reshape(1, -1).astype("<u2"), "u16", 1 / 65535)
     )
     vertices = np.arange(2 * joints)
     shape = {

@@ -29,7 +29,7 @@ _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 # Outside it, a rate may have been written as a time, or milliseconds as seconds.
 PLAUSIBLE_RATES = (4, 1000)
 
-_TOKENS_AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
+_WORDS_AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
 
 _TRUNCATED_HINT = "is it truncated? copy or export it again"
 _CONTROL_PATTERN = re.compile(f"[{CONTROL_CHARACTERS}]")
@@ -38,7 +38,7 @@ _WORD_PATTERN = re.compile(r"[{}]|[^\s{}]+")
 
 @dataclass(slots=True)
 class BvhJoint:
-    """A joint as the file states it, in file units."""
+    """A joint of the HIERARCHY, with lengths in the file's unit."""
 
     name: str
     parent: int
@@ -56,17 +56,17 @@ class BvhHeader:
     declared_frame_count: int  # value of ``Frames:``
     frames_line: int  # 1-based line of ``Frames:``
     frame_time: str  # text of ``Frame Time:``
-    rate: RateChoice  # frame rate chosen for the frame time
+    rate_choice: RateChoice  # frame rate chosen for the frame time
 
 
 @dataclass(slots=True)
 class _OpenBlock:
-    """An unclosed block of a joint, or of an End Site with the index of its parent."""
+    """A block that is not closed yet: of a joint, or of the End Site of a joint."""
 
-    joint_index: int
+    joint_index: int  # index of the joint, or of the End Site's parent
     is_end_site: bool
     line: int
-    is_open: bool = False
+    has_brace: bool = False  # whether the opening brace was read
     has_offset: bool = False
 
 
@@ -76,7 +76,7 @@ class _HierarchyParser:
     def __init__(self, lines: HeaderLines) -> None:
         self.lines = lines
         self.joints: list[BvhJoint] = []
-        self.stack: list[_OpenBlock] = []
+        self.open_blocks: list[_OpenBlock] = []
 
     def parse(self) -> None:
         """Parse the block up to and including the line MOTION."""
@@ -106,8 +106,8 @@ class _HierarchyParser:
 
     def _parse_statement(self, keyword: str, words: list[str]) -> None:
         statement = keyword.upper()
-        block = self.stack[-1] if self.stack else None
-        if block is not None and not block.is_open and statement != "{":
+        block = self.open_blocks[-1] if self.open_blocks else None
+        if block is not None and not block.has_brace and statement != "{":
             message = f"'{{' is missing before {excerpt(keyword)}"
             self.lines.fail("BVH004", message, self._block_label(block))
         match statement:
@@ -124,21 +124,21 @@ class _HierarchyParser:
             case "CHANNELS":
                 self._parse_channels(words, block)
             case _:
-                similar = most_similar(keyword.upper(), _KEYWORDS)
+                similar_keyword = most_similar(keyword.upper(), _KEYWORDS)
                 hint = f"expected {', '.join(_KEYWORDS)}, {{ or }}"
-                hint = f"did you mean {similar}?" if similar else hint
+                hint = f"did you mean {similar_keyword}?" if similar_keyword else hint
                 self.lines.fail("BVH003", f"unexpected {excerpt(keyword)}", hint)
 
     def _open_block(self, block: _OpenBlock | None) -> None:
-        if block is None or block.is_open:
+        if block is None or block.has_brace:
             self.lines.fail("BVH004", "'{' without a joint")
-        block.is_open = True
+        block.has_brace = True
 
     def _close_block(self) -> None:
-        if not self.stack:
+        if not self.open_blocks:
             message = "'}' without a matching '{'"
             self.lines.fail("BVH004", message, "there is one brace too many")
-        block = self.stack.pop()
+        block = self.open_blocks.pop()
         if not block.is_end_site and not block.has_offset:
             self.lines.fail("BVH006", f"{self._block_label(block)} has no OFFSET")
 
@@ -159,13 +159,15 @@ class _HierarchyParser:
             self.lines.fail("BVH003", f"{keyword} has no name")
         parent = block.joint_index if block else -1
         self.joints.append(BvhJoint(name, parent, self.lines.number))
-        self.stack.append(_OpenBlock(len(self.joints) - 1, False, self.lines.number))
+        self.open_blocks.append(
+            _OpenBlock(len(self.joints) - 1, False, self.lines.number)
+        )
 
     def _parse_end_site(self, words: list[str], block: _OpenBlock | None) -> None:
         if block is None or block.is_end_site:
             self.lines.fail("BVH003", "unexpected End Site outside a joint")
         self._pop_name(words)
-        self.stack.append(_OpenBlock(block.joint_index, True, self.lines.number))
+        self.open_blocks.append(_OpenBlock(block.joint_index, True, self.lines.number))
 
     @staticmethod
     def _pop_name(words: list[str]) -> str:
@@ -178,12 +180,16 @@ class _HierarchyParser:
     def _parse_offset(self, words: list[str], block: _OpenBlock | None) -> None:
         if block is None:
             self.lines.fail("BVH003", "unexpected OFFSET outside a joint")
-        texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
-        if len(texts) < 3 or (words and words[0].upper() not in _TOKENS_AFTER_OFFSET):
-            count = len(texts) + sum(word not in "{}" for word in words)
+        number_texts = [
+            words.pop(0) for _ in range(3) if words and words[0] not in "{}"
+        ]
+        if len(number_texts) < 3 or (
+            words and words[0].upper() not in _WORDS_AFTER_OFFSET
+        ):
+            count = len(number_texts) + sum(word not in "{}" for word in words)
             message = f"OFFSET has {counted(count, 'number')} instead of 3"
             self.lines.fail("BVH006", message, self._block_label(block))
-        values = tuple(self._parse_number(text) for text in texts)
+        values = tuple(self._parse_number(text) for text in number_texts)
         offset = (values[0], values[1], values[2])
         block.has_offset = True
         if block.is_end_site:
@@ -234,7 +240,7 @@ class _HierarchyParser:
             self.lines.fail("BVH007", message, hint)
 
     def _check_complete(self) -> None:
-        if self.stack:
+        if self.open_blocks:
             message = "MOTION before all braces are closed"
             self.lines.fail("BVH004", message, self._missing_braces_hint())
         if not self.joints:
@@ -248,16 +254,16 @@ class _HierarchyParser:
         return f"{kind} {name}, line {block.line}"
 
     def _missing_braces_hint(self) -> str | None:
-        if not self.stack:
+        if not self.open_blocks:
             return None
-        innermost = self._block_label(self.stack[-1])
-        return f"{len(self.stack)} '}}' missing, the innermost for {innermost}"
+        label = self._block_label(self.open_blocks[-1])
+        return f"{len(self.open_blocks)} '}}' missing, the innermost for {label}"
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
     """Return the header of a BVH file, and notices about it."""
-    hierarchy = _HierarchyParser(lines)
-    hierarchy.parse()
+    parser = _HierarchyParser(lines)
+    parser.parse()
     text = _read_field(lines, "frames")
     frames_line = lines.number
     try:
@@ -275,7 +281,7 @@ def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
         if "," in frame_time and frame_time.replace(",", "").isdigit():
             hint = f"write {frame_time.replace(',', '.')}, with a decimal point"
         lines.fail("BVH009", message, hint)
-    header = BvhHeader(hierarchy.joints, frame_count, frames_line, frame_time, rate)
+    header = BvhHeader(parser.joints, frame_count, frames_line, frame_time, rate)
     notices = _duplicate_name_notices(header.joints, path)
     return header, notices + _rate_notices(header, path, lines.number)
 
@@ -309,39 +315,39 @@ def _duplicate_name_notices(joints: list[BvhJoint], path: str) -> list[Fault]:
 
 
 def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
-    rate, text = header.rate, header.frame_time
+    rate, frame_time = header.rate_choice, header.frame_time
     slowest, fastest = PLAUSIBLE_RATES
     hint = f"set the real rate with {argument('source.fps')}"
     severity = Severity.WARNING
     if not slowest <= rate.fps <= fastest:
         code = "BVH105"
-        message = f"Frame Time {text} is {rate_label(rate.fps)}, which is implausible"
-        milliseconds = rate_of_milliseconds(text)
-        if milliseconds is not None:
-            label = rate_label(milliseconds)
-            hint = f"it looks like milliseconds: {float(text) / 1000:g} s are {label}; "
-            hint += f"set {argument('source.fps', label.split()[0])}"
-        elif slowest <= float(text) <= fastest:
+        message = (
+            f"Frame Time {frame_time} is {rate_label(rate.fps)}, which is implausible"
+        )
+        millisecond_rate = rate_of_milliseconds(frame_time)
+        if millisecond_rate is not None:
+            rate_text = rate_label(millisecond_rate)
+            hint = f"it looks like milliseconds: {float(frame_time) / 1000:g} s are "
+            hint += f"{rate_text}; set {argument('source.fps', rate_text.split()[0])}"
+        elif slowest <= float(frame_time) <= fastest:
             hint = "is it a rate instead of a time? then set "
-            hint += argument("source.fps", text)
+            hint += argument("source.fps", frame_time)
     elif rate.kind is RateKind.PRINTED:
         code = "BVH106"
-        message = f"Frame Time {text} is not a standard rate; using "
+        message = f"Frame Time {frame_time} is not a standard rate; using "
         message += f"{rate_label(rate.fps)}"
     elif rate.ambiguous_rates:
         code, severity = "BVH107", Severity.NOTE
         other_rates = listed(rate.ambiguous_rates, 6)
-        message = (
-            f"Frame Time {text} is rounded: {other_rates} fps would be printed the "
-        )
-        message += f"same; using {rate_label(rate.fps)}"
+        message = f"Frame Time {frame_time} is rounded: {other_rates} fps would be "
+        message += f"printed the same; using {rate_label(rate.fps)}"
     else:
         return []
     return [Fault(code, message, path, (line,), hint, severity)]
 
 
 def _duplicate_channel(channels: Sequence[str]) -> tuple[str, str]:
-    """Return which channel of a joint is repeated, and the one that is likely meant.
+    """Return a message about a joint's repeated channel, and a hint to correct it.
 
     >>> _duplicate_channel(["Xrotation", "Xrotation", "Zrotation"])
     ("'Xrotation' appears twice", 'one of them is likely Yrotation')
@@ -349,11 +355,13 @@ def _duplicate_channel(channels: Sequence[str]) -> tuple[str, str]:
     name = next(name for name in channels if channels.count(name) > 1)
     count = channels.count(name)
     message = f"{name!r} appears {'twice' if count == 2 else f'{count} times'}"
-    kind = name[1:]  # of the axis
-    same_kind = [channel for channel in channels if channel.endswith(kind)]
-    missing = [n for n in CHANNEL_NAMES if n.endswith(kind) and n not in channels]
-    if len(same_kind) == 3 and len(missing) == 1:
-        return message, f"one of them is likely {missing[0]}"
-    if len(same_kind) == 3 and missing:
-        return message, f"two of them are likely {' and '.join(missing)}"
+    suffix = name[1:]  # ``position`` or ``rotation``
+    similar_channels = [channel for channel in channels if channel.endswith(suffix)]
+    missing_channels = [
+        n for n in CHANNEL_NAMES if n.endswith(suffix) and n not in channels
+    ]
+    if len(similar_channels) == 3 and len(missing_channels) == 1:
+        return message, f"one of them is likely {missing_channels[0]}"
+    if len(similar_channels) == 3 and missing_channels:
+        return message, f"two of them are likely {' and '.join(missing_channels)}"
     return message, "remove all but one, with its column of numbers"

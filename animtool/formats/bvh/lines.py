@@ -27,9 +27,9 @@ from animtool.formats import FLOAT32_MAX
 
 CHUNK_BYTES = 1 << 19
 # Maximum length of a header line, which names one joint or its channels.
-MAX_LINE_BYTES = 1 << 16
+MAX_HEADER_LINE_BYTES = 1 << 16
 # Maximum number of header lines; a joint has five or six.
-MAX_LINES = 1_000_000
+MAX_HEADER_LINES = 1_000_000
 # Values per block: 256 KB of float64, which stay in the processor's cache from parser
 # to writer.
 BLOCK_VALUES = 1 << 15
@@ -41,7 +41,7 @@ MAX_FILLED_SAMPLES = 10
 MAX_FILLED_FRACTION = 0.1
 MAX_LISTED_CHANNELS = 20
 
-_LINE_END = re.compile(rb"\r\n?|\n")
+_LINE_END_PATTERN = re.compile(rb"\r\n?|\n")
 
 
 class HeaderLines:
@@ -60,45 +60,45 @@ class HeaderLines:
         self._check_text()
 
     @property
-    def unread(self) -> bytes:
+    def unread_bytes(self) -> bytes:
         """Bytes that were read from the file but not returned as lines yet."""
         return self._data[self._offset :]
 
     def _check_text(self) -> None:
         if not self._data:
-            self.fail("BVH002", "the file is empty", line=False)
+            self.fail("BVH002", "the file is empty", has_line=False)
         if self._data.startswith((b"\xff\xfe", b"\xfe\xff")):
             message = "the file is UTF-16 text"
-            self.fail("BVH001", message, "save it as UTF-8", line=False)
+            self.fail("BVH001", message, "save it as UTF-8", has_line=False)
         self._data = self._data.removeprefix(b"\xef\xbb\xbf")
         if b"\0" in self._data:
             message = "the file is binary, not BVH text"
-            self.fail("BVH001", message, line=False)
+            self.fail("BVH001", message, has_line=False)
 
     def next_line(self) -> str | None:
         """Return the next line without its line break; None after the last line."""
         while True:
-            match = _LINE_END.search(self._data, self._offset)
+            match = _LINE_END_PATTERN.search(self._data, self._offset)
             is_chunk_end = match is not None and match.end() == len(self._data)
             # A CR at the end of the chunk may be half of a CR LF.
             if match is not None and not (is_chunk_end and match.group() == b"\r"):
                 break
-            if len(self._data) - self._offset > MAX_LINE_BYTES and match is None:
+            if len(self._data) - self._offset > MAX_HEADER_LINE_BYTES and match is None:
                 self._fail_line_too_long()
             chunk = self._file.read(CHUNK_BYTES)
             if not chunk:
                 break
-            self._data, self._offset = self.unread + chunk, 0
+            self._data, self._offset = self.unread_bytes + chunk, 0
         if self._offset == len(self._data):
             return None
-        end = len(self._data)
-        line_stop, next_start = match.span() if match else (end, end)
-        if line_stop - self._offset > MAX_LINE_BYTES:
+        data_end = len(self._data)
+        line_stop, next_start = match.span() if match else (data_end, data_end)
+        if line_stop - self._offset > MAX_HEADER_LINE_BYTES:
             self._fail_line_too_long()
         line, self._offset = self._data[self._offset : line_stop], next_start
         self.number += 1
-        if self.number > MAX_LINES:
-            message = f"more than {MAX_LINES} lines before the rows of numbers"
+        if self.number > MAX_HEADER_LINES:
+            message = f"more than {MAX_HEADER_LINES} lines before the rows of numbers"
             self.fail("BVH013", message, "is this a BVH file?")
         try:
             return line.decode("utf-8")
@@ -108,25 +108,25 @@ class HeaderLines:
 
     def _fail_line_too_long(self) -> NoReturn:
         self.number += 1
-        message = f"the line is longer than {MAX_LINE_BYTES} bytes"
+        message = f"the line is longer than {MAX_HEADER_LINE_BYTES} bytes"
         self.fail("BVH013", message, "is this a BVH file?")
 
     def fail(
-        self, code: str, message: str, hint: str | None = None, *, line: bool = True
+        self, code: str, message: str, hint: str | None = None, *, has_line: bool = True
     ) -> NoReturn:
-        """Raise a `FormatError` at the current line, or at the file."""
-        lines = (max(1, self.number),) if line else ()
+        """Raise a `FormatError` at the current line, or else about the whole file."""
+        lines = (max(1, self.number),) if has_line else ()
         raise FormatError(Fault(code, message, str(self._path), lines, hint))
 
 
 @dataclass(slots=True)
 class RowSource:
-    """Location of the rows of numbers in a file, and their channels."""
+    """The rows of numbers in a BVH file: their location, channels and stated count."""
 
     path: Path  # path of the file
     file_state: FileState  # state of the file when its header was read
     first_row_offset: int  # offset of the first row [byte]
-    line: int  # number of lines before the rows
+    header_line_count: int  # number of lines before the rows
     channels: list[str]  # name of each column, ``joint.Xposition``
     declared_frame_count: int  # number of frames in the header
     frames_line: int  # line of the header with that number
@@ -153,13 +153,13 @@ class RowReader:
         self._out_of_range_lines_by_column: dict[int, list[int]] = {}
 
     def blocks(self) -> Iterator[FloatArray]:
-        """Yield the rows of the file in blocks."""
+        """Yield rows ``(F, C)`` in blocks, missing values filled; raise if faulty."""
         pending_blocks: list[FloatArray] = []
         for rows, lines in self._parse_rows():
-            self._record_counts(lines)
+            self._count_rows(lines)
             block = rows
             if not (rows.min() >= -FLOAT32_MAX and rows.max() <= FLOAT32_MAX):
-                self._record_invalid(rows, lines)
+                self._record_invalid_lines(rows, lines)
                 block = np.clip(rows, -FLOAT32_MAX, FLOAT32_MAX)
             if pending_blocks or np.isnan(block).any():
                 pending_blocks.append(block)
@@ -195,30 +195,31 @@ class RowReader:
         file_size = max(1, file.state.size)
         max_rows = max(1, BLOCK_VALUES // self._column_count)
         max_line_bytes = CHUNK_BYTES + MAX_NUMBER_BYTES * self._column_count
-        text, line, is_last_chunk, needs_data = b"", self.source.line + 1, False, True
+        line = self.source.header_line_count + 1
+        data, is_last_chunk, needs_data = b"", False, True
         while True:
             if needs_data:
                 chunk = file.read(CHUNK_BYTES)
                 is_last_chunk = not chunk
-                text += chunk
+                data += chunk
                 if self.source.progress:
                     self.source.progress(file.tell() / file_size)
-            rows, row_lines, consumed, line_count, fault_code, column, token = (
+            rows, row_lines, consumed_count, line_count, fault_code, column, token = (
                 _kernels.parse_bvh_rows(
-                    text, self._column_count, max_rows, is_last_chunk
+                    data, self._column_count, max_rows, is_last_chunk
                 )
             )
             if len(rows):
                 yield rows, row_lines + line
             line += line_count
-            text = text[consumed:]
+            data = data[consumed_count:]
             if fault_code:
-                is_last_line = is_last_chunk and len(text.splitlines()) <= 1
+                is_last_line = is_last_chunk and len(data.splitlines()) <= 1
                 fault = self._row_fault(fault_code, line, column, token, is_last_line)
                 raise FormatError(fault)
-            if is_last_chunk and not text:
+            if is_last_chunk and not data:
                 return
-            if len(text) > max_line_bytes and not consumed:
+            if len(data) > max_line_bytes and not consumed_count:
                 message = "the line is too long for a row of numbers"
                 raise FormatError(Fault("BVH013", message, self._path, (line,)))
             needs_data = len(rows) < max_rows
@@ -228,11 +229,11 @@ class RowReader:
     ) -> Fault:
         path = self._path
         if fault_code == 2:
-            text = token.decode("utf-8", "replace")
-            is_column = column < self._column_count
-            name = self.source.channels[column] if is_column else "another word"
-            hint = "write decimals with a point" if "," in text else None
-            message = f"{excerpt(text)} is not a number ({excerpt(name)})"
+            word = token.decode("utf-8", "replace")
+            is_channel = column < self._column_count
+            name = self.source.channels[column] if is_channel else "another word"
+            hint = "write decimals with a point" if "," in word else None
+            message = f"{excerpt(word)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
         hint = "each frame must be one line; are these rows wrapped?"
         if column > self._column_count:
@@ -243,13 +244,13 @@ class RowReader:
         message += f"{self._column_count}"
         return Fault("BVH010", message, path, (line,), hint)
 
-    def _record_counts(self, lines: IntArray) -> None:
+    def _count_rows(self, lines: IntArray) -> None:
         first_row, self._row_count = self._row_count, self._row_count + len(lines)
-        declared = self.source.declared_frame_count
-        if self._first_surplus_line is None and self._row_count > declared:
-            self._first_surplus_line = int(lines[declared - first_row])
+        declared_count = self.source.declared_frame_count
+        if self._first_surplus_line is None and self._row_count > declared_count:
+            self._first_surplus_line = int(lines[declared_count - first_row])
 
-    def _record_invalid(self, rows: FloatArray, lines: IntArray) -> None:
+    def _record_invalid_lines(self, rows: FloatArray, lines: IntArray) -> None:
         with np.errstate(invalid="ignore"):
             is_out_of_range = np.abs(rows) > FLOAT32_MAX
         for lines_by_column, is_invalid in (
@@ -266,28 +267,28 @@ class RowReader:
             values = block[:, column]
             if self._last_row is not None:
                 values = np.concatenate([self._last_row[column : column + 1], values])
-            finite_rows = np.flatnonzero(np.isfinite(values))
-            finite_values = values[finite_rows]
+            indices = np.flatnonzero(np.isfinite(values))
+            finite_values = values[indices]
             if self.source.channels[column].endswith("rotation"):
                 # Angles are unwrapped, so that 179 to -179 degrees is a step of 2, not
                 # 358.
                 finite_values = np.unwrap(finite_values, period=360.0)
-            interpolated = np.interp(np.arange(len(values)), finite_rows, finite_values)
-            interpolated[finite_rows] = values[finite_rows]
-            block[:, column] = interpolated[-len(block) :]
+            filled_values = np.interp(np.arange(len(values)), indices, finite_values)
+            filled_values[indices] = values[indices]
+            block[:, column] = filled_values[-len(block) :]
 
     def _check_rows(self) -> None:
         """Raise for a file without rows, or a channel with too many missing values."""
         path = self._path
         if not self._row_count:
-            line = self.source.line
+            line = self.source.header_line_count
             message = "the MOTION block has no rows of numbers"
             raise FormatError(Fault("BVH014", message, path, (line,)))
         faults = []
         for column, lines in sorted(self._missing_lines_by_column.items()):
             missing_count = len(lines)
-            limit = max(MAX_FILLED_SAMPLES, MAX_FILLED_FRACTION * self._row_count)
-            if missing_count > limit or missing_count == self._row_count:
+            max_count = max(MAX_FILLED_SAMPLES, MAX_FILLED_FRACTION * self._row_count)
+            if missing_count > max_count or missing_count == self._row_count:
                 name = self.source.channels[column]
                 message = f"{name}: {missing_count} of {self._row_count} values are "
                 message += "not finite"
@@ -297,12 +298,12 @@ class RowReader:
             raise FormatError(faults[:MAX_LISTED_CHANNELS])
 
     def _add_notices(self) -> None:
-        declared_count, count = self.source.declared_frame_count, self._row_count
-        if declared_count != count:
+        declared_count, row_count = self.source.declared_frame_count, self._row_count
+        if declared_count != row_count:
             line = self._first_surplus_line or self.source.frames_line
-            message = f"Frames states {declared_count}, but there are {count} rows"
+            message = f"Frames states {declared_count}, but there are {row_count} rows"
             hint = "all rows are read"
-            if declared_count > count:
+            if declared_count > row_count:
                 hint += "; is the file truncated? copy or export it again"
             self._warn("BVH101", message, [line], hint)
         hint = "interpolated between neighbours"

@@ -15,38 +15,40 @@ from animtool.formats.bvh.hierarchy import BvhHeader
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 
-# Skeletons with fewer joints may be props.
-MIN_JOINTS = 8
+# Skeletons with fewer joints may be props; their size and rotations are not judged.
+MIN_BODY_JOINTS = 8
 # Relative tolerance of equal rates; film transferred to video is 0.1 % slower.
 RATE_TOLERANCE = Fraction(2, 1000)
 # A body travels if its root moves farther than this fraction of its size; its largest
-# rotation then looks like radians in this range. Smaller rotations are noise [deg].
-MIN_TRAVEL, MIN_RADIANS, MAX_RADIANS, MIN_ROTATION = 0.5, 0.7, 6.4, 0.1
+# rotation then looks like radians in this range. Smaller changes are noise [deg].
+MIN_TRAVEL_FRACTION, MIN_RADIANS, MAX_RADIANS, MIN_CHANGE = 0.5, 0.7, 6.4, 0.1
 
 
-def stated_rate_note(header: BvhHeader, rate: Fraction, path: str) -> list[Fault]:
-    """Return a note if the stated rate differs from a plausible Frame Time."""
-    file_rate, frame_count = header.rate.fps, header.declared_frame_count
+def stated_rate_note(
+    header: BvhHeader, stated_rate: Fraction, path: str
+) -> list[Fault]:
+    """Return a note if the option's rate differs from a plausible Frame Time."""
+    file_rate, frame_count = header.rate_choice.fps, header.declared_frame_count
     is_same_rate = (
-        abs(rate - file_rate) <= RATE_TOLERANCE * file_rate
-        or rate in header.rate.ambiguous_rates
+        abs(stated_rate - file_rate) <= RATE_TOLERANCE * file_rate
+        or stated_rate in header.rate_choice.ambiguous_rates
     )
-    if is_same_rate or header.rate.kind is RateKind.PRINTED:
+    if is_same_rate or header.rate_choice.kind is RateKind.PRINTED:
         return []
-    if rate_warning(file_rate) or rate_warning(rate):
+    if rate_warning(file_rate) or rate_warning(stated_rate):
         return []
-    durations = [f"{float(frame_count / fps):.3g} s" for fps in (rate, file_rate)]
+    durations = (float(frame_count / fps) for fps in (stated_rate, file_rate))
     message = f"Frame Time {header.frame_time} is {rate_label(file_rate)}, not "
-    message += f"{argument('source.fps', f'{float(rate):g}')}: {frame_count} frames "
-    message += f"last {durations[0]} instead of {durations[1]}"
+    message += f"{argument('source.fps', f'{float(stated_rate):g}')}: {frame_count} "
+    message += "frames last {:.3g} s instead of {:.3g} s".format(*durations)
     hint = f"to resample the motion, use {argument('fps')} instead"
     return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 
 
 def unused_positions_note(header: BvhHeader, path: str) -> list[Fault]:
     """Return a note if no joint below a root has position channels (BVH113)."""
-    children = [joint for joint in header.joints if joint.parent >= 0]
-    if any(c.endswith("position") for j in children for c in j.channels or ()):
+    child_joints = [joint for joint in header.joints if joint.parent >= 0]
+    if any(c.endswith("position") for j in child_joints for c in j.channels or ()):
         return []
     message = f"{argument('source.positions', 'offsets')} has no effect: only roots "
     message += "have position channels"
@@ -54,7 +56,7 @@ def unused_positions_note(header: BvhHeader, path: str) -> list[Fault]:
 
 
 class ChannelRanges:
-    """Ranges of the rotation channels and of the root over the rows of a file."""
+    """Smallest and largest rotation channels and root positions of a file."""
 
     def __init__(self, columns: IntArray) -> None:
         self.columns = columns
@@ -77,11 +79,11 @@ class ChannelRanges:
                 )
 
     @property
-    def rotations(self) -> tuple[float, int]:
+    def rotation_summary(self) -> tuple[float, int]:
         """Largest absolute rotation [file's angle], and number of changing channels."""
         low, high = self.min_values[:-3], self.max_values[:-3]
         largest = np.maximum(np.abs(low), np.abs(high)).max(initial=0.0)
-        return float(largest), int((high - low > MIN_ROTATION).sum())
+        return float(largest), int((high - low > MIN_CHANGE).sum())
 
     @property
     def travel(self) -> float:
@@ -91,11 +93,11 @@ class ChannelRanges:
 
 def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
     """Return a warning if the rotations of a moving body look like radians (BVH112)."""
-    if len(rig.joints) < MIN_JOINTS or not np.isfinite(ranges.travel):
+    if len(rig.joints) < MIN_BODY_JOINTS or not np.isfinite(ranges.travel):
         return []
-    max_angle, moving_channel_count = ranges.rotations
-    is_static = moving_channel_count < MIN_JOINTS
-    if is_static or ranges.travel <= MIN_TRAVEL * rest_size(rig):
+    max_angle, moving_channel_count = ranges.rotation_summary
+    is_static = moving_channel_count < MIN_BODY_JOINTS
+    if is_static or ranges.travel <= MIN_TRAVEL_FRACTION * rest_size(rig):
         return []
     if not MIN_RADIANS <= max_angle <= MAX_RADIANS:
         return []

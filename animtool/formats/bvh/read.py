@@ -20,6 +20,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
 from animtool.formats.bvh.plausibility import (
+    MIN_BODY_JOINTS,
     ChannelRanges,
     radians_warning,
     stated_rate_note,
@@ -32,11 +33,9 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Plausible extent at rest of any character, and of a person [m].
-LIKELY_METERS = (0.3, 6.0)
-PERSON_METERS = (1.0, 2.6)
+CHARACTER_SIZES = (0.3, 6.0)
+PERSON_SIZES = (1.0, 2.6)
 DECIMETRE = 0.1  # [m]
-# Skeletons with fewer joints may be props; their size is not judged.
-MIN_JOINTS = 8
 MAX_LISTED_JOINTS = 4
 # Bones shorter than this fraction of their OFFSET are collapsed [1].
 MIN_LENGTH_FRACTION = 1e-4
@@ -81,39 +80,39 @@ def read_bvh(
         try:
             header_lines = HeaderLines(file, path)
             header, notices = read_header(header_lines, str(path))
-            rows_start = file.tell() - len(header_lines.unread)
+            first_row_offset = file.tell() - len(header_lines.unread_bytes)
         except OSError as error:
             raise unreadable_error(path, error) from error
     rig = _build_rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
     notices += _size_notice(rig, unit, str(path))
     if rate is not None:
-        notices = [notice for notice in notices if notice.code not in _RATE_CODES]
+        notices = [notice for notice in notices if notice.code not in _FRAME_TIME_CODES]
         notices += stated_rate_note(header, rate, str(path))
     channels = [f"{j.name}.{c}" for j in header.joints for c in j.channels or ()]
     if positions == "offsets":
         notices += unused_positions_note(header, str(path))
-    rows = RowSource(
+    row_source = RowSource(
         path,
         file.state,
-        rows_start,
+        first_row_offset,
         header_lines.number,
         channels,
         header.declared_frame_count,
         header.frames_line,
         progress,
     )
-    layout = _ColumnLayout(header, keep_offsets=positions == "offsets")
+    layout = _ColumnLayout(header, keeps_offsets=positions == "offsets")
     details: dict[str, object] = {
         "format": "BVH",
         "declared_frames": header.declared_frame_count,
         "frame_time": header.frame_time,
-        "rate_choice": str(header.rate.kind) if rate is None else "stated",
+        "rate_choice": str(header.rate_choice.kind) if rate is None else "stated",
         "channels": len(channels),
     }
     if up is not None:
         details["up_choice"] = "stated"
-    fps = header.rate.fps if rate is None else rate
-    blocks = _read_blocks(rows, layout, rig, notices)
+    fps = header.rate_choice.fps if rate is None else rate
+    blocks = _read_blocks(row_source, layout, rig, notices)
     return TakeStream(rig, fps, None, Fraction(1), blocks, notices, details)
 
 
@@ -123,16 +122,16 @@ def read_bvh_rig(path: Path) -> Rig:
     return read_bvh(path).rig
 
 
-_RATE_CODES = {"BVH105", "BVH106", "BVH107"}
+_FRAME_TIME_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
 def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fault]:
     """Return a notice if the size of a skeleton suggests another unit (RIG217)."""
-    meters = rest_size(rig)
-    smallest, largest = LIKELY_METERS
-    if len(rig.joints) < MIN_JOINTS or smallest <= meters <= largest:
+    size = rest_size(rig)
+    smallest, largest = CHARACTER_SIZES
+    if len(rig.joints) < MIN_BODY_JOINTS or smallest <= size <= largest:
         return []
-    extent = meters / rig.meters_per_unit
+    extent = size / rig.meters_per_unit
     message = f"the skeleton spans {extent:.4g}, which is not plausible for a "
     message += f"character in {stated_unit or LengthUnit.CM}"
     severity = Severity.NOTE if stated_unit is None else Severity.WARNING
@@ -145,7 +144,7 @@ def _unit_hint(extent: float) -> str:
     >>> _unit_hint(22.5)
     'in decimetres it would be 2.2 m: export it in cm, at 10 times the size'
     """
-    for smallest, largest in (PERSON_METERS, LIKELY_METERS):
+    for smallest, largest in (PERSON_SIZES, CHARACTER_SIZES):
         for unit in LengthUnit:
             if smallest <= extent * unit.meters <= largest:
                 option_text = argument("source.unit", unit)
@@ -181,17 +180,17 @@ def _build_joint(joint: BvhJoint, name: str, meters: float) -> Joint:
     elif not rotations and len(positions) == 1:
         joint_type, axis = JointType.PRISMATIC, _channel_axis(positions[0])
 
-    def scaled(values: tuple[float, float, float]) -> tuple[float, float, float]:
+    def scale_vector(values: tuple[float, float, float]) -> tuple[float, float, float]:
         return (values[0] * meters, values[1] * meters, values[2] * meters)
 
     return Joint(
         name,
         joint.parent,
         joint_type,
-        scaled(joint.offset or (0.0, 0.0, 0.0)),
+        scale_vector(joint.offset or (0.0, 0.0, 0.0)),
         axis=axis,
         channels=channels,
-        tips=tuple(scaled(tip) for tip in joint.tips),
+        tips=tuple(scale_vector(tip) for tip in joint.tips),
         source_name="" if name == joint.name else joint.name,
     )
 
@@ -212,18 +211,18 @@ class _ColumnLayout:
         rotation_axes: Axes of the rotation channels ``(R, 3)``, padded with 0.
     """
 
-    def __init__(self, header: BvhHeader, *, keep_offsets: bool = False) -> None:
-        """Assign columns; ``keep_offsets`` ignores position channels below roots."""
+    def __init__(self, header: BvhHeader, *, keeps_offsets: bool = False) -> None:
+        """Assign columns; ``keeps_offsets`` ignores position channels below roots."""
         self.position_joints: list[int] = []
         self.rotation_joints: list[int] = []
-        slots: list[int] = []
-        columns: list[int] = []
+        position_slots: list[int] = []
+        position_columns: list[int] = []
         rotation_columns: list[list[int]] = []
         rotation_axes: list[list[int]] = []
         column_count = 0
         for j, joint in enumerate(header.joints):
             rotations: list[tuple[int, int]] = []
-            ignores_positions = keep_offsets and joint.parent >= 0
+            ignores_positions = keeps_offsets and joint.parent >= 0
             for column, name in enumerate(joint.channels or (), column_count):
                 axis = "XYZ".index(name[0])
                 if not name.endswith("position"):
@@ -231,16 +230,16 @@ class _ColumnLayout:
                 elif not ignores_positions:
                     if self.position_joints[-1:] != [j]:
                         self.position_joints.append(j)
-                    slots.append(3 * len(self.position_joints) - 3 + axis)
-                    columns.append(column)
+                    position_slots.append(3 * len(self.position_joints) - 3 + axis)
+                    position_columns.append(column)
             column_count += len(joint.channels or ())
             if rotations:
                 self.rotation_joints.append(j)
                 rotations += [(-1, 0)] * (3 - len(rotations))
                 rotation_columns.append([column for column, _ in rotations])
                 rotation_axes.append([axis for _, axis in rotations])
-        self.position_slots = np.array(slots, np.int64)
-        self.position_columns = np.array(columns, np.int64)
+        self.position_slots = np.array(position_slots, np.int64)
+        self.position_columns = np.array(position_columns, np.int64)
         self.rotation_columns = np.array(rotation_columns, np.int32).reshape(-1, 3)
         self.rotation_axes = np.array(rotation_axes, np.int32).reshape(-1, 3)
 
@@ -251,12 +250,12 @@ def _read_blocks(
     reader, max_positions = RowReader(source), np.zeros(len(layout.position_columns))
     position_joints = np.array(layout.position_joints, np.int64)
     rotation_joints = np.array(layout.rotation_joints, np.int64)
-    rest = rig.rest_translations[position_joints].ravel()
-    previous: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
-    columns = layout.rotation_columns
-    ranges = ChannelRanges(np.unique(columns[columns >= 0]))
+    rest_positions = rig.rest_translations[position_joints].ravel()
+    previous_rotations: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
+    rotation_columns = layout.rotation_columns
+    ranges = ChannelRanges(np.unique(rotation_columns[rotation_columns >= 0]))
     for rows in reader.blocks():
-        translations = np.repeat(rest[None], len(rows), axis=0)
+        translations = np.repeat(rest_positions[None], len(rows), axis=0)
         max_positions = np.maximum(
             max_positions, np.abs(rows[:, layout.position_columns]).max(axis=0)
         )
@@ -264,9 +263,9 @@ def _read_blocks(
             rows[:, layout.position_columns] * rig.meters_per_unit
         )
         rotations = _kernels.euler_to_quaternion(
-            rows, layout.rotation_columns, layout.rotation_axes, previous
+            rows, layout.rotation_columns, layout.rotation_axes, previous_rotations
         )
-        previous = rotations[-1].copy()
+        previous_rotations = rotations[-1].copy()
         ranges.add(rows, translations[:, :3])
         yield Motion(
             Channel(
@@ -277,7 +276,7 @@ def _read_blocks(
             Channel(rig.rest_rotations, rotation_joints, rotations),
         )
     notices.extend(reader.notices)
-    extents = np.abs(rest) / rig.meters_per_unit
+    extents = np.abs(rest_positions) / rig.meters_per_unit
     extents[layout.position_slots] = max_positions
     path = str(source.path)
     notices += _collapsed_bones_notice(rig, position_joints, extents, path)
@@ -287,7 +286,7 @@ def _read_blocks(
 def _collapsed_bones_notice(
     rig: Rig, position_joints: IntArray, extents: FloatArray, path: str
 ) -> list[Fault]:
-    """Return a warning about joints whose zero position channels collapse bones.
+    """Return a notice about position channels that are 0 and so collapse bones.
 
     Args:
         rig: The skeleton.

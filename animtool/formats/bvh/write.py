@@ -79,15 +79,17 @@ def build_bvh_text(take: Take) -> TakeText:
     channel_orders: dict[int, tuple[str, ...]] = {}
     rotations = motion.rotations.dense()
     # Columns follow the joints' order in the hierarchy.
-    for j in _depth_first(take.rig, children):
+    for j in _joints_depth_first(take.rig, children):
         joint = take.rig.joints[j]
         tolerance = UNUSED_LENGTH_TOLERANCE * max_offset
-        positions = _position_channels(joint, translations[:, j], offsets[j], tolerance)
+        position_names = _position_channels(
+            joint, translations[:, j], offsets[j], tolerance
+        )
         rotation_names, angles = _rotation_channels(joint, rotations[:, j])
-        channel_order = _order_channels(joint, positions, rotation_names)
+        channel_order = _order_channels(joint, position_names, rotation_names)
         channel_orders[j] = channel_order
         for name in channel_order:
-            if name in positions:
+            if name in position_names:
                 columns.append(translations[:, j, "XYZ".index(name[0])])
                 decimals.append(LENGTH_DECIMALS)
             else:
@@ -101,7 +103,7 @@ def build_bvh_text(take: Take) -> TakeText:
     )
 
 
-def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
+def _joints_depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
     """Return joint indices depth-first, the order of a BVH hierarchy."""
     order, stack = [], rig.roots[::-1]
     while stack:
@@ -117,11 +119,11 @@ def _position_channels(
     """Return the position channels needed to store a joint's translations."""
     declared_names = tuple(n for n in joint.channels or () if n.endswith("position"))
     is_off_rest = np.abs(values - offset).max(axis=0) > tolerance
-    is_covered = all(
+    has_needed_channels = all(
         not is_off_rest[axis] or _POSITION_CHANNELS[axis] in declared_names
         for axis in range(3)
     )
-    if joint.channels is not None and is_covered:
+    if joint.channels is not None and has_needed_channels:
         return declared_names
     if joint.parent < 0 or is_off_rest.any():
         return _POSITION_CHANNELS
@@ -131,7 +133,7 @@ def _position_channels(
 def _rotation_channels(
     joint: Joint, values: FloatArray
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the rotation channels needed for a joint's rotations, and their angles."""
+    """Return the rotation channels that a joint's rotations need, and angles [deg]."""
     declared_names = tuple(n for n in joint.channels or () if n.endswith("rotation"))
     names = declared_names if joint.channels is not None else _DEFAULT_ROTATION_CHANNELS
     axis_order = "".join(name[0] for name in names)
@@ -147,10 +149,10 @@ def _rotation_channels(
 
 
 def _order_channels(
-    joint: Joint, positions: tuple[str, ...], rotations: tuple[str, ...]
+    joint: Joint, position_names: tuple[str, ...], rotation_names: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return channels in the order that the joint declares, else positions first."""
-    declared_names, needed_names = joint.channels or (), positions + rotations
+    declared_names, needed_names = joint.channels or (), position_names + rotation_names
     is_unchanged = set(needed_names) == set(declared_names)
     return declared_names if is_unchanged else needed_names
 
@@ -170,22 +172,22 @@ def _header_lines(
         if isinstance(item, str):
             yield item
             continue
-        index, depth = item
-        joint, indent = take.rig.joints[index], "\t" * depth
-        kind = "ROOT" if joint.parent < 0 else "JOINT"
-        yield f"{indent}{kind} {joint.source_name or joint.name}"
+        joint_index, depth = item
+        joint, indent = take.rig.joints[joint_index], "\t" * depth
+        keyword = "ROOT" if joint.parent < 0 else "JOINT"
+        yield f"{indent}{keyword} {joint.source_name or joint.name}"
         yield f"{indent}{{"
-        yield f"{indent}\tOFFSET {_vector_text(offsets[index])}"
-        channels = channel_orders[index]
+        yield f"{indent}\tOFFSET {_vector_text(offsets[joint_index])}"
+        channels = channel_orders[joint_index]
         yield f"{indent}\tCHANNELS {' '.join([str(len(channels)), *channels])}"
-        for tip in _end_sites(joint, children[index]):
+        for tip in _end_sites(joint, children[joint_index]):
             vector = _vector_text(np.asarray(tip) / take.rig.meters_per_unit)
             yield f"{indent}\tEnd Site"
             yield f"{indent}\t{{"
             yield f"{indent}\t\tOFFSET {vector}"
             yield f"{indent}\t}}"
         pending.append(f"{indent}}}")
-        pending += [(child, depth + 1) for child in children[index][::-1]]
+        pending += [(child, depth + 1) for child in children[joint_index][::-1]]
     yield "MOTION"
     yield f"Frames: {take.clock.count}"
     yield f"Frame Time: {frame_time(take.clock.rate)}"
@@ -194,7 +196,7 @@ def _header_lines(
 def _end_sites(
     joint: Joint, children: list[int]
 ) -> tuple[tuple[float, float, float], ...]:
-    """Return End Site offsets; leaf joints of other formats get one of length 0."""
+    """Return End Site offsets [m]; leaf joints of other formats get one of length 0."""
     if joint.tips or children or joint.channels is not None:
         return joint.tips
     return ((0.0, 0.0, 0.0),)

@@ -55,20 +55,20 @@ class FieldValues:
 
 def collect_field_values(sections: Sections) -> FieldValues:
     """Return all layout values that a file states."""
-    analog, candidates = _stated_analog_counts(sections)
+    analog_counts, other_analog_counts = _stated_analog_counts(sections)
     return FieldValues(
         tuple(_stated_offsets(sections)),
-        tuple(_stated_widths(sections)),
+        tuple(_stated_number_sizes(sections)),
         tuple(_stated_point_counts(sections)),
-        analog,
+        analog_counts,
         tuple(_stated_frame_counts(sections)),
-        candidates,
+        other_analog_counts,
         BLOCK_BYTES * (sections.end_block - 1),
     )
 
 
 def unsigned_word(sections: Sections, group: str, name: str) -> int | None:
-    """Return an unsigned 16-bit number, or a larger one stored as float."""
+    """Return a parameter's unsigned 16-bit number, or a larger one stored as float."""
     value = sections.number(group, name)
     if value is None or not math.isfinite(value):
         return None
@@ -77,19 +77,19 @@ def unsigned_word(sections: Sections, group: str, name: str) -> int | None:
 
 def trial_frame_range(sections: Sections) -> tuple[int | None, int | None]:
     """Return the first and last frame numbers of the trial."""
-    first, last = (
+    first_frame, last_frame = (
         _join_words(sections.numbers("TRIAL", f"ACTUAL_{name}_FIELD"))
         for name in ("START", "END")
     )
-    return first, last
+    return first_frame, last_frame
 
 
 def _join_words(words: list[float]) -> int | None:
     """Return a number stored as two 16-bit words, low word first."""
     if not words or not all(map(math.isfinite, words)):
         return None
-    low, high = ([*words, 0.0])[:2]
-    return (int(low) & 0xFFFF) + ((int(high) & 0xFFFF) << 16)
+    low_word, high_word = ([*words, 0.0])[:2]
+    return (int(low_word) & 0xFFFF) + ((int(high_word) & 0xFFFF) << 16)
 
 
 def _stated_offsets(sections: Sections) -> Iterable[FieldValue]:
@@ -104,7 +104,7 @@ def _stated_offsets(sections: Sections) -> Iterable[FieldValue]:
             yield FieldValue(source, BLOCK_BYTES * (block - 1), weight)
 
 
-def _stated_widths(sections: Sections) -> Iterable[FieldValue]:
+def _stated_number_sizes(sections: Sections) -> Iterable[FieldValue]:
     candidates = (
         ("header scale", sections.header.scale, 0.75),
         ("POINT:SCALE", sections.number("POINT", "SCALE"), 1.0),
@@ -133,7 +133,8 @@ def _stated_analog_counts(
     sections: Sections,
 ) -> tuple[tuple[FieldValue, ...], tuple[int, ...]]:
     """Return stated analogue values per frame, and further counts to try."""
-    header_count, samples = sections.header.analog_count, sections.header.analog_samples
+    header_count = sections.header.analog_count
+    samples_per_frame = sections.header.samples_per_frame
     values = [FieldValue("header word 3", header_count, 1.0)]
     used_channels = unsigned_word(sections, "ANALOG", "USED")
     rates = [sections.number(group, "RATE") for group in ("ANALOG", "POINT")]
@@ -145,20 +146,22 @@ def _stated_analog_counts(
     elif used_channels is not None:
         word_source = "ANALOG:USED x header word 10"
         rate_source = "ANALOG:USED x ANALOG:RATE / POINT:RATE"
-        if samples:
-            values.append(FieldValue(word_source, used_channels * samples, 0.75))
+        if samples_per_frame:
+            values.append(
+                FieldValue(word_source, used_channels * samples_per_frame, 0.75)
+            )
         if samples_from_rates:
             values.append(
                 FieldValue(rate_source, used_channels * samples_from_rates, 0.75)
             )
-    channels = {
+    channel_counts = {
         used_channels or 0,
         header_count,
         len(sections.texts("ANALOG", "LABELS")),
     }
-    factors = {1, samples, samples_from_rates or 0}
-    candidates = {0, *(c * f for c in channels for f in factors)}
-    return tuple(values), tuple(sorted(candidates - {v.value for v in values}))
+    sample_counts = {1, samples_per_frame, samples_from_rates or 0}
+    counts = {0, *(c * f for c in channel_counts for f in sample_counts)}
+    return tuple(values), tuple(sorted(counts - {v.value for v in values}))
 
 
 def _analog_samples_per_frame(

@@ -11,16 +11,15 @@ from animtool.formats.c3d.field_values import FieldValue, FieldValues
 from animtool.formats.c3d.sections import BLOCK_BYTES
 
 # Costs in addition to those of contradicted values: nonzero padding after the last
-# frame (DIRTY), bytes after the last frame that are not padding (TRAILING), nonzero
-# bytes before the first frame (SKIPPED), a count that no field states (UNSTATED), a
-# number of frames solved from the file size (FITTED), and other counts solved from it
-# (SOLVED).
-DIRTY_COST = 0.75
-TRAILING_COST = 3.0
-SKIPPED_COST = 1.0
-UNSTATED_COST = 0.5
-FITTED_COST = 1.0
-SOLVED_COST = 1.5
+# frame, bytes after the last frame that are not padding, nonzero bytes before the first
+# frame, a count that no field states, a number of frames solved from the file size, and
+# another count solved from it.
+NONZERO_PADDING_COST = 0.75
+TRAILING_BYTES_COST = 3.0
+NONZERO_GAP_COST = 1.0
+UNSTATED_COUNT_COST = 0.5
+FITTED_FRAMES_COST = 1.0
+SOLVED_COUNT_COST = 1.5
 # Thresholds for positions: fraction of outliers, roughness of smooth motion, and
 # roughness of noise.
 MAX_OUTLIER_FRACTION, MAX_SMOOTH_ROUGHNESS, NOISE_ROUGHNESS = 0.1, 0.25, 0.5
@@ -62,7 +61,7 @@ class Layout:
         )
 
     def __str__(self) -> str:
-        """Describe the layout for messages."""
+        """Return counts, number type and start of the data as text for messages."""
         kind = "floats" if self.number_bytes == 4 else "integers"
         return (
             f"{self.frame_count} frames of {self.point_count} points and "
@@ -106,7 +105,7 @@ def choose_layout(
         end_offsets: Byte offsets where the points may end; the last is the file size.
         measure_evidence: Returns the evidence for a layout.
     """
-    cheapest: dict[tuple[float, ...], Layout] = {}
+    cheapest_layouts: dict[tuple[float, ...], Layout] = {}
     truncated_layout: Layout | None = None
     padding = _count_padding(data)
     for layout in _combinations(fields, end_offsets[-1], padding):
@@ -122,9 +121,9 @@ def choose_layout(
         )
         candidate = _add_skipped_cost(candidate, fields.parameters_end, data)
         key = _sort_key(candidate)[1:]
-        if key not in cheapest or candidate.cost < cheapest[key].cost:
-            cheapest[key] = candidate
-    candidates = sorted(cheapest.values(), key=_sort_key)[:MAX_EXAMINED_LAYOUTS]
+        if key not in cheapest_layouts or candidate.cost < cheapest_layouts[key].cost:
+            cheapest_layouts[key] = candidate
+    candidates = sorted(cheapest_layouts.values(), key=_sort_key)[:MAX_EXAMINED_LAYOUTS]
     if truncated_layout is not None and truncated_layout.cost < MIN_DECISIVE_WEIGHT:
         # All stated values agree but the file is too small: it is truncated, unless
         # other stated values match its size exactly.
@@ -138,10 +137,14 @@ def choose_layout(
     if candidates[0].cost < MIN_DECISIVE_WEIGHT:
         return LayoutResult(candidates[0])
     result = _choose_by_evidence(candidates, truncated_layout, measure_evidence)
-    best = result.layout
-    if best is None or not best.trailing_bytes or truncated_layout is None:
+    best_layout = result.layout
+    if (
+        best_layout is None
+        or not best_layout.trailing_bytes
+        or truncated_layout is None
+    ):
         return result
-    if truncated_layout.cost < best.cost - TRAILING_COST:
+    if truncated_layout.cost < best_layout.cost - TRAILING_BYTES_COST:
         return LayoutResult(None, truncated_layout)
     return result
 
@@ -162,18 +165,18 @@ def find_contradictions(
     for name in (
         "frame_count", "point_count", "analog_count", "number_bytes", "data_offset",
     ):  # fmt: skip
-        value, stated = getattr(layout, name), getattr(fields, name)
-        is_supported = any(v.value == value for v in stated)
+        value, stated_values = getattr(layout, name), getattr(fields, name)
+        is_supported = any(v.value == value for v in stated_values)
         # A saturated count does not contradict a larger count that is also stated.
-        contradicting = [
+        contradicting_values = [
             v
-            for v in stated
+            for v in stated_values
             if v.weight >= MIN_DECISIVE_WEIGHT
             and v.value != value
             and (v.cost(value) >= MIN_DECISIVE_WEIGHT or not is_supported)
         ]
-        if contradicting:
-            contradictions.append((name, value, contradicting))
+        if contradicting_values:
+            contradictions.append((name, value, contradicting_values))
     return contradictions
 
 
@@ -184,23 +187,26 @@ def _sort_key(layout: Layout) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def _combinations(fields: FieldValues, size: int, padding: int) -> Iterable[Layout]:
+def _combinations(
+    fields: FieldValues, file_size: int, padding: int
+) -> Iterable[Layout]:
     """Yield layouts of all combinations of stated counts, or with one count solved.
 
-    ``size`` is the file size, ``padding`` the number of zeros at the end [byte].
+    ``file_size`` and ``padding``, the number of zeros at the end, are in [byte].
     """
-    widths = _costed_values(fields.number_bytes, (2, 4))
-    for (offset, offset_cost), (width, width_cost) in itertools.product(
-        _costed_values(fields.data_offset), widths
+    number_sizes = _costed_values(fields.number_bytes, (2, 4))
+    for (offset, offset_cost), (size, bytes_cost) in itertools.product(
+        _costed_values(fields.data_offset), number_sizes
     ):
-        contradicts_width = width_cost >= MIN_DECISIVE_WEIGHT and _values_agree(
+        contradicts_size = bytes_cost >= MIN_DECISIVE_WEIGHT and _values_agree(
             fields.number_bytes
         )
-        capacity = ((size - offset) // width, (size - offset - padding) // width)
+        data_size = file_size - offset
+        capacity = data_size // size, (data_size - padding) // size
         for counts, count_cost, is_solved in _count_combinations(fields, *capacity):
-            cost = offset_cost + width_cost + count_cost
-            needs_evidence = contradicts_width or is_solved
-            yield Layout(offset, width, *counts, 0, cost, needs_evidence, is_solved)
+            cost = offset_cost + bytes_cost + count_cost
+            needs_evidence = contradicts_size or is_solved
+            yield Layout(offset, size, *counts, 0, cost, needs_evidence, is_solved)
 
 
 def _count_combinations(
@@ -211,16 +217,16 @@ def _count_combinations(
     The data has space for ``capacity`` numbers, or ``min_numbers`` without the zeros
     at its end.
     """
-    points = _costed_values(fields.point_count)
-    frames = _costed_values(fields.frame_count)
-    analog = _costed_values(fields.analog_count, fields.other_analog_counts)
+    costed_points = _costed_values(fields.point_count)
+    costed_frames = _costed_values(fields.frame_count)
+    costed_analog = _costed_values(fields.analog_count, fields.other_analog_counts)
     stated_candidates = {v.value for v in fields.analog_count}
     for (point_count, point_cost), (analog_count, analog_cost) in itertools.product(
-        points, analog
+        costed_points, costed_analog
     ):
         numbers_per_frame = 4 * point_count + analog_count
         is_unstated = analog_count not in stated_candidates
-        frame_counts = [(count, cost, False) for count, cost in frames]
+        frame_counts = [(count, cost, False) for count, cost in costed_frames]
         if numbers_per_frame and min_numbers > 0:
             fitting_count = -(-min_numbers // numbers_per_frame)
             frame_counts += _solve_frame_counts(fields, fitting_count)
@@ -228,20 +234,20 @@ def _count_combinations(
             cost = point_cost + analog_cost + frame_cost
             counts = (point_count, analog_count, frame_count)
             yield counts, cost, is_unstated or is_solved
-    points_to_solve = points if _can_solve(fields.analog_count) else []
-    analog_to_solve = analog if _can_solve(fields.point_count) else []
-    for frame_count, frame_cost in frames:
+    points_to_solve = costed_points if _can_solve(fields.analog_count) else []
+    analog_to_solve = costed_analog if _can_solve(fields.point_count) else []
+    for frame_count, frame_cost in costed_frames:
         for point_count, point_cost in points_to_solve:
             analog_count = capacity // frame_count - 4 * point_count
             if analog_count >= 0:
                 analog_cost = _total_cost(fields.analog_count, analog_count)
-                cost = point_cost + frame_cost + analog_cost + SOLVED_COST
+                cost = point_cost + frame_cost + analog_cost + SOLVED_COUNT_COST
                 yield (point_count, analog_count, frame_count), cost, True
         for analog_count, analog_cost in analog_to_solve:
             point_count, remainder = divmod(capacity // frame_count - analog_count, 4)
             if point_count > 0 and remainder == 0:
                 point_cost = _total_cost(fields.point_count, point_count)
-                cost = analog_cost + frame_cost + point_cost + SOLVED_COST
+                cost = analog_cost + frame_cost + point_cost + SOLVED_COUNT_COST
                 yield (point_count, analog_count, frame_count), cost, True
 
 
@@ -250,7 +256,7 @@ def _costed_values(
 ) -> list[tuple[int, float]]:
     """Return candidate values, each with the cost of contradicted stated values."""
     stated_candidates = {v.value for v in values}
-    unstated_cost = UNSTATED_COST if values else 0.0
+    unstated_cost = UNSTATED_COUNT_COST if values else 0.0
     return [(v, _total_cost(values, v)) for v in sorted(stated_candidates)] + [
         (value, _total_cost(values, value) + unstated_cost)
         for value in sorted(set(other_values) - stated_candidates)
@@ -263,13 +269,13 @@ def _total_cost(values: Sequence[FieldValue], value: int) -> float:
 
 def _values_agree(values: Sequence[FieldValue]) -> bool:
     """Return whether all stated values except hints are equal."""
-    return len({c.value for c in values if c.weight >= MIN_DECISIVE_WEIGHT}) == 1
+    return len({v.value for v in values if v.weight >= MIN_DECISIVE_WEIGHT}) == 1
 
 
 def _can_solve(values: Sequence[FieldValue]) -> bool:
-    """Return whether stated values leave a count open for the file size to decide."""
-    decisive = [v for v in values if v.weight >= MIN_DECISIVE_WEIGHT]
-    return len(decisive) < 2 or not _values_agree(values)
+    """Return whether the file size may decide a count: stated once or unequally."""
+    decisive_values = [v for v in values if v.weight >= MIN_DECISIVE_WEIGHT]
+    return len(decisive_values) < 2 or not _values_agree(values)
 
 
 def _solve_frame_counts(
@@ -280,23 +286,27 @@ def _solve_frame_counts(
     Empty unless stated counts are saturated, wrap around, differ, or are missing.
     ``count`` is the number of frames that fit into the data.
     """
-    frames = fields.frame_count
-    if any(v.value == count for v in frames):
+    stated_values = fields.frame_count
+    if any(v.value == count for v in stated_values):
         return []
-    cost = _total_cost(frames, count)
-    if not frames or any(c.is_saturated and count > c.value for c in frames):
-        return [(count, cost + UNSTATED_COST, False)]
-    if any(v.can_wrap and v.cost(count) < v.weight for v in frames):
+    cost = _total_cost(stated_values, count)
+    if not stated_values or any(
+        c.is_saturated and count > c.value for c in stated_values
+    ):
+        return [(count, cost + UNSTATED_COUNT_COST, False)]
+    if any(v.can_wrap and v.cost(count) < v.weight for v in stated_values):
         return [(count, cost, False)]
-    return [] if _values_agree(frames) else [(count, cost + FITTED_COST, True)]
+    if _values_agree(stated_values):
+        return []
+    return [(count, cost + FITTED_FRAMES_COST, True)]
 
 
 def _add_skipped_cost(layout: Layout, parameters_end: int, data: bytes) -> Layout:
     """Return a layout with the cost of nonzero bytes before the first frame added."""
-    start, gap_bytes = parameters_end, layout.data_offset - parameters_end
-    if gap_bytes <= 0 or data.count(b"\0", start, layout.data_offset) == gap_bytes:
+    gap_start, gap_bytes = parameters_end, layout.data_offset - parameters_end
+    if gap_bytes <= 0 or data.count(b"\0", gap_start, layout.data_offset) == gap_bytes:
         return layout
-    return replace(layout, cost=layout.cost + SKIPPED_COST)
+    return replace(layout, cost=layout.cost + NONZERO_GAP_COST)
 
 
 def _add_trailing_cost(layout: Layout, data: bytes, end: int) -> Layout:
@@ -306,16 +316,16 @@ def _add_trailing_cost(layout: Layout, data: bytes, end: int) -> Layout:
     frame_bytes = layout.number_bytes * layout.numbers_per_frame
     if is_padding and data.count(b"\0", layout.end, end) == unused_bytes:
         # A last frame of zeros is probably padding.
-        last_frame = layout.end - frame_bytes
+        last_frame_start = layout.end - frame_bytes
         is_zero_frame = (
             0 < frame_bytes < BLOCK_BYTES - unused_bytes
-            and data.count(b"\0", last_frame, layout.end) == frame_bytes
+            and data.count(b"\0", last_frame_start, layout.end) == frame_bytes
         )
-        dirty_cost = DIRTY_COST if is_zero_frame else 0.0
-        return replace(layout, cost=layout.cost + dirty_cost)
+        padding_cost = NONZERO_PADDING_COST if is_zero_frame else 0.0
+        return replace(layout, cost=layout.cost + padding_cost)
     if unused_bytes == 0:
         return layout
-    cost = layout.cost + (DIRTY_COST if is_padding else TRAILING_COST)
+    cost = layout.cost + (NONZERO_PADDING_COST if is_padding else TRAILING_BYTES_COST)
     return replace(layout, trailing_bytes=abs(unused_bytes), cost=cost)
 
 
@@ -351,16 +361,16 @@ def _choose_by_evidence(
             None, truncated_layout, () if truncated_layout else tuple(candidates[:3])
         )
     scored_layouts.sort(key=_sort_key)
-    best = scored_layouts[0]
-    rivals = [
+    best_layout = scored_layouts[0]
+    rival_layouts = [
         layout
         for layout in scored_layouts
-        if layout.cost < best.cost + DECISIVE_COST_GAP
-        and _interpretation_key(layout) != _interpretation_key(best)
+        if layout.cost < best_layout.cost + DECISIVE_COST_GAP
+        and _interpretation_key(layout) != _interpretation_key(best_layout)
     ]
-    if rivals:
-        return LayoutResult(None, truncated_layout, (best, *rivals[:2]))
-    return LayoutResult(best, truncated_layout)
+    if rival_layouts:
+        return LayoutResult(None, truncated_layout, (best_layout, *rival_layouts[:2]))
+    return LayoutResult(best_layout, truncated_layout)
 
 
 def _is_noise(layout: Layout, evidence: Evidence) -> bool:
@@ -372,7 +382,7 @@ def _is_noise(layout: Layout, evidence: Evidence) -> bool:
 
 
 def _interpretation_key(layout: Layout) -> tuple[int, ...]:
-    """Return the layout values by which numbers are assigned to coordinates."""
+    """Return the counts of a layout that decide which numbers are coordinates."""
     return (
         layout.data_offset,
         layout.number_bytes,

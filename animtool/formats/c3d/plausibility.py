@@ -16,7 +16,7 @@ SPAN_FRAMES = 8
 # Range of captured positions, in any unit; other magnitudes are not positions.
 MAX_COORDINATE = 1e6
 MIN_COORDINATE = 1e-12
-MAX_WORD = 32768.0
+MAX_STATUS_WORD = 32768.0
 
 
 def measure_evidence(layout: Layout, data: bytes, processor: Processor) -> Evidence:
@@ -24,33 +24,33 @@ def measure_evidence(layout: Layout, data: bytes, processor: Processor) -> Evide
     if layout.point_count == 0:
         return Evidence(0.0, math.nan)
     span_frames = min(SPAN_FRAMES, layout.frame_count)
-    begins = np.linspace(0, layout.frame_count - span_frames, SPAN_COUNT).astype(
+    first_frames = np.linspace(0, layout.frame_count - span_frames, SPAN_COUNT).astype(
         np.int64
     )
     frame_bytes = layout.number_bytes * layout.numbers_per_frame
     spans = []
-    for begin in sorted(set(begins.tolist())):
-        offset = layout.data_offset + frame_bytes * begin
-        rows = processor.rows(
+    for first_frame in sorted(set(first_frames.tolist())):
+        offset = layout.data_offset + frame_bytes * first_frame
+        numbers = processor.rows(
             data[offset : offset + frame_bytes * span_frames],
             layout.number_bytes,
             layout.numbers_per_frame,
             4 * layout.point_count,
         )
-        spans.append(rows.reshape(span_frames, layout.point_count, 4))
+        spans.append(numbers.reshape(span_frames, layout.point_count, 4))
     return _measure_spans(np.array(spans), layout.number_bytes)
 
 
-def _measure_spans(spans: FloatArray, width: int) -> Evidence:
+def _measure_spans(spans: FloatArray, number_bytes: int) -> Evidence:
     """Return outlier fraction and roughness of spans of frames ``(R, L, M, 4)``."""
     positions, words = spans[..., :3], spans[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
         magnitudes = np.abs(positions)
-        is_outlier = ~np.isfinite(words) | (words < -1.5) | (words > MAX_WORD)
-        if width == 4:
-            out_of_range = ~(magnitudes < MAX_COORDINATE)
+        is_outlier = ~np.isfinite(words) | (words < -1.5) | (words > MAX_STATUS_WORD)
+        if number_bytes == 4:
+            is_out_of_range = ~(magnitudes < MAX_COORDINATE)
             is_tiny = (magnitudes > 0) & (magnitudes < MIN_COORDINATE)
-            is_outlier |= (out_of_range | is_tiny).any(axis=-1)
+            is_outlier |= (is_out_of_range | is_tiny).any(axis=-1)
         is_visible = ~is_outlier & (words > -0.5) & (magnitudes > 0).any(axis=-1)
     if not is_visible.any():
         return Evidence(float(is_outlier.mean()), 1.0)
@@ -59,5 +59,5 @@ def _measure_spans(spans: FloatArray, width: int) -> Evidence:
     if not is_visible_pair.any() or spread == 0.0:
         return Evidence(float(is_outlier.mean()), math.nan)
     positions = np.where(is_visible[..., None], positions, 0.0)
-    steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[is_visible_pair]
-    return Evidence(float(is_outlier.mean()), float(steps.mean()) / spread)
+    step_lengths = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[is_visible_pair]
+    return Evidence(float(is_outlier.mean()), float(step_lengths.mean()) / spread)

@@ -41,7 +41,7 @@ from animtool.formats.trajectories import MAX_POSITIONS, CaptureFile
 from animtool.motion.markers import Markers
 
 _UP_HINT = f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}"
-_AXIS = re.compile(r"([+-]?)([XYZ])")
+_AXIS_PATTERN = re.compile(r"([+-]?)([XYZ])")
 # For other up axes than +Y and +Z: the up axis after conversion, and the order and
 # signs of the coordinates that become x, y and z.
 _UP_CONVERSIONS = {
@@ -95,7 +95,7 @@ def _read_axis(file: CaptureFile, sections: Sections, name: str) -> str | None:
     text = texts[0].strip() if texts else ""
     if not text:
         return None
-    match = _AXIS.fullmatch(text.upper())
+    match = _AXIS_PATTERN.fullmatch(text.upper())
     if match is None:
         message = f"{name} is {excerpt(text)}, not one of +X, -X, +Y, -Y, +Z, -Z"
         file.warn("C3D105", message, _UP_HINT)
@@ -145,17 +145,18 @@ def read_c3d(
     stated_unit = next(iter(sections.texts("POINT", "UNITS")), None)
     length_unit = file.choose_unit(stated_unit, unit, LengthUnit.MM)
     rate = file.choose_rate(_frame_rate(file, sections, fps), fps)
-    file_up = _up_axis(file, sections, up)
-    positions, words = _read_points(sections, layout, data)
-    names, columns = _marker_names(file, sections, layout.point_count, subject)
-    positions, words = positions[:, columns], words[:, columns]
-    positions[words < 0] = np.nan
+    signed_up = _up_axis(file, sections, up)
+    positions, status_words = _read_points(sections, layout, data)
+    names, point_indices = _marker_names(file, sections, layout.point_count, subject)
+    positions = positions[:, point_indices]
+    status_words = status_words[:, point_indices]
+    positions[status_words < 0] = np.nan
     positions = file.clean_positions(positions, length_unit.meters)
-    if file_up in _UP_CONVERSIONS:
-        up_axis, order, signs = _UP_CONVERSIONS[file_up]
+    if signed_up in _UP_CONVERSIONS:
+        up_axis, order, signs = _UP_CONVERSIONS[signed_up]
         positions = positions[..., order] * signs
     else:
-        up_axis = UpAxis(file_up[1])
+        up_axis = UpAxis(signed_up[1])
     is_visible = np.isfinite(positions[..., 0])
     residual_scale = abs(_point_scale(sections)) * length_unit.meters
     first_frame = _first_frame(sections, layout.frame_count)
@@ -165,9 +166,9 @@ def read_c3d(
         clock,
         positions,
         up_axis,
-        _camera_counts(words, is_visible),
-        _residuals(words, is_visible, residual_scale),
-        _filled_positions(sections, words, is_visible, columns),
+        _camera_counts(status_words, is_visible),
+        _residuals(status_words, is_visible, residual_scale),
+        _find_filled(sections, status_words, is_visible, point_indices),
         tuple(file.notices),
     )
 
@@ -175,11 +176,11 @@ def read_c3d(
 def _find_layout(file: CaptureFile, sections: Sections, data: bytes) -> Layout:
     """Return the layout that fits the file; warn about contradictions."""
     fields = collect_field_values(sections)
-    ends = [*_rotation_start(sections, len(data)), len(data)]
+    end_offsets = [*_rotation_starts(sections, len(data)), len(data)]
     result = choose_layout(
         fields,
         data,
-        ends,
+        end_offsets,
         lambda candidate: measure_evidence(candidate, data, sections.processor),
     )
     layout = result.layout
@@ -206,8 +207,8 @@ def _find_layout(file: CaptureFile, sections: Sections, data: bytes) -> Layout:
     return layout
 
 
-def _rotation_start(sections: Sections, size: int) -> list[int]:
-    """Return the byte offset of rotations before the end of the file, if it has any."""
+def _rotation_starts(sections: Sections, size: int) -> list[int]:
+    """Return the byte offset of a file's rotation data in a list; empty without any."""
     block = unsigned_word(sections, "ROTATION", "DATA_START") or 0
     start = BLOCK_BYTES * (block - 1)
     has_rotations = block > 2 and sections.number("ROTATION", "USED")
@@ -216,21 +217,22 @@ def _rotation_start(sections: Sections, size: int) -> list[int]:
 
 def _layout_error(file: CaptureFile, result: LayoutResult, size: int) -> FormatError:
     """Return the error for a file whose size fits no combination of counts."""
-    rivals = result.ambiguous_layouts
-    if rivals:
+    rival_layouts = result.ambiguous_layouts
+    if rival_layouts:
         message = "its header, parameters and size disagree, and nothing resolves it: "
-        message += f"between {' or '.join(map(str, rivals))}"
-        if len(rivals) == 1:
-            message = f"its counts do not match its size of {size} bytes: {rivals[0]} "
-            message += f"end at {rivals[0].end}, and are not positions"
+        message += f"between {' or '.join(map(str, rival_layouts))}"
+        if len(rival_layouts) == 1:
+            message = f"its counts do not match its size of {size} bytes: "
+            message += f"{rival_layouts[0]} end at {rival_layouts[0].end}, and are not "
+            message += "positions"
         return file.error("C3D003", message, "export it again")
-    truncated = result.truncated_layout
-    if truncated is None or not truncated.point_count or not truncated.frame_count:
+    layout = result.truncated_layout
+    if layout is None or not layout.point_count or not layout.frame_count:
         return file.error("MKR013", "has no points in frames")
-    available_bytes = max(0, size - truncated.data_offset)
-    frame_bytes = truncated.number_bytes * truncated.numbers_per_frame
+    available_bytes = max(0, size - layout.data_offset)
+    frame_bytes = layout.number_bytes * layout.numbers_per_frame
     message = (
-        f"is truncated: it claims {truncated}, {truncated.end - truncated.data_offset} "
+        f"is truncated: it claims {layout}, {layout.end - layout.data_offset} "
         f"bytes; it has {available_bytes}, {available_bytes // frame_bytes} frames"
     )
     return file.error("C3D002", message, "copy or export it again")
@@ -246,18 +248,18 @@ _QUANTITIES = {
 
 
 def _contradiction_text(name: str, value: int, values: list[FieldValue]) -> str:
-    texts = ", ".join(f"{stated.value} ({stated.source})" for stated in values)
+    texts = ", ".join(f"{v.value} ({v.source})" for v in values)
     return f"{value} {_QUANTITIES[name]}, not {texts}"
 
 
-def _first_frame(sections: Sections, frames: int) -> int:
+def _first_frame(sections: Sections, frame_count: int) -> int:
     """Return the first frame number, which may exceed the 16 bits of the header."""
     header = sections.header
     start, end = trial_frame_range(sections)
-    if start is None or end is None or end - start + 1 != frames:
+    if start is None or end is None or end - start + 1 != frame_count:
         return header.first_frame
     is_header_valid = (
-        header.last_frame - header.first_frame + 1 == frames and end < WORD_RANGE
+        header.last_frame - header.first_frame + 1 == frame_count and end < WORD_RANGE
     )
     return header.first_frame if is_header_valid else start
 
@@ -291,8 +293,8 @@ def _frame_rate(
     header_rate, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
     if not parameter_rate or not np.isfinite(parameter_rate):
         return header_rate
-    are_close = np.isclose(header_rate, parameter_rate, rtol=1e-4)
-    if fps is None and header_rate > 0 and not are_close:
+    is_same_rate = np.isclose(header_rate, parameter_rate, rtol=1e-4)
+    if fps is None and header_rate > 0 and not is_same_rate:
         message = f"its header has {header_rate:g} fps, but its parameters "
         message += f"{parameter_rate:g}"
         file.warn("C3D101", f"{message}; using the parameters")
@@ -303,9 +305,9 @@ def _read_points(
     sections: Sections, layout: Layout, data: bytes
 ) -> tuple[FloatArray, IntArray]:
     """Return positions ``(F, M, 3)`` in file units, and the status words ``(F, M)``."""
-    data_bytes = data[layout.data_offset : layout.end]
+    frame_data = data[layout.data_offset : layout.end]
     rows = sections.processor.rows(
-        data_bytes,
+        frame_data,
         layout.number_bytes,
         layout.numbers_per_frame,
         4 * layout.point_count,
@@ -314,14 +316,14 @@ def _read_points(
     positions = np.ascontiguousarray(rows[..., :3])
     if layout.number_bytes == 2:
         positions *= abs(_point_scale(sections))
-    fourth_words = rows[..., 3]
-    is_valid_word = np.isfinite(fourth_words) & (np.abs(fourth_words) < 2**31)
+    stored_words = rows[..., 3]
+    is_valid_word = np.isfinite(stored_words) & (np.abs(stored_words) < 2**31)
     # The sign of the last word marks a point as not visible.
-    words = np.where(
-        is_valid_word, fourth_words, np.where(fourth_words < 0, -1.0, 0.0)
+    status_words = np.where(
+        is_valid_word, stored_words, np.where(stored_words < 0, -1.0, 0.0)
     ).astype(np.int64)
-    words[fourth_words < 0] = -1
-    return positions, words
+    status_words[stored_words < 0] = -1
+    return positions, status_words
 
 
 def _marker_names(
@@ -335,66 +337,74 @@ def _marker_names(
     labels = [*labels[:point_count], *[""] * (point_count - len(labels))]
     output_labels = [sections.texts("POINT", name) for name in MODEL_OUTPUT_PARAMETERS]
     model_labels = {label for names in output_labels for label in names if label}
-    columns = np.array([i for i, name in enumerate(labels) if name not in model_labels])
-    if len(columns) < point_count:
+    point_indices = np.array(
+        [i for i, name in enumerate(labels) if name not in model_labels]
+    )
+    if len(point_indices) < point_count:
         skipped_labels = [name for name in labels if name in model_labels]
         message = f"{counted(len(skipped_labels), 'result')} of models skipped: "
         file.note("C3D103", message + listed(skipped_labels))
-    if not len(columns):
+    if not len(point_indices):
         raise file.error("MKR013", "has no marker points")
-    return file.unique_names([labels[i] for i in columns.tolist()], subject), columns
+    names = [labels[i] for i in point_indices.tolist()]
+    return file.unique_names(names, subject), point_indices
 
 
-def _camera_counts(words: IntArray, is_visible: BoolArray) -> IntArray | None:
+def _camera_counts(status_words: IntArray, is_visible: BoolArray) -> IntArray | None:
     """Return the number of cameras, at most 7, of each position; None if not stated."""
-    camera_mask = np.where(is_visible, (words >> 8) & 0x7F, 0)
-    if not camera_mask.any():
+    camera_bits = np.where(is_visible, (status_words >> 8) & 0x7F, 0)
+    if not camera_bits.any():
         return None
     return sum(
-        ((camera_mask >> bit) & 1 for bit in range(7)), np.zeros_like(camera_mask)
+        ((camera_bits >> bit) & 1 for bit in range(7)), np.zeros_like(camera_bits)
     )
 
 
 def _residuals(
-    words: IntArray, is_visible: BoolArray, scale: float
+    status_words: IntArray, is_visible: BoolArray, meters_per_step: float
 ) -> FloatArray | None:
     """Return residuals [m] ``(F, M)``; NaN for positions that were not measured."""
-    residual_steps = words & 0xFF
+    residual_steps = status_words & 0xFF
     is_measured = is_visible & (residual_steps > 0)
     if not is_measured.any():
         return None
-    return np.where(is_measured, residual_steps * scale, np.nan)
+    return np.where(is_measured, residual_steps * meters_per_step, np.nan)
 
 
-def _filled_positions(
-    sections: Sections, words: IntArray, is_visible: BoolArray, columns: IntArray
+def _find_filled(
+    sections: Sections,
+    status_words: IntArray,
+    is_visible: BoolArray,
+    point_indices: IntArray,
 ) -> BoolArray | None:
-    """Return the positions that were filled, not measured ``(F, M)``; None if none.
+    """Return whether positions ``(F, M)`` were filled, not measured; None if none.
 
     animtool lists them in its own parameter group. In other files, a residual and
     cameras of 0 mean filled if other positions have nonzero ones.
     """
     animtool_group = sections.groups.get(ANIMTOOL_GROUP)
     if animtool_group is not None:
-        return _read_filled_group(sections, is_visible, columns)
-    if not (is_visible & (words > 0)).any():
+        return _read_filled_group(sections, is_visible, point_indices)
+    if not (is_visible & (status_words > 0)).any():
         return None
-    is_filled = is_visible & (words == 0)
+    is_filled = is_visible & (status_words == 0)
     return is_filled if is_filled.any() else None
 
 
 def _read_filled_group(
-    sections: Sections, is_visible: BoolArray, marker_columns: IntArray
+    sections: Sections, is_visible: BoolArray, point_indices: IntArray
 ) -> BoolArray | None:
     is_filled = np.zeros(is_visible.shape, bool)
-    columns = {point: column for column, point in enumerate(marker_columns.tolist())}
+    column_by_point = {
+        point: column for column, point in enumerate(point_indices.tolist())
+    }
     for value in sections.continued_values(ANIMTOOL_GROUP, "FILLED"):
         if not isinstance(value, np.ndarray) or not value.size:
             break
         for marker, first, last in value.ravel()[: value.size // 3 * 3].reshape(-1, 3):
-            if np.isfinite([marker, first, last]).all() and marker in columns:
-                begin = int(min(max(first, 0), len(is_visible)))
+            if np.isfinite([marker, first, last]).all() and marker in column_by_point:
+                start = int(min(max(first, 0), len(is_visible)))
                 end = int(min(max(last + 1, 0), len(is_visible)))
-                is_filled[begin:end, columns[int(marker)]] = True
+                is_filled[start:end, column_by_point[int(marker)]] = True
     is_filled &= is_visible
     return is_filled if is_filled.any() else None

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
+from animtool.formats.delimited import decode_text
 
 BLOCK_BYTES = 512
 MAGIC = 80
@@ -56,21 +57,21 @@ class Processor(IntEnum):
                 return np.frombuffer(data, f"{self.order}f4").astype(np.float64)
         words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
         bits = np.ascontiguousarray(words).view("<u4").ravel()
-        fraction = (bits & 0x7FFFFF) | 0x800000
+        mantissa = (bits & 0x7FFFFF) | 0x800000
         exponent = ((bits >> 23) & 0xFF).astype(np.int64)
         # An exponent of 0 means zero, and there is no infinity.
-        magnitude = np.where(exponent == 0, 0.0, np.ldexp(fraction, exponent - 152))
+        magnitude = np.where(exponent == 0, 0.0, np.ldexp(mantissa, exponent - 152))
         return np.where(bits >> 31, -magnitude, magnitude)
 
     def rows(
-        self, data: bytes, width: int, numbers_per_row: int, column_count: int
+        self, data: bytes, number_bytes: int, numbers_per_row: int, column_count: int
     ) -> FloatArray:
         """Return the first numbers of each row as floats ``(F, column_count)``."""
-        if width == 4 and self is Processor.DEC:
+        if number_bytes == 4 and self is Processor.DEC:
             words = np.frombuffer(data, "<u2").reshape(-1, 2 * numbers_per_row)
-            pairs = words[:, : 2 * column_count]
-            return self.floats(pairs.tobytes()).reshape(-1, column_count)
-        dtype = f"{self.order}{'f4' if width == 4 else 'i2'}"
+            first_words = words[:, : 2 * column_count]
+            return self.floats(first_words.tobytes()).reshape(-1, column_count)
+        dtype = f"{self.order}{'f4' if number_bytes == 4 else 'i2'}"
         numbers = np.frombuffer(data, dtype).reshape(-1, numbers_per_row)
         # Arbitrary bytes may be signalling NaNs.
         with np.errstate(invalid="ignore"):
@@ -79,7 +80,7 @@ class Processor(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Values of the header block of a file."""
+    """Counts, frame range, scale and rates that the header block of a file states."""
 
     point_count: int
     analog_count: int  # analogue values per frame, all samples
@@ -87,7 +88,7 @@ class Header:
     last_frame: int
     scale: float  # of integers; negative means floats
     data_block: int  # block of the first frame, from 1
-    analog_samples: int  # analogue samples per channel and frame
+    samples_per_frame: int  # analogue samples per channel and frame
     rate: float
 
 
@@ -103,14 +104,14 @@ class Sections:
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def number(self, group: str, name: str) -> float | None:
-        """Return the first number of a parameter."""
+        """Return the first number of a parameter; None without one."""
         value = self.groups.get(group, {}).get(name)
         if isinstance(value, np.ndarray) and value.size:
             return float(value.ravel()[0])
         return None
 
     def numbers(self, group: str, name: str) -> list[float]:
-        """Return all numbers of a parameter."""
+        """Return all numbers of a parameter; empty without any."""
         value = self.groups.get(group, {}).get(name)
         return value.ravel().tolist() if isinstance(value, np.ndarray) else []
 
@@ -128,10 +129,10 @@ class Sections:
 
         Labels after the first 255 are in ``LABELS2``, ``LABELS3`` and so on.
         """
-        entries = self.groups.get(group, {})
+        parameters = self.groups.get(group, {})
         key, number = name, 1
-        while key in entries:
-            yield entries[key]
+        while key in parameters:
+            yield parameters[key]
             number += 1
             key = f"{name}{number}"
 
@@ -142,11 +143,11 @@ def read_sections(data: bytes) -> Sections:
     A file without parameters is read from its header alone.
     """
     if len(data) < BLOCK_BYTES or data[1] != MAGIC:
-        state = "does not start like a C3D file" if data else "is empty"
-        raise MalformedError(f"{state}; copy or export it again")
-    start = BLOCK_BYTES * (data[0] - 1)
-    has_parameters = data[0] >= 2 and start + 4 <= len(data)
-    processor_code = data[start + 3] if has_parameters else 0
+        problem = "does not start like a C3D file" if data else "is empty"
+        raise MalformedError(f"{problem}; copy or export it again")
+    parameters_start = BLOCK_BYTES * (data[0] - 1)
+    has_parameters = data[0] >= 2 and parameters_start + 4 <= len(data)
+    processor_code = data[parameters_start + 3] if has_parameters else 0
     is_known_processor = processor_code in {int(p) for p in Processor}
     if is_known_processor:
         processor = Processor(processor_code)
@@ -154,11 +155,11 @@ def read_sections(data: bytes) -> Sections:
     else:
         sections = Sections(*_guess_processor(data, processor_code))
     if has_parameters:
-        _read_parameters(sections, data, start + 4)
+        _read_parameters(sections, data, parameters_start + 4)
     if not sections.groups:
         sections = Sections(*_guess_processor(data, processor_code))
     if is_known_processor or sections.groups:
-        sections.end_block = data[0] + data[start + 2]
+        sections.end_block = data[0] + data[parameters_start + 2]
     return sections
 
 
@@ -172,9 +173,9 @@ def _read_header(data: bytes, processor: Processor) -> Header:
     return Header(points, analog, first, last, scale, data_block, samples, rate)
 
 
-def _guess_processor(data: bytes, kind: int) -> tuple[Header, Processor]:
+def _guess_processor(data: bytes, stated_code: int) -> tuple[Header, Processor]:
     """Return the first plausible header of a file, and its processor."""
-    for processor in sorted(Processor, key=lambda p: (p != kind, p)):
+    for processor in sorted(Processor, key=lambda p: (p != stated_code, p)):
         header = _read_header(data, processor)
         if _is_plausible_header(header, len(data)):
             return header, processor
@@ -247,23 +248,19 @@ def _parse_parameter(processor: Processor, data: bytes, offset: int) -> Any:
     return convert(value_data).reshape(sizes[::-1])
 
 
-def _split_texts(raw: bytes, sizes: Sequence[int]) -> list[str]:
+def _split_texts(data: bytes, sizes: Sequence[int]) -> list[str]:
     if len(sizes) < 2:
-        return [_decode_text(raw)]
+        return [_decode_text(data)]
     text_bytes = sizes[0]
     count = math.prod(sizes[1:])
     return [
-        _decode_text(raw[i * text_bytes : (i + 1) * text_bytes]) for i in range(count)
+        _decode_text(data[i * text_bytes : (i + 1) * text_bytes]) for i in range(count)
     ]
 
 
-def _decode_text(raw: bytes) -> str:
-    """Return text decoded as UTF-8, else Latin-1."""
-    raw = raw.partition(b"\0")[0].strip()
-    try:
-        return raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
+def _decode_text(data: bytes) -> str:
+    """Return the text before the first zero byte, without blanks around it."""
+    return decode_text(data.partition(b"\0")[0].strip())
 
 
 def _signed_byte(byte: int) -> int:

@@ -32,7 +32,7 @@ MAX_BLOCKS = 255
 # Steps of a residual, which is a byte; 0 means that a point was not measured.
 RESIDUAL_STEPS = 255
 # Integer range from which readers expect the scale of floats to be derived.
-INTEGER_RANGE = 32000
+MAX_STORED_INTEGER = 32000
 BLOCK_FRAMES = 4096
 # Analogue samples per channel and frame. There are no channels, but readers compare
 # this number with the rates.
@@ -62,31 +62,35 @@ def write_c3d(
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    header = _build_head(markers, path)
-    write_parts(path, _file_chunks(markers, header))
+    head = _build_head(markers, path)
+    write_parts(path, _file_chunks(markers, head))
     return _data_loss_notice(markers, str(path))
 
 
 def _build_head(markers: Markers, path: Path) -> bytes:
     """Return the bytes of header and parameters."""
-    frames, marker_count = markers.positions.shape[:2]
-    blocks = 1
+    frame_count, marker_count = markers.positions.shape[:2]
+    block_count = 1
     # The parameters contain the start of the data, so their size is needed first.
-    parameters = _build_parameters(markers, 2 + blocks)
-    blocks = -(-(_PARAMETER_HEAD_BYTES + len(parameters)) // BLOCK_BYTES)
-    if not 0 < marker_count <= MAX_COUNT or blocks > MAX_BLOCKS or frames == 0:
+    parameters = _build_parameters(markers, 2 + block_count)
+    block_count = -(-(_PARAMETER_HEAD_BYTES + len(parameters)) // BLOCK_BYTES)
+    if (
+        not 0 < marker_count <= MAX_COUNT
+        or block_count > MAX_BLOCKS
+        or frame_count == 0
+    ):
         message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
-        message += f"and at least one frame, not {marker_count} in {frames} frames"
+        message += f"and at least one frame, not {marker_count} in {frame_count} frames"
         raise OptionError(Fault("C3D010", message, str(path), (), "write .npz"))
-    parameters = _build_parameters(markers, 2 + blocks)
+    parameters = _build_parameters(markers, 2 + block_count)
     first, last = _header_frame_range(markers.clock)
     scale = _residual_scale(markers)
     header = bytes([2, MAGIC]) + struct.pack("<5H", marker_count, 0, first, last, 0)
     rate = float(markers.clock.rate)
-    header += struct.pack("<fHHf", scale, 2 + blocks, ANALOG_SAMPLES, rate)
-    parameter_blocks = bytes([1, MAGIC, blocks, int(Processor.INTEL)]) + parameters
+    header += struct.pack("<fHHf", scale, 2 + block_count, ANALOG_SAMPLES, rate)
+    parameter_blocks = bytes([1, MAGIC, block_count, int(Processor.INTEL)]) + parameters
     return header.ljust(BLOCK_BYTES, b"\0") + parameter_blocks.ljust(
-        BLOCK_BYTES * blocks, b"\0"
+        BLOCK_BYTES * block_count, b"\0"
     )
 
 
@@ -111,26 +115,26 @@ def _residual_scale(markers: Markers) -> float:
         return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS
     magnitudes = np.abs(markers.positions) * 1000.0
     magnitudes = np.where(magnitudes <= FLOAT32_MAX, magnitudes, 0.0)
-    return -max(float(np.nanmax(magnitudes, initial=0.0)), 1.0) / INTEGER_RANGE
+    return -max(float(np.nanmax(magnitudes, initial=0.0)), 1.0) / MAX_STORED_INTEGER
 
 
 def _build_parameters(markers: Markers, data_block: int) -> bytes:
     """Return the bytes of the parameter section after its first four bytes."""
-    frames, marker_count = markers.positions.shape[:2]
+    frame_count, marker_count = markers.positions.shape[:2]
     first, last = _frame_range(markers.clock)
-    clamped_frames = min(frames, MAX_COUNT)
+    clamped_count = min(frame_count, MAX_COUNT)
     point_group: dict[str, bytes] = {
         "USED": _integer_parameter([marker_count]),
         "SCALE": _float_parameter([_residual_scale(markers)]),
         "RATE": _float_parameter([float(markers.clock.rate)]),
         "DATA_START": _integer_parameter([data_block]),
-        "FRAMES": _integer_parameter([clamped_frames]),
+        "FRAMES": _integer_parameter([clamped_count]),
         "UNITS": _text_parameter([LengthUnit.MM.value]),
         "X_SCREEN": _text_parameter(["+X"]),
         "Y_SCREEN": _text_parameter([f"+{markers.up}"]),
     }
-    if frames > MAX_COUNT:
-        point_group["LONG_FRAMES"] = _float_parameter([frames])
+    if frame_count > MAX_COUNT:
+        point_group["LONG_FRAMES"] = _float_parameter([frame_count])
     point_group |= _continued_parameter("LABELS", markers.names, _text_parameter)
     blanks = [""] * marker_count
     point_group |= _continued_parameter("DESCRIPTIONS", blanks, _text_parameter)
@@ -143,8 +147,8 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
             "RATE": _float_parameter([float(markers.clock.rate)]),
         },
         "TRIAL": {
-            f"ACTUAL_{name}_FIELD": _integer_parameter([field & 0xFFFF, field >> 16])
-            for name, field in (("START", first), ("END", last))
+            f"ACTUAL_{name}_FIELD": _integer_parameter([frame & 0xFFFF, frame >> 16])
+            for name, frame in (("START", first), ("END", last))
         },
     }
     spans = _filled_spans(markers)
@@ -152,16 +156,18 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
         groups[ANIMTOOL_GROUP] = _continued_parameter(
             "FILLED", np.array(spans), _float_parameter
         )
-    section = b""
-    for number, (name, entries) in enumerate(groups.items(), 1):
+    section_bytes = b""
+    for group_id, (name, parameters) in enumerate(groups.items(), 1):
         encoded_name = name.encode()
-        section += struct.pack("<bb", len(encoded_name), -number) + encoded_name
-        section += struct.pack("<HB", 3, 0)
-        for key, body in entries.items():
+        section_bytes += struct.pack("<bb", len(encoded_name), -group_id) + encoded_name
+        section_bytes += struct.pack("<HB", 3, 0)
+        for key, body in parameters.items():
             encoded_name = key.encode()
-            section += struct.pack("<bb", len(encoded_name), number) + encoded_name
-            section += struct.pack("<H", len(body) + 3) + body + b"\0"
-    return section + b"\0\0"
+            section_bytes += (
+                struct.pack("<bb", len(encoded_name), group_id) + encoded_name
+            )
+            section_bytes += struct.pack("<H", len(body) + 3) + body + b"\0"
+    return section_bytes + b"\0\0"
 
 
 def _continued_parameter(
@@ -176,10 +182,10 @@ def _continued_parameter(
 
 
 def _text_parameter(texts: Sequence[str]) -> bytes:
-    raw = [text.encode("utf-8")[:MAX_NAME_BYTES] for text in texts]
-    width = max((len(text) for text in raw), default=0)
-    body = b"".join(text.ljust(width) for text in raw)
-    return struct.pack("<bBBB", -1, 2, width, len(raw)) + body
+    encoded_texts = [text.encode("utf-8")[:MAX_NAME_BYTES] for text in texts]
+    width = max((len(text) for text in encoded_texts), default=0)
+    body = b"".join(text.ljust(width) for text in encoded_texts)
+    return struct.pack("<bBBB", -1, 2, width, len(encoded_texts)) + body
 
 
 def _integer_parameter(values: Sequence[int]) -> bytes:
@@ -194,27 +200,27 @@ def _float_parameter(values: Sequence[float] | FloatArray) -> bytes:
 
 
 def _filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
-    """Return marker, first and last frame of every filled span, counted from 0."""
+    """Return marker index, first and last frame of every filled span, from 0."""
     if markers.filled is None:
         return []
     spans = []
     for marker in np.flatnonzero(markers.filled.any(axis=0)).tolist():
         marker_spans = runs(markers.filled[:, marker])
-        spans += [(marker, first, end - 1) for first, end in marker_spans]
+        spans += [(marker, first, stop - 1) for first, stop in marker_spans]
     return spans
 
 
-def _file_chunks(markers: Markers, header: bytes) -> Iterator[bytes]:
-    yield header
-    size = len(header)
+def _file_chunks(markers: Markers, head: bytes) -> Iterator[bytes]:
+    yield head
+    written_bytes = len(head)
     for begin in range(0, len(markers), BLOCK_FRAMES):
         rows = _frame_rows(markers, slice(begin, begin + BLOCK_FRAMES))
-        size += len(rows)
+        written_bytes += len(rows)
         yield rows
     # If the header cannot store the number of frames, readers derive it from the file
     # size; zeros up to a full block would become frames.
     if len(markers) < MAX_COUNT:
-        yield b"\0" * (-size % BLOCK_BYTES)
+        yield b"\0" * (-written_bytes % BLOCK_BYTES)
 
 
 def _frame_rows(markers: Markers, frames: slice) -> bytes:
@@ -238,20 +244,20 @@ def _frame_rows(markers: Markers, frames: slice) -> bytes:
 
 def _data_loss_notice(markers: Markers, path: str) -> list[Fault]:
     """Return warnings about data that C3D cannot store."""
-    losses = []
+    lost_contents = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
         largest = int(markers.cameras.max())
-        losses.append(
+        lost_contents.append(
             f"more than {MAX_CAMERAS} cameras per point, here up to {largest}"
         )
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
-        losses.append(f"the first frame {markers.clock.start}")
+        lost_contents.append(f"the first frame {markers.clock.start}")
     is_out_of_range = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)
     if is_out_of_range.any():
         count = counted(int(is_out_of_range.sum()), "position")
-        losses.append(f"{count} beyond float32 in mm, written as not seen")
-    if not losses:
+        lost_contents.append(f"{count} beyond float32 in mm, written as not seen")
+    if not lost_contents:
         return []
-    message = f"a C3D cannot hold {' and '.join(losses)}"
+    message = f"a C3D cannot hold {' and '.join(lost_contents)}"
     hint = "write .npz to keep it"
     return [Fault("C3D104", message, path, (), hint, Severity.WARNING)]

@@ -5,7 +5,7 @@ and a transform of the points of each mesh. With the inverse bind matrix ``B`` o
 joint, ``bind = geom_bind · B⁻¹``: a transform common to all joints of a skin becomes
 that of the mesh. If skins disagree about a joint, a static helper joint below it
 deforms the mesh. glTF does not store the transform of a mesh at bind time; other
-formats pass it as ``worlds``.
+formats pass it as ``mesh_worlds``.
 """
 
 from __future__ import annotations
@@ -33,26 +33,27 @@ REST_TOLERANCE = 3e-7
 
 
 class SkinBinder:
-    """Collects joint bind transforms from skins."""
+    """Computes a bind pose that the skins of a file share, skin by skin."""
 
     def __init__(
         self,
         file: NodeTree,
         rig: Rig,
         joints: IntArray,
-        folded_scales: FloatArray,
+        baked_scales: FloatArray,
         mesh_worlds: Sequence[FloatArray] = (),
     ) -> None:
         """Start with a rig without meshes, and the node data of its joints.
 
-        ``worlds`` are the world transforms of each skin's mesh at bind time ``(4, 4)``.
+        ``mesh_worlds`` are the world transforms ``(4, 4)`` of each skin's mesh at bind
+        time.
         """
         self.file, self.mesh_worlds = file, mesh_worlds
-        self.joints, self.folded_scales = joints, folded_scales
+        self.joints, self.baked_scales = joints, baked_scales
         self.notices: list[Fault] = []
         self._rig = rig
         self._bind_worlds: dict[int, FloatArray] = {}  # by joint, in file units
-        self._helpers: list[tuple[int, FloatArray]] = []
+        self._helper_joints: list[tuple[int, FloatArray]] = []
         self._skins: dict[int, tuple[FloatArray, list[int]]] = {}
 
     def bind_skin(self, index: int) -> tuple[FloatArray, list[int]]:
@@ -62,20 +63,22 @@ class SkinBinder:
             nodes = np.array(skin.joints)
             joints = self.joints[nodes]
             matrices = skin.inverse_bind.copy()
-            matrices[:, :3] *= self.folded_scales[nodes][:, None, None]
+            matrices[:, :3] *= self.baked_scales[nodes][:, None, None]
             mesh_world = self.mesh_worlds[index] if self.mesh_worlds else None
             self._skins[index] = self._bind_joints(
-                matrices, joints.tolist(), skin.where, mesh_world
+                matrices, joints.tolist(), skin.location, mesh_world
             )
         return self._skins[index]
 
     def bind_node(self, node: int, point_count: int) -> tuple[Skin, FloatArray]:
         """Return the skin of a mesh that follows a node, and its ``geom_bind``."""
         matrix = np.eye(4)
-        matrix[:3] *= self.folded_scales[node]
-        geometry, joints = self._bind_joints(matrix[None], [int(self.joints[node])], "")
+        matrix[:3] *= self.baked_scales[node]
+        geom_bind, joints = self._bind_joints(
+            matrix[None], [int(self.joints[node])], ""
+        )
         indices, weights = np.zeros((point_count, 1)), np.ones((point_count, 1))
-        return self.build_skin("linear", joints, indices, weights), geometry
+        return self.build_skin("linear", joints, indices, weights), geom_bind
 
     def build_skin(
         self,
@@ -97,73 +100,75 @@ class SkinBinder:
         self,
         matrices: FloatArray,
         joints: list[int],
-        where: str,
+        location: str,
         mesh_world: FloatArray | None = None,
     ) -> tuple[FloatArray, list[int]]:
         """Return the ``geom_bind`` of a skin, and rig joints with its transforms."""
-        magnitudes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
-        determinants = np.linalg.det(matrices[:, :3, :3] / magnitudes[:, None, None])
+        matrix_sizes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
+        determinants = np.linalg.det(matrices[:, :3, :3] / matrix_sizes[:, None, None])
         is_singular = np.abs(determinants) < 1e-12
         if is_singular.any():
-            if where:
+            if location:
                 message = f"{int(is_singular.sum())} inverse bind matrices are "
                 message += "singular: using the identity"
                 path, note = str(self.file.path), Severity.NOTE
-                where = f"{where}/inverseBindMatrices"
-                fault = Fault("GLT114", message, path, severity=note, where=where)
+                location = f"{location}/inverseBindMatrices"
+                fault = Fault("GLT114", message, path, severity=note, where=location)
                 self.notices.append(fault)
             matrices = np.where(is_singular[:, None, None], np.eye(4), matrices)
         bind_matrices = np.asarray(np.linalg.inv(matrices), np.float64)
         if mesh_world is None:
-            geometry = self._rigid_geometry(bind_matrices)
+            geom_bind = self._rigid_geom_bind(bind_matrices)
         else:
-            geometry = self._rigid_geometry(mesh_world @ bind_matrices) @ mesh_world
-        binds = geometry @ bind_matrices
-        common = next(
+            geom_bind = self._rigid_geom_bind(mesh_world @ bind_matrices) @ mesh_world
+        joint_binds = geom_bind @ bind_matrices
+        common_index = next(
             (k for k, joint in enumerate(joints) if joint in self._bind_worlds), None
         )
-        if common is not None:
+        if common_index is not None:
             # Align with the previous skins at the first common joint.
-            alignment = self._bind_worlds[joints[common]] @ np.linalg.inv(binds[common])
-            geometry, binds = alignment @ geometry, alignment @ binds
+            alignment = self._bind_worlds[joints[common_index]] @ np.linalg.inv(
+                joint_binds[common_index]
+            )
+            geom_bind, joint_binds = alignment @ geom_bind, alignment @ joint_binds
         bound_joints = []
-        for joint, bind in zip(joints, binds, strict=True):
+        for joint, bind in zip(joints, joint_binds, strict=True):
             joint_bind = self._bind_worlds.setdefault(joint, bind)
             magnitude = max(1e-300, float(np.abs(joint_bind).max()))
             if np.abs(joint_bind - bind).max() <= BIND_TOLERANCE * magnitude:
                 bound_joints.append(joint)
                 continue
-            self._helpers.append((joint, bind))
-            bound_joints.append(len(self._rig.joints) + len(self._helpers) - 1)
-        return geometry, bound_joints
+            self._helper_joints.append((joint, bind))
+            bound_joints.append(len(self._rig.joints) + len(self._helper_joints) - 1)
+        return geom_bind, bound_joints
 
-    def _rigid_geometry(self, bind_matrices: FloatArray) -> FloatArray:
+    def _rigid_geom_bind(self, bind_matrices: FloatArray) -> FloatArray:
         """Return the mesh transform that makes all binds rigid, else the identity."""
         linear = bind_matrices[:, :3, :3]
-        squared_linear = linear @ linear.swapaxes(1, 2)
-        magnitude = float(np.abs(squared_linear).max())
-        geometry = np.eye(4)
-        deviation = np.abs(squared_linear - squared_linear[0]).max() / magnitude
-        is_rigid = np.abs(squared_linear[0] - np.eye(3)).max() <= RIGID_TOLERANCE
+        squares = linear @ linear.swapaxes(1, 2)
+        largest = float(np.abs(squares).max())
+        geom_bind = np.eye(4)
+        deviation = np.abs(squares - squares[0]).max() / largest
+        is_rigid = np.abs(squares[0] - np.eye(3)).max() <= RIGID_TOLERANCE
         if deviation <= RIGID_TOLERANCE and not is_rigid:
-            eigenvalues, vectors = np.linalg.eigh(squared_linear[0])
+            eigenvalues, vectors = np.linalg.eigh(squares[0])
             if eigenvalues.min() > 1e-12 * eigenvalues.max():
-                geometry[:3, :3] = vectors @ np.diag(eigenvalues**-0.5) @ vectors.T
-        return geometry
+                geom_bind[:3, :3] = vectors @ np.diag(eigenvalues**-0.5) @ vectors.T
+        return geom_bind
 
     def joint_names(self) -> list[str]:
-        """Return joint names, helper joints last."""
+        """Return unique names of the rig's joints, those of helper joints last."""
         names = self._rig.names
-        helper_names = [f"{names[parent]}_bind" for parent, _ in self._helpers]
+        helper_names = [f"{names[parent]}_bind" for parent, _ in self._helper_joints]
         return numbered_names([*names, *helper_names])
 
     def build_rig(self, meshes: tuple[Mesh, ...], shapes: tuple[Shape, ...]) -> Rig:
         """Return the rig with bind pose, meshes and shapes."""
         rig, names = self._rig, self.joint_names()
-        named_helpers = zip(names[len(rig.joints) :], self._helpers, strict=True)
+        named_helpers = zip(names[len(rig.joints) :], self._helper_joints, strict=True)
         helper_joints = [Joint(name, parent) for name, (parent, _) in named_helpers]
         rig = replace(rig, joints=(*rig.joints, *helper_joints))
-        helpers = enumerate(self._helpers, len(self._rig.joints))
+        helpers = enumerate(self._helper_joints, len(self._rig.joints))
         bind_worlds = self._bind_worlds | {
             j: bind_world for j, (_, bind_world) in helpers
         }

@@ -19,7 +19,7 @@ MAX_LISTED_CHARACTERS = 8
 
 @dataclass(frozen=True, slots=True)
 class CharacterNodes:
-    """The nodes of one character of a file."""
+    """The unique path of a character in its file, and the nodes that it has."""
 
     path: str  # such as ``/hero``; ``/`` is the complete file
     nodes: tuple[int, ...]  # nodes of the character, parents first
@@ -32,45 +32,45 @@ def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
     the other.
     """
     order, roots = sort_parents_first(file.nodes), find_root_nodes(file.nodes)
-    parent_group = {root: root for root in set(roots)}
+    group_parents = {root: root for root in set(roots)}
 
-    def group_of(root: int) -> int:
-        while parent_group[root] != root:
-            parent_group[root] = parent_group[parent_group[root]]
-            root = parent_group[root]
+    def find_group(root: int) -> int:
+        while group_parents[root] != root:
+            group_parents[root] = group_parents[group_parents[root]]
+            root = group_parents[root]
         return root
 
-    def join(a: int, b: int) -> None:
-        lower, upper = sorted((group_of(roots[a]), group_of(roots[b])))
-        parent_group[upper] = lower
+    def merge_groups(a: int, b: int) -> None:
+        lower_root, upper_root = sorted((find_group(roots[a]), find_group(roots[b])))
+        group_parents[upper_root] = lower_root
 
     for skin in file.skins:
         for joint in skin.joints[1:]:
-            join(skin.joints[0], joint)
+            merge_groups(skin.joints[0], joint)
     for i, tree_node in enumerate(file.nodes):
         if tree_node.skin >= 0:
-            join(i, file.skins[tree_node.skin].joints[0])
+            merge_groups(i, file.skins[tree_node.skin].joints[0])
     first_joints = [joint for skin in file.skins for joint in skin.joints[:1]]
-    groups = sorted({group_of(roots[joint]) for joint in first_joints})
+    groups = sorted({find_group(roots[joint]) for joint in first_joints})
     if len(groups) < 2:
         return (CharacterNodes(ROOT_PATH, tuple(order)),)
-    members: dict[int, list[int]] = {root: [] for root in groups}
+    nodes_by_group: dict[int, list[int]] = {root: [] for root in groups}
     for node in order:
-        node_group = group_of(roots[node])
-        if node_group in members:
-            members[node_group].append(node)
-    paths = _character_paths(file, members)
+        node_group = find_group(roots[node])
+        if node_group in nodes_by_group:
+            nodes_by_group[node_group].append(node)
+    paths = _character_paths(file, nodes_by_group)
     return tuple(
         CharacterNodes(path, tuple(nodes))
-        for path, nodes in zip(paths, members.values(), strict=True)
+        for path, nodes in zip(paths, nodes_by_group.values(), strict=True)
     )
 
 
-def _character_paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
-    """Return unique paths of characters, from the names of their root nodes."""
+def _character_paths(file: NodeTree, nodes_by_group: dict[int, list[int]]) -> list[str]:
+    """Return a unique path for each character, from the name of its root node."""
     names = []
     joints = {joint for skin in file.skins for joint in skin.joints}
-    for root, nodes in members.items():
+    for root, nodes in nodes_by_group.items():
         top_joint = next((node for node in nodes if node in joints), root)
         while file.nodes[top_joint].parent >= 0:
             top_joint = file.nodes[top_joint].parent
@@ -90,24 +90,27 @@ def choose_character(
         unknown_code: Code of the error for an unknown character.
         skipped_code: Code of the note about characters that are not read.
     """
-    where = str(file.path)
+    path_text = str(file.path)
     if not file.nodes:
         message = "the file has no nodes, so nothing moves"
-        raise FormatError(Fault(unknown_code, message, where))
+        raise FormatError(Fault(unknown_code, message, path_text))
     candidates = find_characters(file)
     if prim_path is None:
-        choice = candidates[0]
+        character = candidates[0]
         if len(candidates) > 1 and file.default_scene >= 0:
             scene_roots = set(file.scenes[file.default_scene])
-            scene_choices = (c for c in candidates if scene_roots & set(c.nodes))
-            choice = next(scene_choices, choice)
-        other_paths = [c.path for c in candidates if c is not choice]
+            scene_characters = (c for c in candidates if scene_roots & set(c.nodes))
+            character = next(scene_characters, character)
+        other_paths = [c.path for c in candidates if c is not character]
         if not other_paths:
-            return choice, []
-        message = f"reading {choice.path} of {counted(len(candidates), 'character')}: "
-        message += f"others are {listed(other_paths, MAX_LISTED_CHARACTERS)}"
+            return character, []
+        message = f"reading {character.path} of "
+        message += f"{counted(len(candidates), 'character')}: others are "
+        message += listed(other_paths, MAX_LISTED_CHARACTERS)
         hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
-        return choice, [Fault(skipped_code, message, where, (), hint, Severity.NOTE)]
+        return character, [
+            Fault(skipped_code, message, path_text, (), hint, Severity.NOTE)
+        ]
     if prim_path.strip() == ROOT_PATH:
         return CharacterNodes(ROOT_PATH, tuple(sort_parents_first(file.nodes))), []
     name = prim_path.strip("/")
@@ -120,4 +123,4 @@ def choose_character(
     paths = [candidate.path for candidate in candidates]
     message = f"unknown character or node {name!r}"
     hint = name_hint(prim_path, paths)
-    raise FormatError(Fault(unknown_code, message, where, (), hint))
+    raise FormatError(Fault(unknown_code, message, path_text, (), hint))

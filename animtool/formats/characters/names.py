@@ -40,7 +40,7 @@ def renamed_joints_notice(
     """Return a note about joints whose names differ from the file's."""
     if not renamed_joints:
         return []
-    changes = [f"{excerpt(a)} is {b!r}" for a, b in renamed_joints]
+    changes = [f"{excerpt(old)} is {new!r}" for old, new in renamed_joints]
     message = f"{counted(len(renamed_joints), 'joint')} renamed to make names unique: "
     message += listed(changes, MAX_LISTED_JOINTS)
     return [Fault(code, message, path, severity=Severity.NOTE)]
@@ -67,8 +67,8 @@ def shape_names(shapes: Iterable[tuple[str, str, str]]) -> list[str]:
     Each of ``shapes`` is the name in the file, a default name, and the mesh's name.
     """
     used_names: dict[str, None] = {}
-    for file_name, default, mesh in shapes:
-        name = replace_unprintable(file_name) or default
+    for file_name, default_name, mesh in shapes:
+        name = replace_unprintable(file_name) or default_name
         name = f"{mesh}_{name}" if name in used_names else name
         unique_name, number = name, 2
         while unique_name in used_names:

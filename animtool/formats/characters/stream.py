@@ -72,10 +72,10 @@ def choose_take(
     return index, [Fault(messages.skipped_code, message, path, (), hint, Severity.NOTE)]
 
 
-def sampled_stream(
+def build_sampled_stream(
     rig: Rig, clock: Clock, sample: Callable[[FloatArray], Motion], block_frames: int
 ) -> TakeStream:
-    """Return a take as a stream, sampled block by block.
+    """Return a stream that samples a take block by block, with rotations aligned.
 
     Args:
         rig: The rig.
@@ -131,13 +131,13 @@ def finish_stream(
     name = names[index] if index >= 0 else None
     if name is not None:
 
-        def keys() -> Clip:
+        def build_keys() -> Clip:
             clip, notices = build_clip(name)
             return replace(clip, notices=tuple(notices))
 
         assert stream.curve is not None
         stream.curve = KeyedCurve(
-            stream.curve, keys, is_foreign=True, native_keys=native_keys
+            stream.curve, build_keys, is_foreign=True, native_keys=native_keys
         )
     stream.details = {
         "format": format_name,

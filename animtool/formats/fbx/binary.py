@@ -11,13 +11,13 @@ import numpy as np
 from animtool.core.errors import excerpt
 from animtool.formats.fbx.elements import (
     MAX_ARRAY_BYTES,
-    MAX_DEPTH,
     MAX_ELEMENTS,
+    MAX_NESTING,
     Element,
 )
 from animtool.formats.file_notices import FileNotices
 
-MAGIC = b"Kaydara FBX Binary  \x00"
+BINARY_MAGIC = b"Kaydara FBX Binary  \x00"
 HEADER_BYTES = 27
 _SCALAR_TYPES = {
     "Y": struct.Struct("<h"),
@@ -86,7 +86,7 @@ class _RecordReader:
         end: int,
         depth: int,
     ) -> int:
-        """Read one record; return the offset of the next."""
+        """Add one record to its parent element; return the offset of the next."""
         record_end, value_count, values_bytes, name_length = header
         values_start = offset + self.record_header.size + name_length
         if not values_start <= record_end <= end:
@@ -100,14 +100,12 @@ class _RecordReader:
             message += "their record"
             self._fail(offset, message)
         self.element_count += 1
-        if self.element_count > MAX_ELEMENTS or depth > MAX_DEPTH:
-            message = f"more than {MAX_ELEMENTS} elements, or {MAX_DEPTH} levels"
+        if self.element_count > MAX_ELEMENTS or depth > MAX_NESTING:
+            message = f"more than {MAX_ELEMENTS} elements, or {MAX_NESTING} levels"
             self.notes.fail("FBX013", f"byte {offset}", message)
         raw_name = self.content[values_start - name_length : values_start]
-        name, values_end = (
-            raw_name.decode("utf-8", "replace"),
-            values_start + values_bytes,
-        )
+        name = raw_name.decode("utf-8", "replace")
+        values_end = values_start + values_bytes
         values = self._read_values(values_start, value_count, values_end)
         element = Element(name, values, f"byte {offset}")
         parent.children.append(element)
@@ -124,20 +122,20 @@ class _RecordReader:
             if offset >= end:
                 self._fail(offset, "values are missing")
             type_code = chr(self.content[offset])
-            scalar = _SCALAR_TYPES.get(type_code)
-            if scalar is not None:
-                if offset + 1 + scalar.size > end:
+            scalar_type = _SCALAR_TYPES.get(type_code)
+            if scalar_type is not None:
+                if offset + 1 + scalar_type.size > end:
                     self._fail(offset, "a value is cut off")
-                values.append(scalar.unpack_from(self.content, offset + 1)[0])
-                offset += 1 + scalar.size
+                values.append(scalar_type.unpack_from(self.content, offset + 1)[0])
+                offset += 1 + scalar_type.size
             elif type_code in "SR":
-                size = self._read_length(offset + 1, end)
-                if size > end - offset - 5:
-                    self._fail(offset, f"text of {size} bytes is cut off")
-                data = self.content[offset + 5 : offset + 5 + size]
+                byte_count = self._read_length(offset + 1, end)
+                if byte_count > end - offset - 5:
+                    self._fail(offset, f"text of {byte_count} bytes is cut off")
+                data = self.content[offset + 5 : offset + 5 + byte_count]
                 is_text = type_code == "S"
                 values.append(data.decode("utf-8", "replace") if is_text else data)
-                offset += 5 + size
+                offset += 5 + byte_count
             elif type_code in _ARRAY_TYPES:
                 value, offset = self._read_array(type_code, offset, end)
                 values.append(value)

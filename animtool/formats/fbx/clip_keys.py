@@ -18,7 +18,7 @@ from animtool.formats.fbx.layers import (
     TRANSLATION,
     PropertyTrack,
 )
-from animtool.formats.fbx.models import INHERIT, Model
+from animtool.formats.fbx.models import INHERIT_SCALE, Model
 from animtool.formats.fbx.poses import TransformPart
 from animtool.formats.fbx.rig import FbxRig
 from animtool.formats.fbx.sampling import FRAME_TOLERANCE, FbxSampler, clock_ticks
@@ -66,7 +66,7 @@ class _ClipBuilder:
         self.clock = clock
         self.models = sampler.scene.models
         self.axes_rotation = so3.from_matrix(sampler.scene.settings.basis)
-        self.sampled_count = 0
+        self.sampled_channel_count = 0
         # Largest errors between keys of translations, rotations and scales.
         self.max_errors = [0.0, 0.0, 0.0]
         self.sampled_joints: list[set[int]] = [set(), set(), set()]
@@ -111,12 +111,14 @@ class _ClipBuilder:
             if keys is None:
                 ticks = self._sample_times()
                 values = self.sampler.weight(k, ticks)[:, None]
-                self.sampled_count += 1
-                built = self._sampled_key_channel(target, ticks, values, Interp.LINEAR)
+                self.sampled_channel_count += 1
+                shape_channel = self._sampled_key_channel(
+                    target, ticks, values, Interp.LINEAR
+                )
             else:
                 factor = np.eye(1) / full_percent
-                built = self._build_channel(target, keys, factor, np.zeros(1))
-            channels.append(built)
+                shape_channel = self._build_channel(target, keys, factor, np.zeros(1))
+            channels.append(shape_channel)
         return channels
 
     def _channel_target(self, j: int, component: int) -> str:
@@ -149,7 +151,7 @@ class _ClipBuilder:
     def _scale_channels(
         self, j: int, model: Model, keys: JoinedKeys
     ) -> list[ClipChannel]:
-        inherits_scale = model.scale_inheritance == INHERIT or model.parent < 0
+        inherits_scale = model.scale_inheritance == INHERIT_SCALE or model.parent < 0
         if (
             not inherits_scale
             or self.fbx_rig.joint_sources[j].part is not TransformPart.FULL
@@ -177,7 +179,7 @@ class _ClipBuilder:
     def _rotation_channels(
         self, j: int, model: Model, keys: JoinedKeys
     ) -> list[ClipChannel]:
-        """Return Euler angle channels after the constant pre-rotation."""
+        """Return Euler angle channels after a constant channel for pre-rotation."""
         if any(self._find_track(model, name) is not None for name in OUTER_ROTATIONS):
             return []
         if np.abs(model.inverse_post_rotation[:3]).max() > REST_TOLERANCE:
@@ -195,33 +197,33 @@ class _ClipBuilder:
         order = model.rotation_order
         axis_matrix = np.eye(3)[list(euler.axes_of(order))] * (np.pi / 180.0)
         target = f"joint/{self.fbx_rig.rig.names[j]}.rotation"
-        built = self._build_channel(target, keys, axis_matrix, np.zeros(3), order)
-        return [*channels, built]
+        channel = self._build_channel(target, keys, axis_matrix, np.zeros(3), order)
+        return [*channels, channel]
 
     def _build_channel(
         self,
         target: str,
         keys: JoinedKeys,
-        linear: FloatArray,
+        matrix: FloatArray,
         offset: FloatArray,
         euler_order: str = "",
     ) -> ClipChannel:
         """Return a channel with key values transformed by a matrix and an offset."""
-        per_second = float(self.clock.fps)
+        fps = float(self.clock.fps)
         ins, outs = (
-            np.concatenate([rows[:, :1] * per_second, rows[:, 1:] @ linear.T], axis=1)
-            for rows in (keys.ins, keys.outs)
+            np.concatenate([handles[:, :1] * fps, handles[:, 1:] @ matrix.T], axis=1)
+            for handles in (keys.ins, keys.outs)
         )
-        count = len(keys.ticks)
+        key_count = len(keys.ticks)
         return ClipChannel(
             target,
             self._key_frames(keys.ticks),
-            keys.values @ linear.T + offset,
+            keys.values @ matrix.T + offset,
             keys.interps,
-            ((Tangent.FREE, Tangent.FREE),) * count,
+            ((Tangent.FREE, Tangent.FREE),) * key_count,
             ins,
             outs,
-            np.zeros((count, 3)),
+            np.zeros((key_count, 3)),
             euler=euler_order,
             pre=keys.pre,
             post=keys.post,
@@ -229,10 +231,10 @@ class _ClipBuilder:
 
     def _key_frames(self, ticks: IntArray) -> FloatArray:
         """Return key times [frames], snapped to frames that are within two ticks."""
-        per_tick = float(self.clock.fps) / TICKS_PER_SECOND
-        frame_numbers = ticks * per_tick
+        frames_per_tick = float(self.clock.fps) / TICKS_PER_SECOND
+        frame_numbers = ticks * frames_per_tick
         frames = np.round(frame_numbers)
-        is_on_frame = np.abs(frame_numbers - frames) <= 2.0 * per_tick
+        is_on_frame = np.abs(frame_numbers - frames) <= 2.0 * frames_per_tick
         return np.where(is_on_frame, frames, frame_numbers)
 
     def _static_channel(self, target: str, value: FloatArray) -> ClipChannel:
@@ -263,8 +265,8 @@ class _ClipBuilder:
         take = self.sampler.take
         key_times = np.zeros(0, np.int64) if take is None else take.key_times()
         key_times = key_times[(key_times > ticks[0]) & (key_times < ticks[-1])]
-        frame_after = np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1)
-        neighbours = np.stack([ticks[frame_after], ticks[frame_after - 1]])
+        next_frames = np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1)
+        neighbours = np.stack([ticks[next_frames], ticks[next_frames - 1]])
         frame_distance = np.abs(neighbours - key_times).min(axis=0)
         tolerance = FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.clock.fps)
         key_times = key_times[frame_distance > tolerance]
@@ -277,24 +279,24 @@ class _ClipBuilder:
             return []
         ticks = self._sample_times()
         middle_ticks = (ticks[1:] + ticks[:-1]) // 2
-        columns = self.sampler.animated_joints[component].tolist()
+        joints = self.sampler.animated_joints[component].tolist()
         values = self._sampled_values(component, ticks)
         middle_values = self._sampled_values(component, middle_ticks)
         channels = []
-        for column, j in enumerate(columns):
+        for column, j in enumerate(joints):
             if j not in sampled_joints:
                 continue
             samples, exact_values = values[:, column], middle_values[:, column]
-            self.sampled_count += 1
+            self.sampled_channel_count += 1
             interp = Interp.LINEAR
             if component == 1:
                 interp, samples = Interp.SLERP, so3.align_signs(samples)
-                interpolated = so3.slerp(samples[:-1], samples[1:], 0.5)
-                errors = so3.angle_between(interpolated, exact_values)
+                middle_samples = so3.slerp(samples[:-1], samples[1:], 0.5)
+                errors = so3.angle_between(middle_samples, exact_values)
             else:
                 errors = np.abs((samples[:-1] + samples[1:]) / 2 - exact_values)
-            largest = float(errors.max(initial=0.0))
-            self.max_errors[component] = max(self.max_errors[component], largest)
+            max_error = float(errors.max(initial=0.0))
+            self.max_errors[component] = max(self.max_errors[component], max_error)
             target = self._channel_target(j, component)
             channels.append(self._sampled_key_channel(target, ticks, samples, interp))
         return channels
@@ -307,11 +309,12 @@ class _ClipBuilder:
 
     def sampling_notices(self) -> list[Fault]:
         """Return one notice with the count and errors of sampled channels."""
-        if not self.sampled_count:
+        if not self.sampled_channel_count:
             return []
         metres, radians, scale = self.max_errors
-        message = f"{counted(self.sampled_count, 'channel')} sampled, as a clip has no "
-        message += "such keys (layers, pivots, inherited scales, steps of one part): "
-        message += f"up to {metres * 1e3:.3g} mm, {np.degrees(radians):.3g} degrees "
+        channels = counted(self.sampled_channel_count, "channel")
+        message = f"{channels} sampled, as a clip has no such keys (layers, pivots, "
+        message += "inherited scales, steps of one part): up to "
+        message += f"{metres * 1e3:.3g} mm, {np.degrees(radians):.3g} degrees "
         message += f"and {scale:.3g} of scale off between keys"
         return [Fault("FBX121", message, severity=Severity.NOTE)]

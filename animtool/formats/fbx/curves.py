@@ -13,6 +13,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
 
+# Interpolation of a segment: the value of its start or end key, a line, or a spline.
 CONSTANT, NEXT, LINEAR, CUBIC = range(4)
 ONE_THIRD = 1.0 / 3.0
 MAX_KEYS = 20_000_000
@@ -34,7 +35,7 @@ class FbxExtrapolation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FbxCurve:
-    """Keys of one scalar over time."""
+    """Keys of one scalar over time, with slopes, handle weights and extrapolation."""
 
     times: IntArray  # times of the K keys, ascending ``(K,)`` [tick]
     values: FloatArray  # ``(K,)``
@@ -62,10 +63,10 @@ class FbxCurve:
         first, last = int(self.times[0]), int(self.times[-1])
         values = self._interpolate(np.clip(ticks, first, last))
         for extrapolation, is_post in ((self.pre, False), (self.post, True)):
-            rows = ticks > last if is_post else ticks < first
-            if rows.any() and extrapolation.mode != "C" and last > first:
-                values[rows] = self._extrapolate(
-                    ticks[rows], extrapolation, is_post=is_post
+            is_outside = ticks > last if is_post else ticks < first
+            if is_outside.any() and extrapolation.mode != "C" and last > first:
+                values[is_outside] = self._extrapolate(
+                    ticks[is_outside], extrapolation, is_post=is_post
                 )
         return values
 
@@ -75,10 +76,11 @@ class FbxCurve:
         first, last = int(self.times[0]), int(self.times[-1])
         duration = last - first
         distance = ticks - last if is_post else first - ticks
-        end_value, end = self.values[-1 if is_post else 0], last if is_post else first
+        end_value = self.values[-1 if is_post else 0]
+        end_time = last if is_post else first
         if extrapolation.mode == "K":
             slope = self.in_slopes[-2] if is_post else self.out_slopes[0]
-            return np.asarray(end_value + slope * (ticks - end) / TICKS_PER_SECOND)
+            return np.asarray(end_value + slope * (ticks - end_time) / TICKS_PER_SECOND)
         if extrapolation.count == 0:
             return np.full(len(ticks), end_value)
         repeat_index, remainder = np.divmod(distance, duration)
@@ -93,8 +95,8 @@ class FbxCurve:
             np.where(is_backward, last - remainder, first + remainder)
         )
         if extrapolation.mode == "A":
-            step = (self.values[-1] - self.values[0]) * (1 if is_post else -1)
-            repeated_values = repeated_values + (repeat_index + 1) * step
+            value_step = (self.values[-1] - self.values[0]) * (1 if is_post else -1)
+            repeated_values = repeated_values + (repeat_index + 1) * value_step
         return repeated_values
 
     def _interpolate(self, ticks: IntArray) -> FloatArray:
@@ -107,11 +109,11 @@ class FbxCurve:
         is_off_key = ticks != self.times[k]
         if not is_off_key.any():
             return values
-        rows = np.flatnonzero(is_off_key)
-        k = k[rows]
+        off_key_indices = np.flatnonzero(is_off_key)
+        k = k[off_key_indices]
         modes = self.modes[k]
         durations = (self.times[k + 1] - self.times[k]).astype(np.float64)
-        fraction = (ticks[rows] - self.times[k]) / durations
+        fraction = (ticks[off_key_indices] - self.times[k]) / durations
         start_values, end_values = self.values[k], self.values[k + 1]
         segment_values = np.where(modes == NEXT, end_values, start_values)
         segment_values = np.where(
@@ -129,7 +131,7 @@ class FbxCurve:
             v = 1.0 - u
             segment_values[is_cubic] = v * v * (v * start_values[is_cubic] + 3 * u * a)
             segment_values[is_cubic] += u * u * (u * end_values[is_cubic] + 3 * v * b)
-        values[rows] = segment_values
+        values[off_key_indices] = segment_values
         return values
 
 
@@ -139,12 +141,12 @@ def solve_bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatAr
     Uses Newton's method, with bisection if a step leaves the bounds.
     """
     u = fraction.copy()
-    has_weights = np.flatnonzero(np.abs(weights - ONE_THIRD).max(axis=1) > 1e-9)
-    if not len(has_weights):
+    weighted_indices = np.flatnonzero(np.abs(weights - ONE_THIRD).max(axis=1) > 1e-9)
+    if not len(weighted_indices):
         return u
-    s = fraction[has_weights]
-    a = weights[has_weights, 0]
-    b = 1.0 - weights[has_weights, 1]
+    s = fraction[weighted_indices]
+    a = weights[weighted_indices, 0]
+    b = 1.0 - weights[weighted_indices, 1]
     lower, upper = np.zeros(len(s)), np.ones(len(s))
     x = s.copy()
     for _ in range(60):
@@ -160,5 +162,5 @@ def solve_bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatAr
         x = next_x
         if is_converged:
             break
-    u[has_weights] = x
+    u[weighted_indices] = x
     return u

@@ -15,7 +15,7 @@ from animtool.formats import FLOAT32_MAX
 from animtool.formats.file_notices import FileNotices
 
 # Maximum nesting depth; keys of an object are four levels deep.
-MAX_DEPTH = 48
+MAX_NESTING = 48
 MAX_ELEMENTS = 3_000_000
 # Limit of all arrays of a file, inflated [byte].
 MAX_ARRAY_BYTES = 1_000_000_000
@@ -23,11 +23,11 @@ MAX_ARRAY_BYTES = 1_000_000_000
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """A named list of values with child elements."""
+    """An element of an FBX file: a name, values and child elements."""
 
     name: str
     values: list[Any]  # int, float, str, bytes, or an array
-    where: str  # byte offset or line
+    location: str  # byte offset or line
     children: list[Element] = field(default_factory=list)
 
     def find(self, name: str) -> Element | None:
@@ -45,13 +45,13 @@ class Element:
 
 
 def read_number(element: Element, index: int, notes: FileNotices) -> float:
-    """Return the finite number at an index of an element's values."""
+    """Return the finite number at an index of an element's values (FBX005)."""
     value = element.values[index] if index < len(element.values) else None
     if isinstance(value, np.ndarray) and value.size:
         value = value.reshape(-1)[0].item()
     if not isinstance(value, int | float) or not abs(value) <= FLOAT32_MAX:
         message = f"{element.name} must be a number, not {excerpt(repr(value))}"
-        notes.fail("FBX005", element.where, message)
+        notes.fail("FBX005", element.location, message)
     return float(value)
 
 
@@ -65,11 +65,11 @@ def read_floats(
     values = np.asarray(_numeric_array(element, notes), np.float64)
     if not (np.abs(values) <= FLOAT32_MAX).all():
         notes.fail(
-            "FBX005", element.where, f"{name} contains a value that is not finite"
+            "FBX005", element.location, f"{name} contains a value that is not finite"
         )
     if count is not None and len(values) != count:
         message = f"{name} has {len(values)} numbers instead of {count}"
-        notes.fail("FBX005", element.where, message)
+        notes.fail("FBX005", element.location, message)
     return values
 
 
@@ -82,7 +82,7 @@ def read_integers(parent: Element, name: str, notes: FileNotices) -> IntArray | 
     if values.dtype.kind == "f":
         is_in_range = (np.abs(values) < 2.0**63).all()
         if not is_in_range or (values != np.round(values)).any():
-            notes.fail("FBX005", element.where, f"{name} must hold integers")
+            notes.fail("FBX005", element.location, f"{name} must hold integers")
     return np.asarray(values, np.int64)
 
 
@@ -98,4 +98,4 @@ def _numeric_array(element: Element, notes: FileNotices) -> Any:
             return np.array(values, np.float64)
         except OverflowError:
             pass
-    return notes.fail("FBX005", element.where, f"{element.name} must hold numbers")
+    return notes.fail("FBX005", element.location, f"{element.name} must hold numbers")

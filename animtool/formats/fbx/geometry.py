@@ -15,28 +15,28 @@ from animtool.formats.fbx.objects import (
     FIRST_NUMBERED_VERSION,
     ROOT_IDS,
     FbxFile,
-    Object,
+    FbxObject,
     ObjectId,
     read_scalar,
 )
 from animtool.formats.fbx.takes import old_shape_id, old_shapes
 
-LINEAR, DUAL_QUATERNION = "linear", "dual_quaternion"
+LINEAR_SKINNING, DUAL_QUATERNION_SKINNING = "linear", "dual_quaternion"
 _BLENDER_EXPORTER = "blender (stable fbx io)"
-# Maximum cells of a table of faces or weights.
-MAX_TABLE_CELLS = 100_000_000
+# Maximum size of the padded table of a mesh's faces.
+MAX_TABLE_VALUES = 100_000_000
 
 
 @dataclass(slots=True, eq=False)
 class Cluster:
-    """The influence of one bone on a mesh: points and weights."""
+    """The points that one bone of a skin deforms, and their weights."""
 
     bone: ObjectId  # Id of the bone's node
     bone_from_mesh: FloatArray  # transform at bind time ``(4, 4)``
     world_from_bone: FloatArray  # transform at bind time ``(4, 4)``
     indices: IntArray  # control points ``(N,)``
     weights: FloatArray  # weights of the control points ``(N,)`` [1]
-    where: str  # location of its element in the file
+    location: str  # location of its element in the file
 
 
 @dataclass(slots=True, eq=False)
@@ -52,12 +52,12 @@ class ShapeChannel:
 
 @dataclass(slots=True, eq=False)
 class FbxGeometry:
-    """A mesh that one or several nodes show."""
+    """A mesh with its skin weights and blend shapes, which several nodes may show."""
 
     name: str  # name in the file, often empty
     points: FloatArray  # control points ``(V, 3)``
     faces: IntArray  # control point indices, padded with -1 ``(N, K)``
-    method: str = LINEAR  # skinning method
+    method: str = LINEAR_SKINNING  # skinning method
     clusters: list[Cluster] = field(default_factory=list)  # skin weights by bone
     shapes: list[ShapeChannel] = field(default_factory=list)  # blend shapes
 
@@ -82,7 +82,9 @@ def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
     return meshes
 
 
-def _read_mesh(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry | None:
+def _read_mesh(
+    file: FbxFile, mesh_object: FbxObject, model: FbxObject
+) -> FbxGeometry | None:
     notes, element, name = file.notes, mesh_object.element, model.name
     coordinates = read_floats(element, "Vertices", notes)
     vertex_indices = read_integers(element, "PolygonVertexIndex", notes)
@@ -90,7 +92,7 @@ def _read_mesh(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry
         return None
     if len(coordinates) % 3:
         message = f"{len(coordinates)} numbers of {name!r} do not make points"
-        notes.fail("FBX008", element.where, message)
+        notes.fail("FBX008", element.location, message)
     points = coordinates.reshape(-1, 3)
     faces = _read_faces(file, mesh_object, vertex_indices, len(points), name)
     geometry = FbxGeometry(mesh_object.name, points, faces)
@@ -101,7 +103,7 @@ def _read_mesh(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry
 
 def _read_faces(
     file: FbxFile,
-    mesh_object: Object,
+    mesh_object: FbxObject,
     vertex_indices: IntArray | None,
     point_count: int,
     name: str,
@@ -114,22 +116,24 @@ def _read_faces(
     is_valid = (point_indices >= 0) & (point_indices < point_count)
     if not is_last[-1] or not is_valid.all():
         message = f"a face of {name!r} has a corner outside its {point_count} points"
-        file.notes.fail("FBX008", mesh_object.element.where, message)
-    last_corner_rows = np.flatnonzero(is_last)
-    corner_counts = np.diff(np.concatenate([[-1], last_corner_rows]))
-    if int(corner_counts.max()) * len(corner_counts) > MAX_TABLE_CELLS:
+        file.notes.fail("FBX008", mesh_object.element.location, message)
+    last_corner_indices = np.flatnonzero(is_last)
+    corner_counts = np.diff(np.concatenate([[-1], last_corner_indices]))
+    if int(corner_counts.max()) * len(corner_counts) > MAX_TABLE_VALUES:
         message = f"faces of {name!r} have up to {int(corner_counts.max())} corners"
-        file.notes.fail("FBX013", mesh_object.element.where, message)
-    rows = np.repeat(np.arange(len(corner_counts)), corner_counts)
-    first_corners = last_corner_rows + 1 - corner_counts
-    columns = np.arange(len(point_indices)) - first_corners[rows]
-    shape = len(corner_counts), max(3, int(corner_counts.max()))
-    faces = np.full(shape, -1, np.int64)
-    faces[rows, columns] = point_indices
+        file.notes.fail("FBX013", mesh_object.element.location, message)
+    face_indices = np.repeat(np.arange(len(corner_counts)), corner_counts)
+    first_corner_indices = last_corner_indices + 1 - corner_counts
+    corner_numbers = np.arange(len(point_indices)) - first_corner_indices[face_indices]
+    table_shape = len(corner_counts), max(3, int(corner_counts.max()))
+    faces = np.full(table_shape, -1, np.int64)
+    faces[face_indices, corner_numbers] = point_indices
     return faces[corner_counts >= 3]
 
 
-def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) -> None:
+def _add_skin(
+    file: FbxFile, mesh_object: FbxObject, mesh: FbxGeometry, name: str
+) -> None:
     notes = file.notes
     deformers = file.sources(mesh_object.id, "Deformer")
     for deformer in deformers:
@@ -137,7 +141,7 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
             noun = deformer.subtype or "deformer"
             message = f"{noun} {deformer.name!r} of {name!r} is not supported"
             hint = "the mesh follows only its skin, shapes and node"
-            notes.warn("FBX107", deformer.element.where, message, hint)
+            notes.warn("FBX107", deformer.element.location, message, hint)
     skins = [deformer for deformer in deformers if deformer.subtype == "Skin"]
     if len(skins) > 1:
         # A skin without weights has no effect.
@@ -145,7 +149,7 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
     if len(skins) > 1:
         message = f"{name!r} has {len(skins)} skins on top of each other"
         hint = "export it with one skin"
-        notes.fail("FBX004", mesh_object.element.where, message, hint)
+        notes.fail("FBX004", mesh_object.element.location, message, hint)
     for skin in skins:
         for deformer in file.sources(skin.id, "Deformer", "Cluster"):
             cluster = _read_cluster(file, deformer, len(mesh.points), name)
@@ -154,21 +158,21 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
         type_element = skin.element.find("SkinningType")
         method = "Linear" if type_element is None else type_element.text(0)
         if method == "DualQuaternion":
-            mesh.method = DUAL_QUATERNION
+            mesh.method = DUAL_QUATERNION_SKINNING
         elif method not in {"Linear", "Rigid", ""}:
             message = f"skin of {name!r}: {method.lower()} of linear and dual "
             message += "quaternion, read as linear"
-            notes.warn("FBX108", skin.element.where, message)
+            notes.warn("FBX108", skin.element.location, message)
 
 
-def _has_weights(file: FbxFile, skin: Object) -> bool:
+def _has_weights(file: FbxFile, skin: FbxObject) -> bool:
     clusters = file.sources(skin.id, "Deformer", "Cluster")
     all_indices = [read_integers(c.element, "Indexes", file.notes) for c in clusters]
     return any(indices is not None and len(indices) for indices in all_indices)
 
 
 def _read_cluster(
-    file: FbxFile, source: Object, point_count: int, name: str
+    file: FbxFile, source: FbxObject, point_count: int, name: str
 ) -> Cluster | None:
     notes, element = file.notes, source.element
     bones = [b for b in file.sources(source.id, "Model") if b.id not in ROOT_IDS]
@@ -178,27 +182,29 @@ def _read_cluster(
         return None
     if not bones:
         message = f"a cluster of {name!r} has no bone: its weights are ignored"
-        notes.warn("FBX106", element.where, message)
+        notes.warn("FBX106", element.location, message)
         return None
     mode = element.find("Mode")
     if mode is not None and mode.text(0) == "Additive":
         message = f"skin of {name!r}: additive cluster {source.name!r} is not supported"
-        notes.fail("FBX004", element.where, message)
+        notes.fail("FBX004", element.location, message)
     if len(indices) != len(weights):
         message = f"{len(indices)} indices of {source.name!r} have {len(weights)} "
         message += "weights"
-        notes.fail("FBX008", element.where, message)
+        notes.fail("FBX008", element.location, message)
     if (indices < 0).any() or (indices >= point_count).any():
         message = f"cluster {source.name!r} refers to a point that {name!r} does not "
         message += "have"
-        notes.fail("FBX008", element.where, message)
+        notes.fail("FBX008", element.location, message)
     if (weights < -1e-6).any():
         message = f"cluster {source.name!r} has negative weights"
-        notes.fail("FBX008", element.where, message)
-    transform = _read_matrix(file, element, "Transform")
-    link = _read_matrix(file, element, "TransformLink")
+        notes.fail("FBX008", element.location, message)
+    bone_from_mesh = _read_matrix(file, element, "Transform")
+    world_from_bone = _read_matrix(file, element, "TransformLink")
     weights = np.maximum(weights, 0.0)
-    return Cluster(bones[0].id, transform, link, indices, weights, element.where)
+    return Cluster(
+        bones[0].id, bone_from_mesh, world_from_bone, indices, weights, element.location
+    )
 
 
 def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
@@ -212,7 +218,7 @@ def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
     is_singular = not magnitude or abs(np.linalg.det(linear / magnitude)) < 1e-12
     if is_singular or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
         message = f"{name} has no inverse"
-        file.notes.fail("FBX008", element.where, message)
+        file.notes.fail("FBX008", element.location, message)
     return matrix
 
 
@@ -233,15 +239,15 @@ def build_skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     cluster_indices = cluster_indices[order]
     influence_counts = np.bincount(points, minlength=point_count)
     influence_count = max(1, int(influence_counts.max(initial=0)))
-    starts = np.concatenate([[0], np.cumsum(influence_counts)[:-1]])
-    columns = np.arange(len(points)) - starts[points]
+    first_rows = np.concatenate([[0], np.cumsum(influence_counts)[:-1]])
+    columns = np.arange(len(points)) - first_rows[points]
     indices = np.zeros((point_count, influence_count), np.int64)
-    table = np.zeros((point_count, influence_count))
-    indices[points, columns], table[points, columns] = cluster_indices, weights
-    weight_sums = table.sum(axis=1, keepdims=True)
+    weight_table = np.zeros((point_count, influence_count))
+    indices[points, columns], weight_table[points, columns] = cluster_indices, weights
+    weight_sums = weight_table.sum(axis=1, keepdims=True)
     is_unweighted = weight_sums[:, 0] <= 0
-    indices[is_unweighted, 0], table[is_unweighted, 0] = cluster_count, 1.0
-    return indices, table / np.where(weight_sums <= 0, 1.0, weight_sums)
+    indices[is_unweighted, 0], weight_table[is_unweighted, 0] = cluster_count, 1.0
+    return indices, weight_table / np.where(weight_sums <= 0, 1.0, weight_sums)
 
 
 def has_unweighted_points(mesh: FbxGeometry) -> bool:
@@ -253,7 +259,7 @@ def has_unweighted_points(mesh: FbxGeometry) -> bool:
 
 
 def _add_shapes(
-    file: FbxFile, mesh_object: Object, mesh: FbxGeometry, model: Object
+    file: FbxFile, mesh_object: FbxObject, mesh: FbxGeometry, model: FbxObject
 ) -> None:
     is_old = file.version < FIRST_NUMBERED_VERSION
     for shape in old_shapes(file, model) if is_old else ():
@@ -263,14 +269,16 @@ def _add_shapes(
         channel_id = old_shape_id(model.id, name)
         mesh.shapes.append(ShapeChannel(channel_id, name, percent, targets))
     for blend_shape in file.sources(mesh_object.id, "Deformer", "BlendShape"):
-        for channel in file.sources(blend_shape.id, "Deformer", "BlendShapeChannel"):
-            shape_channel = _read_shape_channel(file, channel, len(mesh.points))
+        for channel_object in file.sources(
+            blend_shape.id, "Deformer", "BlendShapeChannel"
+        ):
+            shape_channel = _read_shape_channel(file, channel_object, len(mesh.points))
             if shape_channel is not None:
                 mesh.shapes.append(shape_channel)
 
 
 def _read_shape_channel(
-    file: FbxFile, source: Object, point_count: int
+    file: FbxFile, source: FbxObject, point_count: int
 ) -> ShapeChannel | None:
     notes, element = file.notes, source.element
     shapes = file.sources(source.id, "Geometry", "Shape")
@@ -286,7 +294,7 @@ def _read_shape_channel(
         if len(shapes) > 1:
             message = f"{counted(len(shapes), 'shape')} of {source.name!r} have no "
             message += "weights"
-            notes.fail("FBX008", element.where, message)
+            notes.fail("FBX008", element.location, message)
         full_weights = np.array([100.0])
     percent = read_scalar(source, DEFORM_PERCENT, 0.0, notes)
     if DEFORM_PERCENT not in source.properties:
@@ -330,10 +338,10 @@ def _shape_offsets(
     if len(coordinates) != 3 * len(indices):
         message = f"{len(indices)} indices of shape {name!r} have {len(coordinates)} "
         message += "numbers"
-        notes.fail("FBX008", element.where, message)
+        notes.fail("FBX008", element.location, message)
     if (indices < 0).any() or (indices >= point_count).any():
         message = f"shape {name!r} counts a point that its mesh has not"
-        notes.fail("FBX008", element.where, message)
+        notes.fail("FBX008", element.location, message)
     offsets = coordinates.reshape(-1, 3)
     if percents is not None and len(percents) == len(offsets):
         offsets = offsets * (percents[:, None] / 100.0)

@@ -33,7 +33,7 @@ _EXTRAPOLATIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedKeys:
-    """K keys of a property of D components."""
+    """The K keys of a property of D components, each with all components."""
 
     ticks: IntArray  # times ``(K,)``
     values: FloatArray  # ``(K, D)``
@@ -84,10 +84,10 @@ def _common_extrapolation(
 ) -> tuple[Extrapolation, Extrapolation] | None:
     """Return the common extrapolation of curves; None if they differ."""
     convert = _convert_extrapolation
-    end_pairs = {(convert(c, c.pre), convert(c, c.post)) for c in curves}
-    if len(end_pairs) != 1:
+    extrapolation_pairs = {(convert(c, c.pre), convert(c, c.post)) for c in curves}
+    if len(extrapolation_pairs) != 1:
         return None
-    ((pre, post),) = end_pairs
+    ((pre, post),) = extrapolation_pairs
     if pre is None or post is None:
         return None
     if {pre, post} != {Extrapolation.HOLD}:
@@ -126,37 +126,39 @@ class _SegmentedCurve:
 
 
 def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
-    starts, ends = ticks[:-1], ticks[1:]
-    key_index = np.searchsorted(curve.times, starts, "right") - 1
-    is_in_range = (key_index >= 0) & (key_index < len(curve.times) - 1)
-    key_index = np.clip(key_index, 0, max(len(curve.times) - 2, 0))
+    start_ticks, end_ticks = ticks[:-1], ticks[1:]
+    key_indices = np.searchsorted(curve.times, start_ticks, "right") - 1
+    is_in_range = (key_indices >= 0) & (key_indices < len(curve.times) - 1)
+    key_indices = np.clip(key_indices, 0, max(len(curve.times) - 2, 0))
     if len(curve.times) < 2:
-        slopes, no_segments = np.zeros(len(starts)), np.zeros(len(starts), bool)
-        weights = np.full((len(starts), 2), ONE_THIRD)
+        slopes, no_flags = np.zeros(len(start_ticks)), np.zeros(len(start_ticks), bool)
+        weights = np.full((len(start_ticks), 2), ONE_THIRD)
         return _SegmentedCurve(
-            no_segments, no_segments, ~no_segments, no_segments, weights, slopes, slopes
+            no_flags, no_flags, ~no_flags, no_flags, weights, slopes, slopes
         )
-    key_ticks, next_ticks = curve.times[key_index], curve.times[key_index + 1]
-    modes = curve.modes[key_index]
+    key_ticks, next_ticks = curve.times[key_indices], curve.times[key_indices + 1]
+    modes = curve.modes[key_indices]
     is_cubic = is_in_range & (modes == CUBIC)
     is_stepped = is_in_range & ((modes == CONSTANT) | (modes == NEXT))
-    is_split = is_in_range & ((starts != key_ticks) | (ends != next_ticks))
+    is_split = is_in_range & ((start_ticks != key_ticks) | (end_ticks != next_ticks))
     durations = (next_ticks - key_ticks) / TICKS_PER_SECOND
-    value_change = curve.values[key_index + 1] - curve.values[key_index]
-    has_slope = (curve.out_slopes[key_index] != 0) | (curve.in_slopes[key_index] != 0)
+    value_change = curve.values[key_indices + 1] - curve.values[key_indices]
+    has_slope = (curve.out_slopes[key_indices] != 0) | (
+        curve.in_slopes[key_indices] != 0
+    )
     is_flat = (value_change == 0) & ~(is_cubic & has_slope)
     end_slopes = []
-    for times in (starts, ends):
+    for times in (start_ticks, end_ticks):
         fraction = (times - key_ticks) / TICKS_PER_SECOND / durations
-        cubic_slopes = _evaluate_slope(curve, key_index, fraction, durations)
+        cubic_slopes = _evaluate_slope(curve, key_indices, fraction, durations)
         slopes = np.where(is_cubic, cubic_slopes, value_change / durations)
         end_slopes.append(np.where(is_in_range & ~is_stepped, slopes, 0.0))
     out_slopes, in_slopes = end_slopes
     # Complete segments keep the slopes of the keys, whatever their weights.
-    is_complete = is_cubic & ~is_split
-    out_slopes = np.where(is_complete, curve.out_slopes[key_index], out_slopes)
-    in_slopes = np.where(is_complete, curve.in_slopes[key_index], in_slopes)
-    weights = np.where(is_cubic[:, None], curve.weights[key_index], ONE_THIRD)
+    is_unsplit_cubic = is_cubic & ~is_split
+    out_slopes = np.where(is_unsplit_cubic, curve.out_slopes[key_indices], out_slopes)
+    in_slopes = np.where(is_unsplit_cubic, curve.in_slopes[key_indices], in_slopes)
+    weights = np.where(is_cubic[:, None], curve.weights[key_indices], ONE_THIRD)
     # The value of a NEXT segment applies from its start; NaN weights mark that it
     # cannot be joined.
     is_next_step = is_stepped & (modes == NEXT) & ~is_flat
@@ -173,12 +175,12 @@ def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
 
 
 def _evaluate_slope(
-    curve: FbxCurve, key_index: IntArray, fraction: FloatArray, durations: FloatArray
+    curve: FbxCurve, key_indices: IntArray, fraction: FloatArray, durations: FloatArray
 ) -> FloatArray:
     """Return the derivative of cubic segments with handle weights of a third [1/s]."""
-    out_slopes, in_slopes = curve.out_slopes[key_index], curve.in_slopes[key_index]
-    chord = (curve.values[key_index + 1] - curve.values[key_index]) / durations
-    middle_slope = 3.0 * chord - out_slopes - in_slopes
+    out_slopes, in_slopes = curve.out_slopes[key_indices], curve.in_slopes[key_indices]
+    chords = (curve.values[key_indices + 1] - curve.values[key_indices]) / durations
+    middle_slope = 3.0 * chords - out_slopes - in_slopes
     v = 1.0 - fraction
     return np.asarray(
         v * v * out_slopes

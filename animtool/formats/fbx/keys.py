@@ -50,76 +50,77 @@ def read_curve(
         return None
     if has_new_ticks:
         times = convert_new_ticks(times)
-    count = len(times)
-    values = read_floats(element, "KeyValueFloat", notes, count)
-    flags = read_integers(element, "KeyAttrFlags", notes)
+    key_count = len(times)
+    values = read_floats(element, "KeyValueFloat", notes, key_count)
+    key_flags = read_integers(element, "KeyAttrFlags", notes)
     attribute_data = element.find("KeyAttrDataFloat")
     reference_counts = read_integers(element, "KeyAttrRefCount", notes)
     check_times(times, element, notes)
     if (
         values is None
-        or flags is None
+        or key_flags is None
         or not attribute_data
         or reference_counts is None
     ):
-        return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
+        return notes.fail(
+            "FBX006", element.location, "a curve lacks an array of its keys"
+        )
     attribute_bits = _attribute_bits(attribute_data, notes)
-    has_valid_counts = (reference_counts >= 0) & (reference_counts <= count)
-    is_valid = len(flags) == len(reference_counts) and attribute_bits.size == 4 * len(
-        flags
-    )
-    is_valid = (
-        is_valid and has_valid_counts.all() and int(reference_counts.sum()) == count
-    )
-    if not is_valid:
-        message = f"the attributes of {count} keys do not fit them"
-        notes.fail("FBX006", element.where, message)
-    flags = np.repeat(flags, reference_counts)
-    rows = np.repeat(attribute_bits.reshape(-1, 4), reference_counts, axis=0)
-    is_stepped = flags & STEPPED != 0
-    is_cubic = ~is_stepped & (flags & CURVED != 0)
-    is_tcb = is_cubic & (flags & TCB != 0)
-    key_data = rows[:, :3].copy().view(np.float32).astype(np.float64)
+    is_valid_count = (reference_counts >= 0) & (reference_counts <= key_count)
+    if not (
+        len(key_flags) == len(reference_counts)
+        and attribute_bits.size == 4 * len(key_flags)
+        and is_valid_count.all()
+        and int(reference_counts.sum()) == key_count
+    ):
+        message = f"the attributes of {key_count} keys do not fit them"
+        notes.fail("FBX006", element.location, message)
+    key_flags = np.repeat(key_flags, reference_counts)
+    key_attributes = np.repeat(attribute_bits.reshape(-1, 4), reference_counts, axis=0)
+    is_stepped = key_flags & STEPPED != 0
+    is_cubic = ~is_stepped & (key_flags & CURVED != 0)
+    is_tcb = is_cubic & (key_flags & TCB != 0)
+    key_data = key_attributes[:, :3].copy().view(np.float32).astype(np.float64)
     # The third number is the bias of TCB tangents; for others, two packed weights.
     is_finite = np.isfinite(key_data)
     if not is_finite[is_cubic, :2].all() or not is_finite[is_tcb].all():
-        notes.fail("FBX006", element.where, "a slope of a key is not finite")
-    packed_weights = rows[:, 2].astype(np.int64) & 0xFFFFFFFF
-    weights = np.full((count, 2), ONE_THIRD)
-    for column, (flag, stored_weights) in enumerate(
+        notes.fail("FBX006", element.location, "a slope of a key is not finite")
+    packed_weights = key_attributes[:, 2].astype(np.int64) & 0xFFFFFFFF
+    weights = np.full((key_count, 2), ONE_THIRD)
+    for column, (weight_flag, stored_weights) in enumerate(
         ((0x1000000, packed_weights & 0xFFFF), (0x2000000, packed_weights >> 16))
     ):
-        is_weighted = is_cubic & ~is_tcb & (flags & flag != 0)
+        is_weighted = is_cubic & ~is_tcb & (key_flags & weight_flag != 0)
         weight_values = stored_weights[is_weighted] * WEIGHT_UNIT
         weights[is_weighted, column] = np.minimum(weight_values, 1.0)
     modes = np.where(is_cubic, CUBIC, np.where(is_stepped, CONSTANT, LINEAR))
-    modes[is_stepped & (flags & NEXT_VALUE != 0)] = NEXT
+    modes[is_stepped & (key_flags & NEXT_VALUE != 0)] = NEXT
     out_slopes, in_slopes = compute_key_slopes(
-        times / TICKS_PER_SECOND, values, flags, key_data, weights
+        times / TICKS_PER_SECOND, values, key_flags, key_data, weights
     )
     curve = FbxCurve(times, values, modes, out_slopes, in_slopes, weights)
     return validate_curve(curve, element, notes)
 
 
-def _attribute_bits(data: Element, notes: FileNotices) -> Any:
+def _attribute_bits(element: Element, notes: FileNotices) -> Any:
     """Return key attributes as float32 bits; text files store them as integers."""
-    values = data.values[0] if len(data.values) == 1 else np.array(data.values)
+    values = element.values[0] if len(element.values) == 1 else np.array(element.values)
     array = np.asarray(values)
     if array.dtype.kind == "f":
         with np.errstate(all="ignore"):
             return array.astype(np.float32).view(np.int32)
     if array.dtype.kind != "i" or (np.abs(array) >= 2**32).any():
-        notes.fail("FBX006", data.where, "the attributes of keys must be numbers")
+        notes.fail("FBX006", element.location, "the attributes of keys must be numbers")
     return array.astype(np.int64).astype(np.uint32).view(np.int32)
 
 
 def validate_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
-    """Return a curve with its extrapolation; raise for invalid numbers (FBX006)."""
+    """Return a curve with its extrapolation, compacted; raise if invalid (FBX006)."""
     times = curve.times
     check_times(times, element, notes)
     for slopes in (curve.out_slopes, curve.in_slopes):
         if not np.isfinite(slopes).all():
-            notes.fail("FBX006", element.where, "a slope of a key is not finite")
+            notes.fail("FBX006", element.location, "a slope of a key is not finite")
     pre = _read_extrapolation(element, "Pre-Extrapolation", notes)
     post = _read_extrapolation(element, "Post-Extrapolation", notes)
     out_slopes, in_slopes = curve.out_slopes, curve.in_slopes
@@ -148,27 +149,27 @@ def _compact_rows(rows: Any) -> Any:
 def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
     """Raise if key times descend or are out of range."""
     if len(times) > MAX_KEYS:
-        notes.fail("FBX013", element.where, f"{len(times)} keys in one curve")
+        notes.fail("FBX013", element.location, f"{len(times)} keys in one curve")
     # The smallest integer has no negative counterpart.
     if (times > MAX_TICKS).any() or (times < -MAX_TICKS).any():
-        notes.fail("FBX006", element.where, "the time of a key is out of range")
+        notes.fail("FBX006", element.location, "the time of a key is out of range")
     if (np.diff(times) < 0).any():
-        notes.fail("FBX006", element.where, "the times of keys must not descend")
+        notes.fail("FBX006", element.location, "the times of keys must not descend")
 
 
 def _read_extrapolation(
-    element: Element, name: str, notes: FileNotices
+    curve_element: Element, name: str, notes: FileNotices
 ) -> FbxExtrapolation:
-    entry = element.find(name)
-    type_element = None if entry is None else entry.find("Type")
-    if entry is None or type_element is None or not type_element.values:
+    element = curve_element.find(name)
+    type_element = None if element is None else element.find("Type")
+    if element is None or type_element is None or not type_element.values:
         return FbxExtrapolation()
     mode = type_element.values[0]
     if isinstance(mode, int) and 0 <= mode < 256:
         mode = chr(mode)
     if mode not in tuple("CRAMK"):
         message = f"{name} {mode!r} is not known"
-        notes.fail("FBX006", type_element.where, message)
-    repeats = entry.find("Repetition")
-    count = -1.0 if repeats is None else read_number(repeats, 0, notes)
+        notes.fail("FBX006", type_element.location, message)
+    repetition = element.find("Repetition")
+    count = -1.0 if repetition is None else read_number(repetition, 0, notes)
     return FbxExtrapolation(str(mode), int(max(-1.0, min(count, 1e9))))

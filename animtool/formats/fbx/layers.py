@@ -24,14 +24,14 @@ DEFORM_PERCENT = "DeformPercent"
 PIVOT_PROPERTIES = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
 OUTER_ROTATIONS = ("PreRotation", "PostRotation")
 # Order XYZ as a product: X rotates first, so its factor is last.
-XYZ = "ZYX"
+XYZ_PRODUCT = "ZYX"
 # Weights above this are 1 [1].
-FULL_WEIGHT = 0.99999
+MIN_FULL_WEIGHT = 0.99999
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """An animation layer of a take."""
+    """Weight and blend mode of an animation layer of a take."""
 
     weight: float = 1.0  # weight without a curve [1]
     # Weight over time [%]; None uses the constant weight.
@@ -44,10 +44,10 @@ class Layer:
     def weights(self, ticks: IntArray) -> FloatArray:
         """Return the weight of the layer at times ``(F,)`` [1]."""
         if self.weight_curve is None:
-            weight = 1.0 if self.weight > FULL_WEIGHT else self.weight
+            weight = 1.0 if self.weight > MIN_FULL_WEIGHT else self.weight
             return np.full(len(ticks), weight)
         weights = np.clip(self.weight_curve.evaluate(ticks) / 100.0, 0.0, 1.0)
-        return np.where(weights > FULL_WEIGHT, 1.0, weights)
+        return np.where(weights > MIN_FULL_WEIGHT, 1.0, weights)
 
 
 @dataclass(slots=True, eq=False)
@@ -68,13 +68,13 @@ class LayerValues:
         return values
 
     def is_static(self) -> bool:
-        """Return whether no curve changes."""
+        """Return whether no curve of the layer changes its value."""
         return all(curve is None or curve.is_static() for curve in self.curves)
 
 
 @dataclass(slots=True, eq=False)
 class PropertyTrack:
-    """An animated property of D components, with its layers."""
+    """The curves of an object's property of D components, layer by layer."""
 
     name: str  # name such as ``Lcl Rotation``
     layers: list[LayerValues] = field(default_factory=list)  # layers from bottom to top
@@ -84,7 +84,7 @@ class PropertyTrack:
         return [c for v in self.layers for c in v.curves if c is not None]
 
     def is_static(self) -> bool:
-        """Return whether the value never changes."""
+        """Return whether neither values nor effective layer weights ever change."""
         return all(
             values.is_static()
             and (
@@ -95,12 +95,12 @@ class PropertyTrack:
             for values in self.layers
         )
 
-    def evaluate(self, base: FloatArray, ticks: IntArray) -> FloatArray:
+    def evaluate(self, base_values: FloatArray, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F, D)``.
 
-        ``base`` is the value without animation ``(D,)``.
+        ``base_values`` are the values without animation ``(D,)``.
         """
-        blended_values = np.tile(base, (len(ticks), 1))
+        blended_values = np.tile(base_values, (len(ticks), 1))
         for layer_values in self.layers:
             values = layer_values.evaluate(ticks)
             layer = layer_values.layer
@@ -119,18 +119,20 @@ class PropertyTrack:
         is_additive = layer.mode == ADDITIVE
         if self.name == ROTATION and layer.accumulates_rotations:
             lower_rotations, upper_rotations = (
-                rotations_from_angles(angles, XYZ) for angles in (lower, upper)
+                rotations_from_angles(angles, XYZ_PRODUCT) for angles in (lower, upper)
             )
-            start = lower_rotations
+            start_rotations = lower_rotations
             if is_additive:
-                start = np.broadcast_to([0.0, 0.0, 0.0, 1.0], upper_rotations.shape)
-            rotations = so3.slerp(start, upper_rotations, weights[:, 0])
+                start_rotations = np.broadcast_to(
+                    [0.0, 0.0, 0.0, 1.0], upper_rotations.shape
+                )
+            rotations = so3.slerp(start_rotations, upper_rotations, weights[:, 0])
             if is_additive:
                 rotations = so3.multiply(lower_rotations, rotations)
             return principal_angles(rotations)
         if self.name == SCALING and layer.accumulates_scales:
-            base = lower if is_additive else _scale_power(lower, 1.0 - weights)
-            return _scale_power(upper, weights) * base
+            base_scales = lower if is_additive else _scale_power(lower, 1.0 - weights)
+            return _scale_power(upper, weights) * base_scales
         if is_additive:
             return lower + weights * upper
         return lower + weights * (upper - lower)
@@ -145,7 +147,7 @@ def _scale_power(scales: FloatArray, weights: FloatArray) -> FloatArray:
 def rotations_from_angles(angles: FloatArray, order: str) -> FloatArray:
     """Return quaternions ``(F, 4)`` of angles about X, Y and Z ``(F, 3)`` [deg].
 
-    >>> rotations_from_angles(np.array([[90.0, 0, 0]]), XYZ).round(4).tolist()
+    >>> rotations_from_angles(np.array([[90.0, 0, 0]]), XYZ_PRODUCT).round(4).tolist()
     [[0.7071, 0.0, 0.0, 0.7071]]
     """
     return euler.to_quaternion(angles[:, euler.axes_of(order)], order)
@@ -157,7 +159,7 @@ def principal_angles(rotations: FloatArray) -> FloatArray:
     Of the equivalent triples, this is the one with Y within 90 degrees, independent of
     neighbouring frames. Tools that read the angles in another order expect it.
 
-    >>> rotations = rotations_from_angles(np.array([[10.0, 20, 30]]), XYZ)
+    >>> rotations = rotations_from_angles(np.array([[10.0, 20, 30]]), XYZ_PRODUCT)
     >>> principal_angles(rotations).round(6).tolist()
     [[10.0, 20.0, 30.0]]
     """

@@ -24,13 +24,13 @@ _UNSUPPORTED_PROPERTIES = (
 
 def convert_to_objects(root: Element, notes: FileNotices) -> Element:
     """Convert the elements of versions 5000 to 5999 to the 6100 layout."""
-    objects = Element("Objects", [], root.where)
-    connections = Element("Connections", [], root.where)
+    objects = Element("Objects", [], root.location)
+    connections = Element("Connections", [], root.location)
     for model in root.find_all("Model"):
         _add_model(model, objects, connections, notes)
-    settings = Element("Version5", [], root.where, list(root.find_all("Settings")))
+    settings = Element("Version5", [], root.location, list(root.find_all("Settings")))
     takes = list(root.find_all("Takes"))
-    return Element("", [], root.where, [objects, connections, settings, *takes])
+    return Element("", [], root.location, [objects, connections, settings, *takes])
 
 
 def _add_model(
@@ -40,14 +40,14 @@ def _add_model(
     for child in model.children:
         if child.name in _UNSUPPORTED_PROPERTIES:
             message = f"{child.name} of {name!r} is not supported in files this old"
-            notes.fail("FBX004", child.where, excerpt(message))
+            notes.fail("FBX004", child.location, excerpt(message))
     type_element = model.find("Type")
     subtype = type_element.text(0) if type_element else ""
     if model.find("Vertices"):
         subtype = "Mesh"
     geometry_elements = [c for c in model.children if c.name in _GEOMETRY_ELEMENTS]
     new_model = Element(
-        "Model", [f"Model::{name}", subtype], model.where, geometry_elements
+        "Model", [f"Model::{name}", subtype], model.location, geometry_elements
     )
     new_model.children.append(_property_elements(model, notes))
     objects.children.append(new_model)
@@ -58,26 +58,30 @@ def _add_model(
     skin_name = f"Deformer::{name}"
     bones = list(model.find_all("Link"))
     if bones:
-        objects.children.append(Element("Deformer", [skin_name, "Skin"], model.where))
+        objects.children.append(
+            Element("Deformer", [skin_name, "Skin"], model.location)
+        )
         _add_connection(connections, skin_name, f"Model::{name}")
     for bone in bones:
         cluster_name = f"SubDeformer::{name} {bone.text(0)}"
         values = [cluster_name, "Cluster"]
-        objects.children.append(Element("Deformer", values, bone.where, bone.children))
+        objects.children.append(
+            Element("Deformer", values, bone.location, bone.children)
+        )
         _add_connection(connections, cluster_name, skin_name)
         _add_connection(connections, f"Model::{bone.text(0)}", cluster_name)
 
 
 def _property_elements(model: Element, notes: FileNotices) -> Element:
-    properties = Element("Properties60", [], model.where)
+    properties = Element("Properties60", [], model.location)
     for channel in model.find_all("Channel"):
         if channel.text(0) != "Transform":
             default = channel.find("Default")
             if default is not None:
-                head = [channel.text(0).removesuffix(SHAPE_SUFFIX), "", ""]
-                property_values = [*head, read_number(default, 0, notes)]
+                label_values = [channel.text(0).removesuffix(SHAPE_SUFFIX), "", ""]
+                property_values = [*label_values, read_number(default, 0, notes)]
                 properties.children.append(
-                    Element("Property", property_values, channel.where)
+                    Element("Property", property_values, channel.location)
                 )
             continue
         for property_channel in channel.find_all("Channel"):
@@ -92,12 +96,12 @@ def _property_elements(model: Element, notes: FileNotices) -> Element:
                     values[axis] = read_number(default, 0, notes)
             property_values = [name, "", "", *values]
             properties.children.append(
-                Element("Property", property_values, property_channel.where)
+                Element("Property", property_values, property_channel.location)
             )
     return properties
 
 
 def _add_connection(connections: Element, child: str, parent: str) -> None:
     connections.children.append(
-        Element("Connect", ["OO", child, parent], connections.where)
+        Element("Connect", ["OO", child, parent], connections.location)
     )

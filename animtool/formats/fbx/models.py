@@ -19,13 +19,13 @@ from animtool.formats.fbx.layers import (
     ROTATION,
     SCALING,
     TRANSLATION,
-    XYZ,
+    XYZ_PRODUCT,
     rotations_from_angles,
 )
 from animtool.formats.fbx.objects import (
     ROOT_IDS,
     FbxFile,
-    Object,
+    FbxObject,
     ObjectId,
     read_scalar,
     read_vector,
@@ -35,7 +35,8 @@ from animtool.maths import so3
 
 # Factor order by RotationOrder: in XYZ, X rotates first, so its factor is last.
 _ROTATION_ORDERS = ("ZYX", "YZX", "XZY", "ZXY", "YXZ", "XYZ")
-COMPONENTWISE, INHERIT, IGNORE = range(3)
+# How a node inherits its parent's scale: along its own axes, fully, or not at all.
+COMPONENTWISE_SCALE, INHERIT_SCALE, IGNORE_SCALE = range(3)
 MAX_MODELS = 100_000
 _ZERO_VECTOR = (0.0, 0.0, 0.0)
 TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
@@ -43,9 +44,9 @@ TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
 
 @dataclass(slots=True, eq=False)
 class Model:
-    """A node of the scene, with its transform properties."""
+    """A node of the scene and the properties that make its local transform."""
 
-    object: Object  # object of the node in the file
+    object: FbxObject  # object of the node in the file
     parent: int  # index of the parent node; -1 for a root
     # Translation, rotation [deg] and scale without animation ``(3, 3)``.
     base_values: FloatArray
@@ -71,19 +72,19 @@ class Model:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales at times ``(F,)`` [ticks]."""
         values = _transform_values(self, take, ticks)
-        pre, post = self.pre_rotation, self.inverse_post_rotation
+        pre, inverse_post = self.pre_rotation, self.inverse_post_rotation
         if take is not None and self.has_outer_rotations:
             pre_track, post_track = (
                 find_track(take, self.object.id, name) for name in OUTER_ROTATIONS
             )
             if pre_track is not None:
                 angles = pre_track.evaluate(self.outer_angles[0], ticks)
-                pre = rotations_from_angles(angles, XYZ)
+                pre = rotations_from_angles(angles, XYZ_PRODUCT)
             if post_track is not None:
                 angles = post_track.evaluate(self.outer_angles[1], ticks)
-                post = so3.conjugate(rotations_from_angles(angles, XYZ))
+                inverse_post = so3.conjugate(rotations_from_angles(angles, XYZ_PRODUCT))
         rotations = rotations_from_angles(values[:, 1], self.rotation_order)
-        rotations = so3.multiply(so3.multiply(pre, rotations), post)
+        rotations = so3.multiply(so3.multiply(pre, rotations), inverse_post)
         scales = values[:, 2]
         pivots = _pivot_values(self, take, ticks)
         rotation_offset, rotation_pivot, scaling_offset, scaling_pivot = pivots
@@ -104,45 +105,47 @@ def read_models(file: FbxFile) -> list[Model]:
     ]
     if len(objects) > MAX_MODELS:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
-        file.notes.fail("FBX013", file.root.where, message)
-    parents = {n.id: _parent_model(file, n) for n in objects}
-    children: dict[ObjectId | None, list[Object]] = {}
+        file.notes.fail("FBX013", file.root.location, message)
+    parent_ids = {n.id: _parent_model(file, n) for n in objects}
+    children: dict[ObjectId | None, list[FbxObject]] = {}
     for node_object in objects:
-        children.setdefault(parents[node_object.id], []).append(node_object)
+        children.setdefault(parent_ids[node_object.id], []).append(node_object)
     models: list[Model] = []
-    stack = [(node_object, -1) for node_object in reversed(children.get(None, []))]
-    while stack:
-        node_object, parent = stack.pop()
-        node, index = _read_model(file, node_object, parent), len(models)
-        if parent >= 0 and node.scale_inheritance == COMPONENTWISE:
-            node.scale_source = parent
-        elif parent >= 0 and node.scale_inheritance == IGNORE:
-            node.scale_source = models[parent].scale_source
-        models.append(node)
-        stack += [(c, index) for c in reversed(children.get(node_object.id, []))]
+    pending = [(node_object, -1) for node_object in reversed(children.get(None, []))]
+    while pending:
+        node_object, parent = pending.pop()
+        model, index = _read_model(file, node_object, parent), len(models)
+        if parent >= 0 and model.scale_inheritance == COMPONENTWISE_SCALE:
+            model.scale_source = parent
+        elif parent >= 0 and model.scale_inheritance == IGNORE_SCALE:
+            model.scale_source = models[parent].scale_source
+        models.append(model)
+        pending += [(c, index) for c in reversed(children.get(node_object.id, []))]
     if len(models) < len(objects):
         reachable_ids = {model.object.id for model in models}
         cyclic_object = next(n for n in objects if n.id not in reachable_ids)
         message = f"the node {cyclic_object.name!r} is its own ancestor"
-        file.notes.fail("FBX009", cyclic_object.element.where, message)
+        file.notes.fail("FBX009", cyclic_object.element.location, message)
     return models
 
 
-def _is_default_camera(file: FbxFile, node: Object) -> bool:
-    """Return whether a node is a default camera, as old exporters add."""
-    return node.subtype.startswith("Camera") and node.id not in file.outgoing
+def _is_default_camera(file: FbxFile, node: FbxObject) -> bool:
+    """Return whether a node is one of the unconnected cameras of old exporters."""
+    return (
+        node.subtype.startswith("Camera") and node.id not in file.outgoing_connections
+    )
 
 
-def _parent_model(file: FbxFile, node: Object) -> ObjectId | None:
+def _parent_model(file: FbxFile, node: FbxObject) -> ObjectId | None:
     targets = file.targets(node.id, "Model")
     parent_ids = [model.id for model in targets if model.id not in ROOT_IDS]
     if len(set(parent_ids)) > 1:
         message = f"the node {node.name!r} has {len(set(parent_ids))} parents"
-        file.notes.fail("FBX009", node.element.where, message)
+        file.notes.fail("FBX009", node.element.location, message)
     return parent_ids[0] if parent_ids else None
 
 
-def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
+def _read_model(file: FbxFile, node: FbxObject, parent: int) -> Model:
     notes = file.notes
 
     def read_triple(name: str, default: tuple[float, ...] = _ZERO_VECTOR) -> FloatArray:
@@ -151,25 +154,29 @@ def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
     unit_scale = (1.0, 1.0, 1.0)
     translation, rotation = read_triple(TRANSLATION), read_triple(ROTATION)
     base_values = np.stack([translation, rotation, read_triple(SCALING, unit_scale)])
-    is_active = bool(read_scalar(node, "RotationActive", 0, notes))
-    order_index, pre, post = 0, _ZERO_VECTOR, _ZERO_VECTOR
-    if is_active:
+    has_outer_rotations = bool(read_scalar(node, "RotationActive", 0, notes))
+    order_index, pre_angles, post_angles = 0, _ZERO_VECTOR, _ZERO_VECTOR
+    if has_outer_rotations:
         order_index = int(read_scalar(node, "RotationOrder", 0, notes))
-        pre, post = (tuple(read_triple(f"{name}Rotation")) for name in ("Pre", "Post"))
+        pre_angles, post_angles = (
+            tuple(read_triple(f"{name}Rotation")) for name in ("Pre", "Post")
+        )
     if not 0 <= order_index < len(_ROTATION_ORDERS):
         message = f"the node {node.name!r} has rotation order {order_index}, which is "
         message += "not supported"
         hint = "spherical XYZ is specific to MotionBuilder; export with an Euler order"
-        notes.fail("FBX004", node.element.where, message, hint)
-    outer_angles = np.array([pre, post])
-    outer_rotations = rotations_from_angles(outer_angles, XYZ)
-    scale_inheritance = int(read_scalar(node, "InheritType", INHERIT, notes))
-    if scale_inheritance not in {COMPONENTWISE, INHERIT, IGNORE}:
+        notes.fail("FBX004", node.element.location, message, hint)
+    outer_angles = np.array([pre_angles, post_angles])
+    outer_rotations = rotations_from_angles(outer_angles, XYZ_PRODUCT)
+    scale_inheritance = int(read_scalar(node, "InheritType", INHERIT_SCALE, notes))
+    if scale_inheritance not in {COMPONENTWISE_SCALE, INHERIT_SCALE, IGNORE_SCALE}:
         message = f"the node {node.name!r} has inherit type {scale_inheritance}, which "
         message += "is not supported"
-        notes.fail("FBX004", node.element.where, message)
+        notes.fail("FBX004", node.element.location, message)
     geometric_transform = np.eye(4)
-    rotation = rotations_from_angles(read_triple("GeometricRotation")[None], XYZ)[0]
+    rotation = rotations_from_angles(
+        read_triple("GeometricRotation")[None], XYZ_PRODUCT
+    )[0]
     scale = read_triple("GeometricScaling", unit_scale)
     geometric_transform[:3, :3] = so3.to_matrix(rotation) * scale
     geometric_transform[:3, 3] = read_triple("GeometricTranslation")
@@ -183,7 +190,7 @@ def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
         np.stack([read_triple(name) for name in PIVOT_PROPERTIES]),
         scale_inheritance,
         geometric_transform,
-        is_active,
+        has_outer_rotations,
         outer_angles,
     )
 

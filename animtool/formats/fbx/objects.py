@@ -11,7 +11,7 @@ from animtool.core.files.reading import read_input
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats import FLOAT32_MAX
-from animtool.formats.fbx.binary import MAGIC, read_binary
+from animtool.formats.fbx.binary import BINARY_MAGIC, read_binary
 from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.legacy import convert_to_objects
 from animtool.formats.fbx.text import looks_like_text, read_text
@@ -25,11 +25,13 @@ FIRST_OBJECT_VERSION = 6000
 FIRST_NUMBERED_VERSION = 7000
 
 ObjectId = int | str
+# By object id: the id of each connected object, and the name of the property.
+Connections = dict[ObjectId, list[tuple[ObjectId, str]]]
 ROOT_IDS = (0, "Model::Scene", "Model::RootNode")
 
 
 @dataclass(slots=True, eq=False)
-class Object:
+class FbxObject:
     """An object of a file, such as a model, a geometry, a deformer or a curve."""
 
     id: ObjectId  # number, or kind and name in files before 7000
@@ -42,48 +44,47 @@ class Object:
 
     def values(self, name: str) -> list[Any]:
         """Return the values of a property; empty if it is missing."""
-        explicit = self.properties.get(name)
-        return explicit if explicit is not None else self.defaults.get(name, [])
+        return self.properties.get(name, self.defaults.get(name, []))
 
 
 @dataclass(slots=True, eq=False)
 class FbxFile:
-    """The objects and connections of a file."""
+    """The objects of a file and the connections between them."""
 
     path: Path  # path of the file
     version: int  # version such as 7400
     root: Element  # the root element
-    objects: dict[ObjectId, Object]  # objects by id, in file order
-    settings: Object  # global properties
+    objects: dict[ObjectId, FbxObject]  # objects by id, in file order
+    settings: FbxObject  # global properties
     notes: FileNotices  # collects warnings and notes
-    # Connections to each object: source id and property name.
-    incoming: dict[ObjectId, list[tuple[ObjectId, str]]] = field(default_factory=dict)
-    # Connections from each object: target id and property name.
-    outgoing: dict[ObjectId, list[tuple[ObjectId, str]]] = field(default_factory=dict)
+    incoming_connections: Connections = field(default_factory=dict)  # from sources
+    outgoing_connections: Connections = field(default_factory=dict)  # to targets
 
     def sources(
         self, object_id: ObjectId, kind: str, subtype: str | None = None
-    ) -> list[Object]:
+    ) -> list[FbxObject]:
         """Return the objects of a kind that are connected to an object as sources."""
-        objects = [self.objects.get(c) for c, _ in self.incoming.get(object_id, ())]
+        connections = self.incoming_connections.get(object_id, ())
+        objects = [self.objects.get(source_id) for source_id, _ in connections]
         return [c for c in objects if c is not None and _is_of_kind(c, kind, subtype)]
 
-    def targets(self, object_id: ObjectId, kind: str) -> list[Object]:
+    def targets(self, object_id: ObjectId, kind: str) -> list[FbxObject]:
         """Return the objects of a kind that an object is connected to as a source."""
-        objects = [self.objects.get(c) for c, _ in self.outgoing.get(object_id, ())]
+        connections = self.outgoing_connections.get(object_id, ())
+        objects = [self.objects.get(target_id) for target_id, _ in connections]
         return [c for c in objects if c is not None and c.kind == kind]
 
-    def objects_of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
+    def objects_of_kind(self, kind: str, subtype: str | None = None) -> list[FbxObject]:
         """Return all objects of a kind, in file order."""
         return [c for c in self.objects.values() if _is_of_kind(c, kind, subtype)]
 
 
-def _is_of_kind(candidate: Object, kind: str, subtype: str | None) -> bool:
+def _is_of_kind(candidate: FbxObject, kind: str, subtype: str | None) -> bool:
     return candidate.kind == kind and (subtype is None or candidate.subtype == subtype)
 
 
 def read_vector(
-    owner: Object, name: str, default: tuple[float, ...], notes: FileNotices
+    owner: FbxObject, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
     """Return as many numbers of a property as the default has, else the default."""
     values = owner.values(name)[: len(default)]
@@ -92,11 +93,13 @@ def read_vector(
     if not all(isinstance(v, int | float) and abs(v) <= FLOAT32_MAX for v in values):
         message = f"{name} of {owner.name!r} must be numbers, not "
         message += excerpt(str(values))
-        notes.fail("FBX005", owner.element.where, message)
+        notes.fail("FBX005", owner.element.location, message)
     return tuple(float(value) for value in values)
 
 
-def read_scalar(owner: Object, name: str, default: float, notes: FileNotices) -> float:
+def read_scalar(
+    owner: FbxObject, name: str, default: float, notes: FileNotices
+) -> float:
     """Return a scalar property, or the default without one."""
     return read_vector(owner, name, (default,), notes)[0]
 
@@ -107,7 +110,7 @@ def open_objects(path: Path | str) -> FbxFile:
     path = Path(path)
     notes = FileNotices(str(path))
     content = read_input(path)
-    is_text = not content.startswith(MAGIC)
+    is_text = not content.startswith(BINARY_MAGIC)
     if is_text and not looks_like_text(content):
         message = "does not start like an FBX, binary or ASCII; export it again"
         raise FormatError(Fault("FBX001", message, str(path), where="byte 0"))
@@ -118,24 +121,24 @@ def open_objects(path: Path | str) -> FbxFile:
         message += f"{MAX_VERSION}"
         hint = "save it as FBX 2020 with Autodesk's FBX Converter or any tool that "
         hint += "imports it"
-        notes.fail("FBX003", root.where, message, hint)
+        notes.fail("FBX003", root.location, message, hint)
     if version < FIRST_OBJECT_VERSION:
         root = convert_to_objects(root, notes)
-    templates = _default_properties(root)
-    objects: dict[ObjectId, Object] = {}
-    settings = Object(-1, "GlobalSettings", "", "", root, {}, {})
-    elements = [f for e in root.find_all("Objects") for f in e.children]
+    default_properties = _default_properties(root)
+    objects: dict[ObjectId, FbxObject] = {}
+    settings = FbxObject(-1, "GlobalSettings", "", "", root, {}, {})
+    elements = [child for e in root.find_all("Objects") for child in e.children]
     for element in [*elements, *root.find_all("GlobalSettings")]:
         if element.name == "GlobalSettings":
             settings.properties |= _read_properties(element)
             continue
-        fbx_object = _read_object(element, version, templates)
+        fbx_object = _read_object(element, version, default_properties)
         if fbx_object is None:
             continue
         if fbx_object.id in objects:
             message = f"two objects have the ID {excerpt(str(fbx_object.id))}: using "
             message += "the first"
-            notes.warn("FBX106", element.where, message)
+            notes.warn("FBX106", element.location, message)
             continue
         objects[fbx_object.id] = fbx_object
     file = FbxFile(path, version, root, objects, settings, notes)
@@ -147,9 +150,9 @@ def _find_version(root: Element, version: int) -> int:
     """Return the version of a file; old files state it in an element."""
     header = root.find("FBXHeaderExtension")
     element = None if header is None else header.find("FBXVersion")
-    stated = element.values[0] if element and element.values else None
+    stated_version = element.values[0] if element and element.values else None
     is_old = version < FIRST_OBJECT_VERSION
-    return stated if isinstance(stated, int) and is_old else version
+    return stated_version if isinstance(stated_version, int) and is_old else version
 
 
 def split_name(text: str) -> tuple[str, str]:
@@ -166,8 +169,8 @@ def split_name(text: str) -> tuple[str, str]:
 
 
 def _read_object(
-    element: Element, version: int, templates: dict[str, dict[str, list[Any]]]
-) -> Object | None:
+    element: Element, version: int, default_properties: dict[str, dict[str, list[Any]]]
+) -> FbxObject | None:
     values = element.values
     name_index = 1 if version >= FIRST_NUMBERED_VERSION else 0
     kind, name = split_name(element.text(name_index))
@@ -180,34 +183,38 @@ def _read_object(
         return None
     subtype = element.text(name_index + 1)
     properties = _read_properties(element)
-    defaults = templates.get(element.name, {})
-    return Object(object_id, element.name, name, subtype, element, properties, defaults)
+    defaults = default_properties.get(element.name, {})
+    return FbxObject(
+        object_id, element.name, name, subtype, element, properties, defaults
+    )
 
 
 def _read_properties(element: Element) -> dict[str, list[Any]]:
     """Return the properties of an object, of either layout."""
-    entries: dict[str, list[Any]] = {}
-    for group, name, value_index in (
+    values_by_name: dict[str, list[Any]] = {}
+    for group, element_name, value_index in (
         ("Properties70", "P", 4),
         ("Properties60", "Property", 3),
     ):
         for properties in element.find_all(group):
-            for values in (child.values for child in properties.find_all(name)):
+            for values in (child.values for child in properties.find_all(element_name)):
                 if values and isinstance(values[0], str):
-                    entries[values[0]] = values[value_index:]
-    return entries
+                    values_by_name[values[0]] = values[value_index:]
+    return values_by_name
 
 
 def _default_properties(root: Element) -> dict[str, dict[str, list[Any]]]:
     """Return the default properties of each kind of object."""
-    templates: dict[str, dict[str, list[Any]]] = {}
+    default_properties: dict[str, dict[str, list[Any]]] = {}
     for definitions in root.find_all("Definitions"):
-        for kind in definitions.find_all("ObjectType"):
-            for template in kind.find_all("PropertyTemplate"):
+        for object_type in definitions.find_all("ObjectType"):
+            for template in object_type.find_all("PropertyTemplate"):
                 # Node attributes have a template per class; none affects motion.
-                if kind.text(0) != "NodeAttribute":
-                    templates.setdefault(kind.text(0), _read_properties(template))
-    return templates
+                if object_type.text(0) != "NodeAttribute":
+                    default_properties.setdefault(
+                        object_type.text(0), _read_properties(template)
+                    )
+    return default_properties
 
 
 def _connect_objects(file: FbxFile) -> None:
@@ -219,8 +226,8 @@ def _connect_objects(file: FbxFile) -> None:
             if source is None or target is None:
                 continue
             name = connection.text(3)
-            file.incoming.setdefault(target, []).append((source, name))
-            file.outgoing.setdefault(source, []).append((target, name))
+            file.incoming_connections.setdefault(target, []).append((source, name))
+            file.outgoing_connections.setdefault(source, []).append((target, name))
 
 
 def _object_id(value: Any) -> ObjectId | None:

@@ -39,29 +39,29 @@ DEFAULT_5000_LAYOUT = 4004
 
 
 def read_channel_curve(
-    element: Element, notes: FileNotices, layout: int
+    element: Element, notes: FileNotices, default_layout: int
 ) -> FbxCurve | None:
     """Return the curve of a channel of a take (before FBX 7000).
 
-    ``layout`` is the key layout if the channel states none.
+    ``default_layout`` is the key layout if the channel states none.
     """
-    key = element.find("Key")
-    if key is None or not key.values:
+    key_element = element.find("Key")
+    if key_element is None or not key_element.values:
         return None
     version = element.find("KeyVer")
     key_version = None if version is None or not version.values else version.values[0]
-    layout = key_version if isinstance(key_version, int) else layout
-    keys, rows = _KeyCursor(key, notes, layout), []
-    while keys.has_more():
-        rows.append(_read_key(keys))
-    if keys.approximated_kinds:
+    key_layout = key_version if isinstance(key_version, int) else default_layout
+    cursor, key_rows = _KeyCursor(key_element, notes, key_layout), []
+    while cursor.has_more():
+        key_rows.append(_read_key(cursor))
+    if cursor.approximated_kinds:
         message = (
-            f"tangents of kind {listed(sorted(map(repr, keys.approximated_kinds)))} "
+            f"tangents of kind {listed(sorted(map(repr, cursor.approximated_kinds)))} "
             "are read as automatic ones, between the keys"
         )
         hint = "bake the curves before exporting, or export FBX 2011 or later"
-        notes.warn("FBX120", element.where, message, hint)
-    columns = list(zip(*rows, strict=True))
+        notes.warn("FBX120", element.location, message, hint)
+    columns = list(zip(*key_rows, strict=True))
     times, values = np.array(columns[0], np.int64), np.array(columns[1])
     flags = np.array(columns[2], np.int64)
     slopes = np.stack((*columns[3:5], columns[4]), axis=1)
@@ -78,14 +78,14 @@ def read_channel_curve(
 
 
 class _KeyCursor:
-    """Cursor over the key values of a channel."""
+    """Reads the numbers and letters that state the keys of a channel, in order."""
 
-    def __init__(self, element: Element, notes: FileNotices, layout: int) -> None:
+    def __init__(self, element: Element, notes: FileNotices, key_layout: int) -> None:
         values = element.values
         is_array = len(values) == 1 and isinstance(values[0], np.ndarray)
         self.values = values[0].tolist() if is_array else values
         self.element, self.notes, self.offset = element, notes, 0
-        self.layout = layout
+        self.key_layout = key_layout
         self.approximated_kinds: set[str] = set()
 
     def has_more(self) -> bool:
@@ -116,24 +116,26 @@ class _KeyCursor:
         return value if isinstance(value, str) else self.fail(f"{value!r} in a key")
 
     def fail(self, message: str) -> Any:
-        return self.notes.fail("FBX006", self.element.where, message)
+        return self.notes.fail("FBX006", self.element.location, message)
 
 
-def _read_key(keys: _KeyCursor) -> tuple[int, float, int, float, float, float, float]:
-    """Return time, value, flags, two slopes and two weights of the next key."""
-    time, value, mode = keys.next_time(), keys.next_number(), keys.next_letter()
+def _read_key(cursor: _KeyCursor) -> tuple[int, float, int, float, float, float, float]:
+    """Return time [tick], value, flags, two slopes and two weights of the next key."""
+    time, value, mode = cursor.next_time(), cursor.next_number(), cursor.next_letter()
     if mode == "L":
         return time, value, STRAIGHT, 0.0, 0.0, ONE_THIRD, ONE_THIRD
     if mode == "C":
-        step_letter = keys.next_letter() if keys.layout >= STEP_LETTER_LAYOUT else ""
+        step_letter = (
+            cursor.next_letter() if cursor.key_layout >= STEP_LETTER_LAYOUT else ""
+        )
         flags = STEPPED | (NEXT_VALUE if step_letter == "n" else 0)
         return time, value, flags, 0.0, 0.0, ONE_THIRD, ONE_THIRD
     if mode != "U":
-        keys.fail(f"interpolation {mode!r} of a key is not read")
-    flags, out_slope, in_slope, weight_list_count = _read_tangent(keys)
+        cursor.fail(f"interpolation {mode!r} of a key is not read")
+    flags, out_slope, in_slope, weight_list_count = _read_tangent(cursor)
     weights = [ONE_THIRD, ONE_THIRD]
     for _ in range(weight_list_count):
-        _set_weights(keys, weights)
+        _read_weights(cursor, weights)
     return time, value, flags, out_slope, in_slope, weights[0], weights[1]
 
 
@@ -147,29 +149,29 @@ _UNDOCUMENTED_TANGENTS = {
 }
 
 
-def _read_tangent(keys: _KeyCursor) -> tuple[int, float, float, int]:
+def _read_tangent(cursor: _KeyCursor) -> tuple[int, float, float, int]:
     """Return flags and slopes of a cubic key, and the number of its weight lists."""
-    kind = keys.next_letter()
-    if kind in {"s", "b"}:
-        out_slope, in_slope = keys.next_number(), keys.next_number()
-        weight_list_count = 0 if keys.layout == UNWEIGHTED_LAYOUT else 1
+    tangent_kind = cursor.next_letter()
+    if tangent_kind in {"s", "b"}:
+        out_slope, in_slope = cursor.next_number(), cursor.next_number()
+        weight_list_count = 0 if cursor.key_layout == UNWEIGHTED_LAYOUT else 1
         return CURVED | USER, out_slope, in_slope, weight_list_count
     auto_flags = CURVED | PROGRESSIVE | TIME_INDEPENDENT
-    is_6100 = keys.layout >= WEIGHTED_LAYOUT
-    if kind == "a":
+    is_6100 = cursor.key_layout >= WEIGHTED_LAYOUT
+    if tangent_kind == "a":
         return auto_flags, 0.0, 0.0, 1 if is_6100 else 0
-    if kind not in _UNDOCUMENTED_TANGENTS:
-        keys.fail(f"tangents {kind!r} of a key are not read")
-    number_count, older_list_count, list_count = _UNDOCUMENTED_TANGENTS[kind]
+    if tangent_kind not in _UNDOCUMENTED_TANGENTS:
+        cursor.fail(f"tangents {tangent_kind!r} of a key are not read")
+    number_count, older_list_count, list_count = _UNDOCUMENTED_TANGENTS[tangent_kind]
     for _ in range(number_count):
-        keys.next_number()
-    keys.approximated_kinds.add(kind)
+        cursor.next_number()
+    cursor.approximated_kinds.add(tangent_kind)
     return auto_flags, 0.0, 0.0, list_count if is_6100 else older_list_count
 
 
-def _set_weights(keys: _KeyCursor, weights: list[float]) -> None:
-    kind = keys.next_letter()
-    if kind not in {"a", "r", "l", "n", "c"}:
-        keys.fail(f"weights {kind!r} of a key are not read")
-    for column in {"a": (0, 1), "r": (0,), "l": (1,)}.get(kind, ()):
-        weights[column] = min(max(keys.next_number(), 0.0), 1.0)
+def _read_weights(cursor: _KeyCursor, weights: list[float]) -> None:
+    weight_kind = cursor.next_letter()
+    if weight_kind not in {"a", "r", "l", "n", "c"}:
+        cursor.fail(f"weights {weight_kind!r} of a key are not read")
+    for column in {"a": (0, 1), "r": (0,), "l": (1,)}.get(weight_kind, ()):
+        weights[column] = min(max(cursor.next_number(), 0.0), 1.0)

@@ -15,12 +15,12 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import SCALE_TOLERANCE
+from animtool.formats.characters.nodes import SCALE_TOLERANCE, is_uniform_scale
 from animtool.formats.fbx.layers import SCALING
 from animtool.formats.fbx.models import (
-    COMPONENTWISE,
-    IGNORE,
-    INHERIT,
+    COMPONENTWISE_SCALE,
+    IGNORE_SCALE,
+    INHERIT_SCALE,
     Model,
     find_animated_components,
     has_pivots,
@@ -36,7 +36,7 @@ _REST_TICKS = np.zeros(1, np.int64)
 
 
 class TransformPart(Enum):
-    """The part of a node's transform that a joint has."""
+    """The part of a node's transform that a joint has; a node may need two joints."""
 
     FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
@@ -45,7 +45,7 @@ class TransformPart(Enum):
 
 @dataclass(frozen=True, slots=True)
 class JointSource:
-    """The node of a joint, and the part of its transform that the joint has."""
+    """The node of a joint, and which part of its transform the joint has."""
 
     model: int  # index of the node
     part: TransformPart
@@ -59,8 +59,10 @@ class NodeTransforms:
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
         self._axes_rotation = so3.from_matrix(self.basis)
-        self._partly_ignored_scales = {
-            model.parent for model in self.models if model.scale_inheritance != INHERIT
+        self._parents_with_ignored_scale = {
+            model.parent
+            for model in self.models
+            if model.scale_inheritance != INHERIT_SCALE
         }
         self._local_cache: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
@@ -71,7 +73,7 @@ class NodeTransforms:
                 self.take, self.ticks
             )
             # Children that ignore this scale divide by it.
-            if i in self._partly_ignored_scales:
+            if i in self._parents_with_ignored_scale:
                 scales = _replace_zeros(scales)
             self._local_cache[i] = translations, rotations, scales
         return self._local_cache[i]
@@ -81,8 +83,8 @@ class NodeTransforms:
 
         Children may ignore this scale.
         """
-        chain = scale_ancestors(self.models, i)
-        scales = [self.local_transforms(node)[2] for node in chain]
+        nodes = scale_chain(self.models, i)
+        scales = [self.local_transforms(node)[2] for node in nodes]
         return np.asarray(np.prod(scales, axis=0))
 
     def world_matrices(self, i: int) -> FloatArray:
@@ -96,7 +98,7 @@ class NodeTransforms:
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
             local[:, :3, :3] = so3.to_matrix(rotations)
             local[:, :3, :3] *= self.local_scale(node)[:, None, :]
-            if model.parent >= 0 and model.scale_inheritance != INHERIT:
+            if model.parent >= 0 and model.scale_inheritance != INHERIT_SCALE:
                 inverse_parent_scale = _inverse_scales(self.local_scale(model.parent))
                 local[:, :3, :3] = inverse_parent_scale[:, :, None] * local[:, :3, :3]
             local[:, :3, 3] = translations
@@ -115,7 +117,7 @@ class NodeTransforms:
                 rotations = so3.multiply(self._axes_rotation, rotations)
             return translations, rotations, scales
         if source.part is TransformPart.FULL:
-            if model.scale_inheritance == IGNORE:
+            if model.scale_inheritance == IGNORE_SCALE:
                 scales = self.local_scale(source.model) * _inverse_scales(
                     self.local_scale(model.parent)
                 )
@@ -149,7 +151,7 @@ class AnimatedComponents:
     def has_animated_scale(self, i: int) -> bool:
         """Return whether a node's scale, including inherited scale, is animated."""
         return any(
-            self.components_by_node[node][2] for node in scale_ancestors(self.models, i)
+            self.components_by_node[node][2] for node in scale_chain(self.models, i)
         )
 
     def animated_components(self, source: JointSource) -> tuple[bool, bool, bool]:
@@ -164,7 +166,7 @@ class AnimatedComponents:
             return has_translation, False, has_animated_parent_scale
         if source.part is TransformPart.INNER:
             return False, has_rotation, self.has_animated_scale(source.model)
-        has_relative_scale = model.scale_inheritance == IGNORE and (
+        has_relative_scale = model.scale_inheritance == IGNORE_SCALE and (
             has_animated_parent_scale or self.has_animated_scale(source.model)
         )
         return has_translation, has_rotation, has_scale or has_relative_scale
@@ -177,7 +179,10 @@ def list_joint_sources(scene: FbxScene, nodes: Sequence[int]) -> list[JointSourc
     for i in nodes:
         model = scene.models[i]
         parent = model.parent
-        if parent >= 0 and model.scale_inheritance in {IGNORE, COMPONENTWISE}:
+        if parent >= 0 and model.scale_inheritance in {
+            IGNORE_SCALE,
+            COMPONENTWISE_SCALE,
+        }:
             if parent not in is_non_uniform:
                 is_non_uniform[parent] = _has_non_uniform_scale(scene, parent)
             if is_non_uniform[parent]:
@@ -190,8 +195,8 @@ def list_joint_sources(scene: FbxScene, nodes: Sequence[int]) -> list[JointSourc
 
 def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
     """Return whether a node's scale is non-uniform at any time of any take."""
-    chain = scale_ancestors(scene.models, i)
-    keys = [(scene.models[node].object.id, SCALING) for node in chain]
+    nodes = scale_chain(scene.models, i)
+    keys = [(scene.models[node].object.id, SCALING) for node in nodes]
     for take in (None, *scene.takes):
         ticks = _REST_TICKS
         if take is not None:
@@ -206,7 +211,7 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
             if any({curve.pre.mode, curve.post.mode} != {"C"} for curve in curves):
                 duration = int(times[-1] - times[0]) or TICKS_PER_SECOND
                 ticks = np.concatenate([ticks - duration, ticks, ticks + duration])
-        local_scale = NodeTransforms(scene, take, ticks).local_scale(chain[0])
+        local_scale = NodeTransforms(scene, take, ticks).local_scale(nodes[0])
         scale_range = local_scale.max(axis=1) - local_scale.min(axis=1)
         if (scale_range > SCALE_TOLERANCE * np.abs(local_scale).max(axis=1)).any():
             return True
@@ -216,42 +221,39 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
 def find_uniform_scales(
     scene: FbxScene, sources: Sequence[JointSource]
 ) -> tuple[FloatArray, BoolArray]:
-    """Return saved scales ``(J, 3)``, and which are uniform and static."""
-    rest = NodeTransforms(scene, None, _REST_TICKS)
+    """Return saved scales ``(J, 3)``, and whether each is uniform and static."""
+    rest_transforms = NodeTransforms(scene, None, _REST_TICKS)
     scales = np.array(
-        [rest.joint_transforms(source)[2][0] for source in sources]
+        [rest_transforms.joint_transforms(source)[2][0] for source in sources]
     ).reshape(-1, 3)
-    min_scales, max_scales = scales.min(axis=1), scales.max(axis=1)
-    is_uniform = (min_scales > 0) & (
-        max_scales - min_scales <= SCALE_TOLERANCE * np.abs(max_scales)
-    )
+    is_uniform = is_uniform_scale(scales)
     for take in scene.takes:
-        animation = AnimatedComponents(scene.models, take)
-        start = np.array([take.start_ticks], np.int64)
-        take_transforms = NodeTransforms(scene, take, start)
+        finder = AnimatedComponents(scene.models, take)
+        start_time = np.array([take.start_ticks], np.int64)
+        take_transforms = NodeTransforms(scene, take, start_time)
         for j, source in enumerate(sources):
             if not is_uniform[j] or not _has_scale_tracks(scene.models, source, take):
                 continue
             start_scale = take_transforms.joint_transforms(source)[2][0]
-            difference = np.abs(start_scale - scales[j]).max()
-            is_static = not animation.animated_components(source)[2]
-            is_uniform[j] = is_static and difference <= SCALE_TOLERANCE * max_scales[j]
-    return scales, np.asarray(is_uniform)
+            deviation = np.abs(start_scale - scales[j]).max()
+            is_static = not finder.animated_components(source)[2]
+            is_uniform[j] = is_static and deviation <= SCALE_TOLERANCE * scales[j].max()
+    return scales, is_uniform
 
 
 def _has_scale_tracks(
     models: Sequence[Model], source: JointSource, take: AnimTake
 ) -> bool:
     """Return whether a take animates a joint's scale."""
-    chain, model = scale_ancestors(models, source.model), models[source.model]
-    if model.parent >= 0 and model.scale_inheritance != INHERIT:
-        chain += scale_ancestors(models, model.parent)
-    return any((models[i].object.id, SCALING) in take.tracks for i in chain)
+    nodes, model = scale_chain(models, source.model), models[source.model]
+    if model.parent >= 0 and model.scale_inheritance != INHERIT_SCALE:
+        nodes += scale_chain(models, model.parent)
+    return any((models[i].object.id, SCALING) in take.tracks for i in nodes)
 
 
-def scale_ancestors(models: Sequence[Model], i: int) -> list[int]:
-    """Return a node and the ancestors whose scale it inherits."""
-    chain = [i]
+def scale_chain(models: Sequence[Model], i: int) -> list[int]:
+    """Return a node and the ancestors whose scales multiply its own."""
+    nodes = [i]
     while (i := models[i].scale_source) >= 0:
-        chain.append(i)
-    return chain
+        nodes.append(i)
+    return nodes

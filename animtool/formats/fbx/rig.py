@@ -49,14 +49,15 @@ class FbxRig:
     # Source of each joint, without the helper joints of meshes at the end.
     joint_sources: list[JointSource]
     joint_of_node: IntArray  # joint of each node; -1 for nodes that are not joints
-    # By node, the uniform scale that is folded into lengths below it [1].
-    folded_scales: FloatArray
+    # By node, the uniform scale that is baked into lengths below it [1].
+    baked_scales: FloatArray
     translation_factors: FloatArray  # factor of each joint's translations [m]
-    is_folded: BoolArray  # whether each joint's scale is folded into lengths ``(J,)``
-    remaining_scales: FloatArray  # saved scales that are not folded ``(J, 3)`` [1]
+    is_baked: BoolArray  # whether each joint's scale is baked into lengths ``(J,)``
+    remaining_scales: FloatArray  # saved scales that are not baked ``(J, 3)`` [1]
     # Channel of each shape, and its percentage at weight 1 [%].
-    shape_channels: list[tuple[ShapeChannel, float]]
-    mesh_names: dict[int, str]  # name of the mesh that each node shows
+    shape_channels: list[tuple[ShapeChannel, float]] = field(default_factory=list)
+    # Name of the mesh that each node shows.
+    mesh_names: dict[int, str] = field(default_factory=dict)
     # Warnings about data that rigs cannot store.
     notices: list[Fault] = field(default_factory=list)
 
@@ -65,43 +66,45 @@ def build_rig(
     scene: FbxScene,
     character: CharacterNodes,
     name: str,
-    meters: float | None = None,
+    meters_per_unit: float | None = None,
 ) -> FbxRig:
     """Return the rig of a character; the rest pose is the saved scene.
 
     Every node is a joint, except nodes of skinned meshes without children, whose
-    transform has no effect. A uniform static scale is folded into the lengths below it;
+    transform has no effect. A uniform static scale is baked into the lengths below it;
     other scales remain in the takes.
 
     Args:
         scene: The file.
         character: Nodes of the character.
         name: Name of the rig.
-        meters: Size of the file's unit [m]; None is the stated unit.
+        meters_per_unit: Size of the file's unit [m]; None is the stated unit.
     """
-    unit = scene.settings.meters if meters is None else meters
+    unit = scene.settings.meters if meters_per_unit is None else meters_per_unit
     joint_nodes = [n for n in character.nodes if not _is_skinned_mesh_only(scene, n)]
     joint_nodes = joint_nodes or list(character.nodes)
     sources = list_joint_sources(scene, joint_nodes)
-    scales, is_folded = find_uniform_scales(scene, sources)
-    joints = np.full(len(scene.models), -1, np.int64)
-    folded_scales = np.ones(len(scene.models))
+    scales, is_baked = find_uniform_scales(scene, sources)
+    joint_of_node = np.full(len(scene.models), -1, np.int64)
+    baked_scales = np.ones(len(scene.models))
     parents, factors = [], np.ones(len(sources))
     for j, source in enumerate(sources):
         parent = scene.models[source.model].parent
-        scale_above = 1.0 if parent < 0 else float(folded_scales[parent])
+        scale_above = 1.0 if parent < 0 else float(baked_scales[parent])
         factors[j] = scale_above * unit
         is_inner = source.part is TransformPart.INNER
-        parents.append(j - 1 if is_inner else -1 if parent < 0 else int(joints[parent]))
+        parents.append(
+            j - 1 if is_inner else -1 if parent < 0 else int(joint_of_node[parent])
+        )
         if source.part is not TransformPart.OUTER:
-            joints[source.model] = j
-            scale = float(scales[j].mean()) if is_folded[j] else 1.0
-            folded_scales[source.model] = scale_above * scale
+            joint_of_node[source.model] = j
+            scale = float(scales[j].mean()) if is_baked[j] else 1.0
+            baked_scales[source.model] = scale_above * scale
     names, notices = _joint_names(scene, sources)
-    rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
+    rest_transforms = NodeTransforms(scene, None, np.zeros(1, np.int64))
     rig_joints = []
     for j, source in enumerate(sources):
-        translations, rotations, _ = rest.joint_transforms(source)
+        translations, rotations, _ = rest_transforms.joint_transforms(source)
         x, y, z = (translations[0] * factors[j]).tolist()
         a, b, c, w = rotations[0].tolist()
         joint = Joint(
@@ -111,11 +114,12 @@ def build_rig(
         if file_name != names[j] and source.part is not TransformPart.OUTER:
             joint = replace(joint, source_name=file_name)
         rig_joints.append(joint)
-    scales = np.where(is_folded[:, None], 1.0, scales)
+    scales = np.where(is_baked[:, None], 1.0, scales)
     rig = Rig(name, tuple(rig_joints), unit, scene.settings.up)
     fbx_rig = FbxRig(
-        rig, sources, joints, folded_scales, factors, is_folded, scales, [], {}, notices
+        rig, sources, joint_of_node, baked_scales, factors, is_baked, scales
     )
+    fbx_rig.notices += notices
     _add_shapes_and_meshes(scene, character, fbx_rig)
     fbx_rig.notices += _moved_meshes_notice(scene, character)
     return fbx_rig
@@ -126,8 +130,8 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     names = []
     for node in character.nodes:
-        index = scene.nodes[node].skin
-        if index < 0:
+        skin_index = scene.nodes[node].skin
+        if skin_index < 0:
             continue
         object_id = scene.models[node].object.id
         tracks = [
@@ -136,10 +140,10 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
             for name in TRANSFORM_PROPERTIES
         ]
         is_animated = any(track and not track.is_static() for track in tracks)
-        bind = scene.mesh_bind_worlds[index]
+        bind = scene.mesh_bind_worlds[skin_index]
         magnitude = float(np.abs(bind[:3]).max())
-        difference = np.abs(rest.world_matrices(node)[0] - bind).max()
-        if is_animated or difference > BIND_TOLERANCE * magnitude:
+        deviation = np.abs(rest.world_matrices(node)[0] - bind).max()
+        if is_animated or deviation > BIND_TOLERANCE * magnitude:
             names.append(repr(scene.models[node].name))
     if not names:
         return []
@@ -152,8 +156,8 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
 
 def _is_skinned_mesh_only(scene: FbxScene, node: int) -> bool:
     """Return whether a node is not a joint but has a skinned mesh and no children."""
-    entry = scene.nodes[node]
-    if entry.skin < 0 or entry.children:
+    fbx_node = scene.nodes[node]
+    if fbx_node.skin < 0 or fbx_node.children:
         return False
     return not any(node in skin.joints for skin in scene.skins)
 
@@ -161,21 +165,21 @@ def _is_skinned_mesh_only(scene: FbxScene, node: int) -> bool:
 def _joint_names(
     scene: FbxScene, sources: Sequence[JointSource]
 ) -> tuple[list[str], list[Fault]]:
-    inner_nodes = [
+    full_nodes = [
         source.model for source in sources if source.part is not TransformPart.OUTER
     ]
-    nodes = [scene.nodes[node] for node in inner_nodes]
-    inner_names, renamed_joints = joint_names(nodes, inner_nodes)
-    names_by_model = dict(zip(inner_nodes, inner_names, strict=True))
+    nodes = [scene.nodes[node] for node in full_nodes]
+    full_names, renamed_joints = joint_names(nodes, full_nodes)
+    names_by_model = dict(zip(full_nodes, full_names, strict=True))
     outer_names = [
         f"{names_by_model[s.model]}_unscaled"
         for s in sources
         if s.part is TransformPart.OUTER
     ]
-    added_names = numbered_names([*inner_names, *outer_names])[len(inner_names) :]
-    unused_names = iter(added_names)
+    added_names = numbered_names([*full_names, *outer_names])[len(full_names) :]
+    next_names = iter(added_names)
     names = [
-        next(unused_names) if s.part is TransformPart.OUTER else names_by_model[s.model]
+        next(next_names) if s.part is TransformPart.OUTER else names_by_model[s.model]
         for s in sources
     ]
     path = str(scene.path)
@@ -215,7 +219,7 @@ def _add_shapes_and_meshes(
         scene,
         fbx_rig.rig,
         fbx_rig.joint_of_node,
-        fbx_rig.folded_scales,
+        fbx_rig.baked_scales,
         scene.bind_worlds(),
     )
     meshes = tuple(
@@ -243,7 +247,7 @@ def _build_shape(
         Inbetween(weight_percent / full_percent, LoadedArray(offsets @ rotation))
         for weight_percent, offsets in channel.targets[:-1]
     ]
-    inbetweens.sort(key=lambda entry: entry.at)
+    inbetweens.sort(key=lambda inbetween: inbetween.at)
     full_offsets = LoadedArray(channel.targets[-1][1] @ rotation)
     return Shape(name, mesh, full_offsets, None, tuple(inbetweens))
 
@@ -254,25 +258,25 @@ def _build_mesh(scene: FbxScene, node: int, name: str, binder: SkinBinder) -> Me
         scene.models[node].geometric_transform,
     )
     points = mesh.points @ geometric_transform[:3, :3].T + geometric_transform[:3, 3]
-    index = scene.nodes[node].skin
-    if index >= 0:
-        geometry, joints = binder.bind_skin(index)
+    skin_index = scene.nodes[node].skin
+    if skin_index >= 0:
+        geom_bind, joints = binder.bind_skin(skin_index)
         skin = binder.build_skin(mesh.method, joints, *build_skin_table(mesh))
     else:
-        skin, geometry = binder.bind_node(node, len(points))
-    bind = tuple(geometry.ravel().tolist())
+        skin, geom_bind = binder.bind_node(node, len(points))
+    bind = tuple(geom_bind.ravel().tolist())
     return Mesh(
         name,
         LoadedArray(points),
         LoadedArray(mesh.faces.astype(np.float64)),
         None,
-        None if (geometry == np.eye(4)).all() else bind,
+        None if (geom_bind == np.eye(4)).all() else bind,
         skin,
         Subdivision.NONE,
     )
 
 
-def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:
+def scale_notice(fbx_rig: FbxRig, path: str) -> list[Fault]:
     """Return a warning about joint scales that a rig cannot store."""
     rig = fbx_rig.rig
     has_scale = np.abs(fbx_rig.remaining_scales - 1.0).max(axis=1) > 1e-4
@@ -288,4 +292,4 @@ def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:
     message = "scales of rest or bind transforms that a rig file cannot store: "
     message += listed(list(names), MAX_LISTED_MESHES)
     hint = "takes of the file keep them; a rig file made from it does not"
-    return [Fault("FBX111", message, where, (), hint, Severity.WARNING)]
+    return [Fault("FBX111", message, path, (), hint, Severity.WARNING)]

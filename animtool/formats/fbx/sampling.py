@@ -12,7 +12,8 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import rate_label
-from animtool.formats.characters.stream import sampled_stream
+from animtool.formats.characters.stream import build_sampled_stream
+from animtool.formats.fbx.curves import MAX_TICKS
 from animtool.formats.fbx.layers import DEFORM_PERCENT, PropertyTrack
 from animtool.formats.fbx.poses import AnimatedComponents, NodeTransforms
 from animtool.formats.fbx.rig import FbxRig
@@ -30,7 +31,6 @@ BLOCK_FRAMES = 1024
 MAX_TAKE_VALUES = 60_000_000
 # Minimum values counted per frame, as each frame takes time even with few values.
 MIN_VALUES_PER_FRAME = 40
-MAX_TICKS = 2.0**61
 # Tolerance of keys on a frame [frame].
 FRAME_TOLERANCE = 1e-3
 # Maximum keys between frames at which joint errors are measured.
@@ -51,18 +51,18 @@ class FbxSampler:
     def __init__(self, scene: FbxScene, fbx_rig: FbxRig, take: AnimTake | None) -> None:
         """Prepare to sample a take, or the saved pose without one, on a rig."""
         self.scene, self.fbx_rig, self.take = scene, fbx_rig, take
-        animation = AnimatedComponents(scene.models, take)
-        flags = np.array(
-            [animation.animated_components(source) for source in fbx_rig.joint_sources]
+        finder = AnimatedComponents(scene.models, take)
+        is_animated = np.array(
+            [finder.animated_components(source) for source in fbx_rig.joint_sources]
         ).reshape(-1, 3)
-        flags[:, 2] &= ~fbx_rig.is_folded
-        self.animated_joints = [np.flatnonzero(flags[:, k]) for k in range(3)]
-        shapes = range(len(fbx_rig.shape_channels))
+        is_animated[:, 2] &= ~fbx_rig.is_baked
+        self.animated_joints = [np.flatnonzero(is_animated[:, k]) for k in range(3)]
+        shape_indices = range(len(fbx_rig.shape_channels))
         self.animated_shapes = np.array(
-            [shape for shape in shapes if self._is_animated(shape)], np.int64
+            [shape for shape in shape_indices if self._is_animated(shape)], np.int64
         )
-        start_ticks = 0 if take is None else take.start_ticks
-        self.rest_values = self._static_values(np.array([start_ticks], np.int64))
+        start_time = 0 if take is None else take.start_ticks
+        self.rest_values = self._static_values(np.array([start_time], np.int64))
         self.is_scaled = bool(
             len(self.animated_joints[2]) or (self.rest_values[2] != 1.0).any()
         )
@@ -91,7 +91,7 @@ class FbxSampler:
         return np.asarray(track.evaluate(base, ticks)[:, 0] / full_percent)
 
     def _static_values(self, ticks: IntArray) -> list[FloatArray]:
-        """Return translations, rotations, scales and weights at the first tick."""
+        """Return translations, rotations, scales and weights at the first time."""
         fbx_rig, joint_count = self.fbx_rig, len(self.fbx_rig.rig.joints)
         transforms = NodeTransforms(self.scene, self.take, ticks)
         translations = np.zeros((joint_count, 3))
@@ -101,7 +101,7 @@ class FbxSampler:
             local = transforms.joint_transforms(source)
             translations[j] = local[0][0] * fbx_rig.translation_factors[j]
             rotations[j] = local[1][0]
-            scales[j] = 1.0 if fbx_rig.is_folded[j] else local[2][0]
+            scales[j] = 1.0 if fbx_rig.is_baked[j] else local[2][0]
         weights = [self.weight(r, ticks)[0] for r in range(len(fbx_rig.shape_channels))]
         return [translations, rotations, scales, np.array(weights).reshape(-1, 1)]
 
@@ -114,7 +114,7 @@ class FbxSampler:
             for j, c in zip(self.animated_joints, (3, 4, 3), strict=True)
         ]
         for component, joints in enumerate(self.animated_joints):
-            for k, j in enumerate(joints.tolist()):
+            for column, j in enumerate(joints.tolist()):
                 samples = transforms.joint_transforms(fbx_rig.joint_sources[j])[
                     component
                 ]
@@ -122,7 +122,7 @@ class FbxSampler:
                     samples = samples * fbx_rig.translation_factors[j]
                 elif component == 1:
                     samples = so3.align_signs(samples)
-                values[component][:, k] = samples
+                values[component][:, column] = samples
         channels = [
             Channel(self.rest_values[component], joints, values[component])
             for component, joints in enumerate(self.animated_joints)
@@ -130,8 +130,8 @@ class FbxSampler:
         weights = None
         if fbx_rig.shape_channels:
             shape_weights = np.zeros((len(ticks), len(self.animated_shapes), 1))
-            for k, shape in enumerate(self.animated_shapes.tolist()):
-                shape_weights[:, k, 0] = self.weight(shape, ticks)
+            for column, shape_index in enumerate(self.animated_shapes.tolist()):
+                shape_weights[:, column, 0] = self.weight(shape_index, ticks)
             weights = Channel(self.rest_values[3], self.animated_shapes, shape_weights)
         scales = channels[2] if self.is_scaled else None
         return Motion(channels[0], channels[1], scales, weights)
@@ -140,7 +140,7 @@ class FbxSampler:
 def find_frame_range(
     scene: FbxScene,
     take: AnimTake | None,
-    requested_fps: Fraction | None,
+    requested_rate: Fraction | None,
     values_per_frame: int,
 ) -> Clock:
     """Return the stated frame range of a take, else that of its keys.
@@ -148,19 +148,21 @@ def find_frame_range(
     Args:
         scene: The file.
         take: The take; None is one frame.
-        requested_fps: Requested frame rate; None is the file's.
+        requested_rate: Requested frame rate; None is the file's.
         values_per_frame: Animated numbers per frame.
     """
-    rate = requested_fps or scene.settings.fps
+    rate = requested_rate or scene.settings.fps
     if take is None:
         return Clock(rate, Fraction(0), Fraction(1), 1)
-    keys = take.key_times()
-    start_ticks, end = take.start_ticks, take.end_ticks
-    if end <= start_ticks and len(keys):
-        start_ticks, end = int(keys[0]), int(keys[-1])
+    key_ticks = take.key_times()
+    start_ticks, end_ticks = take.start_ticks, take.end_ticks
+    if end_ticks <= start_ticks and len(key_ticks):
+        start_ticks, end_ticks = int(key_ticks[0]), int(key_ticks[-1])
     # Frames contain the range: from the frame at or before its start to the frame at or
     # after its end.
-    first, last = (ticks * rate / TICKS_PER_SECOND for ticks in (start_ticks, end))
+    first, last = (
+        ticks * rate / TICKS_PER_SECOND for ticks in (start_ticks, end_ticks)
+    )
     first_frame = round(first) if _is_on_frame(first) else math.floor(first)
     last_frame = round(last) if _is_on_frame(last) else math.ceil(last)
     last_frame = max(first_frame, last_frame)
@@ -168,13 +170,13 @@ def find_frame_range(
     values = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
     if count > MAX_FRAMES or values > MAX_TAKE_VALUES:
         message = (
-            f"take {take.name!r}: {(end - start_ticks) / TICKS_PER_SECOND:.6g} s at "
-            f"{rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
+            f"take {take.name!r}: {(end_ticks - start_ticks) / TICKS_PER_SECOND:.6g} s "
+            f"at {rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
             "above the limit"
         )
         hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
-            Fault("FBX013", message, str(scene.path), (), hint, where=take.where)
+            Fault("FBX013", message, str(scene.path), (), hint, where=take.location)
         )
     return Clock(rate, Fraction(first_frame), Fraction(1), count)
 
@@ -186,36 +188,39 @@ def off_frame_keys_notice(
     take = sampler.take
     if take is None:
         return []
-    keys = take.key_times()
-    frame_numbers = keys / float(Fraction(TICKS_PER_SECOND) / clock.fps)
-    off_frame_keys = np.flatnonzero(
+    key_ticks = take.key_times()
+    frame_numbers = key_ticks / float(Fraction(TICKS_PER_SECOND) / clock.fps)
+    off_frame_indices = np.flatnonzero(
         np.abs(frame_numbers - np.round(frame_numbers)) > FRAME_TOLERANCE
     )
-    if not len(off_frame_keys):
+    if not len(off_frame_indices):
         return []
-    stride = max(1, len(off_frame_keys) // MAX_MEASURED_KEYS)
-    measured_keys = off_frame_keys[::stride]
-    frame_before = np.floor(frame_numbers[measured_keys])
+    stride = max(1, len(off_frame_indices) // MAX_MEASURED_KEYS)
+    measured_indices = off_frame_indices[::stride]
+    frame_before = np.floor(frame_numbers[measured_indices])
     positions = [
         forward_kinematics(fbx_rig.rig, *sampler.sample(ticks).dense()).positions
         for ticks in (
             clock_ticks(clock, frame_before),
             clock_ticks(clock, frame_before + 1.0),
-            keys[measured_keys],
+            key_ticks[measured_indices],
         )
     ]
-    fraction = (frame_numbers[measured_keys] - frame_before)[:, None, None]
-    interpolated = positions[0] + fraction * (positions[1] - positions[0])
-    distances = np.linalg.norm(positions[2] - interpolated, axis=2)
+    fraction = (frame_numbers[measured_indices] - frame_before)[:, None, None]
+    frame_positions = positions[0] + fraction * (positions[1] - positions[0])
+    distances = np.linalg.norm(positions[2] - frame_positions, axis=2)
     worst_joint = int(distances.max(axis=0).argmax())
     message = (
-        f"{len(off_frame_keys)} of {len(keys)} key times fall between the frames at "
-        f"{rate_label(clock.fps)}: joints are up to {distances.max() * 1e3:.3g} mm "
-        f"off there (joint {fbx_rig.rig.names[worst_joint]!r})"
+        f"{len(off_frame_indices)} of {len(key_ticks)} key times fall between the "
+        f"frames at {rate_label(clock.fps)}: joints are up to "
+        f"{distances.max() * 1e3:.3g} mm off there "
+        f"(joint {fbx_rig.rig.names[worst_joint]!r})"
     )
     hint = f"set another rate with {argument('source.fps')}"
     path = str(scene.path)
-    return [Fault("FBX110", message, path, (), hint, Severity.NOTE, where=take.where)]
+    return [
+        Fault("FBX110", message, path, (), hint, Severity.NOTE, where=take.location)
+    ]
 
 
 def keys_outside_notice(
@@ -226,8 +231,8 @@ def keys_outside_notice(
     animated_curves = [curve for curve in curves if not curve.is_static()]
     if take is None or not animated_curves:
         return []
-    keys = np.unique(np.concatenate([curve.times for curve in animated_curves]))
-    frame_numbers = keys / float(Fraction(TICKS_PER_SECOND) / clock.fps)
+    key_ticks = np.unique(np.concatenate([curve.times for curve in animated_curves]))
+    frame_numbers = key_ticks / float(Fraction(TICKS_PER_SECOND) / clock.fps)
     first, last = int(clock.start), int(clock.start) + clock.count - 1
     is_outside = frame_numbers < first - FRAME_TOLERANCE
     is_outside |= frame_numbers > last + FRAME_TOLERANCE
@@ -235,14 +240,14 @@ def keys_outside_notice(
     if not outside_count:
         return []
     message = (
-        f"{outside_count} of {len(keys)} key times of take {take.name!r}, "
+        f"{outside_count} of {len(key_ticks)} key times of take {take.name!r}, "
         f"{frame_numbers[0]:.6g} to {frame_numbers[-1]:.6g}, lie outside its frames "
         f"{first} to {last}, which are read"
     )
     hint = "if they belong to it, make the take longer in the program that wrote it"
-    severity = Severity.WARNING if outside_count == len(keys) else Severity.NOTE
+    severity = Severity.WARNING if outside_count == len(key_ticks) else Severity.NOTE
     path = str(scene.path)
-    return [Fault("FBX123", message, path, (), hint, severity, where=take.where)]
+    return [Fault("FBX123", message, path, (), hint, severity, where=take.location)]
 
 
 def _is_on_frame(frame: Fraction) -> bool:
@@ -255,7 +260,7 @@ def build_stream(fbx_rig: FbxRig, sampler: FbxSampler, clock: Clock) -> TakeStre
     def sample(frame_numbers: FloatArray) -> Motion:
         return sampler.sample(clock_ticks(clock, frame_numbers))
 
-    return sampled_stream(fbx_rig.rig, clock, sample, BLOCK_FRAMES)
+    return build_sampled_stream(fbx_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
 def animates_rig(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:

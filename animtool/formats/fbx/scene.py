@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import listed
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.formats.characters.nodes import Node, SkinEntry
+from animtool.formats.characters.nodes import NO_TRANSFORM, FileSkin, Node
 from animtool.formats.fbx.geometry import (
     FbxGeometry,
     has_unweighted_points,
@@ -26,7 +26,7 @@ MAX_LISTED_OBJECTS = 6
 
 @dataclass(slots=True, eq=False)
 class FbxScene:
-    """The contents of an FBX file."""
+    """Nodes, meshes, skins and takes of an FBX file."""
 
     file: FbxFile  # objects of the file
     settings: FbxSettings  # unit, axes and rate
@@ -35,7 +35,7 @@ class FbxScene:
     takes: list[AnimTake]  # takes in file order
     default_take: int  # index of the take read by default; -1 for none
     nodes: tuple[Node, ...]  # the node tree, one node per model
-    skins: tuple[SkinEntry, ...]  # one per skinned mesh that a node shows
+    skins: tuple[FileSkin, ...]  # one per skinned mesh that a node shows
     # World transform of each skin's mesh at bind time.
     mesh_bind_worlds: list[FloatArray]
     scenes: list[list[int]]
@@ -44,9 +44,9 @@ class FbxScene:
 
     def bind_worlds(self) -> list[FloatArray]:
         """Return the world transform of each skin's mesh at bind time, in rig axes."""
-        axes = np.eye(4)
-        axes[:3, :3] = self.settings.basis
-        return [axes @ world for world in self.mesh_bind_worlds]
+        file_to_rig = np.eye(4)
+        file_to_rig[:3, :3] = self.settings.basis
+        return [file_to_rig @ world for world in self.mesh_bind_worlds]
 
     @property
     def path(self) -> Path:
@@ -66,7 +66,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     geometry = read_geometry(file)
     meshes = {node_indices[i]: m for i, m in geometry.items() if i in node_indices}
     takes = read_takes(file)
-    skins, mesh_bind_worlds = _skin_entries(meshes, node_indices)
+    skins, mesh_bind_worlds = _build_skins(meshes, node_indices)
     _warn_of_constraints(file)
     return FbxScene(
         file,
@@ -83,9 +83,9 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     )
 
 
-def _skin_entries(
+def _build_skins(
     meshes: dict[int, FbxGeometry], node_indices: dict[ObjectId, int]
-) -> tuple[list[SkinEntry], list[FloatArray]]:
+) -> tuple[list[FileSkin], list[FloatArray]]:
     """Return skins, and the world transforms of their meshes at bind time."""
     skins, mesh_bind_worlds = [], []
     for node, mesh in meshes.items():
@@ -96,8 +96,8 @@ def _skin_entries(
         if has_unweighted_points(mesh):
             joints.append(node)
             matrices.append(np.eye(4))
-        where, inverse_bind = mesh.clusters[0].where, np.stack(matrices)
-        skins.append(SkinEntry(None, tuple(joints), -1, inverse_bind, where))
+        location, inverse_bind = mesh.clusters[0].location, np.stack(matrices)
+        skins.append(FileSkin(None, tuple(joints), -1, inverse_bind, location))
         mesh_bind_worlds.append(mesh.clusters[0].world_from_bone @ matrices[0])
     return skins, mesh_bind_worlds
 
@@ -111,13 +111,12 @@ def _build_nodes(
     for i, model in enumerate(models):
         if model.parent >= 0:
             children[model.parent].append(i)
-    identity = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
     return tuple(
         Node(
             model.name,
             model.parent,
             tuple(children[i]),
-            *identity,
+            *NO_TRANSFORM,
             mesh=i if i in meshes else -1,
             skin=skins.get(i, -1),
         )
@@ -145,10 +144,12 @@ def _ignored_labels(file: FbxFile) -> tuple[str, ...]:
     """Return labels of contents that neither rigs nor takes can store."""
     element_kinds = ("Material", "Texture", "Video")
     labels = {
-        _IGNORED_LABELS[key]: None
-        for item in file.objects.values()
-        for key in (item.kind if item.kind in element_kinds else item.subtype,)
-        if key in _IGNORED_LABELS
+        _IGNORED_LABELS[kind]: None
+        for fbx_object in file.objects.values()
+        for kind in (
+            fbx_object.kind if fbx_object.kind in element_kinds else fbx_object.subtype,
+        )
+        if kind in _IGNORED_LABELS
     }
     return tuple(sorted(labels))
 
@@ -161,4 +162,4 @@ def _warn_of_constraints(file: FbxFile) -> None:
         message = "constraints are not evaluated: "
         message += listed(names, MAX_LISTED_OBJECTS)
         hint = "driven nodes follow their curves only; bake them before exporting"
-        file.notes.warn("FBX107", constraints[0].element.where, message, hint)
+        file.notes.warn("FBX107", constraints[0].element.location, message, hint)

@@ -19,7 +19,7 @@ TICKS_PER_SECOND = 46_186_158_000
 # Ticks per second of files whose TCDefinition is 0, which FBX 2019.5 introduced.
 _NEW_TICKS_PER_SECOND = 141_120_000
 # Values of TCDefinition: 127 is `TICKS_PER_SECOND`.
-_NEW_DEFINITION, _OLD_DEFINITION = 0, 127
+_NEW_TICK_DEFINITION, _OLD_TICK_DEFINITION = 0, 127
 # Frame rate by TimeMode, as numbered in `FbxTime::EMode`.
 _RATES = {
     0: Fraction(30),
@@ -63,7 +63,7 @@ def read_settings(file: FbxFile, up: UpAxis | None) -> FbxSettings:
     unit_factor = read_scalar(settings, "UnitScaleFactor", 1.0, notes)
     if not 1e-9 <= unit_factor <= 1e12:
         message = f"UnitScaleFactor is {unit_factor:g}, and must be positive"
-        notes.fail("FBX005", settings.element.where, message)
+        notes.fail("FBX005", settings.element.location, message)
     up_and_basis = (up, np.eye(3)) if up is not None else _read_axes(file)
     return FbxSettings(unit_factor / 100.0, *up_and_basis, _read_rate(file))
 
@@ -71,16 +71,16 @@ def read_settings(file: FbxFile, up: UpAxis | None) -> FbxSettings:
 def has_new_ticks(file: FbxFile) -> bool:
     """Return whether a file counts 141,120,000 ticks per second."""
     header = file.root.find("FBXHeaderExtension")
-    flags = None if header is None else header.find("OtherFlags")
-    element = None if flags is None else flags.find("TCDefinition")
+    flags_element = None if header is None else header.find("OtherFlags")
+    element = None if flags_element is None else flags_element.find("TCDefinition")
     if element is None or not element.values:
         return False
     tick_definition = element.values[0]
-    if tick_definition not in {_NEW_DEFINITION, _OLD_DEFINITION}:
+    if tick_definition not in {_NEW_TICK_DEFINITION, _OLD_TICK_DEFINITION}:
         message = f"unknown TCDefinition {excerpt(str(tick_definition))}: using "
-        message += str(_OLD_DEFINITION)
-        file.notes.warn("FBX106", element.where, message)
-    return bool(tick_definition == _NEW_DEFINITION)
+        message += str(_OLD_TICK_DEFINITION)
+        file.notes.warn("FBX106", element.location, message)
+    return bool(tick_definition == _NEW_TICK_DEFINITION)
 
 
 def convert_new_ticks(times: IntArray) -> IntArray:
@@ -106,37 +106,37 @@ def _read_axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     Files with Y or Z up keep their axes if they face the common direction; others are
     rotated to Y up, facing Z.
     """
-    rows = []
+    axis_rows = []
     for name, axis in (("CoordAxis", 0), ("UpAxis", 1), ("FrontAxis", 2)):
         index = int(read_scalar(file.settings, name, axis, file.notes))
         sign = read_scalar(file.settings, f"{name}Sign", 1.0, file.notes)
         if index not in {0, 1, 2}:
             message = f"{name} is {index}, and must be 0, 1 or 2"
-            file.notes.fail("FBX007", file.settings.element.where, message)
-        rows.append(np.eye(3)[index] * (-1.0 if sign < 0 else 1.0))
-    basis = np.array(rows)
+            file.notes.fail("FBX007", file.settings.element.location, message)
+        axis_rows.append(np.eye(3)[index] * (-1.0 if sign < 0 else 1.0))
+    basis = np.array(axis_rows)
     if np.linalg.det(basis) < 0.5:
         message = "the axes of the file are left-handed, or two are the same"
-        file.notes.fail("FBX007", file.settings.element.where, message)
+        file.notes.fail("FBX007", file.settings.element.location, message)
     if (basis == [[1, 0, 0], [0, 0, 1], [0, -1, 0]]).all():
         return UpAxis.Z, np.eye(3)
     return UpAxis.Y, basis
 
 
 def _read_rate(file: FbxFile) -> Fraction:
-    mode = int(read_scalar(file.settings, "TimeMode", 0.0, file.notes))
-    if mode == CUSTOM_TIME_MODE:
+    time_mode = int(read_scalar(file.settings, "TimeMode", 0.0, file.notes))
+    if time_mode == CUSTOM_TIME_MODE:
         rate = read_scalar(file.settings, "CustomFrameRate", 24.0, file.notes)
         if not 0.01 <= rate <= 100_000:
             message = f"CustomFrameRate is {rate:g}, and must be positive"
-            file.notes.fail("FBX005", file.settings.element.where, message)
+            file.notes.fail("FBX005", file.settings.element.location, message)
         return parse_rate(f"{rate:.9g}")
     if "TimeMode" not in file.settings.properties:
         return _read_old_rate(file)
-    if mode not in _RATES:
-        message = f"unknown time mode {mode}: using {_RATES[0]} frames per second"
-        file.notes.warn("FBX106", file.settings.element.where, message)
-    return _RATES.get(mode, _RATES[0])
+    if time_mode not in _RATES:
+        message = f"unknown time mode {time_mode}: using {_RATES[0]} frames per second"
+        file.notes.warn("FBX106", file.settings.element.location, message)
+    return _RATES.get(time_mode, _RATES[0])
 
 
 def _read_old_rate(file: FbxFile) -> Fraction:

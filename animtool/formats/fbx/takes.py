@@ -28,7 +28,7 @@ from animtool.formats.fbx.objects import (
     FIRST_NUMBERED_VERSION,
     FIRST_OBJECT_VERSION,
     FbxFile,
-    Object,
+    FbxObject,
     ObjectId,
     read_scalar,
     split_name,
@@ -40,8 +40,8 @@ from animtool.formats.fbx.old_keys import (
 )
 from animtool.formats.fbx.settings import convert_new_ticks, has_new_ticks
 
-# Component names of each animatable property, as in curve nodes.
 _OTHER_PROPERTIES = (*PIVOT_PROPERTIES, *OUTER_ROTATIONS)
+# Component names of each animatable property, as in curve nodes.
 COMPONENTS: dict[str, tuple[str, ...]] = dict.fromkeys(
     (TRANSLATION, ROTATION, SCALING, *_OTHER_PROPERTIES), ("d|X", "d|Y", "d|Z")
 )
@@ -63,7 +63,7 @@ class AnimTake:
     """A take: the animated properties of objects over a span of time."""
 
     name: str  # name in the file
-    where: str  # location of the take's element in the file
+    location: str  # location of the take's element in the file
     start_ticks: int  # start of the take's span [tick]
     end_ticks: int  # end of the take's span [tick]
     # Names of the take's layers, from bottom to top.
@@ -107,8 +107,8 @@ def find_default_take(file: FbxFile, takes: list[AnimTake]) -> int:
         if property_element.text(0) == "ActiveAnimStackName":
             name = property_element.text(4)
     for takes_element in file.root.find_all("Takes"):
-        current = takes_element.find("Current")
-        name = current.text(0) if current is not None else name
+        current_element = takes_element.find("Current")
+        name = current_element.text(0) if current_element is not None else name
     if not takes:
         return -1
     # An animated take of that name, else an animated one, else one of that name.
@@ -127,20 +127,20 @@ class _StackReader:
         self._times: dict[bytes, IntArray] = {}
         self._has_new_ticks = has_new_ticks(file)
 
-    def read_take(self, stack: Object) -> AnimTake:
+    def read_take(self, stack: FbxObject) -> AnimTake:
         file = self.file
         start_ticks, end_ticks = (
             self._read_ticks(stack, name) for name in ("LocalStart", "LocalStop")
         )
-        take = AnimTake(stack.name, stack.element.where, start_ticks, end_ticks)
+        take = AnimTake(stack.name, stack.element.location, start_ticks, end_ticks)
         layers = file.sources(stack.id, "AnimationLayer")
         if len(layers) > MAX_LAYERS:
             message = f"{len(layers)} layers of {stack.name!r}"
-            file.notes.fail("FBX013", stack.element.where, message)
-        active_layers = [a for a in layers if read_scalar(a, "Solo", 0, file.notes)]
+            file.notes.fail("FBX013", stack.element.location, message)
+        active_layers = [o for o in layers if read_scalar(o, "Solo", 0, file.notes)]
         if not active_layers:
             active_layers = [
-                a for a in layers if not read_scalar(a, "Mute", 0, file.notes)
+                o for o in layers if not read_scalar(o, "Mute", 0, file.notes)
             ]
         take.layers += [layer.name for layer in layers]
         for i, layer in enumerate(layers):
@@ -149,54 +149,66 @@ class _StackReader:
         return take
 
     def _add_layer(
-        self, take: AnimTake, layer_object: Object, *, is_first: bool
+        self, take: AnimTake, layer_object: FbxObject, *, is_first: bool
     ) -> None:
         file = self.file
         layer = self._read_layer(layer_object)
-        for source, name in file.incoming.get(layer_object.id, ()):
-            node = file.objects.get(source)
-            if name or node is None or node.kind != "AnimationCurveNode":
+        for source_id, name in file.incoming_connections.get(layer_object.id, ()):
+            curve_node = file.objects.get(source_id)
+            if name or curve_node is None or curve_node.kind != "AnimationCurveNode":
                 continue
-            for target, property_name in file.outgoing.get(source, ()):
+            for target_id, property_name in file.outgoing_connections.get(
+                source_id, ()
+            ):
                 if property_name == "Visibility":
                     take.has_animated_visibility = True
                 if property_name in _STATIC_PROPERTIES:
-                    self._check_not_animated(node, property_name, take)
-                if property_name not in COMPONENTS or target not in file.objects:
+                    self._check_not_animated(curve_node, property_name, take)
+                if property_name not in COMPONENTS or target_id not in file.objects:
                     continue
-                key = target, property_name
-                track = take.tracks.setdefault(key, PropertyTrack(property_name))
+                track_key = target_id, property_name
+                track = take.tracks.setdefault(track_key, PropertyTrack(property_name))
                 if track.layers and track.layers[-1].layer is layer:
                     continue  # a layer affects a property once
-                values = self._layer_values(node, property_name, layer, is_first)
-                track.layers.append(values)
+                layer_values = self._layer_values(
+                    curve_node, property_name, layer, is_first
+                )
+                track.layers.append(layer_values)
 
-    def _check_not_animated(self, node: Object, name: str, take: AnimTake) -> None:
-        if all(c is None or c.is_static() for c in self._node_curves(node).values()):
+    def _check_not_animated(
+        self, curve_node: FbxObject, name: str, take: AnimTake
+    ) -> None:
+        if all(
+            c is None or c.is_static() for c in self._node_curves(curve_node).values()
+        ):
             return
         message = f"take {take.name!r}: {name} over time is not read"
         hint = "bake the animation before exporting"
-        self.file.notes.fail("FBX004", node.element.where, message, hint)
+        self.file.notes.fail("FBX004", curve_node.element.location, message, hint)
 
     def _layer_values(
-        self, node: Object, name: str, layer: Layer, is_first: bool
+        self, curve_node: FbxObject, name: str, layer: Layer, is_first: bool
     ) -> LayerValues:
         components, default = COMPONENTS[name], _CHANNEL_DEFAULTS[name]
-        defaults = [read_scalar(node, c, default, self.file.notes) for c in components]
-        curves = self._node_curves(node)
+        defaults = [
+            read_scalar(curve_node, c, default, self.file.notes) for c in components
+        ]
+        curves = self._node_curves(curve_node)
         return LayerValues(layer, is_first, defaults, [*map(curves.get, components)])
 
-    def _node_curves(self, node: Object) -> dict[str, FbxCurve | None]:
+    def _node_curves(self, curve_node: FbxObject) -> dict[str, FbxCurve | None]:
         curves: dict[str, FbxCurve | None] = {}
-        for source, component in self.file.incoming.get(node.id, ()):
-            curve_object = self.file.objects.get(source)
+        for curve_id, component in self.file.incoming_connections.get(
+            curve_node.id, ()
+        ):
+            curve_object = self.file.objects.get(curve_id)
             if curve_object is None or curve_object.kind != "AnimationCurve":
                 continue
             if component in curves:
                 continue
-            if source not in self._curves:
-                self._curves[source] = self._read_curve(curve_object.element)
-            curves[component] = self._curves[source]
+            if curve_id not in self._curves:
+                self._curves[curve_id] = self._read_curve(curve_object.element)
+            curves[component] = self._curves[curve_id]
         return curves
 
     def _read_curve(self, element: Element) -> FbxCurve | None:
@@ -210,7 +222,7 @@ class _StackReader:
         times = self._times.setdefault(curve.times.tobytes(), curve.times)
         return replace(curve, times=times)
 
-    def _read_ticks(self, stack: Object, name: str) -> int:
+    def _read_ticks(self, stack: FbxObject, name: str) -> int:
         """Return a time property of a stack [ticks]; 0 if it is missing."""
         values = stack.values(name)
         if not values or not isinstance(values[0], int):
@@ -220,18 +232,18 @@ class _StackReader:
             return int(convert_new_ticks(np.array([ticks]))[0])
         return ticks
 
-    def _read_layer(self, layer_object: Object) -> Layer:
+    def _read_layer(self, layer_object: FbxObject) -> Layer:
         notes = self.file.notes
         mode = int(read_scalar(layer_object, "BlendMode", 0, notes))
         if mode not in {0, 1, 2}:
             message = f"layer {layer_object.name!r}: blend mode {mode} is not supported"
-            notes.fail("FBX004", layer_object.element.where, message)
+            notes.fail("FBX004", layer_object.element.location, message)
         curve, weight = None, read_scalar(layer_object, "Weight", 100.0, notes)
-        for source, name in self.file.incoming.get(layer_object.id, ()):
-            node = self.file.objects.get(source)
-            if name == "Weight" and node is not None:
-                curve = next(iter(self._node_curves(node).values()), None)
-                weight = read_scalar(node, "d|Weight", weight, notes)
+        for source_id, name in self.file.incoming_connections.get(layer_object.id, ()):
+            curve_node = self.file.objects.get(source_id)
+            if name == "Weight" and curve_node is not None:
+                curve = next(iter(self._node_curves(curve_node).values()), None)
+                weight = read_scalar(curve_node, "d|Weight", weight, notes)
         return Layer(
             min(max(weight / 100.0, 0.0), 1.0),
             curve,
@@ -247,9 +259,9 @@ def _clamp_ticks(ticks: int) -> int:
 
 def _read_old_takes(file: FbxFile) -> list[AnimTake]:
     old_takes = []
-    for takes in file.root.find_all("Takes"):
-        for element in takes.find_all("Take"):
-            take = AnimTake(element.text(0), element.where, 0, 0, ["BaseLayer"])
+    for takes_element in file.root.find_all("Takes"):
+        for element in takes_element.find_all("Take"):
+            take = AnimTake(element.text(0), element.location, 0, 0, ["BaseLayer"])
             span = element.find("LocalTime")
             if span is not None and len(span.values) > 1:
                 take.start_ticks, take.end_ticks = (
@@ -273,7 +285,7 @@ def _read_old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
             take.has_animated_visibility |= channel.find("Key") is not None
         if channel.find("Layer") is not None:
             message = f"take {take.name!r}: layers of {name!r} are not supported"
-            file.notes.fail("FBX004", channel.where, excerpt(message))
+            file.notes.fail("FBX004", channel.location, excerpt(message))
         if file.version < FIRST_OBJECT_VERSION:
             channel_name = channel_name.removesuffix(SHAPE_SUFFIX)
         if channel_name in shapes:
@@ -289,7 +301,7 @@ def _read_old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
                 _read_old_track(file, take, object_id, property_name, axis_channels)
 
 
-def old_shapes(file: FbxFile, model: Object) -> list[Element]:
+def old_shapes(file: FbxFile, model: FbxObject) -> list[Element]:
     """Return the shapes of a model's mesh (before FBX 7000)."""
     owners = [model, *file.sources(model.id, "Geometry", "Mesh")]
     return [shape for owner in owners for shape in owner.element.find_all("Shape")]

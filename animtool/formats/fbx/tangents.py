@@ -41,7 +41,9 @@ def compute_key_slopes(
     is_cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)
     is_tcb = is_cubic & (flags & TCB != 0)
     is_auto = is_cubic & ~is_tcb & (flags & USER == 0)
-    chords = _chord_slopes(seconds, values)
+    steps = np.diff(seconds)
+    # Slopes between keys; 0 between keys of equal time.
+    chords = np.diff(values) / np.where(steps > 0, steps, np.inf)
     out_slopes, in_slopes = key_data[:, 0].copy(), key_data[:, 1].copy()
     is_straight = (flags & (STEPPED | CURVED)) == 0
     straight_slopes = np.append(chords, 0.0)[is_straight]
@@ -56,12 +58,6 @@ def compute_key_slopes(
         _set_tcb_slopes(is_tcb, slopes, chords, key_data)
     # The last key has no segment after it.
     return out_slopes, np.append(slopes_before[1:], in_slopes[-1:])
-
-
-def _chord_slopes(seconds: FloatArray, values: FloatArray) -> FloatArray:
-    """Return chord slopes between keys; 0 between keys of equal time."""
-    steps = np.diff(seconds)
-    return np.asarray(np.diff(values) / np.where(steps > 0, steps, np.inf))
 
 
 def _set_auto_slopes(
@@ -86,25 +82,25 @@ def _set_auto_slopes(
             bias = float(out_slopes[k] if k == 0 else -slopes_before[k])
             end_slope = _end_slope(int(flags[k]), float(chord), bias)
             slopes_before[k] = out_slopes[k] = end_slope
-    inner_keys = np.flatnonzero(is_auto[1:-1]) + 1
-    if not len(inner_keys):
+    inner_indices = np.flatnonzero(is_auto[1:-1]) + 1
+    if not len(inner_indices):
         return
-    slope_sums = slopes_before[inner_keys] + out_slopes[inner_keys]
+    slope_sums = slopes_before[inner_indices] + out_slopes[inner_indices]
     is_broken = np.abs(slope_sums) > SLOPE_TOLERANCE
-    bias_out = out_slopes[inner_keys].copy()
-    bias_in = np.where(is_broken, -slopes_before[inner_keys], bias_out)
+    bias_out = out_slopes[inner_indices].copy()
+    bias_in = np.where(is_broken, -slopes_before[inner_indices], bias_out)
     inner_slopes = [
-        _inner_slopes(inner_keys, seconds, values, flags, weights, chords, bias)
+        _inner_slopes(inner_indices, seconds, values, flags, weights, chords, bias)
         for bias in (bias_in, bias_out)
     ]
-    slopes_before[inner_keys], out_slopes[inner_keys] = inner_slopes
+    slopes_before[inner_indices], out_slopes[inner_indices] = inner_slopes
 
 
-def _end_slope(flags: int, chord: float, bias: float) -> float:
-    if flags & PROGRESSIVE or (flags & CLAMPED and chord == 0.0):
+def _end_slope(key_flags: int, chord: float, bias: float) -> float:
+    if key_flags & PROGRESSIVE or (key_flags & CLAMPED and chord == 0.0):
         return 0.0
     excess = abs(bias) / 100.0 - MAX_LINEAR_BIAS
-    if not flags & TIME_INDEPENDENT and excess > 0.0:
+    if not key_flags & TIME_INDEPENDENT and excess > 0.0:
         chord += excess * excess * BIAS_GAIN * (1.0 if bias > 0 else -1.0)
     return chord
 
@@ -118,7 +114,7 @@ def _inner_slopes(
     chords: FloatArray,
     bias: FloatArray,
 ) -> FloatArray:
-    """Return the slopes of automatic keys with neighbours on both sides [1/s]."""
+    """Return the slopes of automatic keys ``k`` with neighbours on both sides [1/s]."""
     key_flags, chord_before, chord_after = flags[k], chords[k - 1], chords[k]
     time_before, time_after = seconds[k] - seconds[k - 1], seconds[k + 1] - seconds[k]
     duration = np.where(time_before + time_after > 0, time_before + time_after, np.inf)
@@ -146,8 +142,8 @@ def _inner_slopes(
         (chord_before, weights[k - 1, 1]),
         (chord_after, weights[k, 0]),
     ):
-        limit = direction * chord / np.where(weight > 0, weight, np.inf)
-        max_slope = np.minimum(max_slope, np.maximum(limit, 0.0))
+        chord_limit = direction * chord / np.where(weight > 0, weight, np.inf)
+        max_slope = np.minimum(max_slope, np.maximum(chord_limit, 0.0))
     max_slope = np.where(key_flags & PROGRESSIVE != 0, max_slope, np.inf)
     slope = direction * np.minimum(direction * slope, max_slope)
     is_extremum = (values[k] == values[k - 1]) | (values[k] == values[k + 1])

@@ -8,10 +8,10 @@ from typing import Any, NoReturn
 import numpy as np
 
 from animtool.core.errors import excerpt
-from animtool.formats.fbx.elements import MAX_DEPTH, MAX_ELEMENTS, Element
+from animtool.formats.fbx.elements import MAX_ELEMENTS, MAX_NESTING, Element
 from animtool.formats.file_notices import FileNotices
 
-_TOKEN = re.compile(
+_TOKEN_PATTERN = re.compile(
     rb"""(?P<space>(?:[\s\x00]+|;[^\n]*)+)
     |"(?P<text>[^"]*)"
     |(?P<name>[A-Za-z_][\w .|\-]*):
@@ -26,22 +26,22 @@ _TOKEN = re.compile(
 MAX_NUMBER_BYTES = 100
 # Minimum number of numbers that are parsed as one array.
 MIN_BATCH_NUMBERS = 8
-_VERSION = re.compile(rb"FBXVersion:\s*(\d{1,9})")
-_COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
+_VERSION_PATTERN = re.compile(rb"FBXVersion:\s*(\d{1,9})")
+_COMMENT_PATTERN = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
 
 
 def looks_like_text(content: bytes) -> bool:
     """Return whether bytes begin like a text FBX."""
     start = content[:4096]
-    return bool(_COMMENT.match(start)) or b"FBXHeaderExtension" in start
+    return bool(_COMMENT_PATTERN.match(start)) or b"FBXHeaderExtension" in start
 
 
 def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
     """Return the version and root element of a text FBX."""
-    match = _VERSION.search(content, 0, 100_000)
+    match = _VERSION_PATTERN.search(content, 0, 100_000)
     version = int(match[1]) if match else 0
     if not version:
-        comment = _COMMENT.match(content)
+        comment = _COMMENT_PATTERN.match(content)
         digits = comment.groups() if comment else (b"0",)
         version = int(b"".join(digits)) * 10
     return version, _TextParser(content, notes).parse()
@@ -54,8 +54,8 @@ class _TextParser:
         self.content, self.notes = content, notes
         self.element_count = 0
         self._line_offset, self._line = 0, 1
-        self.stack = [Element("", [], "line 1")]
-        self.current: Element | None = None
+        self.open_elements = [Element("", [], "line 1")]
+        self.current_element: Element | None = None
         # Elements whose values are in a child element, by id; they are kept alive so
         # that ids stay unique.
         self.array_elements: dict[int, Element] = {}
@@ -65,69 +65,71 @@ class _TextParser:
         self._line_offset = offset
         return f"line {self._line}"
 
-    def fail(self, offset: int, message: str) -> NoReturn:
+    def fail_at(self, offset: int, message: str) -> NoReturn:
         line = self.content.count(b"\n", 0, offset) + 1
         self.notes.fail("FBX001", f"line {line}", message, "copy or export it again")
 
     def parse(self) -> Element:
-        root = self.stack[0]
+        root = self.open_elements[0]
         offset = 3 if self.content[:3] == b"\xef\xbb\xbf" else 0
         size = len(self.content)
         while offset < size:
-            token = _TOKEN.match(self.content, offset)
+            token = _TOKEN_PATTERN.match(self.content, offset)
             if token is None:
-                start = self.content[offset : offset + 12]
-                if start[:1] == b'"':
+                next_bytes = self.content[offset : offset + 12]
+                if next_bytes[:1] == b'"':
                     # A text without a closing quote goes on to the end.
-                    self.fail(offset, "the file ends in the middle of a text")
-                unexpected_text = excerpt(start.decode("utf-8", "replace"))
-                self.fail(offset, f"unexpected {unexpected_text}")
-            self._handle_token(token, offset)
+                    self.fail_at(offset, "the file ends in the middle of a text")
+                unexpected_text = excerpt(next_bytes.decode("utf-8", "replace"))
+                self.fail_at(offset, f"unexpected {unexpected_text}")
+            self._read_token(token, offset)
             offset = token.end()
-        if len(self.stack) > 1:
-            self.fail(size, f"the file ends in the middle of {self.stack[-1].name}")
+        if len(self.open_elements) > 1:
+            self.fail_at(
+                size, f"the file ends in the middle of {self.open_elements[-1].name}"
+            )
         for element in _elements_with_arrays(root):
             _join_arrays(element)
         return root
 
-    def _handle_token(self, token: re.Match[bytes], offset: int) -> None:
+    def _read_token(self, token: re.Match[bytes], offset: int) -> None:
         kind = token.lastgroup
         if kind == "space":
             return
         if kind == "name":
             self._open_element(token, offset)
         elif kind == "mark":
-            self._handle_brace(token[0], offset)
-        elif self.current is None:
-            self.fail(offset, "a value without a name before it")
+            self._read_brace(token[0], offset)
+        elif self.current_element is None:
+            self.fail_at(offset, "a value without a name before it")
         elif kind == "count":
-            self.array_elements[id(self.current)] = self.current
+            self.array_elements[id(self.current_element)] = self.current_element
         elif kind == "numbers":
-            self._add_number_list(self.current, token["numbers"], offset)
+            self._add_number_list(self.current_element, token["numbers"], offset)
         elif kind == "text":
             text = token["text"].decode("utf-8", "replace")
-            self.current.values.append(text.replace("&quot;", '"'))
+            self.current_element.values.append(text.replace("&quot;", '"'))
         else:
-            self.current.values.append(_parse_word(token["word"]))
+            self.current_element.values.append(_parse_word(token["word"]))
 
-    def _handle_brace(self, character: bytes, offset: int) -> None:
+    def _read_brace(self, character: bytes, offset: int) -> None:
         if character == b"{":
-            if self.current is None:
-                self.fail(offset, "a brace without a name before it")
-            self.stack.append(self.current)
-            if len(self.stack) > MAX_DEPTH:
-                message = f"more than {MAX_DEPTH} levels"
+            if self.current_element is None:
+                self.fail_at(offset, "a brace without a name before it")
+            self.open_elements.append(self.current_element)
+            if len(self.open_elements) > MAX_NESTING:
+                message = f"more than {MAX_NESTING} levels"
                 self.notes.fail("FBX013", self.line_label(offset), message)
-            self.current = None
+            self.current_element = None
         elif character == b"}":
-            if len(self.stack) == 1:
-                self.fail(offset, "a closing brace without an opening one")
-            element = self.stack.pop()
+            if len(self.open_elements) == 1:
+                self.fail_at(offset, "a closing brace without an opening one")
+            element = self.open_elements.pop()
             if id(element) in self.array_elements:
                 values_element = element.find("a")
                 element.values = [] if values_element is None else values_element.values
                 element.children = []
-            self.current = None
+            self.current_element = None
 
     def _open_element(self, token: re.Match[bytes], offset: int) -> None:
         self.element_count += 1
@@ -135,8 +137,8 @@ class _TextParser:
             message = f"more than {MAX_ELEMENTS} elements"
             self.notes.fail("FBX013", self.line_label(offset), message)
         name = token["name"].decode("utf-8", "replace")
-        self.current = Element(name, [], self.line_label(offset))
-        self.stack[-1].children.append(self.current)
+        self.current_element = Element(name, [], self.line_label(offset))
+        self.open_elements[-1].children.append(self.current_element)
 
     def _add_number_list(self, element: Element, text: bytes, offset: int) -> None:
         """Add comma-separated numbers to an element; long lists are added as arrays."""
@@ -148,7 +150,7 @@ class _TextParser:
         except (ValueError, OverflowError):
             pass
         start = excerpt(text[:40].decode("utf-8", "replace"))
-        self.fail(offset, f"{start} is not a list of numbers")
+        self.fail_at(offset, f"{start} is not a list of numbers")
 
 
 def _add_numbers(element: Element, text: bytes, texts: list[bytes]) -> None:
@@ -162,12 +164,12 @@ def _add_numbers(element: Element, text: bytes, texts: list[bytes]) -> None:
 
 def _elements_with_arrays(root: Element) -> list[Element]:
     """Return the elements that have arrays among their values."""
-    elements, stack = [], [root]
-    while stack:
-        element = stack.pop()
+    elements, pending = [], [root]
+    while pending:
+        element = pending.pop()
         if any(isinstance(value, np.ndarray) for value in element.values):
             elements.append(element)
-        stack += element.children
+        pending += element.children
     return elements
 
 
@@ -198,9 +200,9 @@ def _parse_number(text: bytes) -> int | float:
 _NON_FINITE_WORDS = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
 
 
-def _parse_word(raw: bytes) -> Any:
-    word = raw.decode("utf-8", "replace")
-    lower = word.lower().split("(")[0]
-    if lower in _NON_FINITE_WORDS or "#" in lower:
-        return float(_NON_FINITE_WORDS.get(lower, np.nan))
+def _parse_word(word_bytes: bytes) -> Any:
+    word = word_bytes.decode("utf-8", "replace")
+    lowercase_word = word.lower().split("(")[0]
+    if lowercase_word in _NON_FINITE_WORDS or "#" in lowercase_word:
+        return float(_NON_FINITE_WORDS.get(lowercase_word, np.nan))
     return word

@@ -43,7 +43,7 @@ AnyArray = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class BufferView:
-    """A bufferView: a byte range of a buffer."""
+    """A bufferView: a byte range of the buffer with an index."""
 
     item: JsonItem
     buffer: int
@@ -59,7 +59,7 @@ class SparseValues:
     count: int
     index_view: int
     index_offset: int
-    index_type: np.dtype[Any]
+    index_dtype: np.dtype[Any]
     value_view: int
     value_offset: int
 
@@ -72,9 +72,9 @@ class Accessor:
     component_type: int
     element_type: str  # such as ``VEC3``
     count: int
-    view: int  # index; -1 for zeros
+    view_index: int  # index of its view; -1 for zeros
     offset: int
-    normalized: bool
+    is_normalized: bool
     sparse: SparseValues | None
 
     @property
@@ -87,14 +87,16 @@ class Accessor:
         """JSON pointer of the accessor."""
         return self.item.pointer
 
-    def has_type(self, kind: str, *components: int) -> bool:
+    def has_type(self, element_type: str, *component_types: int) -> bool:
         """Return whether the element type and any of the component types match."""
-        return self.element_type == kind and self.component_type in components
+        return (
+            self.element_type == element_type and self.component_type in component_types
+        )
 
 
 @dataclass(slots=True)
 class Accessors:
-    """The accessors of a file; bytes are read on demand."""
+    """The accessors of a file by index; their bytes are read on demand."""
 
     container: Container
     folder: Path
@@ -102,7 +104,7 @@ class Accessors:
     notes: FileNotices = field(init=False)
     buffers: Buffers = field(init=False)
     views: list[BufferView | None] = field(default_factory=list)
-    entries: list[Accessor | None] = field(default_factory=list)
+    by_index: list[Accessor | None] = field(default_factory=list)
     _arrays: dict[int, AnyArray] = field(default_factory=dict)
     _number_count: int = 0
     _zero_count: int = 0
@@ -114,16 +116,16 @@ class Accessors:
         self.buffers = Buffers(self.container, self.folder)
         for i in range(len(self.buffers)):
             if i not in self.unused_indices.buffers:
-                self.buffers.check(i)
+                self.buffers.check_available(i)
         for i, item in enumerate(root.children("bufferViews")):
             self.views.append(self._read_view(item, i in self.unused_indices.views))
         for i, item in enumerate(root.children("accessors")):
             is_unused = i in self.unused_indices.accessors
-            self.entries.append(None if is_unused else self._read_accessor(item))
+            self.by_index.append(None if is_unused else self._read_accessor(item))
 
     def get(self, index: int) -> Accessor:
         """Return the accessor at an index, which must be one that is read."""
-        accessor = self.entries[index]
+        accessor = self.by_index[index]
         assert accessor is not None
         return accessor
 
@@ -134,77 +136,79 @@ class Accessors:
         extension or another program fills have no bytes.
         """
         accessor = self.get(index)
-        if accessor.view < 0:
+        if accessor.view_index < 0:
             return accessor.sparse is not None
-        view = self.views[accessor.view]
+        view = self.views[accessor.view_index]
         return view is not None and self.buffers.has_data(view.buffer)
 
-    def numbers(self, index: int, *, finite: bool = True) -> AnyArray:
+    def numbers(self, index: int, *, must_be_finite: bool = True) -> AnyArray:
         """Return an accessor's numbers ``(count, width)`` in the stored type.
 
-        The array may share the file's memory; do not write to it. ``finite`` checks
-        that floats are finite.
+        The array may share the file's memory; do not write to it. Floats are
+        checked to be finite if ``must_be_finite``.
         """
         if index in self._arrays:
             return self._arrays[index]
         accessor = self.get(index)
-        self._check_budget(accessor)
+        self._check_number_limit(accessor)
         values = self._dense_values(accessor)
         if accessor.sparse is not None:
             values = self._replace_sparse(accessor, accessor.sparse, values)
-        if finite and accessor.component_type == FLOAT_COMPONENT:
+        if must_be_finite and accessor.component_type == FLOAT_COMPONENT:
             check_finite(values, accessor)
         self._arrays[index] = values
         return values
 
     def floats(self, index: int) -> npt.NDArray[np.float64]:
-        """Return an accessor's numbers as floats, normalised if so stated."""
+        """Return numbers as float64 ``(count, width)``, normalised if so stated."""
         accessor = self.get(index)
         values = self.numbers(index).astype(np.float64)
-        if accessor.normalized and accessor.component_type != FLOAT_COMPONENT:
+        if accessor.is_normalized and accessor.component_type != FLOAT_COMPONENT:
             dtype = COMPONENT_TYPES[accessor.component_type]
             values /= np.iinfo(dtype).max
             if dtype.kind == "i":
                 np.maximum(values, -1.0, out=values)
         return values
 
-    def _check_budget(self, accessor: Accessor) -> None:
-        count = accessor.count * accessor.width
-        self._number_count += count
-        self._zero_count += count if accessor.view < 0 else 0
+    def _check_number_limit(self, accessor: Accessor) -> None:
+        number_count = accessor.count * accessor.width
+        self._number_count += number_count
+        self._zero_count += number_count if accessor.view_index < 0 else 0
         opened_bytes = self.container.byte_count + self.buffers.opened_bytes
-        limit = MAX_NUMBERS + NUMBERS_PER_BYTE * opened_bytes
-        if self._number_count > limit or self._zero_count > MAX_ZERO_NUMBERS:
+        max_numbers = MAX_NUMBERS + NUMBERS_PER_BYTE * opened_bytes
+        if self._number_count > max_numbers or self._zero_count > MAX_ZERO_NUMBERS:
             message = f"{accessor.count} elements need more bytes than the file has"
             self.notes.fail("GLT013", accessor.pointer, message)
 
     def _dense_values(self, accessor: Accessor) -> AnyArray:
         dtype = COMPONENT_TYPES[accessor.component_type]
         shape = (accessor.count, accessor.width)
-        if accessor.view < 0:
+        if accessor.view_index < 0:
             return np.zeros(shape, dtype)
-        view = self._require_view(accessor.view, accessor.pointer)
-        return self._elements(view, accessor.offset, shape, dtype, view.stride)
+        view = self._require_view(accessor.view_index, accessor.pointer)
+        return self._read_elements(view, accessor.offset, shape, dtype, view.stride)
 
     def _replace_sparse(
         self, accessor: Accessor, sparse: SparseValues, base: AnyArray
     ) -> AnyArray:
-        where = f"{accessor.pointer}/sparse"
-        index_view = self._require_view(sparse.index_view, f"{where}/indices")
-        value_view = self._require_view(sparse.value_view, f"{where}/values")
+        pointer = f"{accessor.pointer}/sparse"
+        index_view = self._require_view(sparse.index_view, f"{pointer}/indices")
+        value_view = self._require_view(sparse.value_view, f"{pointer}/values")
         dtype = COMPONENT_TYPES[accessor.component_type]
         shape, offset = (sparse.count, 1), sparse.index_offset
-        rows = self._elements(index_view, offset, shape, sparse.index_type)
+        rows = self._read_elements(index_view, offset, shape, sparse.index_dtype)
         indices = rows[:, 0].astype(np.int64)
         if (np.diff(indices) <= 0).any() or indices[-1] >= accessor.count:
             message = f"sparse indices must ascend, below {accessor.count}"
-            self.notes.fail("GLT006", f"{where}/indices", message)
+            self.notes.fail("GLT006", f"{pointer}/indices", message)
         values = base.copy()
         shape = sparse.count, accessor.width
-        values[indices] = self._elements(value_view, sparse.value_offset, shape, dtype)
+        values[indices] = self._read_elements(
+            value_view, sparse.value_offset, shape, dtype
+        )
         return values
 
-    def _elements(
+    def _read_elements(
         self,
         view: BufferView,
         offset: int,
@@ -222,10 +226,10 @@ class Accessors:
         rows = np.ndarray(row_shape, np.uint8, content, start, strides)
         return np.ascontiguousarray(rows).view(dtype)
 
-    def _require_view(self, index: int, where: str) -> BufferView:
+    def _require_view(self, index: int, pointer: str) -> BufferView:
         view = self.views[index]
         if view is None:
-            self.notes.fail("GLT008", where, f"bufferView {index} holds an image")
+            self.notes.fail("GLT008", pointer, f"bufferView {index} holds an image")
         return view
 
     def _read_view(self, item: JsonItem, is_ignored: bool) -> BufferView | None:
@@ -278,21 +282,24 @@ class Accessors:
         self._check_inside(accessor)
         return accessor
 
-    def warn_about_stride(self, index: int, where: str) -> None:
+    def warn_about_stride(self, index: int, pointer: str) -> None:
         """Warn if the view of an accessor without vertices has a byteStride."""
-        accessor = self.entries[index]
-        if accessor is None or accessor.view < 0:
+        accessor = self.by_index[index]
+        if accessor is None or accessor.view_index < 0:
             return
-        view = self.views[accessor.view]
+        view = self.views[accessor.view_index]
         if view is not None and view.stride:
-            message = f"bufferView {accessor.view} has a byteStride, and holds no "
-            message += "vertices"
-            self.notes.warn("GLT105", where, message)
+            message = f"bufferView {accessor.view_index} has a byteStride, "
+            message += "and holds no vertices"
+            self.notes.warn("GLT105", pointer, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
-        """Raise if an accessor is larger than its view."""
+        """Raise if an accessor or its sparse values exceed their views (GLT008)."""
         dtype = COMPONENT_TYPES[accessor.component_type]
-        if accessor.view >= 0 and (view := self.views[accessor.view]) is not None:
+        if (
+            accessor.view_index >= 0
+            and (view := self.views[accessor.view_index]) is not None
+        ):
             # Matrix columns of 1- or 2-byte components start at multiples of 4 bytes.
             element_bytes = _element_bytes(accessor.element_type, dtype)
             stride = view.stride or element_bytes
@@ -309,7 +316,7 @@ class Accessors:
         sparse = accessor.sparse
         if sparse is None:
             return
-        index_bytes = sparse.count * sparse.index_type.itemsize
+        index_bytes = sparse.count * sparse.index_dtype.itemsize
         value_bytes = sparse.count * accessor.width * dtype.itemsize
         for key, view_index, end in (
             ("indices", sparse.index_view, sparse.index_offset + index_bytes),
@@ -317,12 +324,12 @@ class Accessors:
         ):
             sparse_view = self.views[view_index]
             if sparse_view is not None and end > sparse_view.length:
-                where = f"{accessor.pointer}/sparse/{key}"
-                self._fail_beyond_view(where, end, sparse_view)
+                pointer = f"{accessor.pointer}/sparse/{key}"
+                self._fail_beyond_view(pointer, end, sparse_view)
 
-    def _fail_beyond_view(self, where: str, end: int, view: BufferView) -> NoReturn:
+    def _fail_beyond_view(self, pointer: str, end: int, view: BufferView) -> NoReturn:
         message = f"reads up to byte {end} of a bufferView of {view.length}"
-        self.notes.fail("GLT008", where, message)
+        self.notes.fail("GLT008", pointer, message)
 
     def _read_sparse(self, item: JsonItem, count: int) -> SparseValues | None:
         sparse = item.child("sparse")
@@ -335,16 +342,16 @@ class Accessors:
             sparse.required_child("indices"),
             sparse.required_child("values"),
         )
-        component = indices.integer("componentType")
-        if component not in {5121, 5123, 5125}:
+        component_type = indices.integer("componentType")
+        if component_type not in {5121, 5123, 5125}:
             indices.fail("componentType", "sparse indices must be unsigned integers")
-        views = len(self.views)
+        view_count = len(self.views)
         return SparseValues(
             sparse_count,
-            indices.required_index("bufferView", views, "bufferView"),
+            indices.required_index("bufferView", view_count, "bufferView"),
             indices.size("byteOffset", 0),
-            COMPONENT_TYPES[component],
-            values.required_index("bufferView", views, "bufferView"),
+            COMPONENT_TYPES[component_type],
+            values.required_index("bufferView", view_count, "bufferView"),
             values.size("byteOffset", 0),
         )
 
@@ -372,7 +379,7 @@ def _element_bytes(element_type: str, dtype: np.dtype[Any]) -> int:
 
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:
-    """Raise if a number is not finite."""
+    """Raise at the first element with a number that is not finite (GLT010)."""
     numbers = values.reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):
         # If the sum of squares is finite, all numbers are.
@@ -380,6 +387,6 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
             return
     non_finite_indices = np.argwhere(~np.isfinite(values))
     if len(non_finite_indices):
-        i = int(non_finite_indices[0, 0])
-        message = f"element {i} is {values[tuple(non_finite_indices[0])]}, not finite"
+        element, value = int(non_finite_indices[0, 0]), values[*non_finite_indices[0]]
+        message = f"element {element} is {value}, not finite"
         accessor.item.notes.fail("GLT010", accessor.pointer, message)

@@ -10,7 +10,7 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
 from animtool.formats.gltf.json_items import JsonItem
-from animtool.formats.gltf.meshes import MeshEntry
+from animtool.formats.gltf.meshes import GltfMesh
 from animtool.formats.gltf.nodes import VISIBILITY
 
 POINTER_EXTENSION = "KHR_animation_pointer"
@@ -32,11 +32,11 @@ _PATH_WIDTHS = {
     TargetPath.SCALE: 3,
     TargetPath.VISIBLE: 1,
 }
-_NODE_POINTER = re.compile(
+_NODE_POINTER_PATTERN = re.compile(
     r"/nodes/(\d+)/(translation|rotation|scale|weights"
     rf"|extensions/{VISIBILITY}/visible)(?:/(\d+))?$"
 )
-_MESH_POINTER = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
+_MESH_POINTER_PATTERN = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class ChannelTarget:
 def read_channel_target(
     channel: JsonItem,
     nodes: Sequence[Node],
-    meshes: Sequence[MeshEntry],
+    meshes: Sequence[GltfMesh],
     ignored_targets: dict[str, None],
 ) -> ChannelTarget | None:
     """Return the target of a channel; None if the channel is ignored."""
@@ -77,7 +77,7 @@ def read_channel_target(
 def _build_node_target(
     target: JsonItem,
     nodes: Sequence[Node],
-    meshes: Sequence[MeshEntry],
+    meshes: Sequence[GltfMesh],
     node: int,
     path: TargetPath,
     weight_index: int = -1,
@@ -107,7 +107,7 @@ def _weights_target(
 def _read_pointer_target(
     target: JsonItem,
     nodes: Sequence[Node],
-    meshes: Sequence[MeshEntry],
+    meshes: Sequence[GltfMesh],
     ignored_targets: dict[str, None],
 ) -> ChannelTarget | None:
     """Return the target of a `KHR_animation_pointer` channel."""
@@ -118,11 +118,11 @@ def _read_pointer_target(
         target.notes.warn("GLT106", target.pointer, message)
         return None
     if not text.startswith("/"):
-        where = extension.pointer_to("pointer") if extension else target.pointer
+        pointer = extension.pointer_to("pointer") if extension else target.pointer
         message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
-        target.notes.warn("GLT106", where, message)
+        target.notes.warn("GLT106", pointer, message)
         return None
-    if match := _NODE_POINTER.fullmatch(text):
+    if match := _NODE_POINTER_PATTERN.fullmatch(text):
         node = int(match[1][:9])
         if node >= len(nodes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
@@ -130,7 +130,7 @@ def _read_pointer_target(
         if match[3] is None or path is TargetPath.WEIGHTS:
             weight_index = -1 if match[3] is None else int(match[3][:9])
             return _build_node_target(target, nodes, meshes, node, path, weight_index)
-    elif match := _MESH_POINTER.fullmatch(text):
+    elif match := _MESH_POINTER_PATTERN.fullmatch(text):
         mesh = int(match[1][:9])
         if mesh >= len(meshes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")

@@ -21,7 +21,7 @@ from animtool.formats.gltf.animation_targets import (
     read_channel_target,
 )
 from animtool.formats.gltf.json_items import JsonItem
-from animtool.formats.gltf.meshes import I8, I16, U8, U16, MeshEntry, check_bounds
+from animtool.formats.gltf.meshes import I8, I16, U8, U16, GltfMesh, check_bounds
 from animtool.formats.gltf.nodes import UNIT_TOLERANCE
 from animtool.maths import so3
 
@@ -31,7 +31,7 @@ SMALL_INTEGERS = (I8, U8, I16, U16)
 
 
 class SamplerInterpolation(StrEnum):
-    """Interpolation between keys."""
+    """How a sampler interpolates between its keys."""
 
     LINEAR = "LINEAR"
     STEP = "STEP"
@@ -40,7 +40,7 @@ class SamplerInterpolation(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfTrack:
-    """Keys of one animated property."""
+    """Times, values and slopes of the keys of one animated property."""
 
     node: int  # the animated node; -1 if a mesh is animated
     # The mesh whose weights are animated, on all nodes; -1 if a node is animated.
@@ -77,16 +77,16 @@ def interpolate_tracks(
     ``tracks`` have the same path, key times and interpolation; ``segment`` is the key
     before each time.
     """
-    first, path = tracks[0], tracks[0].path
-    t0, t1 = first.times[segment], first.times[segment + 1]
-    duration = (t1 - t0)[:, None, None]
-    fraction = np.clip((times - t0)[:, None, None] / duration, 0.0, 1.0)
+    first_track, path = tracks[0], tracks[0].path
+    start_times, end_times = first_track.times[segment], first_track.times[segment + 1]
+    duration = (end_times - start_times)[:, None, None]
+    fraction = np.clip((times - start_times)[:, None, None] / duration, 0.0, 1.0)
     start_values = np.stack([track.values[segment] for track in tracks], axis=1)
     end_values = np.stack([track.values[segment + 1] for track in tracks], axis=1)
-    if first.interpolation is SamplerInterpolation.STEP:
+    if first_track.interpolation is SamplerInterpolation.STEP:
         values = np.where(fraction < 1.0, start_values, end_values)
         return _normalize_rotations(values, path)
-    if first.interpolation is SamplerInterpolation.CUBIC:
+    if first_track.interpolation is SamplerInterpolation.CUBIC:
         all_out_slopes = [t.out_slopes for t in tracks if t.out_slopes is not None]
         all_in_slopes = [t.in_slopes for t in tracks if t.in_slopes is not None]
         out_slopes = np.stack([slopes[segment] for slopes in all_out_slopes], axis=1)
@@ -126,20 +126,20 @@ def _hermite(
 
 def _normalize_rotations(values: FloatArray, path: TargetPath) -> FloatArray:
     """Return rotations as unit quaternions, and values of other paths unchanged."""
-    rows = np.asarray(values, np.float64)
+    rotations = np.asarray(values, np.float64)
     if path is not TargetPath.ROTATION:
-        return rows
-    length = np.linalg.norm(rows, axis=-1, keepdims=True)
-    if not length.all():
+        return rotations
+    lengths = np.linalg.norm(rotations, axis=-1, keepdims=True)
+    if not lengths.all():
         # Between opposite cubic keys the quaternion may be zero, and has no rotation.
-        rows = np.where(length == 0.0, so3.IDENTITY, rows)
-        length = np.where(length == 0.0, 1.0, length)
-    return np.asarray(rows / length)
+        rotations = np.where(lengths == 0.0, so3.IDENTITY, rotations)
+        lengths = np.where(lengths == 0.0, 1.0, lengths)
+    return np.asarray(rotations / lengths)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:
-    """An animation of the file: a clip with its tracks."""
+    """Name, tracks and extras of an animation of the file."""
 
     name: str | None
     tracks: tuple[GltfTrack, ...]
@@ -156,7 +156,7 @@ class Animation:
 
 
 class _SamplerReader:
-    """Reads the samplers of an animation, and each input once."""
+    """Reads the samplers of an animation; samplers with the same times share them."""
 
     def __init__(self, item: JsonItem, accessors: Accessors) -> None:
         self.items = item.children("samplers")
@@ -167,7 +167,7 @@ class _SamplerReader:
     def _read_accessor_pair(self, item: JsonItem) -> tuple[int, int]:
         indices = []
         for key in ("input", "output"):
-            index = item.required_index(key, len(self.accessors.entries), "accessor")
+            index = item.required_index(key, len(self.accessors.by_index), "accessor")
             self.accessors.warn_about_stride(index, item.pointer_to(key))
             indices.append(index)
         return indices[0], indices[1]
@@ -181,30 +181,30 @@ class _SamplerReader:
         except ValueError:
             item.fail("interpolation", f"unknown interpolation {excerpt(name)}")
 
-    def times(self, index: int) -> tuple[FloatArray, bool]:
+    def key_times(self, index: int) -> tuple[FloatArray, bool]:
         """Return the key times of a sampler, and whether they ascend.
 
         Warn about stated bounds that differ from the times.
         """
-        item, accessor = self.items[index], self.accessor_pairs[index][0]
-        if accessor not in self._times:
-            entry = self.accessors.entries[accessor]
-            if entry is None or not entry.has_type("SCALAR", FLOAT_COMPONENT):
+        item, accessor_index = self.items[index], self.accessor_pairs[index][0]
+        if accessor_index not in self._times:
+            accessor = self.accessors.by_index[accessor_index]
+            if accessor is None or not accessor.has_type("SCALAR", FLOAT_COMPONENT):
                 item.fail("input", "times must be float scalars", "GLT011")
-            times = self.accessors.floats(accessor)[:, 0]
-            has_bounds = not entry.item.values.keys().isdisjoint({"min", "max"})
-            if self.accessors.has_data(accessor) or not has_bounds:
-                where = item.pointer_to("input")
-                check_bounds(entry.item, times[:, None], required_by=where)
-            self._times[accessor] = times, bool((np.diff(times) > 0).all())
-        return self._times[accessor]
+            times = self.accessors.floats(accessor_index)[:, 0]
+            has_bounds = not accessor.item.values.keys().isdisjoint({"min", "max"})
+            if self.accessors.has_data(accessor_index) or not has_bounds:
+                pointer = item.pointer_to("input")
+                check_bounds(accessor.item, times[:, None], required_by=pointer)
+            self._times[accessor_index] = times, bool((np.diff(times) > 0).all())
+        return self._times[accessor_index]
 
 
 def read_animations(
     root: JsonItem,
     accessors: Accessors,
     nodes: Sequence[Node],
-    meshes: Sequence[MeshEntry],
+    meshes: Sequence[GltfMesh],
 ) -> tuple[Animation, ...]:
     """Return the animations of a file, with checked keys."""
     return tuple(
@@ -217,7 +217,7 @@ def _read_animation(
     item: JsonItem,
     accessors: Accessors,
     nodes: Sequence[Node],
-    meshes: Sequence[MeshEntry],
+    meshes: Sequence[GltfMesh],
 ) -> Animation:
     for key in ("channels", "samplers"):
         if key not in item.values:
@@ -234,8 +234,8 @@ def _read_animation(
         target_key = (target.node, target.mesh, str(target.path), target.weight_index)
         if target_key in pointers_by_target:
             message = f"two channels of the animation move {target.path}"
-            where = f"{pointers_by_target[target_key]}/target"
-            channel.notes.fail("GLT012", where, message)
+            pointer = f"{pointers_by_target[target_key]}/target"
+            channel.notes.fail("GLT012", pointer, message)
         pointers_by_target[target_key] = channel.pointer
         tracks.append(_read_track(channel, target, samplers, index))
     if ignored_targets:
@@ -258,7 +258,7 @@ def _read_track(
     item = samplers.items[index]
     notes = item.notes
     interpolation = samplers.interpolation(index)
-    times, is_ascending = samplers.times(index)
+    times, is_ascending = samplers.key_times(index)
     values = _read_values(channel, target, samplers, index)
     is_cubic = interpolation is SamplerInterpolation.CUBIC
     expected_count = len(times) * target.width * (3 if is_cubic else 1)
@@ -267,20 +267,20 @@ def _read_track(
         if is_cubic:
             message += ", with a tangent before and after each"
         notes.fail("GLT011", channel.pointer_to("sampler"), message)
-    rows = values.reshape(len(times), -1, target.width)
+    key_rows = values.reshape(len(times), -1, target.width)
     if target.path is TargetPath.ROTATION:
-        _check_unit_length(rows[:, 1 if is_cubic else 0], channel, samplers, index)
+        _check_unit_length(key_rows[:, 1 if is_cubic else 0], channel, samplers, index)
     if not is_ascending:
         input_accessor = samplers.accessor_pairs[index][0]
         has_times = samplers.accessors.has_data(input_accessor)
-        times, rows = _sort_keys(times, rows, item, has_times=has_times)
+        times, key_rows = _sort_keys(times, key_rows, item, has_times=has_times)
     if is_cubic and len(times) == 1:
         message = "a cubic spline has two keys at least: its one key is held"
         notes.warn("GLT107", item.pointer_to("interpolation"), message)
     if times[0] < 0:
         message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
         notes.warn("GLT107", item.pointer_to("input"), message)
-    keys = rows[:, 1 if is_cubic else 0]
+    keys = key_rows[:, 1 if is_cubic else 0]
     return GltfTrack(
         target.node,
         target.mesh,
@@ -289,85 +289,86 @@ def _read_track(
         interpolation,
         times,
         keys,
-        rows[:, 0].astype(np.float64) if is_cubic else None,
-        rows[:, 2].astype(np.float64) if is_cubic else None,
+        key_rows[:, 0].astype(np.float64) if is_cubic else None,
+        key_rows[:, 2].astype(np.float64) if is_cubic else None,
     )
 
 
 def _read_values(
     channel: JsonItem, target: ChannelTarget, samplers: _SamplerReader, index: int
 ) -> Any:
-    item, accessor = samplers.items[index], samplers.accessor_pairs[index][1]
+    item, accessor_index = samplers.items[index], samplers.accessor_pairs[index][1]
     accessors = samplers.accessors
-    entry = accessors.entries[accessor]
+    accessor = accessors.by_index[accessor_index]
     element_type = "VEC4" if target.path is TargetPath.ROTATION else "SCALAR"
     component_types: tuple[int, ...] = (FLOAT_COMPONENT, *SMALL_INTEGERS)
     if target.path in {TargetPath.TRANSLATION, TargetPath.SCALE}:
         element_type, component_types = "VEC3", (FLOAT_COMPONENT,)
-    if entry is None or not entry.has_type(element_type, *component_types):
-        kind = "an unknown type" if entry is None else entry.element_type
-        message = f"{target.path} cannot have values of {kind} in these components"
+    if accessor is None or not accessor.has_type(element_type, *component_types):
+        type_text = "an unknown type" if accessor is None else accessor.element_type
+        message = f"{target.path} cannot have values of {type_text} in these components"
         item.notes.fail("GLT011", channel.pointer_to("sampler"), message)
     # Non-finite rotations are detected by their length; slopes have none.
     is_cubic = samplers.interpolation(index) is SamplerInterpolation.CUBIC
     must_be_finite = is_cubic or target.path is not TargetPath.ROTATION
-    stored_values = accessors.numbers(accessor, finite=must_be_finite)
-    if entry.component_type == FLOAT_COMPONENT:
+    stored_values = accessors.numbers(accessor_index, must_be_finite=must_be_finite)
+    if accessor.component_type == FLOAT_COMPONENT:
         return stored_values
     if target.path is TargetPath.VISIBLE:
         return (stored_values != 0).astype(np.float64)
-    numbers = accessors.floats(accessor)
-    if not entry.normalized:
+    numbers = accessors.floats(accessor_index)
+    if not accessor.is_normalized:
         # Integers of these paths are normalized even if the accessor does not state it.
-        limit = np.iinfo(stored_values.dtype).max
-        numbers = np.maximum(numbers / limit, -1.0)
+        max_integer = np.iinfo(stored_values.dtype).max
+        numbers = np.maximum(numbers / max_integer, -1.0)
     return numbers
 
 
 def _sort_keys(
-    times: FloatArray, rows: Any, item: JsonItem, *, has_times: bool
+    times: FloatArray, key_rows: Any, item: JsonItem, *, has_times: bool
 ) -> tuple[FloatArray, Any]:
     """Return keys sorted by time; of keys at the same time, only the first is kept.
 
     ``has_times`` says whether the file has the times; otherwise they are all 0.
     """
     time_order = np.argsort(times, kind="stable")
-    notes, where = item.notes, item.pointer_to("input")
+    notes, pointer = item.notes, item.pointer_to("input")
     if (np.diff(times) < 0).any():
-        notes.warn("GLT107", where, "times are out of order: the keys are sorted")
-    times, rows = times[time_order], rows[time_order]
-    duplicates = np.flatnonzero(np.diff(times) == 0)
-    if len(duplicates):
-        if has_times and (rows[duplicates] != rows[duplicates + 1]).any():
-            time = float(times[duplicates[0]])
-            message = f"two keys at {time:.6g} s have different values"
-            notes.fail("GLT012", where, message)
-        message = f"{len(duplicates)} equal keys with the time of another are removed"
+        notes.warn("GLT107", pointer, "times are out of order: the keys are sorted")
+    times, key_rows = times[time_order], key_rows[time_order]
+    duplicate_indices = np.flatnonzero(np.diff(times) == 0)
+    if len(duplicate_indices):
         if has_times:
-            notes.warn("GLT107", where, message)
-        unique_rows = np.setdiff1d(np.arange(len(times)), duplicates + 1)
-        times, rows = times[unique_rows], rows[unique_rows]
-    return times, rows
+            next_rows = key_rows[duplicate_indices + 1]
+            if (key_rows[duplicate_indices] != next_rows).any():
+                duplicate_time = float(times[duplicate_indices[0]])
+                message = f"two keys at {duplicate_time:.6g} s have different values"
+                notes.fail("GLT012", pointer, message)
+            message = f"{len(duplicate_indices)} equal keys with the time of another "
+            notes.warn("GLT107", pointer, f"{message}are removed")
+        unique_indices = np.setdiff1d(np.arange(len(times)), duplicate_indices + 1)
+        times, key_rows = times[unique_indices], key_rows[unique_indices]
+    return times, key_rows
 
 
 def _check_unit_length(
     keys: Any, channel: JsonItem, samplers: _SamplerReader, index: int
 ) -> None:
     """Warn about quaternions that are not unit length; raise for zero length."""
-    accessor = samplers.accessor_pairs[index][1]
-    entry = samplers.accessors.get(accessor)
-    tolerance = UNIT_TOLERANCES.get(entry.component_type, UNIT_TOLERANCE)
+    accessor_index = samplers.accessor_pairs[index][1]
+    accessor = samplers.accessors.get(accessor_index)
+    tolerance = UNIT_TOLERANCES.get(accessor.component_type, UNIT_TOLERANCE)
     float32_keys = np.require(keys, np.float32, ["C", "A"])
-    shortest, longest = _kernels.squared_lengths(float32_keys)
-    if math.isnan(longest):
-        check_finite(keys, entry)
+    min_square, max_square = _kernels.squared_lengths(float32_keys)
+    if math.isnan(max_square):
+        check_finite(keys, accessor)
         # Their squares exceed the range of float32.
         squares = np.square(keys, dtype=np.float64).sum(axis=1)
-        shortest, longest = float(squares.min()), float(squares.max())
-    if shortest <= 0.0:
+        min_square, max_square = float(squares.min()), float(squares.max())
+    if min_square <= 0.0:
         message = "a rotation key has length 0"
-        samplers.items[index].notes.fail("GLT010", entry.pointer, message)
-    if max(1.0 - shortest, longest - 1.0) > 2 * tolerance:
-        message = f"rotation keys have lengths from {shortest**0.5:.6g} to "
-        message += f"{longest**0.5:.6g}: they are normalised"
+        samplers.items[index].notes.fail("GLT010", accessor.pointer, message)
+    if max(1.0 - min_square, max_square - 1.0) > 2 * tolerance:
+        message = f"rotation keys have lengths from {min_square**0.5:.6g} to "
+        message += f"{max_square**0.5:.6g}: they are normalised"
         channel.notes.warn("GLT103", channel.pointer_to("sampler"), message)

@@ -17,7 +17,7 @@ from animtool.maths import so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 
-_CHANNEL_PARTS = {
+_PARTS_BY_PATH = {
     TargetPath.TRANSLATION: "local_translation",
     TargetPath.ROTATION: "local_rotation",
     TargetPath.SCALE: "scale",
@@ -42,21 +42,25 @@ def build_clip(
     """
     channels: list[ClipChannel] = []
     spline_count = added_key_count = 0
-    for path, rest in sampler.rest_values.items():
-        tracks = {entry.row: entry for entry in sampler.tracks[path]}
-        default_values = _default_rows(path, gltf_rig)
-        for row in range(len(rest)):
+    for path, rest_values in sampler.rest_values.items():
+        tracks = {rig_track.row: rig_track for rig_track in sampler.tracks[path]}
+        default_values = _default_channel_values(path, gltf_rig)
+        for row in range(len(rest_values)):
             target = _clip_target(path, row, gltf_rig)
             if row not in tracks:
-                if np.abs(rest[row] - default_values[row]).max() > 0:
-                    channels.append(_static_channel(target, rest[row], path, frames))
+                if np.abs(rest_values[row] - default_values[row]).max() > 0:
+                    channels.append(
+                        _static_channel(target, rest_values[row], path, frames)
+                    )
                 continue
-            channel, extra_keys = _track_channel(target, tracks[row], path, frames)
+            channel, channel_key_count = _track_channel(
+                target, tracks[row], path, frames
+            )
             channels.append(channel)
-            spline_count = spline_count + (extra_keys > 0)
-            added_key_count = added_key_count + extra_keys
-    last_frame = frames.first + frames.count - 1
-    clip = Clip(name, frames.fps, frames.first, last_frame, tuple(channels))
+            spline_count = spline_count + (channel_key_count > 0)
+            added_key_count = added_key_count + channel_key_count
+    last_frame = frames.first_frame + frames.count - 1
+    clip = Clip(name, frames.fps, frames.first_frame, last_frame, tuple(channels))
     if not spline_count:
         return clip, []
     message = (
@@ -67,8 +71,8 @@ def build_clip(
     return clip, [Fault("GLT118", message, severity=Severity.NOTE)]
 
 
-def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
-    """Return the values of a rig's channels without keys."""
+def _default_channel_values(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
+    """Return the value of each joint or shape if no channel sets it ``(N, W)``."""
     rig = gltf_rig.rig
     if path is TargetPath.TRANSLATION:
         return rig.rest_translations
@@ -82,7 +86,7 @@ def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
 def _clip_target(path: TargetPath, row: int, gltf_rig: GltfRig) -> str:
     if path is TargetPath.WEIGHTS:
         return f"shape/{gltf_rig.rig.shapes[row].name}"
-    return f"joint/{gltf_rig.rig.names[row]}.{_CHANNEL_PARTS[path]}"
+    return f"joint/{gltf_rig.rig.names[row]}.{_PARTS_BY_PATH[path]}"
 
 
 def _clip_channel(
@@ -92,7 +96,7 @@ def _clip_channel(
     interp: Interp,
     slopes: tuple[FloatArray, FloatArray] | None = None,
 ) -> ClipChannel:
-    """Return a channel whose slopes [1/frame] become handles at thirds of segments."""
+    """Return a channel; slopes [1/frame] become handles at thirds of segments."""
     key_count, width = values.shape
     ins, outs = np.zeros((key_count, 1 + width)), np.zeros((key_count, 1 + width))
     tangent = Tangent.AUTO_CLAMPED
@@ -119,7 +123,7 @@ def _static_channel(
     target: str, value: FloatArray, path: TargetPath, frames: GltfFrames
 ) -> ClipChannel:
     interp = Interp.SLERP if path is TargetPath.ROTATION else Interp.LINEAR
-    times = np.array([float(frames.first)])
+    times = np.array([float(frames.first_frame)])
     return _clip_channel(target, times, value[None].copy(), interp)
 
 
@@ -133,13 +137,13 @@ def _track_channel(
     is_stepped = track.interpolation is SamplerInterpolation.STEP
     if path is TargetPath.ROTATION:
         if track.interpolation is SamplerInterpolation.CUBIC:
-            return _slerp_keys(target, track, frames)
+            return _slerp_channel(target, track, frames)
         values = so3.align_signs(so3.normalize(values))
         interp = Interp.STEP if is_stepped else Interp.SLERP
         return _clip_channel(target, times, values, interp), 0
     if track.in_slopes is not None and track.out_slopes is not None:
-        scale = rig_track.factor / float(frames.fps)
-        slopes = (track.in_slopes * scale, track.out_slopes * scale)
+        slope_factor = rig_track.factor / float(frames.fps)
+        slopes = (track.in_slopes * slope_factor, track.out_slopes * slope_factor)
         return _clip_channel(target, times, values, Interp.BEZIER, slopes), 0
     return _clip_channel(
         target, times, values, Interp.STEP if is_stepped else Interp.LINEAR
@@ -158,11 +162,11 @@ def key_times_in_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
     )
 
 
-def _slerp_keys(
+def _slerp_channel(
     target: str, track: GltfTrack, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
     """Return a cubic rotation as slerp keys, and the number of added keys."""
-    times = [track.times]
+    time_arrays = [track.times]
     starts, ends = track.times[:-1], track.times[1:]
     for _ in range(MAX_HALVINGS):
         if not len(starts):
@@ -180,10 +184,10 @@ def _slerp_keys(
         starts = starts[needs_split]
         ends = ends[needs_split]
         middles = middles[needs_split]
-        times.append(middles)
+        time_arrays.append(middles)
         starts = np.concatenate([starts, middles])
         ends = np.concatenate([middles, ends])
-    all_times = np.unique(np.concatenate(times))
+    all_times = np.unique(np.concatenate(time_arrays))
     values = so3.align_signs(track.sample(all_times))
     channel = _clip_channel(
         target, key_times_in_frames(all_times, frames), values, Interp.SLERP

@@ -16,13 +16,15 @@ from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.json_items import JsonItem
 
-MAGIC = b"glTF"
+GLB_MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 HEADER_BYTES, CHUNK_HEADER_BYTES = 12, 8
 _BOM = b"\xef\xbb\xbf"
 # Limit of JSON; larger files take minutes to parse.
 MAX_JSON_BYTES = 200_000_000
-_DATA_URI = re.compile(r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?")
+_DATA_URI_PATTERN = re.compile(
+    r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +39,9 @@ class Container:
 
 
 def read_container(path: Path, notes: FileNotices) -> Container:
-    """Read a .gltf or .glb, distinguished by suffix and first bytes."""
+    """Return the contents of a .gltf or .glb, told apart by suffix and first bytes."""
     content = memoryview(read_input(path))
-    is_glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == MAGIC
+    is_glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == GLB_MAGIC
     if not is_glb:
         text, binary = bytes(content), None
     else:
@@ -51,7 +53,7 @@ def read_container(path: Path, notes: FileNotices) -> Container:
     return Container(root, binary, is_glb, len(content), may_have_extensions)
 
 
-def _raise_fault(notes: FileNotices, offset: int, message: str) -> NoReturn:
+def _fail_malformed(notes: FileNotices, offset: int, message: str) -> NoReturn:
     notes.fail("GLT002", f"byte {offset}", message, "export the file again")
 
 
@@ -59,8 +61,8 @@ def _check_header(content: memoryview, notes: FileNotices) -> int:
     """Check the header of a GLB; return its stated length."""
     if len(content) < HEADER_BYTES:
         message = f"the file has {len(content)} bytes; a GLB has at least 12"
-        _raise_fault(notes, len(content), message)
-    if bytes(content[:4]) != MAGIC:
+        _fail_malformed(notes, len(content), message)
+    if bytes(content[:4]) != GLB_MAGIC:
         is_json = bytes(content[:1]) == b"{"
         hint = "rename it to .gltf" if is_json else "export the file again"
         notes.fail("GLT002", "byte 0", "a GLB starts with the letters glTF", hint)
@@ -70,10 +72,10 @@ def _check_header(content: memoryview, notes: FileNotices) -> int:
         notes.fail("GLT003", "byte 4", message, "export glTF 2.0")
     if length < HEADER_BYTES + CHUNK_HEADER_BYTES:
         message = f"the length {length} is shorter than the header and one chunk"
-        _raise_fault(notes, 8, message)
+        _fail_malformed(notes, 8, message)
     if length > len(content):
         message = f"the header states {length} bytes, but the file has {len(content)}"
-        _raise_fault(notes, 8, message)
+        _fail_malformed(notes, 8, message)
     if length < len(content):
         message = f"{len(content) - length} bytes after the end are ignored"
         notes.warn("GLT101", f"byte {length}", message)
@@ -90,17 +92,17 @@ def _read_chunks(
     while offset < length:
         if offset + CHUNK_HEADER_BYTES > length:
             end = length if length == len(content) else offset
-            _raise_fault(notes, end, "the file ends in the header of a chunk")
+            _fail_malformed(notes, end, "the file ends in the header of a chunk")
         chunk_bytes, chunk_type = struct.unpack_from("<II", content, offset)
         if offset + CHUNK_HEADER_BYTES + chunk_bytes > length:
-            _raise_fault(
+            _fail_malformed(
                 notes, offset, f"a chunk of {chunk_bytes} bytes ends after the file"
             )
         if offset == HEADER_BYTES and (chunk_type != JSON_CHUNK or not chunk_bytes):
-            state = "empty" if chunk_type == JSON_CHUNK else "not the JSON"
-            _raise_fault(notes, offset, f"the first chunk is {state}")
+            problem = "empty" if chunk_type == JSON_CHUNK else "not the JSON"
+            _fail_malformed(notes, offset, f"the first chunk is {problem}")
         if chunk_type in chunks:
-            _raise_fault(notes, offset, "two chunks of a type that may occur once")
+            _fail_malformed(notes, offset, "two chunks of a type that may occur once")
         if chunk_bytes % 4:
             message = f"a chunk has {chunk_bytes} bytes, not a multiple of 4"
             notes.warn("GLT101", f"byte {offset}", message)
@@ -135,7 +137,7 @@ def _parse_json(text: bytes, notes: FileNotices) -> JsonItem:
 
 
 def _json_reason(error: Exception) -> str:
-    """Return why a JSON text is invalid, and what to do."""
+    """Return why a JSON text cannot be parsed and how to repair it."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     if not isinstance(error, json.JSONDecodeError):
@@ -158,7 +160,7 @@ class Buffers:
         self.container, self.folder = container, folder
         self.notes = container.root.notes
         self.items = container.root.children("buffers")
-        self._opened: dict[int, memoryview] = {}
+        self._opened_buffers: dict[int, memoryview] = {}
 
     def __len__(self) -> int:
         """Return the number of buffers."""
@@ -167,7 +169,7 @@ class Buffers:
     @property
     def opened_bytes(self) -> int:
         """Total size of the opened buffers [bytes]."""
-        return sum(map(len, self._opened.values()))
+        return sum(map(len, self._opened_buffers.values()))
 
     def size(self, index: int) -> int:
         """Return the stated length of a buffer [bytes]."""
@@ -180,9 +182,9 @@ class Buffers:
 
     def buffer_bytes(self, index: int) -> memoryview:
         """Return the bytes of a buffer, opened on first use."""
-        if index not in self._opened:
-            self._opened[index] = self._open_buffer(index)
-        return self._opened[index]
+        if index not in self._opened_buffers:
+            self._opened_buffers[index] = self._open_buffer(index)
+        return self._opened_buffers[index]
 
     def _open_buffer(self, index: int) -> memoryview:
         buffer, length = self.items[index], self.size(index)
@@ -196,19 +198,16 @@ class Buffers:
         elif uri.startswith("data:"):
             content = memoryview(_decode_data(uri, buffer))
         else:
-            content = memoryview(self._read_file(uri, buffer))
+            path = self._find_file(uri, buffer)
+            try:
+                content = memoryview(read_input(path))
+            except FormatError as error:
+                message = str(error.faults[0].message)
+                self.notes.fail("GLT007", buffer.pointer_to("uri"), message)
         if len(content) < length:
             message = f"byteLength is {length}, but there are {len(content)} bytes"
             self.notes.fail("GLT007", buffer.pointer, message)
         return content[:length]
-
-    def _read_file(self, uri: str, buffer: JsonItem) -> bytes:
-        path = self._find_file(uri, buffer)
-        try:
-            return read_input(path)
-        except FormatError as error:
-            message = str(error.faults[0].message)
-            self.notes.fail("GLT007", buffer.pointer_to("uri"), message)
 
     def _find_file(self, uri: str, buffer: JsonItem) -> Path:
         """Return the path of a URI's file; raise if it is not a file."""
@@ -221,30 +220,30 @@ class Buffers:
 
     def _resolve_uri(self, uri: str, buffer: JsonItem) -> Path:
         """Return the path of a URI, inside the folder of the glTF."""
-        where = buffer.pointer_to("uri")
+        pointer = buffer.pointer_to("uri")
         try:
             url = urlsplit(uri)
             name = unquote_to_bytes(url.path).decode("utf-8")
         except ValueError:
-            self.notes.fail("GLT007", where, f"{excerpt(uri)} is no URI")
+            self.notes.fail("GLT007", pointer, f"{excerpt(uri)} is no URI")
         if url.scheme or url.netloc:
             message = f"{excerpt(uri)} is on another machine or uses another scheme"
             hint = "animtool downloads nothing: put the file next to the glTF"
-            self.notes.fail("GLT007", where, message, hint)
+            self.notes.fail("GLT007", pointer, message, hint)
         if not name or "\0" in name or "\\" in name or url.query or url.fragment:
-            self.notes.fail("GLT007", where, f"{excerpt(uri)} does not name a file")
+            self.notes.fail("GLT007", pointer, f"{excerpt(uri)} does not name a file")
         folder = self.folder.resolve()
         try:
             path = (folder / name).resolve()
         except (OSError, RuntimeError, ValueError):
-            self.notes.fail("GLT007", where, f"{excerpt(uri)} does not name a file")
+            self.notes.fail("GLT007", pointer, f"{excerpt(uri)} does not name a file")
         if not path.is_relative_to(folder):
             message = f"{excerpt(uri)} leads outside the folder of the file"
-            self.notes.fail("GLT007", where, message, "put the file next to the glTF")
+            self.notes.fail("GLT007", pointer, message, "put the file next to the glTF")
         return path
 
-    def check(self, index: int) -> None:
-        """Check a buffer without opening its file."""
+    def check_available(self, index: int) -> None:
+        """Raise if a buffer's bytes are missing or too few, without opening a file."""
         buffer, length = self.items[index], self.size(index)
         uri = buffer.text("uri")
         binary = self.container.binary
@@ -269,12 +268,12 @@ class Buffers:
 def _decode_data(uri: str, item: JsonItem) -> bytes:
     """Return the bytes of a data URI of any media type."""
     media_type, comma, text = uri.partition(",")
-    where = item.pointer_to("uri")
-    if not comma or not _DATA_URI.fullmatch(media_type):
-        item.notes.fail("GLT007", where, f"{excerpt(uri)} is not a data URI")
+    pointer = item.pointer_to("uri")
+    if not comma or not _DATA_URI_PATTERN.fullmatch(media_type):
+        item.notes.fail("GLT007", pointer, f"{excerpt(uri)} is not a data URI")
     if not media_type.endswith(";base64"):
         return unquote_to_bytes(text)
     try:
         return binascii.a2b_base64(unquote_to_bytes(text), strict_mode=True)
     except (binascii.Error, ValueError) as error:
-        item.notes.fail("GLT007", where, f"the data URI is not valid base64: {error}")
+        item.notes.fail("GLT007", pointer, f"the data URI is not valid base64: {error}")

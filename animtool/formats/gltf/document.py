@@ -8,7 +8,7 @@ from typing import Any
 from animtool.core.errors import excerpt
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import Node, SkinEntry, find_root_nodes
+from animtool.formats.characters.nodes import FileSkin, Node, find_root_nodes
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animation_targets import POINTER_EXTENSION
@@ -17,7 +17,7 @@ from animtool.formats.gltf.container import Container, read_container
 from animtool.formats.gltf.json_items import JsonItem, escape_pointer, is_number
 from animtool.formats.gltf.meshes import (
     QUANTIZATION,
-    MeshEntry,
+    GltfMesh,
     Primitive,
     read_meshes,
     read_skin_weights,
@@ -66,12 +66,12 @@ _IGNORED_LISTS = ("materials", "textures", "images", "samplers", "cameras")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gltf:
-    """The contents of a glTF file."""
+    """Nodes, meshes, skins and animations of a glTF file."""
 
     path: Path  # path of the file
     nodes: tuple[Node, ...]  # nodes in file order
-    skins: tuple[SkinEntry, ...]  # skins in file order
-    meshes: tuple[MeshEntry, ...]  # meshes in file order
+    skins: tuple[FileSkin, ...]  # skins in file order
+    meshes: tuple[GltfMesh, ...]  # meshes in file order
     animations: tuple[Animation, ...]  # animations in file order
     scenes: list[list[int]]  # root nodes of each scene
     default_scene: int  # index of the default scene; -1 if there is none
@@ -92,7 +92,7 @@ def open_gltf(path: Path | str) -> Gltf:
     _check_extensions(container, path)
     unused_indices = find_unused_indices(root.values)
     accessors = Accessors(container, path.parent, unused_indices)
-    nodes = read_nodes(root, _entry_count(root, "meshes"), _entry_count(root, "skins"))
+    nodes = read_nodes(root, _list_length(root, "meshes"), _list_length(root, "skins"))
     scenes, default_scene = read_scenes(root, nodes)
     meshes = read_meshes(root, accessors)
     skins = read_skins(root, accessors, len(nodes))
@@ -111,13 +111,13 @@ def open_gltf(path: Path | str) -> Gltf:
         notes,
         _find_ignored_contents(container),
     )
-    _check_skins(gltf)
+    _check_geometry(gltf)
     return gltf
 
 
-def _entry_count(root: JsonItem, key: str) -> int:
-    entries: Any = root.values.get(key, [])
-    return len(entries) if isinstance(entries, list) else 0
+def _list_length(root: JsonItem, key: str) -> int:
+    items: Any = root.values.get(key, [])
+    return len(items) if isinstance(items, list) else 0
 
 
 def _check_asset(root: JsonItem) -> None:
@@ -139,22 +139,22 @@ def _check_extensions(container: Container, path: Path) -> None:
     root, notes = container.root, container.root.notes
     used_names, required_names = _check_extension_lists(root)
     for i, name in enumerate(required_names):
-        where = f"{root.pointer_to('extensionsRequired')}/{i}"
+        pointer = f"{root.pointer_to('extensionsRequired')}/{i}"
         if not isinstance(name, str):
-            notes.fail("GLT005", where, "the name of an extension must be text")
+            notes.fail("GLT005", pointer, "the name of an extension must be text")
         if _can_read_without(name):
             continue
         hint = "export the file without it"
         if name in PACKED_EXTENSIONS:
             hint = f"unpack it with {UNPACK_COMMAND.format(path.name)}"
         message = f"the file needs the extension {name}, which is not supported"
-        notes.fail("GLT004", where, message, hint)
+        notes.fail("GLT004", pointer, message, hint)
     used_extensions = _used_extensions(root) if container.may_have_extensions else {}
-    for name, where in used_extensions.items():
+    for name, pointer in used_extensions.items():
         if name not in used_names:
-            consequence = "" if name in SUPPORTED_EXTENSIONS else ": ignored"
-            message = f"the extension {excerpt(name)} is not declared{consequence}"
-            notes.warn("GLT106", where, message)
+            effect = "" if name in SUPPORTED_EXTENSIONS else ": ignored"
+            message = f"the extension {excerpt(name)} is not declared{effect}"
+            notes.warn("GLT106", pointer, message)
 
 
 def _check_extension_lists(root: JsonItem) -> tuple[list[Any], list[Any]]:
@@ -167,17 +167,17 @@ def _check_extension_lists(root: JsonItem) -> tuple[list[Any], list[Any]]:
                 message = f"{excerpt(str(name))} is listed twice"
                 notes.warn("GLT106", f"{root.pointer_to(key)}/{i}", message)
     for i, name in enumerate(used_names):
-        where = f"{root.pointer_to('extensionsUsed')}/{i}"
+        pointer = f"{root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
             message = f"{excerpt(repr(name))} is not an extension name: ignored"
-            notes.warn("GLT106", where, message)
+            notes.warn("GLT106", pointer, message)
         elif name in REQUIRED_EXTENSIONS and name not in required_names:
-            notes.warn("GLT106", where, f"{name} is used, but not required")
+            notes.warn("GLT106", pointer, f"{name} is used, but not required")
     for i, name in enumerate(required_names):
         if isinstance(name, str) and name not in used_names:
             message = f"{excerpt(name)} is required, but not listed as used"
-            where = f"{root.pointer_to('extensionsRequired')}/{i}"
-            notes.warn("GLT106", where, message)
+            pointer = f"{root.pointer_to('extensionsRequired')}/{i}"
+            notes.warn("GLT106", pointer, message)
     return used_names, required_names
 
 
@@ -199,27 +199,31 @@ def _can_read_without(extension: str) -> bool:
 
 def _used_extensions(root: JsonItem) -> dict[str, str]:
     """Return used extensions, each with the pointer to its first use."""
-    pointers: dict[str, str] = {}
-    stack: list[tuple[Any, str]] = [(root.values, "")]
-    while stack:
-        value, where = stack.pop()
+    first_uses: dict[str, str] = {}
+    pending: list[tuple[Any, str]] = [(root.values, "")]
+    while pending:
+        value, pointer = pending.pop()
         if isinstance(value, dict):
             extensions = value.get("extensions")
             for name in extensions if isinstance(extensions, dict) else ():
-                pointers.setdefault(name, f"{where}/extensions/{escape_pointer(name)}")
-            stack += [
-                (value[key], f"{where}/{escape_pointer(key)}")
+                first_uses.setdefault(
+                    name, f"{pointer}/extensions/{escape_pointer(name)}"
+                )
+            pending += [
+                (value[key], f"{pointer}/{escape_pointer(key)}")
                 for key in reversed(value)
                 if key not in {"extras", "extensions"}
                 and isinstance(value[key], dict | list)
             ]
         elif isinstance(value, list) and value and isinstance(value[0], dict | list):
-            stack += [(value[i], f"{where}/{i}") for i in range(len(value) - 1, -1, -1)]
-    return pointers
+            pending += [
+                (value[i], f"{pointer}/{i}") for i in range(len(value) - 1, -1, -1)
+            ]
+    return first_uses
 
 
 def _check_weights(
-    nodes: tuple[Node, ...], meshes: tuple[MeshEntry, ...], notes: FileNotices
+    nodes: tuple[Node, ...], meshes: tuple[GltfMesh, ...], notes: FileNotices
 ) -> None:
     for i, node in enumerate(nodes):
         if node.weights is not None:
@@ -229,13 +233,13 @@ def _check_weights(
                 notes.fail("GLT011", f"/nodes/{i}/weights", message)
 
 
-def _check_skins(gltf: Gltf) -> None:
-    """Check that mesh data, skin weights and skins fit together."""
-    checked_pairs: set[tuple[int, int]] = set()
+def _check_geometry(gltf: Gltf) -> None:
+    """Read the mesh data and skin weights that nodes use; check skins against nodes."""
+    checked_mesh_skins: set[tuple[int, int]] = set()
     for node in gltf.nodes:
-        if node.mesh < 0 or (node.mesh, node.skin) in checked_pairs:
+        if node.mesh < 0 or (node.mesh, node.skin) in checked_mesh_skins:
             continue
-        checked_pairs.add((node.mesh, node.skin))
+        checked_mesh_skins.add((node.mesh, node.skin))
         for primitive in gltf.meshes[node.mesh].primitives:
             _require_mesh_data(gltf.accessors, primitive)
             if primitive.joints and node.skin >= 0:
@@ -246,10 +250,10 @@ def _check_skins(gltf: Gltf) -> None:
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_ancestor(gltf, skin.skeleton, skin.joints[0]):
             message = f"node {skin.skeleton} is not above the joints: ignored"
-            gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
+            gltf.notes.warn("GLT106", f"{skin.location}/skeleton", message)
         if len({roots[joint] for joint in skin.joints}) > 1:
             message = "the joints have no common root: each chain is read"
-            gltf.notes.warn("GLT106", f"{skin.where}/joints", message)
+            gltf.notes.warn("GLT106", f"{skin.location}/joints", message)
 
 
 def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
@@ -271,7 +275,7 @@ def _require_mesh_data(accessors: Accessors, primitive: Primitive) -> None:
     """Read the accessors of a mesh primitive; raise if data is missing."""
     for index in (
         primitive.position,
-        primitive.indices,
+        primitive.index_accessor,
         *primitive.joints,
         *primitive.weights,
         *(target.position for target in primitive.targets),
@@ -291,19 +295,19 @@ def humanoid_bones(gltf: Gltf) -> list[tuple[str, int]]:
     extensions = gltf.root.values.get("extensions")
     if not isinstance(extensions, dict):
         return []
-    bones_by_name: list[tuple[str, Any]] = []
+    named_bones: list[tuple[str, Any]] = []
     for key in ("VRMC_vrm", "VRM"):
         extension = extensions.get(key)
         humanoid = extension.get("humanoid") if isinstance(extension, dict) else None
         bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
         if isinstance(bones, dict):
-            bones_by_name += [(str(name), bone) for name, bone in bones.items()]
+            named_bones += [(str(name), bone) for name, bone in bones.items()]
         elif isinstance(bones, list):
-            bone_entries = [bone for bone in bones if isinstance(bone, dict)]
-            bones_by_name += [(str(bone.get("bone")), bone) for bone in bone_entries]
+            bone_objects = [bone for bone in bones if isinstance(bone, dict)]
+            named_bones += [(str(bone.get("bone")), bone) for bone in bone_objects]
     return [
         (name, int(bone["node"]))
-        for name, bone in bones_by_name
+        for name, bone in named_bones
         if isinstance(bone, dict)
         and is_number(bone.get("node"))
         and 0 <= bone["node"] < len(gltf.nodes)

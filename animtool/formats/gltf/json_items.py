@@ -23,8 +23,8 @@ def escape_pointer(key: str) -> str:
 def animtool_extras(item: JsonItem) -> dict[str, Any]:
     """Return animtool's entry in an object's extras; empty if it has none."""
     extras = item.values.get("extras")
-    entry = extras.get("animtool") if isinstance(extras, dict) else None
-    return entry if isinstance(entry, dict) else {}
+    animtool_values = extras.get("animtool") if isinstance(extras, dict) else None
+    return animtool_values if isinstance(animtool_values, dict) else {}
 
 
 def is_number(value: Any) -> bool:
@@ -39,7 +39,7 @@ def _is_integer(value: Any) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class JsonItem:
-    """An object of the JSON with its pointer."""
+    """An object in the JSON of a glTF, with its JSON pointer."""
 
     values: dict[str, Any]
     pointer: str  # empty for the document root
@@ -68,7 +68,7 @@ class JsonItem:
         return self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
 
     def size(self, key: str, default: int | None = None, minimum: int = 0) -> int:
-        """Return a count, offset or length, checked against a minimum."""
+        """Return an integer property; raise if it is missing or below a minimum."""
         value = self.integer(key)
         if value is None:
             if default is None:
@@ -96,29 +96,29 @@ class JsonItem:
 
     def indices(self, key: str, count: int, noun: str) -> list[int]:
         """Return indices into a list of ``count`` entries; empty if missing."""
-        entries = self.read_list(key)
-        for i, value in enumerate(entries):
+        values = self.read_list(key)
+        for i, value in enumerate(values):
             if not _is_integer(value):
                 self.fail(key, f"entry {i} is {excerpt(repr(value))}, not an integer")
             if not 0 <= value < count:
                 message = f"{noun} {int(value)} does not exist"
                 self.notes.fail("GLT006", f"{self.pointer_to(key)}/{i}", message)
-        return [int(value) for value in entries]
+        return [int(value) for value in values]
 
-    def floats(self, key: str, size: int | None) -> list[float] | None:
+    def floats(self, key: str, length: int | None) -> list[float] | None:
         """Return a list of numbers of a required length; None if missing."""
         if key not in self.values:
             return None
-        entries = self.read_list(key)
-        if size is not None and len(entries) != size:
-            self.fail(key, f"{key} must have {size} numbers, not {len(entries)}")
-        for i, value in enumerate(entries):
+        values = self.read_list(key)
+        if length is not None and len(values) != length:
+            self.fail(key, f"{key} must have {length} numbers, not {len(values)}")
+        for i, value in enumerate(values):
             if not is_number(value):
                 self.fail(key, f"{excerpt(repr(value))} is not a number")
             if not abs(value) <= FLOAT32_MAX:
                 message = f"{value} is outside the range of a float32"
                 self.notes.fail("GLT010", f"{self.pointer_to(key)}/{i}", message)
-        return [float(value) for value in entries]
+        return [float(value) for value in values]
 
     def text(self, key: str) -> str | None:
         """Return a string property; None if missing."""

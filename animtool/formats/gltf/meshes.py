@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import SkinEntry
+from animtool.formats.characters.nodes import FileSkin
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import (
     COMPONENT_TYPES,
@@ -18,10 +18,7 @@ from animtool.formats.gltf.accessors import (
     Accessors,
 )
 from animtool.formats.gltf.json_items import JsonItem, animtool_extras, is_number
-from animtool.formats.gltf.unused import (
-    is_known_attribute,
-    is_supported_attribute,
-)
+from animtool.formats.gltf.unused import is_known_attribute, is_supported_attribute
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
 I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
@@ -51,7 +48,7 @@ class Primitive:
     normal: int
     joints: tuple[int, ...]
     weights: tuple[int, ...]
-    indices: int
+    index_accessor: int
     mode: int
     targets: tuple[MorphTarget, ...]
     pointer: str
@@ -63,8 +60,8 @@ class Primitive:
 
 
 @dataclass(frozen=True, slots=True)
-class MeshEntry:
-    """A mesh with its primitives and morph targets."""
+class GltfMesh:
+    """A mesh of a glTF: its primitives, and the names and weights of morph targets."""
 
     name: str | None
     primitives: tuple[Primitive, ...]
@@ -80,34 +77,36 @@ class MeshEntry:
         return max((len(primitive.targets) for primitive in self.primitives), default=0)
 
 
-def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[MeshEntry, ...]:
-    """Return the meshes of a file."""
+def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[GltfMesh, ...]:
+    """Return the meshes of a file with primitives and morph targets, checked."""
     return tuple(_read_mesh(item, accessors) for item in root.children("meshes"))
 
 
-def _read_mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
+def _read_mesh(item: JsonItem, accessors: Accessors) -> GltfMesh:
     if "primitives" not in item.values:
         item.fail_missing("primitives")
-    children = item.children("primitives")
-    primitives = tuple(_read_primitive(child, accessors) for child in children)
-    counts = [len(primitive.targets) for primitive in primitives]
-    for i, count in enumerate(counts):
-        if count != counts[0]:
-            message = f"{count} targets, but the first primitive has {counts[0]}"
-            where = f"{item.pointer}/primitives/{i}/targets"
-            item.notes.fail("GLT011", where, message)
-    target_count = max(counts, default=0)
+    primitive_items = item.children("primitives")
+    primitives = tuple(_read_primitive(child, accessors) for child in primitive_items)
+    target_counts = [len(primitive.targets) for primitive in primitives]
+    for i, count in enumerate(target_counts):
+        if count != target_counts[0]:
+            message = f"{count} targets, but the first primitive has {target_counts[0]}"
+            pointer = f"{item.pointer}/primitives/{i}/targets"
+            item.notes.fail("GLT011", pointer, message)
+    target_count = max(target_counts, default=0)
     weights = item.floats("weights", None)
     if weights is not None and len(weights) != target_count:
         message = f"{len(weights)} weights for {target_count} targets"
         item.notes.fail("GLT011", item.pointer_to("weights"), message)
     extras = item.values.get("extras")
-    names = extras.get("targetNames") if isinstance(extras, dict) else None
-    has_names = isinstance(names, list) and len(names) == target_count
-    target_names = tuple(map(str, names)) if has_names and names is not None else ()
+    stated_names = extras.get("targetNames") if isinstance(extras, dict) else None
+    is_valid = isinstance(stated_names, list) and len(stated_names) == target_count
+    target_names = (
+        tuple(map(str, stated_names)) if is_valid and stated_names is not None else ()
+    )
     zeros = (0.0,) * target_count
     original_name = animtool_extras(item).get("name")
-    return MeshEntry(
+    return GltfMesh(
         item.text("name"),
         primitives,
         zeros if weights is None else tuple(weights),
@@ -119,24 +118,24 @@ def _read_mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
 
 def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     attributes = item.required_child("attributes")
-    accessor_indices = _read_attributes(attributes, len(accessors.entries))
+    accessor_indices = _read_attributes(attributes, len(accessors.by_index))
     vertex_count = _check_vertices(attributes, accessor_indices, accessors)
     set_indices = _skin_set_indices(attributes, accessor_indices)
-    children = item.children("targets")
-    targets = [_read_morph_target(t, vertex_count, accessors) for t in children]
+    target_items = item.children("targets")
+    targets = [_read_morph_target(t, vertex_count, accessors) for t in target_items]
     mode = item.integer("mode")
     if mode is not None and not 0 <= mode <= FAN:
         message = f"mode {mode} is unknown: the primitive has no faces"
         item.notes.warn("GLT106", item.pointer_to("mode"), message)
-    indices = item.index("indices", len(accessors.entries), "accessor")
-    if indices >= 0:
-        _check_indices(item, indices, vertex_count, accessors)
+    index_accessor = item.index("indices", len(accessors.by_index), "accessor")
+    if index_accessor >= 0:
+        _check_indices(item, index_accessor, vertex_count, accessors)
     return Primitive(
         accessor_indices.get("POSITION", -1),
         accessor_indices.get("NORMAL", -1),
         tuple(accessor_indices[f"JOINTS_{set_index}"] for set_index in set_indices),
         tuple(accessor_indices[f"WEIGHTS_{set_index}"] for set_index in set_indices),
-        indices,
+        index_accessor,
         TRIANGLES if mode is None else mode,
         tuple(targets),
         item.pointer,
@@ -172,10 +171,10 @@ def _skin_set_indices(
 def _read_morph_target(
     target: JsonItem, vertex_count: int, accessors: Accessors
 ) -> MorphTarget:
-    """Return the accessors of a morph target."""
+    """Return the accessors of a morph target, checked against the vertices."""
     _check_morph_attributes(target)
     accessor_indices = {
-        name: target.index(name, len(accessors.entries), "accessor")
+        name: target.index(name, len(accessors.by_index), "accessor")
         for name in ("POSITION", "NORMAL")
         if name in target.values
     }
@@ -211,8 +210,8 @@ def _require_accessor(
     element_type: str,
     component_types: tuple[int, ...],
 ) -> Accessor:
-    """Return an accessor of a type allowed for an attribute."""
-    accessor = accessors.entries[index]
+    """Return the accessor of an attribute; raise for a wrong type (GLT011)."""
+    accessor = accessors.by_index[index]
     if accessor is None or not accessor.has_type(element_type, *component_types):
         type_text = "of an unknown type"
         if accessor is not None:
@@ -242,7 +241,12 @@ def _check_vertices(
         elif name.startswith("WEIGHTS_"):
             types = "VEC4", (FLOAT_COMPONENT, U8, U16)
         accessor = _require_accessor(attributes, name, index, accessors, *types)
-        _check_weight_normalization(attributes, name, accessor)
+        if name.startswith("WEIGHTS_") and not (
+            accessor.is_normalized or accessor.component_type == FLOAT_COMPONENT
+        ):
+            message = f"{name} are integers that are not normalized: "
+            message += "divided by their sum"
+            attributes.notes.warn("GLT104", attributes.pointer_to(name), message)
         if vertex_count < 0:
             vertex_count = accessor.count
         elif accessor.count != vertex_count:
@@ -260,17 +264,6 @@ def _check_vertices(
     return vertex_count
 
 
-def _check_weight_normalization(
-    attributes: JsonItem, name: str, accessor: Accessor
-) -> None:
-    """Warn about integer weights that are not normalised."""
-    if not name.startswith("WEIGHTS_") or accessor.component_type == FLOAT_COMPONENT:
-        return
-    if not accessor.normalized:
-        message = f"{name} are integers that are not normalized: divided by their sum"
-        attributes.notes.warn("GLT104", attributes.pointer_to(name), message)
-
-
 def _check_indices(
     item: JsonItem, index: int, vertex_count: int, accessors: Accessors
 ) -> None:
@@ -278,9 +271,9 @@ def _check_indices(
     accessors.warn_about_stride(index, item.pointer_to("indices"))
     if not accessors.has_data(index):
         return
-    largest = int(accessors.numbers(index).max())
-    if vertex_count >= 0 and largest >= vertex_count:
-        message = f"a face refers to vertex {largest} of {vertex_count}"
+    max_index = int(accessors.numbers(index).max())
+    if vertex_count >= 0 and max_index >= vertex_count:
+        message = f"a face refers to vertex {max_index} of {vertex_count}"
         item.notes.fail("GLT006", item.pointer_to("indices"), message)
 
 
@@ -298,29 +291,29 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
     actual_bounds = values.min(axis=0), values.max(axis=0)
     bounds = zip(("min", "max"), stated_bounds, actual_bounds, strict=True)
     for key, stated_bound, bound in bounds:
-        largest = float(np.abs(bound.astype(np.float64)).max())
-        tolerance = BOUNDS_TOLERANCE * max(1.0, largest)
+        max_value = float(np.abs(bound.astype(np.float64)).max())
+        tolerance = BOUNDS_TOLERANCE * max(1.0, max_value)
         if stated_bound is None and key not in item.values:
             item.notes.warn("GLT102", item.pointer_to(key), f"{key} is missing")
         if not isinstance(stated_bound, list) or len(stated_bound) != len(bound):
             continue
         numbers = zip(stated_bound, bound.tolist(), strict=True)
-        for i, (stated_value, number) in enumerate(numbers):
-            if is_number(stated_value) and not abs(stated_value - number) <= tolerance:
-                message = f"{key} is {stated_value!r}, but the data has {number:.9g}: "
-                message += "using the data"
+        for i, (stated_value, value) in enumerate(numbers):
+            if is_number(stated_value) and not abs(stated_value - value) <= tolerance:
+                message = f"{key} is {stated_value!r}, but the data has "
+                message += f"{value:.9g}: using the data"
                 item.notes.warn("GLT102", f"{item.pointer_to(key)}/{i}", message)
                 break
 
 
 def read_skins(
     root: JsonItem, accessors: Accessors, node_count: int
-) -> tuple[SkinEntry, ...]:
-    """Return the skins of a file."""
+) -> tuple[FileSkin, ...]:
+    """Return the skins of a file with joints and inverse bind matrices, checked."""
     return tuple(_read_skin(i, accessors, node_count) for i in root.children("skins"))
 
 
-def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEntry:
+def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSkin:
     if "joints" not in item.values:
         item.fail_missing("joints")
     joints = item.indices("joints", node_count, "node")
@@ -330,29 +323,29 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEnt
         item.notes.warn("GLT106", item.pointer_to("joints"), "a joint is listed twice")
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     key = "inverseBindMatrices"
-    accessor_index = item.index(key, len(accessors.entries), "accessor")
-    where = item.pointer_to(key)
+    accessor_index = item.index(key, len(accessors.by_index), "accessor")
+    pointer = item.pointer_to(key)
     if accessor_index >= 0:
         types = "MAT4", (FLOAT_COMPONENT,)
         accessor = _require_accessor(item, key, accessor_index, accessors, *types)
-        accessors.warn_about_stride(accessor_index, where)
+        accessors.warn_about_stride(accessor_index, pointer)
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
-            item.notes.fail("GLT011", where, message)
+            item.notes.fail("GLT011", pointer, message)
         columns = np.zeros((len(joints), 4, 4))
         if accessors.has_data(accessor_index):
             columns = accessors.floats(accessor_index)[: len(joints)].reshape(-1, 4, 4)
         matrices = np.ascontiguousarray(columns.swapaxes(1, 2))
-        row_error = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
-        if (row_error > 1e-4).any() and accessors.has_data(accessor_index):
-            joint = int(row_error.argmax())
+        row_errors = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
+        if (row_errors > 1e-4).any() and accessors.has_data(accessor_index):
+            joint = int(row_errors.argmax())
             message = f"the last row of matrix {joint} is not 0 0 0 1"
             column_error = np.abs(columns[:, 3] - [0.0, 0.0, 0.0, 1.0]).max()
             hint = "glTF stores columns, each with four numbers"
             if column_error <= 1e-4:
                 message += ", but its last column is: they are stored by rows"
                 hint = "transpose all matrices: glTF stores columns"
-            item.notes.fail("GLT010", where, message, hint)
+            item.notes.fail("GLT010", pointer, message, hint)
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     skeleton = item.integer("skeleton")
     if skeleton is not None and not 0 <= skeleton < node_count:
@@ -361,7 +354,7 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEnt
         skeleton = None
     skeleton = -1 if skeleton is None else skeleton
     name = item.text("name")
-    return SkinEntry(name, tuple(joints), skeleton, matrices, item.pointer)
+    return FileSkin(name, tuple(joints), skeleton, matrices, item.pointer)
 
 
 def read_skin_weights(
@@ -376,30 +369,32 @@ def read_skin_weights(
     weights = np.concatenate([accessors.floats(a) for a in primitive.weights], axis=1)
     notes = accessors.notes
     _check_duplicate_joints(primitive, indices, weights, notes)
-    out_of_range = indices >= joint_count
-    if out_of_range.any():
-        has_weight = out_of_range & (weights > 0)
-        index = np.argwhere(has_weight if has_weight.any() else out_of_range)[0, 1] // 4
-        where = f"{primitive.pointer}/attributes/JOINTS_{int(index)}"
-        message = f"joint {int(indices[out_of_range].max())} of a skin with "
+    is_out_of_range = indices >= joint_count
+    if is_out_of_range.any():
+        has_weight = is_out_of_range & (weights > 0)
+        set_index = (
+            np.argwhere(has_weight if has_weight.any() else is_out_of_range)[0, 1] // 4
+        )
+        pointer = f"{primitive.pointer}/attributes/JOINTS_{int(set_index)}"
+        message = f"joint {int(indices[is_out_of_range].max())} of a skin with "
         message += f"{joint_count}"
         if has_weight.any():
-            notes.fail("GLT006", where, message)
-        notes.warn("GLT106", where, f"{message}, without weight: ignored")
-        indices[out_of_range] = 0
+            notes.fail("GLT006", pointer, message)
+        notes.warn("GLT106", pointer, f"{message}, without weight: ignored")
+        indices[is_out_of_range] = 0
     weight_sums = weights.sum(axis=1)
     sum_errors = np.abs(weight_sums - 1.0)
-    where = f"{primitive.pointer}/attributes/WEIGHTS_0"
+    pointer = f"{primitive.pointer}/attributes/WEIGHTS_0"
     has_data = all(accessors.has_data(accessor) for accessor in primitive.weights)
     if has_data and sum_errors.max(initial=0.0) > WEIGHT_SUM_TOLERANCE:
         weight_sum = weight_sums[sum_errors.argmax()]
         message = f"weights of a vertex have the sum {weight_sum:.6g}: they are "
-        notes.warn("GLT104", where, f"{message}normalised")
+        notes.warn("GLT104", pointer, f"{message}normalised")
     is_unweighted = weight_sums == 0.0
     if is_unweighted.any():
         if has_data:
             message = f"{int(is_unweighted.sum())} vertices have no weights"
-            notes.warn("GLT104", where, f"{message}: they follow the first joint")
+            notes.warn("GLT104", pointer, f"{message}: they follow the first joint")
         weights[is_unweighted, 0], indices[is_unweighted, 0] = 1.0, 0
         weight_sums = np.where(is_unweighted, 1.0, weight_sums)
     return indices, weights / weight_sums[:, None]
@@ -415,8 +410,8 @@ def _check_duplicate_joints(
     has_duplicate = (sorted_indices[:, 1:] == sorted_indices[:, :-1]).any(axis=1)
     if has_duplicate.any():
         message = f"{int(has_duplicate.sum())} vertices have two weights of one joint"
-        where = f"{primitive.pointer}/attributes/JOINTS_0"
-        notes.warn("GLT104", where, f"{message}: they are added")
+        pointer = f"{primitive.pointer}/attributes/JOINTS_0"
+        notes.warn("GLT104", pointer, f"{message}: they are added")
 
 
 def build_triangles(
@@ -426,8 +421,10 @@ def build_triangles(
     if primitive.mode not in {TRIANGLES, STRIP, FAN}:
         return np.zeros((0, 3), np.int64)
     vertex_indices = np.arange(vertex_count)
-    if primitive.indices >= 0:
-        vertex_indices = accessors.numbers(primitive.indices)[:, 0].astype(np.int64)
+    if primitive.index_accessor >= 0:
+        vertex_indices = accessors.numbers(primitive.index_accessor)[:, 0].astype(
+            np.int64
+        )
     if primitive.mode == TRIANGLES:
         return vertex_indices[: len(vertex_indices) // 3 * 3].reshape(-1, 3)
     if len(vertex_indices) < 3:

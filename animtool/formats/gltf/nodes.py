@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.formats.characters.nodes import Node
+from animtool.formats.characters.nodes import NO_TRANSFORM, Node
 from animtool.formats.gltf.json_items import JsonItem, animtool_extras
 from animtool.maths import so3
 from animtool.rig.parts import Vector
@@ -19,12 +19,11 @@ UNIT_TOLERANCE, SHEAR_TOLERANCE = 7.69e-3, 1e-4
 VISIBILITY = "KHR_node_visibility"
 MAX_NODES = 200_000
 _TRANSFORM_KEYS = {"matrix", "translation", "rotation", "scale"}
-_NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0), False
 _TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
 
 
 def read_nodes(root: JsonItem, mesh_count: int, skin_count: int) -> tuple[Node, ...]:
-    """Return the nodes in file order."""
+    """Return the nodes in file order, with parents and rest transforms."""
     items = root.children("nodes")
     if len(items) > MAX_NODES:
         message = f"{len(items)} nodes; the limit is {MAX_NODES}"
@@ -40,36 +39,32 @@ def read_nodes(root: JsonItem, mesh_count: int, skin_count: int) -> tuple[Node, 
 def _parent_indices(items: list[JsonItem], child_lists: list[list[int]]) -> list[int]:
     parents = [-1] * len(items)
     for i, children in enumerate(child_lists):
-        for k, child in enumerate(children):
+        for child_number, child in enumerate(children):
             if child == i:
                 message = "the node is its own child"
                 items[i].notes.fail("GLT009", items[i].pointer, message)
             if parents[child] >= 0:
                 message = f"node {child} has two parents, {parents[child]} and {i}"
-                where = f"{items[i].pointer}/children/{k}"
-                items[i].notes.fail("GLT009", where, message)
+                pointer = f"{items[i].pointer}/children/{child_number}"
+                items[i].notes.fail("GLT009", pointer, message)
             parents[child] = i
-    is_checked = [False] * len(items)
+    is_acyclic = [False] * len(items)
     for i in range(len(items)):
-        visited: dict[int, None] = {}
+        visited_nodes: dict[int, None] = {}
         ancestor = i
-        while ancestor >= 0 and not is_checked[ancestor]:
-            if ancestor in visited:
+        while ancestor >= 0 and not is_acyclic[ancestor]:
+            if ancestor in visited_nodes:
                 item, message = items[ancestor], "the node is its own ancestor"
                 item.notes.fail("GLT009", item.pointer, message)
-            visited[ancestor] = None
+            visited_nodes[ancestor] = None
             ancestor = parents[ancestor]
-        for node in visited:
-            is_checked[node] = True
+        for node in visited_nodes:
+            is_acyclic[node] = True
     return parents
 
 
 def _read_node(
-    item: JsonItem,
-    parent: int,
-    children: list[int],
-    mesh_count: int,
-    skin_count: int,
+    item: JsonItem, parent: int, children: list[int], mesh_count: int, skin_count: int
 ) -> Node:
     mesh = item.index("mesh", mesh_count, "mesh")
     skin = item.index("skin", skin_count, "skin")
@@ -99,11 +94,9 @@ def _read_node(
     )
 
 
-def _read_transform(
-    item: JsonItem,
-) -> tuple[Vector, Quaternion, Vector, bool]:
+def _read_transform(item: JsonItem) -> tuple[Vector, Quaternion, Vector, bool]:
     if not _TRANSFORM_KEYS & item.values.keys():
-        return _NO_TRANSFORM
+        return *NO_TRANSFORM, False
     matrix = item.floats("matrix", 16)
     components = [item.floats(*component) for component in _TRS_PROPERTIES]
     if matrix is not None:
@@ -111,10 +104,10 @@ def _read_transform(
             if component is not None:
                 message = f"{key} next to a matrix is ignored"
                 item.notes.warn("GLT106", item.pointer_to(key), message)
-        return (*_decompose(np.array(matrix), item), True)
+        return (*_decompose_matrix(np.array(matrix), item), True)
     translation, rotation, scale = (
         default if component is None else component
-        for component, default in zip(components, _NO_TRANSFORM[:3], strict=True)
+        for component, default in zip(components, NO_TRANSFORM, strict=True)
     )
     length = math.hypot(*rotation)
     if length == 0.0:
@@ -129,25 +122,25 @@ def _read_transform(
     return (x, y, z), (a, b, c, w), (u, v, s), False
 
 
-def _decompose(
+def _decompose_matrix(
     columns: FloatArray, item: JsonItem
 ) -> tuple[Vector, Quaternion, Vector]:
     """Return translation, rotation and scale of a matrix; shear is dropped."""
     matrix = columns.reshape(4, 4).T
-    notes, where = item.notes, item.pointer_to("matrix")
+    notes, pointer = item.notes, item.pointer_to("matrix")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR_TOLERANCE:
-        notes.fail("GLT010", where, "the last row of the matrix is not 0 0 0 1")
+        notes.fail("GLT010", pointer, "the last row of the matrix is not 0 0 0 1")
     linear = matrix[:3, :3]
-    size = float(np.abs(linear).max())
-    if not size or abs(np.linalg.det(linear / size)) < 1e-12:
-        notes.fail("GLT010", where, "the matrix is singular")
-    unit_rotation, scale = so3.split_scale(linear[None] / size)
-    rotation, lengths = unit_rotation[0], scale[0] * size
-    recomposed = so3.to_matrix(rotation) * lengths
-    shear = float(np.abs(recomposed - linear).max()) / size
+    magnitude = float(np.abs(linear).max())
+    if not magnitude or abs(np.linalg.det(linear / magnitude)) < 1e-12:
+        notes.fail("GLT010", pointer, "the matrix is singular")
+    unit_rotation, scale = so3.split_scale(linear[None] / magnitude)
+    rotation, lengths = unit_rotation[0], scale[0] * magnitude
+    rigid_linear = so3.to_matrix(rotation) * lengths
+    shear = float(np.abs(rigid_linear - linear).max()) / magnitude
     if shear > SHEAR_TOLERANCE:
         message = f"the shear of the matrix, {shear:.3g} of its size, is ignored"
-        notes.warn("GLT103", where, message)
+        notes.warn("GLT103", pointer, message)
     x, y, z = matrix[:3, 3].tolist()
     a, b, c, w = rotation.tolist()
     u, v, s = lengths.tolist()
@@ -159,13 +152,17 @@ def read_scenes(root: JsonItem, nodes: tuple[Node, ...]) -> tuple[list[list[int]
     scenes = []
     for item in root.children("scenes"):
         scene_nodes = item.indices("nodes", len(nodes), "node")
-        for k, node in enumerate(scene_nodes):
+        for position, node in enumerate(scene_nodes):
             if nodes[node].parent >= 0:
                 message = f"node {node} has a parent; it appears once in the tree"
-                item.notes.warn("GLT106", f"{item.pointer_to('nodes')}/{k}", message)
-            if node in scene_nodes[:k]:
+                item.notes.warn(
+                    "GLT106", f"{item.pointer_to('nodes')}/{position}", message
+                )
+            if node in scene_nodes[:position]:
                 message = f"node {node} is listed twice; it is in the tree once"
-                item.notes.warn("GLT106", f"{item.pointer_to('nodes')}/{k}", message)
+                item.notes.warn(
+                    "GLT106", f"{item.pointer_to('nodes')}/{position}", message
+                )
         scenes.append(scene_nodes)
-    default = root.index("scene", len(scenes), "scene")
-    return scenes, (0 if default < 0 and scenes else default)
+    default_scene = root.index("scene", len(scenes), "scene")
+    return scenes, (0 if default_scene < 0 and scenes else default_scene)

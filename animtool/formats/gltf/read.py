@@ -119,7 +119,9 @@ def _ignored_contents_notice(gltf: Gltf, animation: Animation | None) -> list[Fa
     if any(track.path is TargetPath.VISIBLE for track in tracks):
         contents.append("animated visibility")
     nodes = enumerate(gltf.nodes)
-    hidden_names = [node.name or f"node_{i}" for i, node in nodes if not node.visible]
+    hidden_names = [
+        node.name or f"node_{i}" for i, node in nodes if not node.is_visible
+    ]
     if hidden_names:
         contents.append(
             f"that nodes are hidden: {listed(hidden_names, MAX_LISTED_CONTENTS)}"

@@ -13,7 +13,11 @@ from animtool.core.units import UpAxis
 from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import joint_names, renamed_joints_notice
-from animtool.formats.characters.nodes import SCALE_TOLERANCE
+from animtool.formats.characters.nodes import (
+    NO_TRANSFORM,
+    SCALE_TOLERANCE,
+    is_uniform_scale,
+)
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.document import Gltf, humanoid_bones
 from animtool.formats.gltf.surfaces import build_meshes
@@ -29,9 +33,9 @@ class GltfRig:
     rig: Rig  # J joints
     # Joint of each node of the file; -1 for nodes that are not joints.
     joint_of_node: IntArray
-    # By node, the uniform scale folded into the lengths below it ``(N,)`` [1].
-    folded_scales: FloatArray
-    remaining_scales: FloatArray  # scales at rest that are not folded ``(J, 3)`` [1]
+    # By node, the uniform scale baked into the lengths below it ``(N,)`` [1].
+    baked_scales: FloatArray
+    remaining_scales: FloatArray  # scales at rest that are not baked ``(J, 3)`` [1]
     shape_sources: tuple[tuple[int, int], ...]  # node and morph target of each shape
     # Warnings about data that rigs cannot store.
     notices: list[Fault] = field(default_factory=list)
@@ -47,7 +51,7 @@ def build_rig(
     """Return the rig of a character, in the rest pose of the file.
 
     Every node is a joint, except nodes of skinned meshes without children, whose
-    transform has no effect. A uniform static scale is folded into the lengths below it;
+    transform has no effect. A uniform static scale is baked into the lengths below it;
     other scales remain in the takes.
     """
     joint_nodes = [
@@ -58,41 +62,45 @@ def build_rig(
     joint_nodes = joint_nodes or list(character.nodes)
     joint_of_node = np.full(len(gltf.nodes), -1, np.int64)
     joint_of_node[joint_nodes] = np.arange(len(joint_nodes))
-    is_folded = find_folded_nodes(gltf)
-    folded_scales = _folded_scales(gltf, character, is_folded)
-    names, renamed = joint_names([gltf.nodes[n] for n in joint_nodes], joint_nodes)
+    is_baked = find_baked_nodes(gltf)
+    baked_scales = _baked_scales(gltf, character, is_baked)
+    names, renamed_joints = joint_names(
+        [gltf.nodes[n] for n in joint_nodes], joint_nodes
+    )
     rig_joints = []
     humanoid_names = {node: bone for bone, node in reversed(humanoid_bones(gltf))}
     for node, joint_name in zip(joint_nodes, names, strict=True):
-        entry = gltf.nodes[node]
-        parent_scale = 1.0 if entry.parent < 0 else float(folded_scales[entry.parent])
-        x, y, z = (v * parent_scale * meters_per_unit for v in entry.translation)
-        original_name = entry.name or ""
+        gltf_node = gltf.nodes[node]
+        parent_scale = (
+            1.0 if gltf_node.parent < 0 else float(baked_scales[gltf_node.parent])
+        )
+        x, y, z = (v * parent_scale * meters_per_unit for v in gltf_node.translation)
+        original_name = gltf_node.name or ""
         rig_joints.append(
             Joint(
                 joint_name,
-                -1 if entry.parent < 0 else int(joint_of_node[entry.parent]),
+                -1 if gltf_node.parent < 0 else int(joint_of_node[gltf_node.parent]),
                 translation=(x, y, z),
-                rotation=entry.rotation,
+                rotation=gltf_node.rotation,
                 source_name="" if original_name == joint_name else original_name,
                 humanoid=humanoid_names.get(node, ""),
             )
         )
     remaining_scales = np.array([gltf.nodes[n].scale for n in joint_nodes], np.float64)
-    remaining_scales = np.where(is_folded[joint_nodes][:, None], 1.0, remaining_scales)
+    remaining_scales = np.where(is_baked[joint_nodes][:, None], 1.0, remaining_scales)
     rig_without_meshes = Rig(name, tuple(rig_joints), meters_per_unit, up)
-    binder = SkinBinder(gltf, rig_without_meshes, joint_of_node, folded_scales)
+    binder = SkinBinder(gltf, rig_without_meshes, joint_of_node, baked_scales)
     meshes, shapes, shape_sources, notices = build_meshes(gltf, character, binder)
     rig = binder.build_rig(meshes, shapes)
     helper_scales = np.ones((len(rig.joints) - len(remaining_scales), 3))
     return GltfRig(
         rig,
         joint_of_node,
-        folded_scales,
+        baked_scales,
         np.concatenate([remaining_scales, helper_scales]),
         shape_sources,
         [
-            *renamed_joints_notice("GLT113", renamed, str(gltf.path)),
+            *renamed_joints_notice("GLT113", renamed_joints, str(gltf.path)),
             *notices,
             *binder.notices,
         ],
@@ -118,44 +126,40 @@ def _is_inserted_root(gltf: Gltf, node: int) -> bool:
         return False
     if any(t.node == node for a in gltf.animations for t in a.tracks):
         return False
-    identity = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
-    return (gltf_node.translation, gltf_node.rotation, gltf_node.scale) == identity
+    return (gltf_node.translation, gltf_node.rotation, gltf_node.scale) == NO_TRANSFORM
 
 
-def find_folded_nodes(gltf: Gltf) -> BoolArray:
-    """Return which nodes have a uniform static scale ``(N,)``."""
+def find_baked_nodes(gltf: Gltf) -> BoolArray:
+    """Return whether each node has a uniform scale without animation ``(N,)``."""
     scales = np.array([node.scale for node in gltf.nodes]).reshape(-1, 3)
-    min_scales, max_scales = scales.min(axis=1), scales.max(axis=1)
-    is_uniform = (min_scales > 0) & (
-        max_scales - min_scales <= SCALE_TOLERANCE * np.abs(max_scales)
-    )
+    is_uniform = is_uniform_scale(scales)
     for animation in gltf.animations:
         for track in animation.tracks:
             if track.path is TargetPath.SCALE and is_uniform[track.node]:
                 scale, slopes = scales[track.node], (track.in_slopes, track.out_slopes)
-                difference = np.abs(track.values - scale).max()
+                deviation = np.abs(track.values - scale).max()
                 has_slope = any(
                     s is not None and np.abs(s).max() > SCALE_TOLERANCE for s in slopes
                 )
-                is_same = difference <= SCALE_TOLERANCE * scale.max()
-                is_uniform[track.node] = is_same and not has_slope
-    return np.asarray(is_uniform)
+                is_static = deviation <= SCALE_TOLERANCE * scale.max()
+                is_uniform[track.node] = is_static and not has_slope
+    return is_uniform
 
 
-def _folded_scales(
-    gltf: Gltf, character: CharacterNodes, is_folded: BoolArray
+def _baked_scales(
+    gltf: Gltf, character: CharacterNodes, is_baked: BoolArray
 ) -> FloatArray:
     """Return the product of uniform scales from the root to each node ``(N,)``."""
-    folded_scales = np.ones(len(gltf.nodes))
+    baked_scales = np.ones(len(gltf.nodes))
     for node in character.nodes:
         gltf_node = gltf.nodes[node]
-        parent_scale = 1.0 if gltf_node.parent < 0 else folded_scales[gltf_node.parent]
-        scale = float(np.mean(gltf_node.scale)) if is_folded[node] else 1.0
-        folded_scales[node] = parent_scale * scale
-    return folded_scales
+        parent_scale = 1.0 if gltf_node.parent < 0 else baked_scales[gltf_node.parent]
+        scale = float(np.mean(gltf_node.scale)) if is_baked[node] else 1.0
+        baked_scales[node] = parent_scale * scale
+    return baked_scales
 
 
-def scale_notice(gltf_rig: GltfRig, where: str) -> list[Fault]:
+def scale_notice(gltf_rig: GltfRig, path: str) -> list[Fault]:
     """Return a warning about joint scales that a rig cannot store."""
     rig = gltf_rig.rig
     has_scale = np.abs(gltf_rig.remaining_scales - 1.0).max(axis=1) > 1e-4
@@ -165,4 +169,4 @@ def scale_notice(gltf_rig: GltfRig, where: str) -> list[Fault]:
     message = "scales at rest that a rig cannot store: "
     message += listed(names, MAX_LISTED_JOINTS)
     hint = "takes of the file keep them"
-    return [Fault("GLT111", message, where, (), hint, Severity.WARNING)]
+    return [Fault("GLT111", message, path, (), hint, Severity.WARNING)]

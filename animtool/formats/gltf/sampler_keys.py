@@ -44,15 +44,15 @@ class SamplerKeys:
     in_slopes: FloatArray | None = None  # slopes into the keys ``(K, W)`` [1/s]
     out_slopes: FloatArray | None = None  # slopes out of the keys ``(K, W)`` [1/s]
 
-    def accessor_rows(self, *, scalars: bool = False) -> FloatArray:
-        """Return the rows of the output accessor; with ``scalars``, one number a row.
+    def accessor_rows(self, *, is_scalar: bool = False) -> FloatArray:
+        """Return the rows of the output accessor; with ``is_scalar``, one number a row.
 
         Cubic splines have three rows a key: incoming slope, value and outgoing slope.
         """
-        values = self.values
+        rows = self.values
         if self.in_slopes is not None and self.out_slopes is not None:
-            values = np.stack([self.in_slopes, self.values, self.out_slopes], axis=1)
-        return values.reshape(-1, 1 if scalars else self.values.shape[1])
+            rows = np.stack([self.in_slopes, self.values, self.out_slopes], axis=1)
+        return rows.reshape(-1, 1 if is_scalar else self.values.shape[1])
 
 
 def convert_clip_keys(
@@ -69,10 +69,10 @@ def convert_clip_keys(
     additive_keys: set[tuple[int, str]] = set()
     shapes = [shape.name for shape in take.rig.shapes]
     for channel in clip.channels:
-        group, _, name = channel.target.partition("/")
-        if group == "shape":
+        target_kind, _, name = channel.target.partition("/")
+        if target_kind == "shape":
             target_key = (shapes.index(name), "weights")
-        elif group == "joint":
+        elif target_kind == "joint":
             joint, part = split_part(name, KEYED_PARTS)
             if part in _ADDITIVE_PARTS:
                 additive_keys.add((take.rig.index(joint), _ADDITIVE_PARTS[part]))
@@ -88,7 +88,7 @@ def convert_clip_keys(
 
 
 def convert_native_keys(
-    native: NativeKeys, start: Fraction
+    native_keys: NativeKeys, start: Fraction
 ) -> dict[tuple[int, str], SamplerKeys]:
     """Return the keys of a glTF source by joint or shape and path, shifted in time.
 
@@ -96,11 +96,11 @@ def convert_native_keys(
 
     ``start`` is the time code of time 0.
     """
-    frames = native.frames
+    frames = native_keys.frames
     time_offset = float(frames.start - start) / float(frames.fps)
     all_keys: dict[tuple[int, str], SamplerKeys] = {}
     shifted_times: dict[int, FloatArray] = {}
-    for path, tracks in native.sampler.tracks.items():
+    for path, tracks in native_keys.sampler.tracks.items():
         for rig_track in tracks:
             track = rig_track.track
             key_times = shifted_times.setdefault(
@@ -204,9 +204,9 @@ def reduce_keys(keys: SamplerKeys, tolerance: float) -> SamplerKeys:
 def _segment_distances(
     start: FloatArray, end: FloatArray, fraction: FloatArray, values: FloatArray
 ) -> FloatArray:
-    """Return the distance of samples from the segment between two samples."""
+    """Return distances of samples ``(F,)`` from the segment between two samples."""
     if values.shape[1] == 4:
-        interpolated = so3.slerp(start[None], end[None], fraction)
-        return so3.angle_between(interpolated, values)
-    interpolated = start + fraction[:, None] * (end - start)
-    return np.asarray(np.abs(values - interpolated).max(axis=1))
+        segment_values = so3.slerp(start[None], end[None], fraction)
+        return so3.angle_between(segment_values, values)
+    segment_values = start + fraction[:, None] * (end - start)
+    return np.asarray(np.abs(values - segment_values).max(axis=1))

@@ -13,11 +13,11 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.record import dataclass
-from animtool.formats.characters.stream import sampled_stream
+from animtool.formats.characters.stream import build_sampled_stream
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation, GltfTrack, interpolate_tracks
 from animtool.formats.gltf.document import Gltf
-from animtool.formats.gltf.rig import GltfRig, find_folded_nodes
+from animtool.formats.gltf.rig import GltfRig, find_baked_nodes
 from animtool.formats.gltf.timing import GltfFrames
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -53,38 +53,38 @@ class GltfSampler:
     @property
     def values_per_frame(self) -> int:
         """Number of animated values per frame."""
-        counts = {TargetPath.ROTATION: 4, TargetPath.WEIGHTS: 1}
-        return sum(counts.get(p, 3) * len(t) for p, t in self.tracks.items())
+        widths = {TargetPath.ROTATION: 4, TargetPath.WEIGHTS: 1}
+        return sum(widths.get(p, 3) * len(t) for p, t in self.tracks.items())
 
     def sample(self, times: FloatArray) -> Motion:
         """Return the motion at times ``(F,)`` [s]."""
         self._segments_by_keys.clear()
         channels = {path: self._channel(path, times) for path in self.rest_values}
-        shapes = len(self.rest_values[TargetPath.WEIGHTS])
+        shape_count = len(self.rest_values[TargetPath.WEIGHTS])
         return Motion(
             channels[TargetPath.TRANSLATION],
             channels[TargetPath.ROTATION],
             channels[TargetPath.SCALE] if self.has_scale else None,
-            channels[TargetPath.WEIGHTS] if shapes else None,
+            channels[TargetPath.WEIGHTS] if shape_count else None,
         )
 
     def _channel(self, path: TargetPath, times: FloatArray) -> Channel:
-        rest, rig_tracks = self.rest_values[path], self.tracks[path]
+        rest_values, rig_tracks = self.rest_values[path], self.tracks[path]
         rows = np.array([rig_track.row for rig_track in rig_tracks], np.int64)
         if path is TargetPath.ROTATION and rig_tracks:
             keys_by_row = [self._consecutive_keys(r.track, times) for r in rig_tracks]
             channel_keys = [r for r in keys_by_row if r is not None]
             if len(channel_keys) == len(keys_by_row):
                 values = _kernels.unpack_rotations(channel_keys, None)
-                return Channel(rest, rows, values)
-        values = np.empty((len(times), len(rig_tracks), rest.shape[1]))
-        groups = _group_tracks(rig_tracks)
+                return Channel(rest_values, rows, values)
+        values = np.empty((len(times), len(rig_tracks), rest_values.shape[1]))
+        column_groups = _group_tracks(rig_tracks)
         factors = np.array([rig_track.factor for rig_track in rig_tracks])[:, None]
         has_scale = bool((factors != 1.0).any())
         # A chunk stays in the processor's cache.
         for first in range(0, len(times) if rig_tracks else 0, CHUNK_FRAMES):
             chunk = slice(first, min(first + CHUNK_FRAMES, len(times)))
-            for columns in groups:
+            for columns in column_groups:
                 tracks = [rig_tracks[k].track for k in columns]
                 values[chunk, columns] = self._track_values(tracks, times, chunk)
             if has_scale:
@@ -92,15 +92,15 @@ class GltfSampler:
             if path is TargetPath.ROTATION:
                 _normalize_rows(values[chunk])
                 _align_signs(values[chunk], values[first - 1] if first else None)
-        return Channel(rest, rows, values)
+        return Channel(rest_values, rows, values)
 
     def _cached_segments(
-        self, keys: FloatArray, times: FloatArray
+        self, key_times: FloatArray, times: FloatArray
     ) -> tuple[IntArray | slice, FloatArray]:
-        """Return `_find_segments`, cached for tracks with the same keys."""
-        if id(keys) not in self._segments_by_keys:
-            self._segments_by_keys[id(keys)] = _find_segments(keys, times)
-        return self._segments_by_keys[id(keys)]
+        """Return `_find_segments`, computed once per array of key times."""
+        if id(key_times) not in self._segments_by_keys:
+            self._segments_by_keys[id(key_times)] = _find_segments(key_times, times)
+        return self._segments_by_keys[id(key_times)]
 
     def _consecutive_keys(
         self, track: GltfTrack, times: FloatArray
@@ -123,15 +123,15 @@ class GltfSampler:
 
         Rotations are not normalized.
         """
-        keys = tracks[0].times
-        if len(keys) == 1:
+        key_times = tracks[0].times
+        if len(key_times) == 1:
             return np.stack([track.sample(times[chunk]) for track in tracks], axis=1)
-        key_indices, fractions = self._cached_segments(keys, times)
+        key_indices, fractions = self._cached_segments(key_times, times)
         if isinstance(key_indices, slice):
             first_key = key_indices.start
-            keys_of_chunk = slice(first_key + chunk.start, first_key + chunk.stop)
-            return np.stack([track.values[keys_of_chunk] for track in tracks], axis=1)
-        if fractions is _ON_KEYS:
+            chunk_keys = slice(first_key + chunk.start, first_key + chunk.stop)
+            return np.stack([track.values[chunk_keys] for track in tracks], axis=1)
+        if fractions is _TIMES_ON_KEYS:
             return np.stack([t.values[key_indices[chunk]] for t in tracks], axis=1)
         return interpolate_tracks(tracks, key_indices[chunk], fractions[chunk])
 
@@ -154,33 +154,33 @@ class NativeKeys:
     last_time: float
 
 
-_ON_KEYS = np.zeros(0)
+_TIMES_ON_KEYS = np.zeros(0)
 
 
 def _find_segments(
-    keys: FloatArray, times: FloatArray
+    key_times: FloatArray, times: FloatArray
 ) -> tuple[IntArray | slice, FloatArray]:
     """Return the index of the key before each time, and times snapped to nearby keys.
 
-    If all times are keys or outside the keys, the times are `_ON_KEYS` and the indices
-    are those of the keys.
+    If all times are keys or outside the keys, the times are `_TIMES_ON_KEYS` and the
+    indices are those of the keys.
     """
-    last_key = len(keys) - 1
-    key_indices = np.searchsorted(keys, times, "right") - 1
-    key_indices = np.clip(key_indices, 0, last_key)
-    next_keys = np.minimum(key_indices + 1, last_key)
+    last_index = len(key_times) - 1
+    key_indices = np.searchsorted(key_times, times, "right") - 1
+    key_indices = np.clip(key_indices, 0, last_index)
+    next_indices = np.minimum(key_indices + 1, last_index)
     tolerance = KEY_TIME_TOLERANCE * np.abs(times)
-    is_near_next = np.abs(keys[next_keys] - times) <= tolerance
-    key_indices = np.where(is_near_next, next_keys, key_indices)
-    is_on_key = np.abs(keys[key_indices] - times) <= tolerance
-    is_on_key |= (times <= keys[0]) | (times >= keys[-1])
+    is_near_next = np.abs(key_times[next_indices] - times) <= tolerance
+    key_indices = np.where(is_near_next, next_indices, key_indices)
+    is_on_key = np.abs(key_times[key_indices] - times) <= tolerance
+    is_on_key |= (times <= key_times[0]) | (times >= key_times[-1])
     if is_on_key.all():
         if len(key_indices) == 1 or (np.diff(key_indices) == 1).all():
-            first = int(key_indices[0])
-            return slice(first, first + len(key_indices)), _ON_KEYS
-        return np.asarray(key_indices), _ON_KEYS
-    snapped_times = np.where(is_on_key, keys[key_indices], times)
-    return np.minimum(key_indices, last_key - 1), snapped_times
+            first_index = int(key_indices[0])
+            return slice(first_index, first_index + len(key_indices)), _TIMES_ON_KEYS
+        return np.asarray(key_indices), _TIMES_ON_KEYS
+    snapped_times = np.where(is_on_key, key_times[key_indices], times)
+    return np.minimum(key_indices, last_index - 1), snapped_times
 
 
 def _normalize_rows(rotations: FloatArray) -> None:
@@ -256,8 +256,8 @@ def _rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
 def _rig_tracks(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
 ) -> list[tuple[TargetPath, RigTrack]]:
-    """Return the tracks of a rig's joints and shapes, with their paths."""
-    is_folded = find_folded_nodes(gltf)
+    """Return the tracks that animate joints and shapes of a rig, each with its path."""
+    is_baked = find_baked_nodes(gltf)
     rig_tracks: list[tuple[TargetPath, RigTrack]] = []
     weight_tracks: list[GltfTrack] = []
     for track in tracks:
@@ -267,12 +267,12 @@ def _rig_tracks(
         joint = int(gltf_rig.joint_of_node[track.node])
         if joint < 0 or track.path is TargetPath.VISIBLE:
             continue
-        if track.path is TargetPath.SCALE and is_folded[track.node]:
+        if track.path is TargetPath.SCALE and is_baked[track.node]:
             continue
         factor = 1.0
         if track.path is TargetPath.TRANSLATION:
             parent = gltf.nodes[track.node].parent
-            factor = 1.0 if parent < 0 else float(gltf_rig.folded_scales[parent])
+            factor = 1.0 if parent < 0 else float(gltf_rig.baked_scales[parent])
             factor *= gltf_rig.rig.meters_per_unit
         rig_tracks.append((track.path, RigTrack(joint, track, factor)))
     return rig_tracks + _weight_tracks(gltf, gltf_rig, weight_tracks)
@@ -285,11 +285,11 @@ def _weight_tracks(
     track_by_row: dict[int, GltfTrack] = {}
     for track in sorted(tracks, key=lambda t: (t.node < 0, t.weight_index < 0)):
         for row, (node, target) in enumerate(gltf_rig.shape_sources):
-            entry = gltf.nodes[node]
-            moves_node = track.node == node
+            gltf_node = gltf.nodes[node]
+            is_animated = track.node == node
             if track.node < 0:
-                moves_node = track.mesh == entry.mesh and entry.weights is None
-            if moves_node and track.weight_index in {-1, target}:
+                is_animated = track.mesh == gltf_node.mesh and gltf_node.weights is None
+            if is_animated and track.weight_index in {-1, target}:
                 track_by_row.setdefault(row, _weight_track(track, target))
     return [(TargetPath.WEIGHTS, RigTrack(r, t)) for r, t in track_by_row.items()]
 
@@ -312,12 +312,12 @@ def build_stream(
     gltf_rig: GltfRig, sampler: GltfSampler, frames: GltfFrames
 ) -> TakeStream:
     """Return an animation as a stream, sampled block by block."""
-    clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
+    clock = Clock(frames.fps, frames.first_frame, Fraction(1), frames.count)
 
     def sample(codes: FloatArray) -> Motion:
         return sampler.sample(frames.seconds(codes))
 
-    return sampled_stream(gltf_rig.rig, clock, sample, BLOCK_FRAMES)
+    return build_sampled_stream(gltf_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
 def animates_rig(gltf_rig: GltfRig, animation: Animation) -> bool:

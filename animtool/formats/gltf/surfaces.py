@@ -19,7 +19,7 @@ from animtool.formats.gltf.meshes import Primitive, build_triangles, read_skin_w
 from animtool.rig.parts import LoadedArray, Mesh, Shape, Skin, Subdivision
 
 # Number of joints from which equal bind matrices are reported.
-MIN_BINDS = 3
+MIN_EQUAL_BINDS = 3
 # Points with a largest weight below 1 by more than this follow several joints [1].
 BLEND_TOLERANCE = 1e-3
 
@@ -46,7 +46,7 @@ def build_meshes(
         for n in nodes
         for t in range(gltf.meshes[gltf.nodes[n].mesh].target_count)
     ]
-    remaining_names = iter(_shape_names(gltf, shape_keys, names))
+    next_names = iter(_shape_names(gltf, shape_keys, names))
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
     empty_meshes: list[str] = []
@@ -55,11 +55,11 @@ def build_meshes(
         if mesh is None:
             empty_meshes.append(names[node])
             target_count = gltf.meshes[gltf.nodes[node].mesh].target_count
-            shapes += [Shape(next(remaining_names)) for _ in range(target_count)]
+            shapes += [Shape(next(next_names)) for _ in range(target_count)]
             continue
         meshes.append(mesh)
         for deltas, normals in _morph_offsets(gltf, node):
-            shapes.append(Shape(next(remaining_names), mesh.name, deltas, normals))
+            shapes.append(Shape(next(next_names), mesh.name, deltas, normals))
     notices = []
     if empty_meshes:
         message = f"{counted(len(empty_meshes), 'mesh', 'meshes')} with only points or "
@@ -69,29 +69,29 @@ def build_meshes(
 
 
 def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
-    """Return unique mesh names by node."""
+    """Return a unique, printable mesh name for each node with a mesh."""
     names = []
     for node in nodes:
-        entry = gltf.nodes[node]
-        mesh = gltf.meshes[entry.mesh]
-        name = mesh.original_name or entry.name or mesh.name or f"mesh_{node}"
+        gltf_node = gltf.nodes[node]
+        mesh = gltf.meshes[gltf_node.mesh]
+        name = mesh.original_name or gltf_node.name or mesh.name or f"mesh_{node}"
         names.append(replace_unprintable(name) or "mesh")
     return dict(zip(nodes, numbered_names(names), strict=True))
 
 
 def _shape_names(
-    gltf: Gltf, keys: Sequence[ShapeKey], mesh_names: dict[int, str]
+    gltf: Gltf, shape_keys: Sequence[ShapeKey], mesh_names: dict[int, str]
 ) -> list[str]:
     """Return unique shape names, prefixed with the mesh if ambiguous."""
-    options = []
-    for node, target in keys:
-        names, mesh_name = (
+    names_by_shape = []
+    for node, target in shape_keys:
+        target_names, mesh_name = (
             gltf.meshes[gltf.nodes[node].mesh].target_names,
             mesh_names[node],
         )
-        target_name = names[target] if names else ""
-        options.append((target_name, f"{mesh_name}_{target}", mesh_name))
-    return shape_names(options)
+        target_name = target_names[target] if target_names else ""
+        names_by_shape.append((target_name, f"{mesh_name}_{target}", mesh_name))
+    return shape_names(names_by_shape)
 
 
 def shared_vertices(gltf: Gltf, node: int) -> list[SharedVertices]:
@@ -109,25 +109,25 @@ def shared_vertices(gltf: Gltf, node: int) -> list[SharedVertices]:
 def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | None:
     """Return the mesh of a node; None without faces."""
     vertex_sets = shared_vertices(gltf, node)
-    starts = {v.primitive.vertex_key: v.first_vertex for v in vertex_sets}
+    first_vertices = {v.primitive.vertex_key: v.first_vertex for v in vertex_sets}
     faces = []
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0:
             count = gltf.accessors.get(primitive.position).count
             triangles = build_triangles(primitive, count, gltf.accessors)
-            faces.append(triangles + starts[primitive.vertex_key])
+            faces.append(triangles + first_vertices[primitive.vertex_key])
     if not sum(map(len, faces)):
         return None
     points = [gltf.accessors.floats(v.primitive.position) for v in vertex_sets]
-    skin, geometry = _build_skin(gltf, node, vertex_sets, binder)
-    bind = tuple(geometry.ravel().tolist())
+    skin, geom_bind = _build_skin(gltf, node, vertex_sets, binder)
+    bind = tuple(geom_bind.ravel().tolist())
     normals = _vertex_normals(gltf, vertex_sets)
     return Mesh(
         name,
         LoadedArray(np.concatenate(points)),
         LoadedArray(np.concatenate(faces).astype(np.float64)),
         normals,
-        None if (geometry == np.eye(4)).all() else bind,
+        None if (geom_bind == np.eye(4)).all() else bind,
         skin,
         Subdivision.NONE if normals is None else None,
     )
@@ -147,30 +147,32 @@ def _build_skin(
     gltf: Gltf, node: int, vertex_sets: list[SharedVertices], binder: SkinBinder
 ) -> tuple[Skin, FloatArray]:
     """Return the skin of a mesh, bound to its joints or else to its node."""
-    index = gltf.nodes[node].skin
-    if index < 0 or not all(vertices.primitive.joints for vertices in vertex_sets):
+    skin_index = gltf.nodes[node].skin
+    if skin_index < 0 or not all(vertices.primitive.joints for vertices in vertex_sets):
         return binder.bind_node(node, sum(vertices.count for vertices in vertex_sets))
-    geometry, joints = binder.bind_skin(index)
-    skin_rows = [
+    geom_bind, joints = binder.bind_skin(skin_index)
+    influences = [
         read_skin_weights(v.primitive, len(joints), gltf.accessors) for v in vertex_sets
     ]
-    width = max(indices.shape[1] for indices, _ in skin_rows)
-    indices = np.concatenate([_pad_columns(row, width) for row, _ in skin_rows])
-    weights = np.concatenate([_pad_columns(row, width) for _, row in skin_rows])
-    blended = int((weights.max(axis=1) < 1.0 - BLEND_TOLERANCE).sum())
-    _warn_of_equal_binds(gltf, index, blended)
-    return binder.build_skin("linear", joints, indices, weights), geometry
+    width = max(indices.shape[1] for indices, _ in influences)
+    indices = np.concatenate([_pad_columns(values, width) for values, _ in influences])
+    weights = np.concatenate([_pad_columns(values, width) for _, values in influences])
+    blended_count = int((weights.max(axis=1) < 1.0 - BLEND_TOLERANCE).sum())
+    _warn_of_equal_binds(gltf, skin_index, blended_count)
+    return binder.build_skin("linear", joints, indices, weights), geom_bind
 
 
-def _warn_of_equal_binds(gltf: Gltf, index: int, blended: int) -> None:
+def _warn_of_equal_binds(gltf: Gltf, skin_index: int, blended_count: int) -> None:
     """Warn of a skin that binds all joints alike, though points blend them (GLT119).
 
-    ``blended`` points follow several joints. With one joint for each point, the points
-    may be stored in the frames of their joints.
+    ``blended_count`` points follow several joints. With one joint for each point, the
+    points may be stored in the frames of their joints.
     """
-    skin = gltf.skins[index]
+    skin = gltf.skins[skin_index]
     binds = skin.inverse_bind
-    if len(binds) < MIN_BINDS or not blended or np.ptp(binds, axis=0).max() > 0:
+    if len(binds) < MIN_EQUAL_BINDS or not blended_count:
+        return
+    if np.ptp(binds, axis=0).max() > 0:
         return
     offsets = [
         np.linalg.norm(gltf.nodes[node].translation)
@@ -181,16 +183,17 @@ def _warn_of_equal_binds(gltf: Gltf, index: int, blended: int) -> None:
         return
     message = f"the inverse bind matrices of all {len(binds)} joints are equal, but "
     message += f"joints are up to {length_text(float(max(offsets)))} from their "
-    message += f"parents, and {counted(blended, 'point')} "
-    message += f"follow{'s' if blended == 1 else ''} several of them: the mesh tears"
+    message += f"parents, and {counted(blended_count, 'point')} "
+    message += "follows" if blended_count == 1 else "follow"
+    message += " several of them: the mesh tears"
     hint = "export it again with the inverse bind matrices of the bind pose"
-    gltf.notes.warn("GLT119", f"{skin.where}/inverseBindMatrices", message, hint)
+    gltf.notes.warn("GLT119", f"{skin.location}/inverseBindMatrices", message, hint)
 
 
 def _pad_columns(values: FloatArray | IntArray, width: int) -> FloatArray:
-    padded = np.zeros((len(values), width))
-    padded[:, : values.shape[1]] = values
-    return padded
+    padded_values = np.zeros((len(values), width))
+    padded_values[:, : values.shape[1]] = values
+    return padded_values
 
 
 def _morph_offsets(

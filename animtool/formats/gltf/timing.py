@@ -41,7 +41,7 @@ class GltfFrames:
 
     fps: Fraction
     start: Fraction  # time code of time 0
-    first: Fraction  # time code of the first frame
+    first_frame: Fraction  # time code of the first frame
     count: int
     notices: tuple[Fault, ...] = ()
 
@@ -67,14 +67,8 @@ def find_frame_range(
         return GltfFrames(fps or RATES_BY_PREFERENCE[0], Fraction(0), Fraction(0), 1)
     stated_rate, start = _recorded_timing(animation.extras)
     times = key_times(animation)
-    rate = (
-        fps
-        or stated_rate
-        or next(
-            (c for c in RATES_BY_PREFERENCE if _fits_rate(times, c)),
-            DEFAULT_RATE,
-        )
-    )
+    fitting_rates = (rate for rate in RATES_BY_PREFERENCE if _fits_rate(times, rate))
+    rate = fps or stated_rate or next(fitting_rates, DEFAULT_RATE)
     first_time, last_time = animation.span
     first_frame = 0
     if first_time < 0:
@@ -105,11 +99,11 @@ def _unit_warning(times: FloatArray, path: str, animation: Animation) -> list[Fa
         return []
     duration = float(times[-1] - times[0])
     spacing = float(np.median(np.diff(times)))
-    are_integers = bool((times == np.round(times)).all())
+    is_integer = bool((times == np.round(times)).all())
     if spacing > MAX_KEY_SPACING:
         unit, factor = "milliseconds", 1000.0
-    elif are_integers and spacing <= MAX_FRAME_SPACING:
-        unit, factor = f"frames at {rate_label(DEFAULT_RATE)}", float(DEFAULT_RATE)
+    elif is_integer and spacing <= MAX_FRAME_SPACING:
+        unit, factor = (f"frames at {rate_label(DEFAULT_RATE)}", float(DEFAULT_RATE))
     else:
         return []
     message = f"keys are {spacing:.4g} s apart, over {duration:.5g} s; as {unit} they "
@@ -159,12 +153,12 @@ def _off_frame_fault(
 
 def _recorded_timing(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
     """Return the rate and start frame recorded by animtool."""
-    entry = extras.get("animtool")
-    if not isinstance(entry, dict):
+    timing = extras.get("animtool")
+    if not isinstance(timing, dict):
         return None, Fraction(0)
     try:
-        rate = parse_rate(str(entry["fps"]))
-        start = Fraction(str(entry.get("start", 0)))
+        rate = parse_rate(str(timing["fps"]))
+        start = Fraction(str(timing.get("start", 0)))
     except (KeyError, ValueError, ArithmeticError):
         return None, Fraction(0)
     return rate, start if abs(start) < 10**9 else Fraction(0)

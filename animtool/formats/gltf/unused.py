@@ -13,8 +13,10 @@ from animtool.core.record import dataclass
 from animtool.formats.gltf.json_items import is_number
 
 # Vertex attributes that are read, and those that only affect appearance.
-_READ_ATTRIBUTES = re.compile(r"POSITION|NORMAL|(?:JOINTS|WEIGHTS)_(?:0|[1-9]\d{0,3})")
-_APPEARANCE_ATTRIBUTES = re.compile(
+_READ_ATTRIBUTE_PATTERN = re.compile(
+    r"POSITION|NORMAL|(?:JOINTS|WEIGHTS)_(?:0|[1-9]\d{0,3})"
+)
+_APPEARANCE_ATTRIBUTE_PATTERN = re.compile(
     r"TANGENT|(?:TEXCOORD|COLOR)_(?:0|[1-9]\d*)|_.*", re.DOTALL
 )
 
@@ -43,8 +45,8 @@ def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
     unused_views = {_valid_index(i["bufferView"]) for i in images if "bufferView" in i}
     used_views = set[int]()
     for i, accessor in enumerate(_objects(root.get("accessors"))):
-        target = unused_views if i in accessors else used_views
-        target.update(_accessor_views(accessor))
+        view_set = unused_views if i in accessors else used_views
+        view_set.update(_accessor_views(accessor))
     views = frozenset(unused_views - used_views)
     used_buffers, unused_buffers = {-1}, set[int]()
     for i, view in enumerate(_objects(root.get("bufferViews"))):
@@ -59,7 +61,7 @@ def is_supported_attribute(attribute: str) -> bool:
     >>> is_supported_attribute("JOINTS_1"), is_supported_attribute("TEXCOORD_0")
     (True, False)
     """
-    return _READ_ATTRIBUTES.fullmatch(attribute) is not None
+    return _READ_ATTRIBUTE_PATTERN.fullmatch(attribute) is not None
 
 
 def is_known_attribute(attribute: str) -> bool:
@@ -68,7 +70,7 @@ def is_known_attribute(attribute: str) -> bool:
     >>> is_known_attribute("COLOR_0"), is_known_attribute("TEXCOORD_00")
     (True, False)
     """
-    is_appearance = _APPEARANCE_ATTRIBUTES.fullmatch(attribute) is not None
+    is_appearance = _APPEARANCE_ATTRIBUTE_PATTERN.fullmatch(attribute) is not None
     return is_appearance or is_supported_attribute(attribute)
 
 

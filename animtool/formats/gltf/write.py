@@ -35,12 +35,12 @@ def build_gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
         raise OptionError(Fault("RIG044", message, hint="write USD, or a .clip.yaml"))
     builder = GlbBuilder({"asset": {"version": "2.0", "generator": "animtool"}})
     scales = _rest_scales(first_take)
-    written_rig = write_rig(builder, rig, scales, _rest_weights(first_take))
+    rig_indices = write_rig(builder, rig, scales, _rest_weights(first_take))
     names = options.names or (path.stem,)
-    notices = list(written_rig.notices)
+    notices = list(rig_indices.notices)
     for written_take, name in zip(takes, names, strict=True):
         notices += write_clip(
-            builder, written_take, name, written_rig, scales, options.tolerance
+            builder, written_take, name, rig_indices, scales, options.tolerance
         )
     is_gltf = path.suffix.lower() == ".gltf"
     chunks: Any = builder.gltf_chunks() if is_gltf else builder.glb_chunks()

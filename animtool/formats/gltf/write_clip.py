@@ -47,12 +47,12 @@ class _AnimationBuilder:
         """Return the accessor of key times, which are stored once."""
         if id(times) not in self.time_accessors:
             rows = times.astype(np.float32)[:, None]
-            accessor = self.builder.add_accessor(rows, with_bounds=True)
+            accessor = self.builder.add_accessor(rows, has_bounds=True)
             self.time_accessors[id(times)] = times, accessor
         return self.time_accessors[id(times)][1]
 
-    def lasts_until(self, end: float) -> bool:
-        """Return whether keys last until a time [s]; else extend a static track."""
+    def extend_to(self, end: float) -> bool:
+        """Return whether keys reach a time [s]; a static track is extended to it."""
         if any(keys.times[-1] >= end for *_, keys in self.tracks):
             return True
         for k, (node, path, keys) in enumerate(self.tracks):
@@ -66,7 +66,7 @@ class _AnimationBuilder:
     def write(self) -> None:
         """Write the samplers and channels of all added keys."""
         for node, path, keys in self.tracks:
-            rows = keys.accessor_rows(scalars=path == "weights")
+            rows = keys.accessor_rows(is_scalar=path == "weights")
             rows = rows.astype(np.float32, copy=False)
             sampler: dict[str, Any] = {
                 "input": self.add_times(keys.times),
@@ -113,13 +113,13 @@ def write_clip(
         ("rotation", motion.rotations, rig.rest_rotations),
         ("scale", motion.scales, scales),
     ]
-    for path, channel, rest in channels:
+    for path, channel, rest_values in channels:
         if channel is None:
             continue
-        samples = _samples_by_row(channel, as_float32=tolerance is None)
+        samples = _samples_by_row(channel, converts_to_float32=tolerance is None)
         for j in range(len(rig.joints)):
             values = samples.get(j, channel.rest[j][None])
-            keys = _joint_keys(path, values, rest[j], seconds)
+            keys = _joint_keys(path, values, rest_values[j], seconds)
             if keys is not None and len(keys.times) > 1:
                 if (j, path) in source_keys:
                     keys = source_keys[j, path]
@@ -132,21 +132,23 @@ def write_clip(
     )
     duration = float(seconds[-1])
     if tolerance is None and matches_curve(take):
-        native = getattr(take.curve, "native_keys", None)
-        duration = native.last_time if isinstance(native, NativeKeys) else duration
-    if not animation.lasts_until(duration):
+        native_keys = getattr(take.curve, "native_keys", None)
+        duration = (
+            native_keys.last_time if isinstance(native_keys, NativeKeys) else duration
+        )
+    if not animation.extend_to(duration):
         # glTF requires a channel: a static key keeps the name and duration of the clip.
         _add_static_key(animation, take, rig_indices, seconds[:1])
-        animation.lasts_until(duration)
+        animation.extend_to(duration)
     animation.write()
-    entry = {
+    animation_json = {
         "name": name,
         "channels": animation.channels,
         "samplers": animation.samplers,
         # The reader restores the frames from these.
         "extras": {"animtool": {"fps": str(clock.fps), "start": str(clock.start)}},
     }
-    builder.add("animations", entry)
+    builder.add("animations", animation_json)
     return lost_notices
 
 
@@ -155,9 +157,9 @@ def _source_keys(take: Take) -> dict[tuple[int, str], SamplerKeys]:
     start = take.clock.start
     if not matches_curve(take):
         return {}
-    native = getattr(take.curve, "native_keys", None)
-    if isinstance(native, NativeKeys):
-        return convert_native_keys(native, start)
+    native_keys = getattr(take.curve, "native_keys", None)
+    if isinstance(native_keys, NativeKeys):
+        return convert_native_keys(native_keys, start)
     clip = clip_of(take)
     return {} if clip is None else convert_clip_keys(clip, take, start)
 
@@ -172,30 +174,33 @@ def _add_static_key(
         "translation": rig.rest_translations,
         "rotation": rig.rest_rotations,
     }
-    for path, rest in rest_values_by_path.items():
-        for node, row in zip(rig_indices.joints, rest, strict=True):
+    for path, rest_values in rest_values_by_path.items():
+        for node, rest_value in zip(rig_indices.joints, rest_values, strict=True):
             if (node, path) not in keyed_paths:
-                animation.tracks.append((node, path, _single_key(row, times)))
+                animation.tracks.append((node, path, _single_key(rest_value, times)))
                 return
     if not rig.joints:
         key = _single_key(np.zeros(3), times)
         animation.tracks.append((0, "translation", key))
 
 
-def _single_key(row: FloatArray, times: FloatArray) -> SamplerKeys:
-    return SamplerKeys(times[:1], row.reshape(1, -1))
+def _single_key(value: FloatArray, times: FloatArray) -> SamplerKeys:
+    return SamplerKeys(times[:1], value.reshape(1, -1))
 
 
-def _samples_by_row(channel: Channel, *, as_float32: bool) -> dict[int, FloatArray]:
+def _samples_by_row(
+    channel: Channel, *, converts_to_float32: bool
+) -> dict[int, FloatArray]:
     """Return the samples of each animated joint ``(F, K)``.
 
-    ``as_float32`` converts them to float32, the type stored in files.
+    ``converts_to_float32`` converts them to the type that files store.
     """
     values = channel.values
     if not len(values):
         return {}
-    table = _joints_first(values, np.float32 if as_float32 else np.float64)
-    return dict(zip(channel.animated.tolist(), table, strict=True))
+    dtype = np.float32 if converts_to_float32 else np.float64
+    joint_samples = _joints_first(values, dtype)
+    return dict(zip(channel.animated.tolist(), joint_samples, strict=True))
 
 
 def _joints_first(values: FloatArray, dtype: type[np.floating[Any]]) -> Any:
@@ -205,26 +210,28 @@ def _joints_first(values: FloatArray, dtype: type[np.floating[Any]]) -> Any:
     the processor's cache.
     """
     frame_count, joint_count, width = values.shape
-    element = np.dtype((np.void, width * np.dtype(dtype).itemsize))
-    table = np.empty((joint_count, frame_count), element)
+    joint_dtype = np.dtype((np.void, width * np.dtype(dtype).itemsize))
+    joint_samples = np.empty((joint_count, frame_count), joint_dtype)
     for first in range(0, frame_count, _CHUNK_FRAMES):
         rows = np.ascontiguousarray(values[first : first + _CHUNK_FRAMES], dtype)
-        table[:, first : first + _CHUNK_FRAMES] = rows.view(element)[:, :, 0].T
-    return table.view(dtype).reshape(joint_count, frame_count, width)
+        joint_samples[:, first : first + _CHUNK_FRAMES] = rows.view(joint_dtype)[
+            :, :, 0
+        ].T
+    return joint_samples.view(dtype).reshape(joint_count, frame_count, width)
 
 
 def _joint_keys(
-    path: str, values: FloatArray, rest: FloatArray, seconds: FloatArray
+    path: str, values: FloatArray, rest_value: FloatArray, seconds: FloatArray
 ) -> SamplerKeys | None:
     """Return the keys of a joint's samples; None if equal to the node's value."""
     first_value = values[0]
     # Most animated joints differ in the last frame, which is compared first.
-    is_last_different = len(values) > 1 and (values[-1] != first_value).any()
-    if is_last_different or (len(values) > 1 and (values != first_value).any()):
+    is_last_changed = len(values) > 1 and (values[-1] != first_value).any()
+    if is_last_changed or (len(values) > 1 and (values != first_value).any()):
         return SamplerKeys(seconds, values)
-    difference = np.abs(first_value - rest).max()
+    difference = np.abs(first_value - rest_value).max()
     if path == "rotation":
-        difference = min(difference, np.abs(first_value + rest).max())
+        difference = min(difference, np.abs(first_value + rest_value).max())
     return None if difference <= STATIC_TOLERANCE else _single_key(first_value, seconds)
 
 
@@ -264,11 +271,11 @@ def _write_weights(
         return []
     names = [shape.name for shape in take.rig.shapes]
     dense_weights = weights.dense()[:, :, 0]
-    document = animation.builder.json
+    json_root = animation.builder.json
     for node, shapes in rig_indices.targets.items():
-        shape_rows = [names.index(shape) for shape in shapes]
-        values = dense_weights[:, shape_rows]
-        mesh = document["meshes"][document["nodes"][node]["mesh"]]
+        shape_indices = [names.index(shape) for shape in shapes]
+        values = dense_weights[:, shape_indices]
+        mesh = json_root["meshes"][json_root["nodes"][node]["mesh"]]
         if (values == values[:1]).all():
             if np.abs(values[0] - mesh["weights"]).max() > STATIC_TOLERANCE:
                 key = _single_key(values[0], seconds)
@@ -278,7 +285,7 @@ def _write_weights(
         if tolerance is not None:
             keys = reduce_keys(keys, WEIGHT_TOLERANCE)
         track_keys = _combine_weights(
-            [source_keys.get((row, "weights")) for row in shape_rows], values
+            [source_keys.get((row, "weights")) for row in shape_indices], values
         )
         animation.tracks.append((node, "weights", track_keys or keys))
     unwritten_names = [
@@ -299,16 +306,16 @@ def _static_keys(other: SamplerKeys, value: float) -> SamplerKeys:
     return SamplerKeys(other.times, values, other.interpolation, slopes, slopes)
 
 
-def _merge_weights(tracks: list[SamplerKeys]) -> SamplerKeys | None:
+def _merge_weights(weight_keys: list[SamplerKeys]) -> SamplerKeys | None:
     """Merge linear or stepped weights at the union of key times; None for others."""
-    interpolation = tracks[0].interpolation
+    interpolation = weight_keys[0].interpolation
     if interpolation == "CUBICSPLINE" or any(
-        keys.interpolation != interpolation for keys in tracks
+        keys.interpolation != interpolation for keys in weight_keys
     ):
         return None
-    times = np.unique(np.concatenate([keys.times for keys in tracks]))
+    times = np.unique(np.concatenate([keys.times for keys in weight_keys]))
     columns = []
-    for keys in tracks:
+    for keys in weight_keys:
         values = keys.values[:, 0]
         if interpolation == "STEP":
             key_indices = np.searchsorted(keys.times, times, "right") - 1
@@ -319,40 +326,40 @@ def _merge_weights(tracks: list[SamplerKeys]) -> SamplerKeys | None:
 
 
 def _combine_weights(
-    tracks: list[SamplerKeys | None], samples: FloatArray
+    weight_keys: list[SamplerKeys | None], samples: FloatArray
 ) -> SamplerKeys | None:
-    """Combine the tracks of all weights into one; None if glTF cannot store the result.
+    """Return the keys of all weights as one track; None if glTF cannot store it.
 
     ``samples`` ``(F, S)`` are the weights over frames; static weights use the key times
     of the others.
     """
-    first_track = next((keys for keys in tracks if keys is not None), None)
-    if first_track is None:
+    first_keys = next((keys for keys in weight_keys if keys is not None), None)
+    if first_keys is None:
         return None
     is_static = (samples == samples[:1]).all(axis=0).tolist()
     all_keys = []
-    for k, keys in enumerate(tracks):
+    for k, keys in enumerate(weight_keys):
         if keys is None and not is_static[k]:
             return None
-        all_keys.append(keys or _static_keys(first_track, float(samples[0, k])))
+        all_keys.append(keys or _static_keys(first_keys, float(samples[0, k])))
     has_same_times = all(
-        keys.interpolation == first_track.interpolation
-        and np.array_equal(keys.times, first_track.times)
+        keys.interpolation == first_keys.interpolation
+        and np.array_equal(keys.times, first_keys.times)
         for keys in all_keys
     )
     if not has_same_times:
         return _merge_weights(all_keys)
 
-    def columns(name: str) -> FloatArray | None:
+    def stack_columns(name: str) -> FloatArray | None:
         rows = [getattr(track, name) for track in all_keys]
         return None if rows[0] is None else np.concatenate(rows, axis=1)
 
-    values = columns("values")
+    values = stack_columns("values")
     assert values is not None
     return SamplerKeys(
-        first_track.times,
+        first_keys.times,
         values,
-        first_track.interpolation,
-        columns("in_slopes"),
-        columns("out_slopes"),
+        first_keys.interpolation,
+        stack_columns("in_slopes"),
+        stack_columns("out_slopes"),
     )

@@ -78,19 +78,19 @@ def _ensure_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list
     skins = [skin["joints"] for skin in builder.json.get("skins", ())]
     if all(len(np.unique(root_joints[joints])) == 1 for joints in skins):
         return roots
-    node = {
+    root_json = {
         "name": rig.name,
         "children": list(rig.roots),
         "extras": {"animtool": {"above": True}},
     }
-    root_node = builder.add("nodes", node)
+    root_node = builder.add("nodes", root_json)
     return [root_node, *(root for root in roots if root >= len(rig.joints))]
 
 
 def _transform_properties(
     translation: FloatArray, rotation: FloatArray, scale: FloatArray
 ) -> dict[str, Any]:
-    """Return the transform properties that differ from the identity."""
+    """Return the properties of a node's transform that differ from the identity."""
     properties: dict[str, Any] = {}
     if np.abs(translation).max() > 0:
         properties["translation"] = translation.tolist()
@@ -103,7 +103,7 @@ def _transform_properties(
 
 @dataclass(slots=True)
 class _SurfaceWriter:
-    """Writes the meshes of a rig."""
+    """Writes the meshes of a rig with their skins and morph targets."""
 
     builder: GlbBuilder
     rig: Rig
@@ -116,7 +116,7 @@ class _SurfaceWriter:
     )
 
     def write(self, surface: Surface) -> int:
-        """Write a mesh, and return the index of its node."""
+        """Write a mesh with its skin and shapes; return the index of its node."""
         node_index, local = self._rigid_joint(surface)
         skin = surface.skin if node_index < 0 else None
         if skin is None:
@@ -126,29 +126,29 @@ class _SurfaceWriter:
         if skin is not None:
             self._write_influences(skin, attributes)
             if skin.method != "linear":
-                content = "dual quaternion skinning (written as linear)"
-                self.lost_contents[content].append(surface.name)
+                lost_content = "dual quaternion skinning (written as linear)"
+                self.lost_contents[lost_content].append(surface.name)
         faces = triangulate(surface.counts, surface.indices)
-        fits_16_bits = len(surface.points) < 65535
-        indices = faces.reshape(-1, 1).astype(np.uint16 if fits_16_bits else np.uint32)
-        primitive["indices"] = self._add(indices, target=ELEMENT_ARRAY_BUFFER)
+        is_16_bit = len(surface.points) < 65535
+        indices = faces.reshape(-1, 1).astype(np.uint16 if is_16_bit else np.uint32)
+        primitive["indices"] = self._add_accessor(indices, target=ELEMENT_ARRAY_BUFFER)
         if len(surface.counts) and surface.counts.max() > 3:
-            content = "faces of more than three points (written as triangles)"
-            self.lost_contents[content].append(surface.name)
-        mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
+            lost_content = "faces of more than three points (written as triangles)"
+            self.lost_contents[lost_content].append(surface.name)
+        mesh_json: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
         if surface.shapes:
-            self._write_targets(surface, primitive, mesh)
+            self._write_targets(surface, primitive, mesh_json)
         nodes = self.builder.json["nodes"]
         if node_index >= 0 and nodes[node_index]["name"] != surface.name:
-            mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
-        index = self.builder.add("meshes", mesh)
+            mesh_json.setdefault("extras", {})["animtool"] = {"name": surface.name}
+        mesh_index = self.builder.add("meshes", mesh_json)
         if node_index >= 0:
-            nodes[node_index]["mesh"] = index
+            nodes[node_index]["mesh"] = mesh_index
         else:
-            node: dict[str, Any] = {"name": surface.name, "mesh": index}
+            node_json: dict[str, Any] = {"name": surface.name, "mesh": mesh_index}
             if skin is not None:
-                node["skin"] = self._write_skin(surface, skin)
-            node_index = self.builder.add("nodes", node)
+                node_json["skin"] = self._write_skin(surface, skin)
+            node_index = self.builder.add("nodes", node_json)
         names = [shape.name for shape in surface.shapes]
         shape_indices = {name: (node_index, k) for k, name in enumerate(names)}
         self.rig_indices.shapes |= shape_indices
@@ -156,11 +156,11 @@ class _SurfaceWriter:
             self.rig_indices.targets[node_index] = names
         return node_index
 
-    def _add(
-        self, values: Any, *, target: int = ARRAY_BUFFER, bounds: bool = False
+    def _add_accessor(
+        self, values: Any, *, target: int = ARRAY_BUFFER, has_bounds: bool = False
     ) -> int:
-        """Return the index of a new accessor."""
-        return self.builder.add_accessor(values, target=target, with_bounds=bounds)
+        """Store vertex data as an accessor; return its index."""
+        return self.builder.add_accessor(values, target=target, has_bounds=has_bounds)
 
     def _rigid_joint(self, surface: Surface) -> tuple[int, FloatArray]:
         """Return the joint that moves a mesh rigidly, -1 for none, and the mesh's bind.
@@ -183,12 +183,13 @@ class _SurfaceWriter:
     def _write_attributes(
         self, points: FloatArray, normals: FloatArray | None
     ) -> dict[str, int]:
-        attributes = {"POSITION": self._add(points.astype(np.float32), bounds=True)}
+        positions = points.astype(np.float32)
+        attributes = {"POSITION": self._add_accessor(positions, has_bounds=True)}
         if normals is not None:
             lengths = np.linalg.norm(normals, axis=1, keepdims=True)
             if (lengths > 0).all():
-                unit = (normals / lengths).astype(np.float32)
-                attributes["NORMAL"] = self._add(unit)
+                unit_normals = (normals / lengths).astype(np.float32)
+                attributes["NORMAL"] = self._add_accessor(unit_normals)
         return attributes
 
     def _write_influences(self, skin: SurfaceSkin, attributes: dict[str, int]) -> None:
@@ -197,9 +198,9 @@ class _SurfaceWriter:
         for k in range(indices.shape[1] // 4):
             columns = slice(4 * k, 4 * k + 4)
             joints = indices[:, columns].astype(index_dtype)
-            attributes[f"JOINTS_{k}"] = self._add(joints)
+            attributes[f"JOINTS_{k}"] = self._add_accessor(joints)
             set_weights = weights[:, columns].astype(np.float32)
-            attributes[f"WEIGHTS_{k}"] = self._add(set_weights)
+            attributes[f"WEIGHTS_{k}"] = self._add_accessor(set_weights)
 
     def _write_skin(self, surface: Surface, skin: SurfaceSkin) -> int:
         """Write the skin of a mesh and return its index; equal skins are shared."""
@@ -207,40 +208,41 @@ class _SurfaceWriter:
         matrices = np.linalg.inv(self.bind[joints]) @ surface.geom_bind
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
         columns = matrices.swapaxes(1, 2).reshape(-1, 16).astype(np.float32)
-        entry: dict[str, Any] = {
+        skin_json: dict[str, Any] = {
             "name": self.rig.name,
             "inverseBindMatrices": self.builder.add_accessor(columns),
             "joints": joints,
         }
         skins = self.builder.json.get("skins", [])
-        if entry in skins:
-            return int(skins.index(entry))
-        return self.builder.add("skins", entry)
+        if skin_json in skins:
+            return int(skins.index(skin_json))
+        return self.builder.add("skins", skin_json)
 
     def _write_targets(
-        self, surface: Surface, primitive: dict[str, Any], mesh: dict[str, Any]
+        self, surface: Surface, primitive: dict[str, Any], mesh_json: dict[str, Any]
     ) -> None:
-        """Write shapes as morph targets."""
+        """Write the shapes of a mesh as morph targets, and their weights at rest."""
         targets = []
         for shape in surface.shapes:
-            rows = shape.vertices
-            if rows is None:
-                rows = np.arange(len(surface.points))
+            vertices = shape.vertices
+            if vertices is None:
+                vertices = np.arange(len(surface.points))
             offsets = np.zeros((len(surface.points), 3))
-            np.add.at(offsets, rows, shape.deltas)
-            target = {"POSITION": self._add(offsets.astype(np.float32), bounds=True)}
+            np.add.at(offsets, vertices, shape.deltas)
+            stored_offsets = offsets.astype(np.float32)
+            target = {"POSITION": self._add_accessor(stored_offsets, has_bounds=True)}
             if "NORMAL" in primitive["attributes"]:
                 normal_offsets = np.zeros_like(offsets)
                 if shape.normals is not None:
-                    np.add.at(normal_offsets, rows, shape.normals)
-                target["NORMAL"] = self._add(normal_offsets.astype(np.float32))
+                    np.add.at(normal_offsets, vertices, shape.normals)
+                target["NORMAL"] = self._add_accessor(normal_offsets.astype(np.float32))
             targets.append(target)
             if shape.inbetweens:
                 self.lost_contents["in-between shapes"].append(shape.name)
         primitive["targets"] = targets
         names = [shape.name for shape in surface.shapes]
-        mesh["weights"] = [self.weights.get(name, 0.0) for name in names]
-        mesh["extras"] = {"targetNames": names}
+        mesh_json["weights"] = [self.weights.get(name, 0.0) for name in names]
+        mesh_json["extras"] = {"targetNames": names}
 
 
 def _to_node_frame(surface: Surface, local: FloatArray) -> Surface:
@@ -269,26 +271,26 @@ def pad_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
         is_duplicate = indices[:, k] == indices[:, k - 1]
         weights[:, k - 1] += np.where(is_duplicate, weights[:, k], 0.0)
         weights[is_duplicate, k] = 0.0
-    largest = weights.max(axis=1, keepdims=True)
-    weights[weights <= MIN_WEIGHT * largest] = 0.0
+    max_weights = weights.max(axis=1, keepdims=True)
+    weights[weights <= MIN_WEIGHT * max_weights] = 0.0
     order = np.argsort(-weights, axis=1, kind="stable")
     indices = np.take_along_axis(indices, order, 1)
     weights = np.take_along_axis(weights, order, 1)
     max_count = int((weights > 0).sum(axis=1).max(initial=1))
-    width = max(4, -(-max_count // 4) * 4)
-    padded = np.zeros((len(indices), width), np.int64)
-    padded_weights = np.zeros((len(indices), width))
-    kept_width = min(width, indices.shape[1])
-    padded[:, :kept_width] = indices[:, :kept_width]
+    padded_width = max(4, -(-max_count // 4) * 4)
+    padded_indices = np.zeros((len(indices), padded_width), np.int64)
+    padded_weights = np.zeros((len(indices), padded_width))
+    kept_width = min(padded_width, indices.shape[1])
+    padded_indices[:, :kept_width] = indices[:, :kept_width]
     padded_weights[:, :kept_width] = weights[:, :kept_width]
     weight_sums = padded_weights.sum(axis=1, keepdims=True)
     has_weight = weight_sums > 0
     padded_weights /= np.where(has_weight, weight_sums, 1.0)
-    padded_weights[~has_weight[:, 0]] = [1.0] + [0.0] * (width - 1)
+    padded_weights[~has_weight[:, 0]] = [1.0] + [0.0] * (padded_width - 1)
     rounded_weights = padded_weights.astype(np.float32).astype(np.float64)
     rounded_weights[:, 0] += 1.0 - rounded_weights.sum(axis=1)
-    padded[rounded_weights == 0.0] = 0
-    return padded, rounded_weights
+    padded_indices[rounded_weights == 0.0] = 0
+    return padded_indices, rounded_weights
 
 
 def _lost_contents_notice(
@@ -296,9 +298,9 @@ def _lost_contents_notice(
 ) -> list[Fault]:
     """Return a note about rig contents that glTF cannot store."""
     corrective_names = [shape.name for shape in rig.shapes if len(shape.combine) > 1]
-    unwritten = [s.name for s in rig.shapes if s.name not in rig_indices.shapes]
+    unwritten_names = [s.name for s in rig.shapes if s.name not in rig_indices.shapes]
     lost_contents["products of shapes (each gets its own weight)"] += corrective_names
-    lost_contents["shapes without a mesh (skipped)"] += unwritten
+    lost_contents["shapes without a mesh (skipped)"] += unwritten_names
     texts = [
         f"{label}: {listed(names, MAX_LISTED_CONTENTS)}"
         for label, names in lost_contents.items()

@@ -10,12 +10,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import (
-    Fault,
-    OptionError,
-    counted,
-    listed,
-)
+from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import (
@@ -78,12 +73,14 @@ def read_livelink(
     label_rate = None if fps is None else rate_option(fps)
     recording = read_recording(path)
     file, timecodes = recording.file, recording.timecodes
-    frames = find_row_frames(file, timecodes, recording.line_numbers, label_rate)
+    timing = find_row_frames(file, timecodes, recording.line_numbers, label_rate)
     target_rig = (
         _build_default_rig(path, recording) if rig is None else Rig.load(Path(rig))
     )
-    table = None if remap is None else load_remap(remap)
-    links = link_shapes(recording.shapes, [s.name for s in target_rig.shapes], table)
+    remap_table = None if remap is None else load_remap(remap)
+    links = link_shapes(
+        recording.shape_names, [s.name for s in target_rig.shapes], remap_table
+    )
     joints = head_joints(target_rig)
     part_angles = _part_angles(recording)
     if not links.links and not (set(part_angles) & set(joints)):
@@ -93,15 +90,15 @@ def read_livelink(
         if not target_rig.shapes:
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
-    _warn_of_values(recording, frames, dropped)
+    _warn_of_values(recording, timing, dropped)
     _warn_of_unmatched_names(recording, links, part_angles, joints, rig is not None)
-    motion = _build_motion(recording, frames, target_rig, links, joints, dropped)
+    motion = _build_motion(recording, timing, target_rig, links, joints, dropped)
     details: dict[str, object] = {
         "format": "Live Link Face",
-        "timecode": timecodes[int(frames.row_indices[0])],
-        "clock": str(frames.label_rate),
+        "timecode": timecodes[int(timing.row_indices[0])],
+        "clock": str(timing.label_rate),
         "rows": len(timecodes),
-        "dropped_frames": frames.dropped_frames.tolist(),
+        "dropped_frames": timing.dropped_frames.tolist(),
         "units": unit_name(target_rig.meters_per_unit),
     }
     notices = file.notices
@@ -109,7 +106,7 @@ def read_livelink(
         details["rig"] = str(rig)
         notices = [*target_rig.notices, *notices]
     return TakeStream(
-        target_rig, frames.rate, None, Fraction(1), iter([motion]), notices, details
+        target_rig, timing.rate, None, Fraction(1), iter([motion]), notices, details
     )
 
 
@@ -126,7 +123,7 @@ def _build_default_rig(path: Path, recording: Recording) -> Rig:
               _DEFAULT_POSITIONS[joint])
         for joint in (JOINTS_BY_PART[part] for part in parts)
     )  # fmt: skip
-    shapes = tuple(Shape(name) for name in recording.shapes)
+    shapes = tuple(Shape(name) for name in recording.shape_names)
     return Rig(path.stem, joints, shapes=shapes)
 
 
@@ -135,7 +132,7 @@ def _rotated_parts(recording: Recording) -> list[str]:
     return [
         part
         for part in FACE_PARTS
-        if all(part + axis in recording.angles for axis in ANGLE_AXES)
+        if all(part + axis in recording.angle_names for axis in ANGLE_AXES)
     ]
 
 
@@ -143,7 +140,7 @@ def _part_angles(recording: Recording) -> dict[str, FloatArray]:
     """Return yaw, pitch and roll of head and eyes by joint [deg] ``(R, 3)``."""
     angles_by_joint = {}
     for part in _rotated_parts(recording):
-        columns = [recording.angles.index(part + axis) for axis in ANGLE_AXES]
+        columns = [recording.angle_names.index(part + axis) for axis in ANGLE_AXES]
         angles = np.degrees(recording.rotations[:, columns])
         angles_by_joint[JOINTS_BY_PART[part]] = angles
     return angles_by_joint
@@ -151,29 +148,27 @@ def _part_angles(recording: Recording) -> dict[str, FloatArray]:
 
 def _build_motion(
     recording: Recording,
-    frames: RecordingFrames,
+    timing: RecordingFrames,
     rig: Rig,
     links: ShapeLinks,
     joints: dict[str, int],
     dropped: DroppedFrames,
 ) -> Motion:
-    times = frames.frames if dropped != "close" else np.arange(len(frames.frames))
-    frame_numbers = np.arange(int(times[-1]) + 1)
-    filled_weights = fill_gaps(recording.weights[frames.row_indices], times)
+    row_frames = timing.frames if dropped != "close" else np.arange(len(timing.frames))
+    frame_numbers = np.arange(int(row_frames[-1]) + 1)
+    filled_weights = fill_gaps(recording.weights[timing.row_indices], row_frames)
     shape_weights = links.apply(filled_weights, len(rig.shapes))
-    weights = np.stack(
-        [_interpolate_rows(column, times, frame_numbers, dropped)
-         for column in shape_weights.T],
-        axis=-1,
-    ) if len(rig.shapes) else np.zeros((len(frame_numbers), 0))  # fmt: skip
+    weights = _interpolate_rows(shape_weights, row_frames, frame_numbers, dropped)
     channel = Channel.static(rig.rest_rotations, len(frame_numbers))
     for joint_key, angles in _part_angles(recording).items():
         if joint_key not in joints:
             continue
-        rotations = to_quaternion(fill_gaps(angles[frames.row_indices], times), "YXZ")
+        rotations = to_quaternion(
+            fill_gaps(angles[timing.row_indices], row_frames), "YXZ"
+        )
         joint = joints[joint_key]
         local = align_signs(local_rotations(rig, joint, rotations))
-        values = _slerp_rows(local, times, frame_numbers, dropped)
+        values = _slerp_rows(local, row_frames, frame_numbers, dropped)
         channel = channel.put(np.array([joint]), values[:, None])
     return Motion(
         Channel.static(rig.rest_translations, len(frame_numbers)),
@@ -183,85 +178,91 @@ def _build_motion(
 
 
 def _interpolate_rows(
-    values: FloatArray, times: IntArray, frame_numbers: IntArray, dropped: DroppedFrames
+    values: FloatArray,
+    row_frames: IntArray,
+    frame_numbers: IntArray,
+    dropped: DroppedFrames,
 ) -> FloatArray:
+    """Return values ``(F, S)`` at frames from ``(R, S)`` at rows, held or linear."""
     if dropped == "hold":
-        row_before = np.searchsorted(times, frame_numbers, side="right") - 1
-        return np.asarray(values[row_before])
-    return np.interp(frame_numbers, times, values)
+        row_before = np.searchsorted(row_frames, frame_numbers, side="right") - 1
+        return values[row_before]
+    frame_values = np.zeros((len(frame_numbers), values.shape[1]))
+    for column, row_values in enumerate(values.T):
+        frame_values[:, column] = np.interp(frame_numbers, row_frames, row_values)
+    return frame_values
 
 
 def _slerp_rows(
     rotations: FloatArray,
-    times: IntArray,
+    row_frames: IntArray,
     frame_numbers: IntArray,
     dropped: DroppedFrames,
 ) -> FloatArray:
-    row_before = np.searchsorted(times, frame_numbers, side="right") - 1
-    if dropped == "hold" or len(times) == 1:
+    row_before = np.searchsorted(row_frames, frame_numbers, side="right") - 1
+    if dropped == "hold" or len(row_frames) == 1:
         return rotations[row_before]
-    row_after = np.minimum(row_before + 1, len(times) - 1)
-    span = np.maximum(times[row_after] - times[row_before], 1)
-    fraction = (frame_numbers - times[row_before]) / span
-    interpolated = slerp(rotations[row_before], rotations[row_after], fraction)
+    row_after = np.minimum(row_before + 1, len(row_frames) - 1)
+    interval = np.maximum(row_frames[row_after] - row_frames[row_before], 1)
+    fraction = (frame_numbers - row_frames[row_before]) / interval
+    frame_rotations = slerp(rotations[row_before], rotations[row_after], fraction)
     is_on_row = fraction == 0
-    interpolated[is_on_row] = rotations[row_before[is_on_row]]
-    return interpolated
+    frame_rotations[is_on_row] = rotations[row_before[is_on_row]]
+    return frame_rotations
 
 
 def _warn_of_values(
-    recording: Recording, frames: RecordingFrames, dropped: DroppedFrames
+    recording: Recording, timing: RecordingFrames, dropped: DroppedFrames
 ) -> None:
     """Warn about dropped frames, missing values and unusual weights."""
-    file, dropped_frames = recording.file, frames.dropped_frames
+    file, dropped_frames = recording.file, timing.dropped_frames
     if len(dropped_frames):
-        fill = {
+        frame_treatment = {
             "interpolate": "interpolated",
             "hold": "held from the frame before",
             "close": "removed, which moves later frames up",
         }[dropped]
-        message = f"{len(dropped_frames)} of {frames.count} frames have no row: {fill}"
-        message += "; from the first, frames "
+        message = f"{len(dropped_frames)} of {timing.count} frames have no "
+        message += f"row: {frame_treatment}; from the first, frames "
         message += listed(dropped_frames.tolist(), MAX_LISTED_SHAPES)
         hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
         file.warn("LLF101", message, hint)
     for values, names in (
-        (recording.weights, recording.shapes),
-        (recording.rotations, recording.angles),
+        (recording.weights, recording.shape_names),
+        (recording.rotations, recording.angle_names),
     ):
         is_missing = ~np.isfinite(values)
         for c in np.flatnonzero(is_missing.any(axis=0)).tolist():
             lines = recording.line_numbers[is_missing[:, c]].tolist()
-            treatment = "interpolated from its neighbours"
+            value_treatment = "interpolated from its neighbours"
             if is_missing[:, c].all():
-                treatment = "set to 0"
+                value_treatment = "set to 0"
             message = f"{names[c]} has no value in {counted(len(lines), 'row')}: "
-            message += treatment
+            message += value_treatment
             file.warn("LLF102", message, None, *lines[:MAX_LISTED_SHAPES])
     # Values are kept: some rigs exceed 1, and percentages are detected.
     with np.errstate(invalid="ignore"):
-        out_of_range = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
-    if out_of_range.any():
-        row, column = np.argwhere(out_of_range)[0].tolist()
-        message = (
-            f"{counted(int(out_of_range.sum()), 'weight')} outside 0 to 1, the first "
-            f"{recording.shapes[column]} = {recording.weights[row, column]:g}"
-        )
-        hint = _scale_hint(recording.weights, recording.shapes[column])
+        is_out_of_range = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
+    if is_out_of_range.any():
+        row, column = np.argwhere(is_out_of_range)[0].tolist()
+        count, shape = int(is_out_of_range.sum()), recording.shape_names[column]
+        message = f"{counted(count, 'weight')} outside 0 to 1, the first {shape} = "
+        message += f"{recording.weights[row, column]:g}"
+        hint = _scale_hint(recording.weights, shape)
         file.warn("LLF109", message, hint, int(recording.line_numbers[row]))
 
 
 def _scale_hint(weights: FloatArray, shape: str) -> str:
-    """Return how to bring weights into 0 to 1; ``shape`` is one that is outside."""
-    sizes = np.abs(weights[np.isfinite(weights) & (weights != 0)])
-    above_1 = np.count_nonzero(sizes > 1) / len(sizes)
-    is_percentage = 1 < sizes.max() <= MAX_PERCENTAGE
-    if not is_percentage or above_1 < MIN_PERCENTAGE_FRACTION:
+    """Return a hint to bring weights into 0 to 1; ``shape`` has one outside."""
+    magnitudes = np.abs(weights[np.isfinite(weights) & (weights != 0)])
+    fraction_above_1 = np.count_nonzero(magnitudes > 1) / len(magnitudes)
+    is_percentage = 1 < magnitudes.max() <= MAX_PERCENTAGE
+    if not is_percentage or fraction_above_1 < MIN_PERCENTAGE_FRACTION:
         return "set gain and clamp in a remap file"
-    pair = f"{{source: {shape}, target: {shape}, gain: 0.01}}"
+    example = f"{{source: {shape}, target: {shape}, gain: 0.01}}"
     return (
-        f"weights up to {sizes.max():g} look like percentages: pair each shape in a "
-        f"remap file with gain 0.01, such as {pair}"
+        f"weights up to {magnitudes.max():g} look like percentages: pair each shape in "
+        f"a remap file with gain 0.01, such as {example}"
     )
 
 
@@ -277,7 +278,9 @@ def _warn_of_unmatched_names(
     if has_rig_option and links.unlinked:
         zero_shapes = {
             name
-            for name, column in zip(recording.shapes, recording.weights.T, strict=True)
+            for name, column in zip(
+                recording.shape_names, recording.weights.T, strict=True
+            )
             if not np.nan_to_num(column).any()
         }
         unmatched_names = [name for name in links.unlinked if name not in zero_shapes]
@@ -291,7 +294,7 @@ def _warn_of_unmatched_names(
             file.note("LLF110", message)
     incomplete_angles = {
         angle
-        for angle in recording.angles
+        for angle in recording.angle_names
         if not any(angle.startswith(part) for part in _rotated_parts(recording))
     }
     if incomplete_angles:

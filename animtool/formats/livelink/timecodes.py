@@ -20,8 +20,8 @@ from animtool.formats.trajectories import CaptureFile
 TIMECODE_RATES = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
 DEFAULT_TIMECODE_RATE = 60
 # Rows have a constant step if this fraction of them does.
-REGULAR_FRACTION = 0.9
-MAX_STEP = 16
+MIN_REGULAR_FRACTION = 0.9
+MAX_LABEL_STEP = 16
 # Largest jitter of rows on a clock [frame]: phone clocks drift by 2e-4 per row, while
 # network time stamps jitter by a frame.
 MAX_CLOCK_JITTER = 0.1
@@ -30,7 +30,7 @@ MAX_GAP_SECONDS = 600
 MAX_LISTED_LINES = 12
 # If more than this fraction of time codes exceed a stated rate, the rate is wrong.
 MIN_ABOVE_LIMIT_FRACTION = 0.1
-_TIMECODE = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
+_TIMECODE_PATTERN = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,22 +89,22 @@ def find_row_frames(
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
     half_day = labels_per_day // 2
     steps = (np.diff(label_counts) + half_day) % labels_per_day - half_day
-    times = np.concatenate([[0], np.cumsum(steps)])
-    order = np.argsort(times + fractions, kind="stable")
-    unsorted_rows = np.flatnonzero(np.diff(order) < 0)
-    if len(unsorted_rows):
-        unsorted_lines = line_numbers[order[unsorted_rows + 1]].tolist()
+    labels = np.concatenate([[0], np.cumsum(steps)])
+    order = np.argsort(labels + fractions, kind="stable")
+    unsorted_indices = np.flatnonzero(np.diff(order) < 0)
+    if len(unsorted_indices):
+        unsorted_lines = line_numbers[order[unsorted_indices + 1]].tolist()
         message = f"{counted(len(unsorted_lines), 'row')} not in order of time: sorted"
         file.warn("LLF104", message, None, *unsorted_lines[:MAX_LISTED_LINES])
-    times, fractions = times[order] - times[order[0]], fractions[order]
-    row_steps = np.diff(times)
+    labels, fractions = labels[order] - labels[order[0]], fractions[order]
+    row_steps = np.diff(labels)
     if len(row_steps) and (longest_gap := row_steps.max()) > MAX_GAP_SECONDS * rate:
         row = order[int(row_steps.argmax()) + 1]
         message = f"{longest_gap / float(rate):.6g} s without a row before "
         message += timecodes[row]
         hint = "split the recording there, or repair the time code"
         raise file.error("LLF006", message, hint, int(line_numbers[row]))
-    step, frames = _frames_of_labels(times, fractions)
+    step, frames = _frames_of_labels(labels, fractions)
     is_first = np.concatenate([[True], np.diff(frames) > 0])
     repeated_lines = sorted(line_numbers[order[~is_first]].tolist())
     if repeated_lines:
@@ -118,7 +118,7 @@ def _timecode_fields(
     file: CaptureFile, timecodes: Sequence[str], line_numbers: IntArray
 ) -> IntArray:
     """Return hours, minutes, seconds and frames of time codes ``(R, 4)``."""
-    matches = [_TIMECODE.fullmatch(timecode) for timecode in timecodes]
+    matches = [_TIMECODE_PATTERN.fullmatch(timecode) for timecode in timecodes]
     rows = zip(timecodes, matches, line_numbers.tolist(), strict=True)
     faults = [
         _timecode_fault(
@@ -149,14 +149,14 @@ def _check_stated_rate(
 ) -> None:
     """Refuse a stated rate that many time codes exceed (LLF005)."""
     try:
-        limit = nominal_rate(label_rate)
+        label_count = nominal_rate(label_rate)
     except ValueError:
         return  # reported where labels are counted
-    is_above_limit = fields[:, 3] >= limit
+    is_above_limit = fields[:, 3] >= label_count
     if is_above_limit.sum() < max(2, MIN_ABOVE_LIMIT_FRACTION * len(fields)):
         return
     message = f"its time codes count frames up to {fields[:, 3].max()}; the largest is "
-    message += f"{limit - 1} at {rate_label(label_rate)}"
+    message += f"{label_count - 1} at {rate_label(label_rate)}"
     fitting_rate = _fit_timecode_rate(CaptureFile(file.path), fields, is_drop_frame)
     hint = f"set {argument('source.fps', fitting_rate)}, or leave it out: the time "
     hint += "codes show it"
@@ -174,8 +174,8 @@ def _fit_timecode_rate(
     if is_drop_frame:
         candidates = [n for n in (30, 60) if n > max_label] or [60]
         return Fraction(candidates[0] * 1000, 1001)
-    seconds_ends = np.flatnonzero(np.diff(seconds) == 1)
-    if len(candidates) > 1 and not len(seconds_ends):
+    end_indices = np.flatnonzero(np.diff(seconds) == 1)
+    if len(candidates) > 1 and not len(end_indices):
         is_default = DEFAULT_TIMECODE_RATE in candidates
         rate = DEFAULT_TIMECODE_RATE if is_default else candidates[0]
         message = f"the time code never reaches another second, so {rate} frames per "
@@ -188,61 +188,58 @@ def _fit_timecode_rate(
     steps = np.diff(fields[:, 3])[np.diff(seconds) == 0]
     typical_step = np.median(steps[steps > 0]) if (steps > 0).any() else 1
     # A step across the end of a second equals those within it.
-    wrap_steps = fields[seconds_ends + 1, 3] - fields[seconds_ends, 3]
-    misses = [np.median(np.abs(wrap_steps + n - typical_step)) for n in candidates]
-    return Fraction(candidates[int(np.argmin(misses))])
+    wrap_steps = fields[end_indices + 1, 3] - fields[end_indices, 3]
+    deviations = [np.median(np.abs(wrap_steps + n - typical_step)) for n in candidates]
+    return Fraction(candidates[int(np.argmin(deviations))])
 
 
 def _timecode_numbers(
-    file: CaptureFile,
-    timecodes: Sequence[str],
-    rate: Fraction,
-    line_numbers: IntArray,
+    file: CaptureFile, timecodes: Sequence[str], rate: Fraction, line_numbers: IntArray
 ) -> tuple[IntArray, FloatArray]:
     """Return the frame number since midnight and the frame fraction of each label."""
-    counts, fractions, faults = [], [], []
+    label_counts, fractions, faults = [], [], []
     for timecode, line in zip(timecodes, line_numbers.tolist(), strict=True):
-        text = timecode if timecode[1] != ":" else f"0{timecode}"
+        padded_timecode = timecode if timecode[1] != ":" else f"0{timecode}"
         try:
-            frame = parse_timecode(text, rate)
+            frame = parse_timecode(padded_timecode, rate)
         except ValueError as error:
             message = f"{error} at {rate_label(rate)}"
             faults.append(_timecode_fault(file, message, line))
             continue
-        counts.append(frame.numerator // frame.denominator)
-        fractions.append(float(frame - counts[-1]))
+        label_counts.append(frame.numerator // frame.denominator)
+        fractions.append(float(frame - label_counts[-1]))
     if faults:
         raise FormatError(faults[:100])
-    return np.array(counts, np.int64), np.array(fractions)
+    return np.array(label_counts, np.int64), np.array(fractions)
 
 
-def _frames_of_labels(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
-    """Return labels per frame, and the frame of each row, from 0."""
-    steps = np.diff(times)
+def _frames_of_labels(labels: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
+    """Return the labels per frame, and the frame of each row ``(R,)``, from 0."""
+    steps = np.diff(labels)
     positive_steps = steps[steps > 0]
     if not len(positive_steps):
-        return 1, np.zeros(len(times), np.int64)
-    exact = steps + np.diff(fractions)
+        return 1, np.zeros(len(labels), np.int64)
+    exact_steps = steps + np.diff(fractions)
     step = 1
-    for interval in range(min(MAX_STEP, int(np.median(positive_steps))), 1, -1):
-        regular = max(
-            (positive_steps % interval == 0).mean(),
-            _is_step_multiple(exact, interval).mean(),
+    for candidate in range(min(MAX_LABEL_STEP, int(np.median(positive_steps))), 1, -1):
+        regular_fraction = max(
+            (positive_steps % candidate == 0).mean(),
+            _is_step_multiple(exact_steps, candidate).mean(),
         )
-        if regular >= REGULAR_FRACTION:
-            step = interval
+        if regular_fraction >= MIN_REGULAR_FRACTION:
+            step = candidate
             break
-    is_regular = _is_step_multiple(exact, step).mean() >= REGULAR_FRACTION
+    is_regular = _is_step_multiple(exact_steps, step).mean() >= MIN_REGULAR_FRACTION
     if is_regular and np.ptp(fractions) > 0:
-        step_counts = np.round(exact / step)
+        step_counts = np.round(exact_steps / step)
         return step, np.concatenate([[0], np.cumsum(step_counts)]).astype(np.int64)
     # The label is the frame, whatever fraction follows it.
-    return step, np.round(times / step).astype(np.int64)
+    return step, np.round(labels / step).astype(np.int64)
 
 
-def _is_step_multiple(exact: FloatArray, step: int) -> BoolArray:
-    """Return which rows are a multiple of a step after the previous row."""
-    step_counts = exact / step
+def _is_step_multiple(exact_steps: FloatArray, step: int) -> BoolArray:
+    """Return whether each row is a multiple of a step after the previous row."""
+    step_counts = exact_steps / step
     return np.asarray(
         np.abs(step_counts - np.round(step_counts)) * step <= MAX_CLOCK_JITTER
     )

@@ -59,15 +59,17 @@ def build_livelink_text(take: Take) -> TakeText:
             if shape_index is not None:
                 weights[:, i] = all_weights[:, shape_index]
         written_shapes = set(shape_indices.values())
-        unwritten = [
+        unwritten_names = [
             shape.name
             for i, shape in enumerate(take.rig.shapes)
             if i not in written_shapes and all_weights[:, i].any()
         ]
-        if unwritten:
-            message = f"{len(unwritten)} shapes have no column in the CSV: "
+        if unwritten_names:
+            message = f"{len(unwritten_names)} shapes have no column in the CSV: "
             notices.append(
-                names_fault("LLF111", message, unwritten, severity=Severity.WARNING)
+                names_fault(
+                    "LLF111", message, unwritten_names, severity=Severity.WARNING
+                )
             )
     header = ",".join((TIMECODE_COLUMN, COUNT_COLUMN, *APP_SHAPES, *ANGLE_COLUMNS))
     return TakeText(
@@ -92,19 +94,21 @@ def _head_and_eye_angles(take: Take) -> FloatArray:
 def _csv_rows(
     weights: FloatArray, angles: FloatArray, rate: Fraction
 ) -> Iterator[bytes]:
-    count = len(APP_SHAPES) + len(ANGLE_COLUMNS)
-    row = f"%s,{count}," + ",".join([f"%.{WEIGHT_DECIMALS}f"] * count) + "\n"
+    value_count = len(APP_SHAPES) + len(ANGLE_COLUMNS)
+    row_format = (
+        f"%s,{value_count}," + ",".join([f"%.{WEIGHT_DECIMALS}f"] * value_count) + "\n"
+    )
     # Adding 0 removes negative zeros.
     values = np.round(np.concatenate([weights, angles], axis=1), WEIGHT_DECIMALS) + 0.0
-    for frame, numbers in enumerate(values.tolist()):
-        yield (row % (timecode(frame, rate), *numbers)).encode()
+    for frame, row_values in enumerate(values.tolist()):
+        yield (row_format % (format_timecode(frame, rate), *row_values)).encode()
 
 
-def timecode(frame: int, rate: Fraction) -> str:
+def format_timecode(frame: int, rate: Fraction) -> str:
     """Return the timecode of a frame counted from midnight, with fractions.
 
-    >>> timecode(1800, Fraction(30000, 1001)), timecode(61, Fraction(60))
+    >>> format_timecode(1800, Fraction(30000, 1001)), format_timecode(61, Fraction(60))
     ('00:01:00;02.000', '00:00:01:01.000')
     """
-    drop = rate in {Fraction(30000, 1001), Fraction(60000, 1001)}
-    return f"{timecode_label(frame, rate, is_drop_frame=drop)}.000"
+    is_drop_frame = rate in {Fraction(30000, 1001), Fraction(60000, 1001)}
+    return f"{timecode_label(frame, rate, is_drop_frame=is_drop_frame)}.000"

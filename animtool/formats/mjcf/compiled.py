@@ -32,7 +32,7 @@ from animtool.rig.skeleton import JointType, Quaternion
 
 MAX_LISTED_JOINTS = 8
 # Frequent errors of MuJoCo: their start, our message, and a hint.
-_REFUSALS = (
+_MUJOCO_ERRORS = (
     (
         "axis too small in joint",
         "axis too small: it has zero length",
@@ -44,8 +44,8 @@ _REFUSALS = (
         "types of joints are free, ball, slide and hinge",
     ),
 )
-_ERROR_LINE = re.compile(r",? line (\d+)")
-_ERROR_PREFIX = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
+_ERROR_LINE_PATTERN = re.compile(r",? line (\d+)")
+_ERROR_PREFIX_PATTERN = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
 _INSTALL_COMMAND = "pip install 'animtool[mjcf]'"
 # Joint and geom types by MuJoCo's numbers.
 _JOINT_TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
@@ -58,7 +58,7 @@ _SHAPE_KINDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
 def compile_model(reduced_model: ReducedModel, notes: XmlNotes) -> Any:
-    """Compile a reduced MJCF with MuJoCo."""
+    """Return the MuJoCo model of a reduced MJCF; raise its errors at source lines."""
     try:
         import mujoco
     except ImportError as error:
@@ -71,50 +71,55 @@ def compile_model(reduced_model: ReducedModel, notes: XmlNotes) -> Any:
     try:
         return mujoco.MjModel.from_xml_string(reduced_model.text)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        _record_error(str(error), reduced_model, notes)
+        _record_mujoco_error(str(error), reduced_model, notes)
     finally:
         mujoco.set_mju_user_warning(warning_handler)
-    notes.check()
+    notes.raise_faults()
     raise AssertionError
 
 
-def _record_error(text: str, reduced: ReducedModel, notes: XmlNotes) -> None:
+def _record_mujoco_error(
+    text: str, reduced_model: ReducedModel, notes: XmlNotes
+) -> None:
     """Record a MuJoCo error at its line in the source file."""
-    match = _ERROR_LINE.search(text)
+    match = _ERROR_LINE_PATTERN.search(text)
     element, body = None, ""
-    if match is not None and 0 < int(match[1]) <= len(reduced.elements):
-        row = int(match[1]) - 1
-        element, body = reduced.elements[row], reduced.bodies[row]
-    message = _ERROR_LINE.sub("", _ERROR_PREFIX.sub("", text)).strip()
+    if match is not None and 0 < int(match[1]) <= len(reduced_model.elements):
+        line_index = int(match[1]) - 1
+        element = reduced_model.elements[line_index]
+        body = reduced_model.bodies[line_index]
+    message = _ERROR_LINE_PATTERN.sub("", _ERROR_PREFIX_PATTERN.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
-    where = None if element is None else named_element_label(element)
-    if where is None and element is not None and body:
-        where = f"{element.tag} of body {excerpt(body)}"
+    location = None if element is None else named_element_label(element)
+    if location is None and element is not None and body:
+        location = f"{element.tag} of body {excerpt(body)}"
     message, hint = next(
         (
             (our_message + message.removeprefix(mujoco_start), hint_text)
-            for mujoco_start, our_message, hint_text in _REFUSALS
+            for mujoco_start, our_message, hint_text in _MUJOCO_ERRORS
             if message.startswith(mujoco_start)
         ),
         (f"MuJoCo refuses it: {message}", None),
     )
-    notes.add("MJC008", element, message, hint, where=where)
+    notes.add("MJC008", element, message, hint, location=location)
 
 
-def build_robot(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
+def build_robot(model: Any, reduced_model: ReducedModel, notes: XmlNotes) -> Robot:
     """Return the robot of a compiled model; record contents that a rig cannot store."""
     _check_sizes(model, notes)
     equalities = JointEqualities.from_model(model, notes)
-    notes.check()
-    links = [_build_link(model, b, equalities, reduced) for b in range(1, model.nbody)]
+    notes.raise_faults()
+    links = [
+        _build_link(model, b, equalities, reduced_model) for b in range(1, model.nbody)
+    ]
     for site in range(model.nsite):
         body, name = int(model.site_bodyid[site]), model.site(site).name
         if name and body > 0:
             position = float_vector(model.site_pos[site])
             rotation = convert_quaternion(model.site_quat[site])
             links[body - 1].sites.append((name, position, rotation))
-    _record_differences(model, reduced, equalities, notes)
+    _record_differences(model, reduced_model, equalities, notes)
     return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
 
 
@@ -138,7 +143,7 @@ def convert_quaternion(wxyz: FloatArray) -> Quaternion:
 
 
 def _build_link(
-    model: Any, body: int, equalities: JointEqualities, reduced: ReducedModel
+    model: Any, body: int, equalities: JointEqualities, reduced_model: ReducedModel
 ) -> Link:
     """Return the link of a body, whose joints may pivot at positions in its frame."""
     position = np.array(model.body_pos[body])
@@ -165,7 +170,7 @@ def _build_link(
     link.solids, link.surfaces = _simple_geoms(model, body)
     mass = float(model.body_mass[body])
     inertial_values = [mass, *model.body_inertia[body], *model.body_ipos[body]]
-    has_mass = mass > 2 * MIN_MASS and name not in reduced.bodies_of_unknown_mass
+    has_mass = mass > 2 * MIN_MASS and name not in reduced_model.bodies_of_unknown_mass
     if has_mass and (np.abs(inertial_values) < MAX_MASS).all():
         link.mass = _body_mass(model, body, mass)
     return link
@@ -213,7 +218,7 @@ def _build_joint(
 
 def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
     """Return the colliding primitives of a body, and the surfaces of visible ones."""
-    colliding_geoms, visible = [], []
+    colliding_geoms, surfaces = [], []
     first_geom = int(model.body_geomadr[body])
     for geom in range(first_geom, first_geom + int(model.body_geomnum[body])):
         kind = _SHAPE_KINDS.get(int(model.geom_type[geom]))
@@ -232,8 +237,8 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
             colliding_geoms.append(solid)
         if model.geom_group[geom] < HIDDEN_GROUP and model.geom_rgba[geom][3] > 0:
-            visible.append(triangulate_shape(solid))
-    return colliding_geoms, visible
+            surfaces.append(triangulate_shape(solid))
+    return colliding_geoms, surfaces
 
 
 def _body_mass(model: Any, body: int, mass: float) -> LinkMass:
@@ -244,7 +249,10 @@ def _body_mass(model: Any, body: int, mass: float) -> LinkMass:
 
 
 def _record_differences(
-    model: Any, reduced: ReducedModel, equalities: JointEqualities, notes: XmlNotes
+    model: Any,
+    reduced_model: ReducedModel,
+    equalities: JointEqualities,
+    notes: XmlNotes,
 ) -> None:
     """Record differences between rig and model, and joints without actuators."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
@@ -274,26 +282,30 @@ def _record_differences(
     ]
     hint = "the rest pose is still at 0; a take uses the nearest limit"
     add_note("MJC109", joints_without_zero, "0 is outside the limits of {}", hint)
-    limited = np.flatnonzero(model.jnt_limited).tolist()
-    ball_joints = [j for j in limited if model.jnt_type[j] == BALL]
-    widest = max(
+    limited_joints = np.flatnonzero(model.jnt_limited).tolist()
+    ball_joints = [j for j in limited_joints if model.jnt_type[j] == BALL]
+    largest_limit = max(
         (math.degrees(model.jnt_range[j, 1]) for j in ball_joints), default=0.0
     )
-    message = "the limits of {} are ignored, " + f"up to {widest:.4g}° each way"
+    message = "the limits of {} are ignored, " + f"up to {largest_limit:.4g}° each way"
     hint = "a rig limits swing and twist; a rig file over this one may state them"
     add_note("MJC104", ball_joints, message, hint)
-    if reduced.has_only_joint_actuators:
+    if reduced_model.has_only_joint_actuators:
         constrained_joints = {*equalities.mimics, *equalities.drivers}
-        others = [j for j in scalar_joints if j not in constrained_joints]
-        idle_joints = [j for j in others if names[j] not in reduced.actuated_joints]
+        unconstrained_joints = [j for j in scalar_joints if j not in constrained_joints]
+        idle_joints = [
+            j
+            for j in unconstrained_joints
+            if names[j] not in reduced_model.actuated_joints
+        ]
         add_note(
             "MJC105",
             idle_joints,
             "no actuator drives {}",
             "in a rig they move as others do",
         )
-    if reduced.bodies_of_unknown_mass:
-        bodies = sorted(reduced.bodies_of_unknown_mass)
+    if reduced_model.bodies_of_unknown_mass:
+        bodies = sorted(reduced_model.bodies_of_unknown_mass)
         message = "masses computed from meshes are ignored: "
         message += listed([excerpt(name) for name in bodies], MAX_LISTED_JOINTS)
         notes.add("MJC107", None, message, severity=Severity.NOTE)

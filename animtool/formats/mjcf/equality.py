@@ -14,8 +14,8 @@ from animtool.rig.drivers import ANGLE, SLIDE, Driver
 from animtool.rig.expressions import parse_expression
 from animtool.rig.skeleton import Mimic
 
-_EQ_JOINT = 2
-_SLIDE = 2
+_JOINT_EQUALITY = 2
+_SLIDE_JOINT = 2
 
 
 @dataclass(slots=True, eq=False)
@@ -31,10 +31,10 @@ class JointEqualities:
         # Leader and polynomial of each constrained joint.
         constraints: dict[int, tuple[int, list[float]]] = {}
         for constraint in range(model.neq):
-            if model.eq_type[constraint] != _EQ_JOINT:
+            if model.eq_type[constraint] != _JOINT_EQUALITY:
                 continue
             if not model.eq_active0[constraint]:
-                notes.ignore(["equality that is not active"])
+                notes.record_ignored(["equality that is not active"])
                 continue
             follower = int(model.eq_obj1id[constraint])
             leader = int(model.eq_obj2id[constraint])
@@ -57,7 +57,7 @@ class JointEqualities:
     def _add(
         self, model: Any, follower: int, constraints: dict[int, tuple[int, list[float]]]
     ) -> None:
-        """Add a joint as mimic or driver, after resolving chains of linear leaders."""
+        """Add a mimic or driver of a joint that follows another one, or a constant."""
         leader, polynomial = constraints[follower]
         offset, gain = _linear_part(model, follower, leader, polynomial)
         is_nonlinear = leader >= 0 and any(polynomial[2:])
@@ -65,10 +65,11 @@ class JointEqualities:
             outer_leader, leader_polynomial = constraints[leader]
             if outer_leader < 0 or any(leader_polynomial[2:]):
                 break
-            linear, factor = _linear_part(
+            leader_offset, leader_gain = _linear_part(
                 model, leader, outer_leader, leader_polynomial
             )
-            offset, gain, leader = offset + gain * linear, gain * factor, outer_leader
+            offset, gain = offset + gain * leader_offset, gain * leader_gain
+            leader = outer_leader
         if leader < 0:
             text = repr(offset)
             self.drivers[follower] = Driver(parse_expression(text, coordinates=True))
@@ -93,7 +94,7 @@ def _reference_value(model: Any, joint: int) -> float:
 def _linear_part(
     model: Any, follower: int, leader: int, polynomial: list[float]
 ) -> tuple[float, float]:
-    """Return offset and gain of the linear part; MuJoCo counts from ``ref``."""
+    """Return offset and gain of the linear part for coordinates from 0, not ``ref``."""
     offset = _reference_value(model, follower) + polynomial[0]
     if leader < 0:
         return offset, 0.0
@@ -104,14 +105,14 @@ def _polynomial_driver(
     model: Any, follower: int, leader: int, polynomial: list[float]
 ) -> Driver:
     """Return a polynomial as a driver, by Horner's scheme."""
-    component = SLIDE if model.jnt_type[leader] == _SLIDE else ANGLE
+    component = SLIDE if model.jnt_type[leader] == _SLIDE_JOINT else ANGLE
     leader_value = repr(f"{model.joint(leader).name}.{component}")
     x = f"({leader_value} - {_reference_value(model, leader)!r})"
-    terms = polynomial
-    while terms[-1] == 0.0 and len(terms) > 1:
-        terms = terms[:-1]
-    text = repr(terms[-1])
-    for coefficient in reversed(terms[:-1]):
+    coefficients = polynomial
+    while coefficients[-1] == 0.0 and len(coefficients) > 1:
+        coefficients = coefficients[:-1]
+    text = repr(coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
         text = f"({coefficient!r} + {x} * {text})"
     text = f"{_reference_value(model, follower)!r} + {text}"
     return Driver(parse_expression(text, coordinates=True))
@@ -121,12 +122,12 @@ def _has_cycles(
     model: Any, constraints: dict[int, tuple[int, list[float]]], notes: XmlNotes
 ) -> bool:
     """Record cycles of constrained joints; return whether there are any."""
-    checked: set[int] = set()
+    checked_joints: set[int] = set()
     has_cycles = False
     for first_joint in constraints:
         path: list[int] = []
         joint = first_joint
-        while joint in constraints and joint not in checked:
+        while joint in constraints and joint not in checked_joints:
             if joint in path:
                 names = [model.joint(j).name for j in path[path.index(joint) :]]
                 message = f"joints are tied in a ring: {cycle_text([*names, names[0]])}"
@@ -136,5 +137,5 @@ def _has_cycles(
                 break
             path.append(joint)
             joint = constraints[joint][0]
-        checked.update(path)
+        checked_joints.update(path)
     return has_cycles

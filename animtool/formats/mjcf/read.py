@@ -27,7 +27,7 @@ from animtool.rig.suspicions import (
 )
 
 _XML_CODES = XmlCodes("MJC001", "MJC002", "MJC003")
-ROOT = "mujoco"
+ROOT_TAG = "mujoco"
 MAX_INCLUDES = 1000
 _ROBOT_CODES = RobotCodes("MJC102", "MJC106", "MJC101")
 
@@ -46,14 +46,14 @@ def read_mjcf_rig(path: Path | str) -> Rig:
     path = Path(path)
     notes = XmlNotes(path, "MJC007")
     root, folders = _read_model(path, notes)
-    reduced = reduce_model(root, folders, notes)
-    notes.check()
-    model = compile_model(reduced, notes)
+    reduced_model = reduce_model(root, folders, notes)
+    notes.raise_faults()
+    model = compile_model(reduced_model, notes)
     _warn_of_range_unit(root, model, notes)
-    robot = build_robot(model, reduced, notes)
+    robot = build_robot(model, reduced_model, notes)
     if not robot.links:
         notes.add("MJC004", root, "the model has no body", "bodies are what moves")
-        notes.check()
+        notes.raise_faults()
     if not root.attributes.get("model"):
         robot.name = path.stem
     return build_rig(robot, notes, _ROBOT_CODES)
@@ -76,11 +76,11 @@ def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
         model: The compiled model, whose ranges are in radians.
         notes: Notices of the file.
     """
-    angle = "deg"
-    for compiler in root.all("compiler"):
+    angle_unit = "deg"
+    for compiler in root.find_all("compiler"):
         if "angle" in compiler.attributes:
-            angle = "rad" if compiler.attributes["angle"] == "radian" else "deg"
-    factor = math.degrees(1.0) if angle == "deg" else 1.0
+            angle_unit = "rad" if compiler.attributes["angle"] == "radian" else "deg"
+    factor = math.degrees(1.0) if angle_unit == "deg" else 1.0
     # Without the rounding of the conversion.
     limits = [
         AngleLimit(
@@ -91,30 +91,30 @@ def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
         for j in range(model.njnt)
         if model.jnt_limited[j] and model.jnt_type[j] == HINGE
     ]
-    suspects = limits_in_other_unit(limits, angle)
-    if not suspects:
+    suspect_limits = limits_in_other_unit(limits, angle_unit)
+    if not suspect_limits:
         return
-    largest = max(suspects, key=lambda limit: limit.largest_value)
+    widest_limit = max(suspect_limits, key=lambda limit: limit.largest_value)
     element = next(
         (
             element
             for element in root.walk()
             if element.tag == "joint"
-            and element.attributes.get("name") == largest.joint
+            and element.attributes.get("name") == widest_limit.joint
         ),
         None,
     )
-    likely, ratio = OTHER_ANGLE_UNITS[angle]
-    low, high = largest.values
+    likely_unit, ratio = OTHER_ANGLE_UNITS[angle_unit]
+    lower, upper = widest_limit.values
     message = (
-        f"the ranges of {counted(len(suspects), 'joint')} look like "
-        f"{ANGLE_NAMES[likely]}, but the unit is {ANGLE_NAMES[angle]}: "
-        f"{largest.joint!r} has {low:.4g} to {high:.4g}"
+        f"the ranges of {counted(len(suspect_limits), 'joint')} look like "
+        f"{ANGLE_NAMES[likely_unit]}, but the unit is {ANGLE_NAMES[angle_unit]}: "
+        f"{widest_limit.joint!r} has {lower:.4g} to {upper:.4g}"
     )
     setting = '<compiler angle="radian"/>'
-    hint = f"write {setting}" if likely == "rad" else f"remove {setting}"
-    hint += f', or write range="{low * ratio:.4g} {high * ratio:.4g}"'
-    if likely == "deg":
+    hint = f"write {setting}" if likely_unit == "rad" else f"remove {setting}"
+    hint += f', or write range="{lower * ratio:.4g} {upper * ratio:.4g}"'
+    if likely_unit == "deg":
         hint = hint.replace(setting, 'angle="radian" of <compiler>')
     notes.add("MJC110", element, message, hint, severity=Severity.WARNING)
 
@@ -123,55 +123,55 @@ def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
 def _read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]:
     """Return the root of a model with all includes replaced by their content."""
     root = read_xml(path, _XML_CODES)
-    if root.tag != ROOT:
+    if root.tag != ROOT_TAG:
         hints = {
             "robot": "it is a URDF: name it .urdf",
             "mujocoinclude": "it is a part that a model includes: give the model",
             "sdf": "it is SDF: use the URDF or MJCF that it was made from",
         }
-        hint = hints.get(root.tag, f"the root element of MJCF is <{ROOT}>")
+        hint = hints.get(root.tag, f"the root element of MJCF is <{ROOT_TAG}>")
         message = f"no MJCF: its root element is <{root.tag[:60]}>"
         notes.add("MJC004", root, message, hint)
-        notes.check()
+        notes.raise_faults()
     folders = PackageFolders.from_file(path, _XML_CODES)
-    _IncludeResolver(path, folders, notes).run(root)
-    notes.check()
+    _IncludeExpander(path, folders, notes).expand_below(root)
+    notes.raise_faults()
     return root, folders
 
 
-class _IncludeResolver:
+class _IncludeExpander:
     """Replaces include elements with the content of their files."""
 
     def __init__(self, path: Path, folders: PackageFolders, notes: XmlNotes) -> None:
         self._folders, self._notes = folders, notes
         self._included_files = {path.resolve()}
-        self._count = 0
+        self._element_count = 0
 
-    def run(self, root: XmlElement) -> None:
-        """Resolve all includes below an element."""
+    def expand_below(self, root: XmlElement) -> None:
+        """Replace all includes below an element, including nested ones."""
         pending = [root]
         while pending and not self._notes.faults:
             element = pending.pop()
-            self._count += 1
-            if self._count > MAX_ELEMENTS:
+            self._element_count += 1
+            if self._element_count > MAX_ELEMENTS:
                 message = f"more than {MAX_ELEMENTS:,} elements with all includes"
                 self._notes.add("MJC003", element, message)
                 return
             children: list[XmlElement] = []
-            remaining = list(reversed(element.children))
-            while remaining and not self._notes.faults:
-                child = remaining.pop()
+            remaining_children = list(reversed(element.children))
+            while remaining_children and not self._notes.faults:
+                child = remaining_children.pop()
                 if child.tag == "include":
-                    remaining += reversed(self._included(child))
+                    remaining_children += reversed(self._expand_include(child))
                 else:
                     children.append(child)
             element.children = children
             pending += reversed(children)
 
-    def _included(self, element: XmlElement) -> list[XmlElement]:
-        """Return the elements that replace an include."""
+    def _expand_include(self, element: XmlElement) -> list[XmlElement]:
+        """Return the elements of an included file, which replace its include."""
         name = element.attributes.get("file", "")
-        path = self._path_of(element, name)
+        path = self._find_include(element, name)
         if path is None:
             return []
         if path in self._included_files:
@@ -188,8 +188,8 @@ class _IncludeResolver:
         self._included_files.add(path)
         return read_xml(path, _XML_CODES).children
 
-    def _path_of(self, element: XmlElement, name: str) -> Path | None:
-        """Return the path of an include, relative to the model, else to its file."""
+    def _find_include(self, element: XmlElement, name: str) -> Path | None:
+        """Return the file of an include, named relative to the model or its file."""
         if not name:
             message = "an include without file"
             self._notes.add("MJC006", element, message, 'write file="parts/legs.xml"')
@@ -197,8 +197,8 @@ class _IncludeResolver:
         try:
             path = self._folders.find(name)
             if path is None:
-                by_including_file = element.path.resolve().parent / name
-                path = self._folders.find(str(by_including_file))
+                sibling_path = element.path.resolve().parent / name
+                path = self._folders.find(str(sibling_path))
         except OutsideError as error:
             message = f"{excerpt(name, 100)} is not included: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "

@@ -77,81 +77,83 @@ def reduce_model(
     """Return a model's moving parts; record omissions and faults."""
     _check_files(root, packages, notes)
     _name_bodies(root)
-    reduction = _Reduction(_MeshDefaults(root), notes)
+    reduced_lines = _ReducedLines(_MeshDefaults(root), notes)
     model = root.attributes.get("model")
     attribute = "" if model is None else f" model={quoteattr(model)}"
-    reduction.add(root, f"<mujoco{attribute}>")
+    reduced_lines.add_line(root, f"<mujoco{attribute}>")
     # Written before the file's defaults, which may override these.
-    reduction.add(
+    reduced_lines.add_line(
         XmlElement("compiler", {}, root.path, root.line, root.column),
         f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>',
     )
     for section in root.children:
         if section.tag in _SECTION_LABELS:
-            notes.ignore(filter(None, [_SECTION_LABELS[section.tag]]))
+            notes.record_ignored(filter(None, [_SECTION_LABELS[section.tag]]))
         else:
-            reduction.write(section, section.tag, "", "")
-    reduction.add(root, "</mujoco>")
-    with_inertia = {
+            reduced_lines.add_element(section, section.tag, "", "")
+    reduced_lines.add_line(root, "</mujoco>")
+    bodies_with_inertia = {
         body.attributes.get("name", "")
         for body in root.walk()
-        if body.tag == "body" and body.all("inertial")
+        if body.tag == "body" and body.find_all("inertial")
     }
     actuated_joints = frozenset(
         actuator.attributes.get("joint", "")
-        for section in root.all("actuator")
+        for section in root.find_all("actuator")
         for actuator in section.children
         if actuator.tag != "plugin"
     )
     return ReducedModel(
-        "\n".join(reduction.lines),
-        reduction.elements,
-        reduction.bodies,
-        frozenset(reduction.bodies_of_unknown_mass - with_inertia),
+        "\n".join(reduced_lines.lines),
+        reduced_lines.elements,
+        reduced_lines.bodies,
+        frozenset(reduced_lines.bodies_of_unknown_mass - bodies_with_inertia),
         bool(actuated_joints) and "" not in actuated_joints,
         actuated_joints,
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Reduction:
+class _ReducedLines:
     """Lines of a reduced model, each with its source element."""
 
-    meshes: _MeshDefaults
+    mesh_defaults: _MeshDefaults
     notes: XmlNotes
     lines: list[str] = field(default_factory=list)
     elements: list[XmlElement] = field(default_factory=list)
     bodies: list[str] = field(default_factory=list)
     bodies_of_unknown_mass: set[str] = field(default_factory=set)
 
-    def add(self, element: XmlElement, text: str, body: str = "") -> None:
+    def add_line(self, element: XmlElement, text: str, body: str = "") -> None:
         """Add a line of XML with its source element and body."""
         self.lines.append(text)
         self.elements.append(element)
         self.bodies.append(body)
 
-    def write(self, element: XmlElement, section: str, classes: str, body: str) -> None:
-        """Add an element with its supported children, or record that it is ignored."""
+    def add_element(
+        self, element: XmlElement, section: str, childclass: str, body: str
+    ) -> None:
+        """Add an element with its supported children; geoms of meshes are ignored."""
         tag = element.tag
         supported_children = [
-            c
-            for c in element.children
-            if _is_supported(element, c, section, self.notes)
+            child
+            for child in element.children
+            if _is_supported(element, child, section, self.notes)
         ]
         is_body_geom = tag == "geom" and section == "worldbody"
-        if is_body_geom and self.meshes.is_mesh(element, classes):
-            self.notes.ignore(["geoms of meshes"])
+        if is_body_geom and self.mesh_defaults.is_mesh(element, childclass):
+            self.notes.record_ignored(["geoms of meshes"])
             self.bodies_of_unknown_mass.add(body)
             return
         if tag in {"body", "frame", "replicate"}:
-            classes = element.attributes.get("childclass", classes)
+            childclass = element.attributes.get("childclass", childclass)
         if tag == "body":
             body = element.attributes.get("name", "")
         attributes = _attribute_text(element, section, self.notes)
-        self.add(element, f"<{tag}{attributes}>", body)
+        self.add_line(element, f"<{tag}{attributes}>", body)
         for child in supported_children:
-            self.write(child, section or child.tag, classes, body)
-        self.add(element, f"</{tag}>", body)
+            self.add_element(child, section or child.tag, childclass, body)
+        self.add_line(element, f"</{tag}>", body)
 
 
 def _is_supported(
@@ -164,7 +166,7 @@ def _is_supported(
             return _is_supported_in_body(parent, child, notes)
         case "equality":
             if tag != "joint":
-                notes.ignore([f"equality of <{tag[:40]}>"])
+                notes.record_ignored([f"equality of <{tag[:40]}>"])
             return tag == "joint"
         case "default":
             return tag in _DEFAULT_TAGS
@@ -184,7 +186,7 @@ def _is_supported_in_body(
     if parent.tag == "worldbody" and tag in {"geom", "site"}:
         label = "geoms and sites of the world"
     if label is not None:
-        notes.ignore([label])
+        notes.record_ignored([label])
         return False
     return parent.tag not in {"geom", "joint", "site", "inertial"}
 
@@ -194,7 +196,7 @@ def _attribute_text(element: XmlElement, section: str, notes: XmlNotes) -> str:
     removed_names: tuple[str, ...] = _DROPPED_ATTRIBUTES.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESH_TYPES:
         removed_names = (*removed_names, "type")
-    texts = []
+    attribute_texts = []
     for name, value in element.attributes.items():
         if name in removed_names:
             continue
@@ -202,8 +204,8 @@ def _attribute_text(element: XmlElement, section: str, notes: XmlNotes) -> str:
             _check_numbers(element, name, value, notes)
         if name == "range" and element.tag == "joint":
             _check_range(element, value, notes)
-        texts.append(f" {name}={quoteattr(value)}")
-    return "".join(texts)
+        attribute_texts.append(f" {name}={quoteattr(value)}")
+    return "".join(attribute_texts)
 
 
 def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) -> None:
@@ -213,7 +215,7 @@ def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) 
         if number is not None and not math.isfinite(number):
             message = f"{name} of <{element.tag}> is {excerpt(value)}: "
             message += f"{excerpt(text)} is not finite"
-            notes.add("MJC007", element, message, where=named_element_label(element))
+            notes.add("MJC007", element, message, location=named_element_label(element))
             return
 
 
@@ -226,7 +228,9 @@ def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
     if element.attributes.get("limited") != "false":
         message = f"range {excerpt(value)} is reversed: {lower:g} is above {upper:g}"
         hint = f'write range="{upper:g} {lower:g}" if they are swapped'
-        notes.add("MJC011", element, message, hint, where=named_element_label(element))
+        notes.add(
+            "MJC011", element, message, hint, location=named_element_label(element)
+        )
 
 
 def named_element_label(element: XmlElement) -> str | None:
@@ -237,7 +241,9 @@ def named_element_label(element: XmlElement) -> str | None:
 
 def _name_bodies(root: XmlElement) -> None:
     """Give unique names to bodies without a name."""
-    bodies = [e for s in root.all("worldbody") for e in s.walk() if e.tag == "body"]
+    bodies = [
+        e for s in root.find_all("worldbody") for e in s.walk() if e.tag == "body"
+    ]
     used_names = {body.attributes.get("name") for body in bodies}
     names = (f"body_{number}" for number in itertools.count(1))
     unused_names = (name for name in names if name not in used_names)
@@ -251,45 +257,45 @@ class _MeshDefaults:
 
     def __init__(self, root: XmlElement) -> None:
         self._is_mesh_by_class = {"main": False}
-        for default in root.all("default"):
+        for default in root.find_all("default"):
             name = default.attributes.get("class", "main")
             pending = [(default, name, self._is_mesh_by_class["main"])]
             while pending:
                 element, name, is_mesh = pending.pop()
-                for geom in element.all("geom"):
+                for geom in element.find_all("geom"):
                     is_mesh = _is_mesh(geom, is_mesh)
                 self._is_mesh_by_class[name] = is_mesh
                 pending += [
                     (child, child.attributes.get("class", ""), is_mesh)
-                    for child in element.all("default")
+                    for child in element.find_all("default")
                 ]
 
     def is_mesh(self, geom: XmlElement, childclass: str) -> bool:
         """Return whether a body's geom is a mesh."""
         name = geom.attributes.get("class", childclass)
-        classes = self._is_mesh_by_class
-        return _is_mesh(geom, classes.get(name, classes["main"]))
+        is_mesh_by_class = self._is_mesh_by_class
+        return _is_mesh(geom, is_mesh_by_class.get(name, is_mesh_by_class["main"]))
 
 
-def _is_mesh(geom: XmlElement, inherited: bool) -> bool:
-    """Return whether a geom is a mesh; without a type, the inherited value."""
+def _is_mesh(geom: XmlElement, is_mesh_by_default: bool) -> bool:
+    """Return whether a geom is a mesh; without a type, its defaults decide."""
     if geom.attributes.get("type") in _MESH_TYPES or "mesh" in geom.attributes:
         return True
-    return inherited and "type" not in geom.attributes
+    return is_mesh_by_default and "type" not in geom.attributes
 
 
 def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) -> None:
     """Record file names outside the project; no file is opened."""
     folders = {
         name: value
-        for compiler in root.all("compiler")
+        for compiler in root.find_all("compiler")
         for name, value in compiler.attributes.items()
         if name in {"assetdir", "meshdir", "texturedir"}
     }
     missing_count = 0
     for element, name in _file_attributes(root):
-        key = "texturedir" if element.tag == "texture" else "meshdir"
-        folder = folders.get(key, folders.get("assetdir", ""))
+        setting = "texturedir" if element.tag == "texture" else "meshdir"
+        folder = folders.get(setting, folders.get("assetdir", ""))
         try:
             if packages.find(f"{folder}/{name}" if folder else name) is None:
                 missing_count += 1
@@ -297,8 +303,8 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
             message = f"file {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            where = named_element_label(element)
-            notes.add("MJC016", element, message, hint, where=where)
+            location = named_element_label(element)
+            notes.add("MJC016", element, message, hint, location=location)
     if missing_count:
         message = f"{counted(missing_count, 'file')} of its assets not found"
         hint = "motion needs none of them"

@@ -15,14 +15,14 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 # Rotation order of ball and free joints about rotating axes: R = Rx · Ry · Rz from the
 # rest frame, as in OpenSim.
 ROTATION_ORDER = "XYZ"
-_SLIDE_SUFFIX = re.compile(
+_TRANSLATION_SUFFIX_PATTERN = re.compile(
     r"(?:_t|_?trans(?:lation)?_?|\.translation\.)([xyz])|\.slide", re.IGNORECASE
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """One scalar coordinate of a joint."""
+    """An angle or a displacement of a joint, about or along one of its axes."""
 
     joint_index: int
     component: str  # ``angle``, ``slide``, ``rotation`` or ``translation``
@@ -35,7 +35,7 @@ class Coordinate:
 
 
 def list_coordinates(rig: Rig) -> list[Coordinate]:
-    """Return the coordinates of a rig, in joint order."""
+    """Return the scalar coordinates of a rig's movable joints, in joint order."""
     coordinates = []
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
@@ -50,7 +50,7 @@ def list_coordinates(rig: Rig) -> list[Coordinate]:
 
 
 def coordinates_by_name(rig: Rig) -> dict[str, Coordinate]:
-    """Return all accepted column names with their coordinates.
+    """Return the coordinate of every column name that is accepted for a rig.
 
     These are ``knee.angle`` and ``knee`` for a pin, ``lift.slide`` and ``lift`` for a
     prismatic joint, ``hip.rotation.x`` and ``hip_x`` for a ball or free joint, and
@@ -61,23 +61,25 @@ def coordinates_by_name(rig: Rig) -> dict[str, Coordinate]:
     >>> list(coordinates_by_name(door))
     ['hinge.angle', 'hinge']
     """
-    names: dict[str, Coordinate] = {}
-    coordinates = list_coordinates(rig)
-    for coordinate in coordinates:
-        names[_dotted_name(rig, coordinate)] = coordinate
+    coordinate_by_name: dict[str, Coordinate] = {}
+    all_coordinates = list_coordinates(rig)
+    for coordinate in all_coordinates:
+        coordinate_by_name[_dotted_name(rig, coordinate)] = coordinate
     for coordinate in sorted(
-        coordinates,
+        all_coordinates,
         key=lambda coordinate: coordinate.component not in {"angle", "slide"},
     ):
-        names.setdefault(_short_name(rig, coordinate), coordinate)
-    return names
+        coordinate_by_name.setdefault(_short_name(rig, coordinate), coordinate)
+    return coordinate_by_name
 
 
 def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
     """Return the column names of coordinates, short ones if they are unambiguous."""
-    accepted = coordinates_by_name(rig)
+    coordinate_by_name = coordinates_by_name(rig)
     return [
-        short if accepted[short := _short_name(rig, c)] == c else _dotted_name(rig, c)
+        short_name
+        if coordinate_by_name[short_name := _short_name(rig, c)] == c
+        else _dotted_name(rig, c)
         for c in coordinates
     ]
 
@@ -96,7 +98,7 @@ def _short_name(rig: Rig, coordinate: Coordinate) -> str:
 
 
 def parse_coordinate_name(column: str) -> str | None:
-    """Return the coordinate name of a column; None for states other than values.
+    """Return the coordinate that a column name states; None for speeds and the like.
 
     >>> parse_coordinate_name("/jointset/knee_r/knee_angle_r/value")
     'knee_angle_r'
@@ -124,54 +126,56 @@ def build_rig_from_columns(name: str, columns: list[str]) -> Rig:
 
 
 def _build_column_joint(column: str) -> Joint:
-    for match in _SLIDE_SUFFIX.finditer(column):
+    for match in _TRANSLATION_SUFFIX_PATTERN.finditer(column):
         if match.end() == len(column):
-            axes = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
-            axis = axes.get((match[1] or "z").lower(), (0.0, 0.0, 1.0))
+            vectors = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
+            axis = vectors.get((match[1] or "z").lower(), (0.0, 0.0, 1.0))
             return Joint(column, -1, JointType.PRISMATIC, axis=axis)
     return Joint(column, -1, JointType.PIN)
 
 
 def convert_columns_to_coordinates(
-    rig: Rig, columns: list[Coordinate], values: FloatArray
+    rig: Rig, column_coordinates: list[Coordinate], values: FloatArray
 ) -> FloatArray:
-    """Return joint coordinates ``(F, Q)`` of columns ``(F, C)`` [deg, m].
+    """Return joint coordinates ``(F, Q)`` [rad, m] of columns ``(F, C)`` [deg, m].
 
     Coordinates without a column are at rest.
     """
     slices = coordinate_slices(rig)
     coordinates = rest_coordinates(rig, len(values))
-    rotations: dict[int, FloatArray] = {}
-    for coordinate, column in zip(columns, values.T, strict=True):
+    rotation_angles: dict[int, FloatArray] = {}
+    for coordinate, column in zip(column_coordinates, values.T, strict=True):
         j = coordinate.joint_index
         if coordinate.component == "rotation":
-            angles = rotations.setdefault(j, np.zeros((len(values), 3)))
+            angles = rotation_angles.setdefault(j, np.zeros((len(values), 3)))
             angles[:, coordinate.axis] = column
         else:
             coordinates[:, slices[j].start + coordinate.axis] = (
                 np.radians(column) if coordinate.is_angle else column
             )
-    for j, angles in rotations.items():
+    for j, angles in rotation_angles.items():
         stop = slices[j].stop
         coordinates[:, stop - 4 : stop] = euler.to_quaternion(angles, ROTATION_ORDER)
     return coordinates
 
 
 def convert_coordinates_to_columns(
-    rig: Rig, columns: list[Coordinate], coordinates: FloatArray
+    rig: Rig, column_coordinates: list[Coordinate], coordinates: FloatArray
 ) -> FloatArray:
-    """Return columns ``(F, C)`` [deg, m] of joint coordinates ``(F, Q)``."""
+    """Return columns ``(F, C)`` [deg, m] of joint coordinates ``(F, Q)`` [rad, m]."""
     slices = coordinate_slices(rig)
-    values = np.zeros((len(coordinates), len(columns)))
-    rotations: dict[int, FloatArray] = {}
-    for c, coordinate in enumerate(columns):
+    values = np.zeros((len(coordinates), len(column_coordinates)))
+    rotation_angles: dict[int, FloatArray] = {}
+    for column_index, coordinate in enumerate(column_coordinates):
         j = coordinate.joint_index
         if coordinate.component == "rotation":
-            if j not in rotations:
+            if j not in rotation_angles:
                 quaternions = coordinates[:, slices[j].stop - 4 : slices[j].stop]
-                rotations[j] = euler.from_quaternion(quaternions, ROTATION_ORDER)
-            values[:, c] = rotations[j][:, coordinate.axis]
+                rotation_angles[j] = euler.from_quaternion(quaternions, ROTATION_ORDER)
+            values[:, column_index] = rotation_angles[j][:, coordinate.axis]
         else:
             column = coordinates[:, slices[j].start + coordinate.axis]
-            values[:, c] = np.degrees(column) if coordinate.is_angle else column
+            values[:, column_index] = (
+                np.degrees(column) if coordinate.is_angle else column
+            )
     return values

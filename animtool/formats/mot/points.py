@@ -9,7 +9,6 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError, counted, listed
 from animtool.core.rates import FractionLike
 from animtool.core.units import LengthUnit, UpAxis
@@ -23,9 +22,9 @@ from animtool.formats.mot.table import (
     table_rate,
 )
 from animtool.formats.row_times import (
-    MAX_START_FRAME,
+    MAX_FRAME_NUMBER,
     RowFrames,
-    find_steps,
+    choose_frame_fit,
     has_few_empty_frames,
     matches_rate,
     rounding_error,
@@ -35,7 +34,7 @@ from animtool.motion.markers import Markers
 
 
 def holds_points(path: Path) -> bool:
-    """Return whether a file is a readable table of vectors."""
+    """Return whether a file is an OpenSim table of vectors that can be read."""
     try:
         return read_header(CaptureFile(str(path)), read_lines(path)).has_points
     except AnimtoolError:
@@ -71,8 +70,10 @@ def read_points(
         raise file.error("MOF009", message)
     column_count = 1 + 3 * len(header.names)
     if header.separator != b",":
-        row_lines = lines[header.first_row :]
-        lines[header.first_row :] = [line.replace(b",", b"\t") for line in row_lines]
+        row_lines = lines[header.first_row_index :]
+        lines[header.first_row_index :] = [
+            line.replace(b",", b"\t") for line in row_lines
+        ]
     rows = read_rows(file, lines, header, column_count)
     values = parse_numbers(file, rows, column_count)
     message = f"{counted(len(header.names), 'column')} of vectors are read as positions"
@@ -84,14 +85,13 @@ def read_points(
     positions = file.clean_positions(positions, length_unit.meters)
     times = values[:, 0]
     check_times(file, times, rows.line_numbers)
-    frames = _row_frames(file, header, times, rounding_error(rows.decimals(0)), fps)
-    positions = frames.resample(positions)
-    clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
-    notices, begin = tuple(file.notices), frames.begin
-    return Markers(names, clock, positions, up_axis, notices=notices, begin=begin)
+    row_frames = _find_row_frames(
+        file, header, times, rounding_error(rows.decimals(0)), fps
+    )
+    return row_frames.build_markers(file, names, positions, up_axis)
 
 
-def _row_frames(
+def _find_row_frames(
     file: CaptureFile,
     header: MotHeader,
     times: FloatArray,
@@ -99,17 +99,17 @@ def _row_frames(
     fps: FractionLike | None,
 ) -> RowFrames:
     """Return the frames of the rows; warn about uneven times and gaps."""
-    stated_rate, count = header.counts.get("rate"), len(times)
-    if fps is not None or count == 1:
+    stated_rate, row_count = header.stated_numbers.get("rate"), len(times)
+    if fps is not None or row_count == 1:
         rate, frames = (
             file.choose_rate(stated_rate, fps),
-            np.arange(count, dtype=np.float64),
+            np.arange(row_count, dtype=np.float64),
         )
         return _build_row_frames(times, rate, frames, rounding)
-    steps = find_steps(times, None, stated_rate, rounding)
-    intervals = int(steps.frames[-1]) if steps.regular else 1
-    rate = table_rate(file, steps.step, rounding, intervals)
-    if stated_rate is not None and matches_rate(steps, stated_rate, rounding):
+    fit = choose_frame_fit(times, None, stated_rate, rounding)
+    step_count = int(fit.frames[-1]) if fit.is_regular else 1
+    rate = table_rate(file, fit.step, rounding, step_count)
+    if stated_rate is not None and matches_rate(fit, stated_rate, rounding):
         rate = file.choose_rate(stated_rate, None)
     elif stated_rate is not None:
         message = f"states DataRate {stated_rate:g}, but its times are at "
@@ -117,16 +117,16 @@ def _row_frames(
         file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
         frames = (times - times[0]) * float(rate)
-    if steps.regular:
-        frames = steps.frames.astype(np.float64)
+    if fit.is_regular:
+        frames = fit.frames.astype(np.float64)
     if not has_few_empty_frames(frames, len(header.names)):
-        message = f"{count} rows span {float(frames[-1]) + 1:.3g} frames"
+        message = f"{row_count} rows span {float(frames[-1]) + 1:.3g} frames"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise file.error("MOF006", message, hint)
-    if not steps.regular:
+    if not fit.is_regular:
         message = f"times are uneven: resampled at {float(rate):g} fps, linearly "
         file.warn("MOF105", f"{message}between rows, but not over gaps")
-    elif (missing_count := int(frames[-1]) + 1 - count) > 0:
+    elif (missing_count := int(frames[-1]) + 1 - row_count) > 0:
         message = f"{counted(missing_count, 'frame')} without a row; markers have no "
         message += "positions there"
         file.warn("MOF105", message)
@@ -136,7 +136,7 @@ def _row_frames(
 def _build_row_frames(
     times: FloatArray, rate: Fraction, frames: FloatArray, rounding: float
 ) -> RowFrames:
-    first_frame = float(times[0]) * float(rate)
-    start = round(first_frame) + 1 if abs(first_frame) < MAX_START_FRAME else 1
-    is_exact = abs(first_frame - (start - 1)) <= 3 * rounding * float(rate)
+    position = float(times[0]) * float(rate)
+    start = round(position) + 1 if abs(position) < MAX_FRAME_NUMBER else 1
+    is_exact = abs(position - (start - 1)) <= 3 * rounding * float(rate)
     return RowFrames(rate, start, frames, None if is_exact else float(times[0]))

@@ -27,7 +27,7 @@ from animtool.formats.mot.table import (
     table_rate,
 )
 from animtool.formats.row_times import (
-    MAX_START_FRAME,
+    MAX_FRAME_NUMBER,
     STEP_TOLERANCE,
     fit_frames,
     median_step,
@@ -47,13 +47,13 @@ from animtool.rig.skeleton import Rig
 MAX_FRAMES_PER_ROW = 10
 # Two revolutions [rad]: joints of a body rotate less, and values in degrees soon exceed
 # it.
-MAX_RADIANS = 4 * np.pi
+MAX_PLAUSIBLE_ANGLE = 4 * np.pi
 # A body whose root moves by so much [m] bends so many joints farther than 2π degrees;
 # one that stands bends some of so many farther than π, with a margin, in degrees.
 MIN_TRAVEL, MIN_TRAVELLING_ANGLES = 0.5, 5
 MIN_STANDING_ANGLES, MAX_STANDING_RADIANS = 8, 3.3
 # Smaller changes and angles are noise [deg].
-MIN_CHANGE, MIN_RADIANS = 0.1, 0.7
+MIN_ANGLE_CHANGE, MIN_LARGEST_ANGLE = 0.1, 0.7
 
 
 def read_mot(
@@ -80,7 +80,7 @@ def read_mot(
         if rig is None
         else at_origin(Rig.load(Path(rig)))
     )
-    table_columns, columns, unmatched_names = _match_columns(table, take_rig)
+    column_indices, coordinates, unmatched_names = _match_columns(table, take_rig)
     if rig is None:
         message = "names no rig: each coordinate became a joint"
         hint = f"set the rig of its coordinates with {argument('source.rig')}"
@@ -92,22 +92,24 @@ def read_mot(
         file.warn_of_names("MOF102", message, unmatched_names, hint)
     if header.in_degrees is None:
         _warn_unstated_unit(file, header.invalid_in_degrees)
-    values = fill_gaps(table.values[:, table_columns], table.times)
-    is_angle = np.array([coordinate.is_angle for coordinate in columns], np.bool_)
+    values = fill_gaps(table.values[:, column_indices], table.times)
+    is_angle = np.array([coordinate.is_angle for coordinate in coordinates], np.bool_)
     if header.in_degrees:
         _warn_likely_radians(file, values[:, is_angle], values[:, ~is_angle])
     else:
         names = [
-            header.names[c] for c, a in zip(table_columns, is_angle, strict=True) if a
+            header.names[column]
+            for column, has_angle in zip(column_indices, is_angle, strict=True)
+            if has_angle
         ]
         _warn_likely_degrees(file, names, values[:, is_angle])
         values[:, is_angle] = np.degrees(values[:, is_angle])
     rate, values = _resample_rows(table, values, requested_rate)
-    motion = _build_motion(take_rig, columns, values)
+    motion = _build_motion(take_rig, coordinates, values)
     details: dict[str, object] = {
         "format": "OpenSim motion",
         "columns": len(header.names),
-        "coordinates": len(columns),
+        "coordinates": len(coordinates),
         "angles": "degrees" if header.in_degrees else "radians",
         "first_time": float(table.times[0]),
         "units": unit_name(take_rig.meters_per_unit),
@@ -118,7 +120,9 @@ def read_mot(
         notices = [*take_rig.notices, *notices]
     first_frame = float(table.times[0]) * float(rate)
     start = (
-        Fraction(round(first_frame) + 1) if abs(first_frame) < MAX_START_FRAME else None
+        Fraction(round(first_frame) + 1)
+        if abs(first_frame) < MAX_FRAME_NUMBER
+        else None
     )
     return TakeStream(
         take_rig, rate, start, Fraction(1), iter([motion]), notices, details
@@ -151,7 +155,7 @@ def _warn_likely_degrees(
 ) -> None:
     """Warn about angles ``(R, A)`` [rad] that are likely degrees (MOF112)."""
     max_angles = np.abs(angles).max(axis=0, initial=0.0)
-    if not (max_angles > MAX_RADIANS).any():
+    if not (max_angles > MAX_PLAUSIBLE_ANGLE).any():
         return
     name, value = names[int(max_angles.argmax())], float(max_angles.max())
     message = f"angles are read as radians, but {excerpt(name)} reaches {value:.4g}, "
@@ -168,35 +172,35 @@ def _warn_likely_radians(
     Either the body travels by ``slides`` ``(R, S)`` [m], or many angles change, and all
     angles are tiny.
     """
-    changing_count = int((np.ptp(angles, axis=0) > MIN_CHANGE).sum())
-    largest = float(np.abs(angles).max(initial=0.0))
+    changing_count = int((np.ptp(angles, axis=0) > MIN_ANGLE_CHANGE).sum())
+    largest_angle = float(np.abs(angles).max(initial=0.0))
     travel = float(np.ptp(slides, axis=0).max(initial=0.0))
     is_travelling = travel >= MIN_TRAVEL and changing_count >= MIN_TRAVELLING_ANGLES
-    limit = 2 * np.pi if is_travelling else MAX_STANDING_RADIANS
+    max_radians = 2 * np.pi if is_travelling else MAX_STANDING_RADIANS
     is_body = is_travelling or changing_count >= MIN_STANDING_ANGLES
-    if not is_body or not MIN_RADIANS <= largest <= limit:
+    if not is_body or not MIN_LARGEST_ANGLE <= largest_angle <= max_radians:
         return
     message = f"angles are read as degrees, but none of {changing_count} that change "
-    message += f"exceeds {largest:.3g}"
+    message += f"exceeds {largest_angle:.3g}"
     hint = "write inDegrees=no in the header if they are radians: "
-    hint += f"{largest:.3g} rad is {np.degrees(largest):.3g} deg"
+    hint += f"{largest_angle:.3g} rad is {np.degrees(largest_angle):.3g} deg"
     file.warn("MOF112", message, hint)
 
 
 def _match_columns(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
-    """Return indices of known columns, their coordinates, and unknown names."""
+    """Return indices and coordinates of the known columns, and the unknown names."""
     coordinate_by_name = coordinates_by_name(rig)
-    table_columns, columns, unmatched_names = [], [], []
+    column_indices, coordinates, unmatched_names = [], [], []
     for c, name in enumerate(table.header.names):
         coordinate = coordinate_by_name.get(parse_coordinate_name(name) or "")
         if coordinate is None:
             unmatched_names.append(name)
         else:
-            table_columns.append(c)
-            columns.append(coordinate)
-    if not columns:
+            column_indices.append(c)
+            coordinates.append(coordinate)
+    if not coordinates:
         option = argument("source.rig")
         message = f"{option}: rig {rig.name!r} has none of the "
         message += f"{counted(len(unmatched_names), 'coordinate')}, such as "
@@ -206,15 +210,15 @@ def _match_columns(
         hint += "animtool retarget transfers the take to another"
         hint = f"did you mean {similar_name}?" if similar_name else hint
         raise OptionError(Fault("MOF007", message, table.file.path, (), hint))
-    names = [table.header.names[c] for c in table_columns]
-    check_duplicates(table.file, columns, names)
-    return table_columns, columns, unmatched_names
+    names = [table.header.names[c] for c in column_indices]
+    check_duplicates(table.file, coordinates, names)
+    return column_indices, coordinates, unmatched_names
 
 
 def _resample_rows(
     table: MotionTable, values: FloatArray, requested_rate: Fraction | None
 ) -> tuple[Fraction, FloatArray]:
-    """Return the rate, and values resampled to constant steps."""
+    """Return the frame rate, and values ``(F, C)`` resampled to constant steps."""
     times, file = table.times, table.file
     if requested_rate is not None:
         return requested_rate, values
@@ -223,21 +227,23 @@ def _resample_rows(
         hint = f"set the rate with {argument('source.fps')}"
         raise file.error("MOF006", message, hint)
     duration = float(times[-1] - times[0])
-    rounding = rounding_error(table.decimals)
-    steps = fit_frames(times, np.arange(len(times)), rounding)
-    if steps.regular:
-        return table_rate(file, steps.step, rounding, len(times) - 1), values
+    rounding = rounding_error(table.time_decimals)
+    fit = fit_frames(times, np.arange(len(times)), rounding)
+    if fit.is_regular:
+        return table_rate(file, fit.step, rounding, len(times) - 1), values
     rate = table_rate(file, median_step(times), rounding, 1)
-    count = duration * float(rate) + 1
+    frame_count = duration * float(rate) + 1
     hint = f"{argument('source.fps')} reads each row as a frame"
-    if count > MAX_FRAMES_PER_ROW * len(times):
-        message = f"{len(times)} rows span {count:.3g} frames at {float(rate):g} fps"
+    if frame_count > MAX_FRAMES_PER_ROW * len(times):
+        message = (
+            f"{len(times)} rows span {frame_count:.3g} frames at {float(rate):g} fps"
+        )
         raise file.error("MOF006", message, hint)
-    frame_times = times[0] + np.arange(int(count + STEP_TOLERANCE)) / float(rate)
+    frame_times = times[0] + np.arange(int(frame_count + STEP_TOLERANCE)) / float(rate)
     resampled_values = np.stack(
         [np.interp(frame_times, times, column) for column in values.T], axis=-1
     )
-    message = f"times are uneven, up to {steps.error:.3g} s off: resampled at "
+    message = f"times are uneven, up to {fit.max_error:.3g} s off: resampled at "
     message += f"{float(rate):g} fps, linearly between rows"
     file.warn("MOF105", message, hint)
     return rate, resampled_values

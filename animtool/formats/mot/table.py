@@ -53,7 +53,7 @@ _BOOLEAN_WORDS = {
 }
 
 # Header keys of numbers of rows and columns, also those of SIMM.
-_COUNT_NAMES = {
+_COUNTED_NOUNS = {
     "nrows": "rows",
     "datarows": "rows",
     "ncolumns": "columns",
@@ -63,18 +63,18 @@ _COUNT_NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class MotHeader:
-    """Values of the header, and the names of the columns."""
+    """Values that the header of a MOT or STO file states, and its column names."""
 
     names: tuple[str, ...]  # names of the C columns, without the time
     # Stated numbers of ``rows`` and ``columns``, and the ``rate`` [1/s].
-    counts: dict[str, float]
+    stated_numbers: dict[str, float]
     in_degrees: bool | None  # whether angles are degrees; None if not stated
     # The value of inDegrees if it is neither yes nor no; else empty.
     invalid_in_degrees: str
     data_type: str  # DataType; empty if not stated
     unit: str | None  # Units; None if not stated
     separator: bytes  # separator of cells
-    first_row: int  # index of the first line below the column names
+    first_row_index: int  # index of the first line below the column names
 
     @property
     def has_points(self) -> bool:
@@ -90,12 +90,12 @@ class MotionTable:
     header: MotHeader  # names of the C columns, and the unit of angles
     values: FloatArray  # ``(R, C)``, NaN if a cell is empty or not a finite number
     times: FloatArray  # times of the rows ``(R,)`` [s], ascending
-    decimals: int  # largest number of decimals of the times
+    time_decimals: int  # largest number of decimals of the times
 
 
 @expects_format("MOF001", "an OpenSim motion file")
 def read_table(path: Path) -> MotionTable:
-    """Read the table of a MOT or STO file.
+    """Return the header, times and values of a MOT or STO file, checked.
 
     Cells are separated by tabs, semicolons, commas or blanks.
     """
@@ -104,11 +104,11 @@ def read_table(path: Path) -> MotionTable:
     _check_data_type(file, header, lines)
     column_count = len(header.names) + 1
     rows = read_rows(file, lines, header, column_count)
-    decimals = rows.decimals(0)
+    time_decimals = rows.decimals(0)
     values = parse_numbers(file, rows, column_count)
     for noun, count in (("rows", len(values)), ("columns", column_count)):
-        if header.counts.get(noun, count) != count:
-            message = f"states {header.counts[noun]:g} {noun}, but has {count}"
+        if header.stated_numbers.get(noun, count) != count:
+            message = f"states {header.stated_numbers[noun]:g} {noun}, but has {count}"
             file.warn("MOF101", message, f"all {noun} are read; correct the header")
     times = values[:, 0].copy()
     check_times(file, times, rows.line_numbers)
@@ -116,45 +116,46 @@ def read_table(path: Path) -> MotionTable:
     with np.errstate(invalid="ignore"):
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
     _warn_missing_values(file, header.names, cells, rows.line_numbers)
-    return MotionTable(file, header, cells, times, decimals)
+    return MotionTable(file, header, cells, times, time_decimals)
 
 
 def read_header(file: CaptureFile, lines: list[bytes]) -> MotHeader:
     """Return the header (MOF001) and column names (MOF002, MOF004)."""
-    contents = [line.strip(BLANK_CHARACTERS) for line in lines[:MAX_HEADER_LINES]]
+    stripped_lines = [line.strip(BLANK_CHARACTERS) for line in lines[:MAX_HEADER_LINES]]
     header_end = next(
-        (i for i, c in enumerate(contents) if c.lower() == b"endheader"), None
+        (i for i, line in enumerate(stripped_lines) if line.lower() == b"endheader"),
+        None,
     )
     if header_end is None:
         message = "has no line 'endheader', which ends the header of OpenSim's files"
         raise file.error("MOF001", message)
-    lines_below = range(header_end + 1, len(lines))
-    names_line = next(
-        (i for i in lines_below if lines[i].strip(BLANK_CHARACTERS)), None
+    indices_below = range(header_end + 1, len(lines))
+    names_index = next(
+        (i for i in indices_below if lines[i].strip(BLANK_CHARACTERS)), None
     )
-    if names_line is None:
+    if names_index is None:
         raise file.error("MOF002", "ends after its header", line=header_end + 1)
-    separator = find_separator(lines[names_line])
-    names = _column_names(file, lines[names_line], separator, names_line + 1)
-    counts, in_degrees, texts = _parse_header(lines[:header_end])
+    separator = find_separator(lines[names_index])
+    names = _column_names(file, lines[names_index], separator, names_index + 1)
+    stated_numbers, in_degrees, stated_texts = _parse_header(lines[:header_end])
     return MotHeader(
         names,
-        counts,
+        stated_numbers,
         in_degrees,
-        texts.get("indegrees", ""),
-        texts.get("datatype", ""),
-        texts.get("units"),
+        stated_texts.get("indegrees", ""),
+        stated_texts.get("datatype", ""),
+        stated_texts.get("units"),
         separator,
-        names_line + 1,
+        names_index + 1,
     )
 
 
 def _parse_header(
     lines: list[bytes],
 ) -> tuple[dict[str, float], bool | None, dict[str, str]]:
-    """Return the counts of a header, whether angles are degrees, and its texts."""
-    counts: dict[str, float] = {}
-    texts: dict[str, str] = {}
+    """Return a header's numbers, whether its angles are degrees, and its texts."""
+    stated_numbers: dict[str, float] = {}
+    stated_texts: dict[str, str] = {}
     in_degrees: bool | None = None
     default_in_degrees: bool | None = None  # stated by other lines than inDegrees
     for line in lines:
@@ -165,21 +166,23 @@ def _parse_header(
             key, _, value = (part.strip() for part in text.partition(" "))
             if key in {"datarows", "datacolumns"}:
                 default_in_degrees = True  # SIMM files are in degrees
-        count_name = _COUNT_NAMES.get(key)
-        if count_name and value.isascii() and value.isdigit() and len(value) < 300:
-            counts[count_name] = float(value)
+        noun = _COUNTED_NOUNS.get(key)
+        if noun and value.isascii() and value.isdigit() and len(value) < 300:
+            stated_numbers[noun] = float(value)
         elif key in {"datatype", "units"}:
-            texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
+            stated_texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
         elif key == "datarate" and (rate := parse_number(value)) is not None:
-            counts["rate"] = rate
+            stated_numbers["rate"] = rate
         elif key == "indegrees":
             in_degrees = _BOOLEAN_WORDS.get(value, in_degrees)
             if value not in _BOOLEAN_WORDS:
-                texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
+                stated_texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
         elif text.startswith("angles are in "):
             units = {"degrees": True, "radians": False}
             default_in_degrees = units.get(text[14:].rstrip(". "), default_in_degrees)
-    return counts, default_in_degrees if in_degrees is None else in_degrees, texts
+    if in_degrees is None:
+        in_degrees = default_in_degrees
+    return stated_numbers, in_degrees, stated_texts
 
 
 def _column_names(
@@ -224,10 +227,10 @@ def check_duplicates(
 
 def _check_data_type(file: CaptureFile, header: MotHeader, lines: list[bytes]) -> None:
     """Raise if cells have more than one number, such as quaternions (MOF009)."""
-    data_type, names, first = header.data_type, header.names, header.first_row
+    data_type, names, first = (header.data_type, header.names, header.first_row_index)
     separator = header.separator
-    rows = (i for i in range(first, len(lines)) if lines[i].strip(BLANK_CHARACTERS))
-    row = next(rows, first - 1)
+    indices = (i for i in range(first, len(lines)) if lines[i].strip(BLANK_CHARACTERS))
+    row = next(indices, first - 1)
     cells = split_cells(lines[row], separator)[1:] if row >= first else []
     numbers_per_cell = max((cell.count(",") + 1 for cell in cells), default=1)
     has_decimal_commas = numbers_per_cell == 2 and b"." not in lines[row]
@@ -257,13 +260,13 @@ def read_rows(
     file: CaptureFile, lines: list[bytes], header: MotHeader, column_count: int
 ) -> TextRows:
     """Return rows of equal width; a truncated last row is dropped (MOF103)."""
-    rows = gather_rows(lines, header.first_row, header.separator)
+    rows = gather_rows(lines, header.first_row_index, header.separator)
     while len(rows.texts):
-        is_bad = rows.value_counts > column_count
-        is_bad |= rows.cell_counts < column_count
-        if not is_bad.any():
+        is_invalid = rows.value_counts > column_count
+        is_invalid |= rows.cell_counts < column_count
+        if not is_invalid.any():
             break
-        row = int(is_bad.argmax())
+        row = int(is_invalid.argmax())
         line = int(rows.line_numbers[row])
         is_short = rows.cell_counts[row] < column_count
         count = int(rows.cell_counts[row] if is_short else rows.value_counts[row])
@@ -298,13 +301,13 @@ def check_times(file: CaptureFile, times: FloatArray, line_numbers: IntArray) ->
 
 
 def table_rate(
-    file: CaptureFile, step: float, rounding: float, frame_count: int
+    file: CaptureFile, step: float, rounding: float, step_count: int
 ) -> Fraction:
     """Return the rate of rows with a step [s]; raise if there is none (MOF006).
 
-    ``frame_count`` is the number of steps between the two times it was measured from.
+    ``step_count`` is the number of steps between the two times it was measured from.
     """
-    rate = rate_of_step(step, rounding, frame_count)
+    rate = rate_of_step(step, rounding, step_count)
     if rate is None:
         message = f"has a row every {step:g} s"
         hint = f"set the rate with {argument('source.fps')}"
@@ -317,11 +320,11 @@ def _warn_missing_values(
 ) -> None:
     """Warn about columns with missing values (MOF104)."""
     is_missing = np.isnan(values)
-    columns = np.flatnonzero(is_missing.any(axis=0)).tolist()
-    if not columns:
+    incomplete_columns = np.flatnonzero(is_missing.any(axis=0)).tolist()
+    if not incomplete_columns:
         return
     count = counted(int(is_missing.sum()), "value")
-    message = f"{count} missing in {listed([names[c] for c in columns])}: "
+    message = f"{count} missing in {listed([names[c] for c in incomplete_columns])}: "
     message += "interpolated, or 0 where a column has no values"
-    first_row = np.flatnonzero(is_missing.any(axis=1))[0]
-    file.warn("MOF104", message, None, int(line_numbers[first_row]))
+    first_row_index = np.flatnonzero(is_missing.any(axis=1))[0]
+    file.warn("MOF104", message, None, int(line_numbers[first_row_index]))

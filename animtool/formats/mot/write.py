@@ -23,10 +23,10 @@ from animtool.rig.joints import (
 )
 from animtool.rig.skeleton import Rig
 
-# Decimals: a nanometre, and 2e-11 radians.
-VALUE_DECIMALS = 9
-# Error of joints that is not reported [m, rad]: a micrometre, also on a bone of a
-# metre.
+# Decimals of coordinates: a nanometre, and 2e-11 radians.
+COORDINATE_DECIMALS = 9
+# Largest error of joints that is not reported [m, rad]: a micrometre, also on a bone of
+# a metre.
 LOSS_TOLERANCE = 1e-6
 
 
@@ -39,47 +39,49 @@ def build_mot_text(take: Take) -> TakeText:
     rest offset. Frame 1 is time 0.
     """
     rig = take.rig
-    columns = list_coordinates(rig)
-    if not columns:
+    coordinates = list_coordinates(rig)
+    if not coordinates:
         message = f"{rig.name!r} has no joint that moves, and a MOT holds coordinates"
         raise OptionError(Fault("MOF008", message))
     translations, rotations, scales = take.motion.dense()
     local = LocalTransforms(translations, rotations)
-    coordinates = project_to_coordinates(rig, local)
-    values = convert_coordinates_to_columns(rig, columns, coordinates)
+    joint_coordinates = project_to_coordinates(rig, local)
+    values = convert_coordinates_to_columns(rig, coordinates, joint_coordinates)
     translated_joints = {
         coordinate.joint_index
-        for coordinate, column in zip(columns, values.T, strict=True)
+        for coordinate, column in zip(coordinates, values.T, strict=True)
         if coordinate.component == "translation"
-        and np.round(column, VALUE_DECIMALS).any()
+        and np.round(column, COORDINATE_DECIMALS).any()
     }
     written_columns = [
-        c
-        for c, coordinate in enumerate(columns)
+        column
+        for column, coordinate in enumerate(coordinates)
         if coordinate.component != "translation"
         or coordinate.joint_index in translated_joints
     ]
-    columns = [columns[c] for c in written_columns]
+    coordinates = [coordinates[column] for column in written_columns]
     values = values[:, written_columns]
-    notices = _loss_warnings(take, columns, values, local, scales)
+    notices = _loss_warnings(take, coordinates, values, local, scales)
     rate = float(take.clock.rate)
     first_time = float((take.clock.start - 1) / take.clock.fps)
     times = first_time + np.arange(take.clock.count) / rate
     rows = np.column_stack([times, values])
-    decimals = [VALUE_DECIMALS] * rows.shape[1]
+    decimals = [COORDINATE_DECIMALS] * rows.shape[1]
     return TakeText(
-        _header_lines(rig, columns, len(rows)),
-        format_rows(rows, decimals, tabs=True),
+        _header_lines(rig, coordinates, len(rows)),
+        format_rows(rows, decimals, uses_tabs=True),
         notices,
     )
 
 
-def _header_lines(rig: Rig, columns: list[Coordinate], frames: int) -> list[str]:
-    names = ["_".join(n.replace(",", " ").split()) for n in column_names(rig, columns)]
+def _header_lines(rig: Rig, coordinates: list[Coordinate], row_count: int) -> list[str]:
+    names = [
+        "_".join(n.replace(",", " ").split()) for n in column_names(rig, coordinates)
+    ]
     return [
         "Coordinates",
         "version=1",
-        f"nRows={frames}",
+        f"nRows={row_count}",
         f"nColumns={len(names) + 1}",
         "inDegrees=yes",
         "endheader",
@@ -89,7 +91,7 @@ def _header_lines(rig: Rig, columns: list[Coordinate], frames: int) -> list[str]
 
 def _loss_warnings(
     take: Take,
-    columns: list[Coordinate],
+    coordinates: list[Coordinate],
     values: FloatArray,
     local: LocalTransforms,
     scales: FloatArray | None,
@@ -97,7 +99,7 @@ def _loss_warnings(
     """Return warnings about motion that coordinates cannot represent."""
     rig, warning = take.rig, Severity.WARNING
     read_back = local_from_coordinates(
-        rig, convert_columns_to_coordinates(rig, columns, values)
+        rig, convert_columns_to_coordinates(rig, coordinates, values)
     )
     translation_errors = np.abs(read_back.translations - local.translations).max(
         axis=(0, 2), initial=0

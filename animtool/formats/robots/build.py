@@ -43,25 +43,25 @@ ROBOT_SIZES = (0.3, 10.0)
 MAX_NAME_LENGTH = 4000
 # Arbitrary: one frame has no rate.
 POSE_RATE = Fraction(24)
-_CONTROL = re.compile(f"[{CONTROL_CHARACTERS}]")
+_CONTROL_PATTERN = re.compile(f"[{CONTROL_CHARACTERS}]")
 
 
 @dataclass(frozen=True, slots=True)
 class RobotCodes:
-    """Codes of notices about differences between robot and rig."""
+    """Rule codes of notices about differences between a robot and its rig."""
 
-    renamed: str  # renamed links and joints
-    approximate: str  # approximate colliders
-    ignored: str  # contents that are not read
+    renamed_code: str  # renamed links and joints
+    approximate_code: str  # approximate colliders
+    ignored_code: str  # contents that are not read
 
 
-def _valid_name(name: str) -> str:
-    r"""Return a name without characters that text files cannot contain.
+def _replace_controls(name: str) -> str:
+    r"""Return a name with ``_`` for characters that text files cannot contain.
 
-    >>> _valid_name("a\x1bb"), _valid_name("elbow flex")
+    >>> _replace_controls("a\x1bb"), _replace_controls("elbow flex")
     ('a_b', 'elbow flex')
     """
-    return _CONTROL.sub("_", name)[:MAX_NAME_LENGTH]
+    return _CONTROL_PATTERN.sub("_", name)[:MAX_NAME_LENGTH]
 
 
 def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
@@ -69,27 +69,27 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
 
     The rig has the notices of ``notes``, to which contents that are not read are added.
     """
-    names = _assign_names(robot, notes, codes)
+    joint_names = _assign_names(robot, notes, codes)
     joints: list[Joint] = []
-    link_joints: list[int] = []
+    attach_joints: list[int] = []
     colliders: list[Collider] = []
     masses: list[Mass] = []
     largest_error = 0.0
     for i, link in enumerate(robot.links):
-        parent = link_joints[link.parent] if link.parent >= 0 else -1
-        for robot_joint, name in zip(link.joints, names.joints[i], strict=True):
-            joints.append(_rig_joint(robot_joint, name, parent, names))
+        parent = attach_joints[link.parent] if link.parent >= 0 else -1
+        for robot_joint, name in zip(link.joints, joint_names.joints[i], strict=True):
+            joints.append(_rig_joint(robot_joint, name, parent, joint_names))
             parent = len(joints) - 1
         moving_joint = parent
-        if not names.is_merged[i]:
-            name = names.links[i]
+        if not joint_names.is_merged[i]:
+            name = joint_names.links[i]
             joints.append(Joint(name, parent, JointType.FIXED, link.offset))
             if not link.joints or np.any(link.offset):
                 parent = len(joints) - 1
-        link_joints.append(parent)
+        attach_joints.append(parent)
         for site, position, rotation in link.sites:
-            name, fixed = names.sites[i, site], JointType.FIXED
-            joints.append(Joint(name, link_joints[i], fixed, position, rotation))
+            name, fixed = joint_names.sites[i, site], JointType.FIXED
+            joints.append(Joint(name, attach_joints[i], fixed, position, rotation))
         joint_name = joints[moving_joint if link.joints else parent].name
         link_offset = link.offset if link.joints else ORIGIN
         for shape in link.solids:
@@ -99,14 +99,14 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
         if link.mass is not None:
             masses.append(build_mass(joint_name, link.mass, link_offset))
     if largest_error:
-        _record_approximate(robot, notes, codes, largest_error)
-    meshes = _link_meshes(robot, names, joints)
-    _record_size(notes, joints)
+        _note_approximate_colliders(robot, notes, codes, largest_error)
+    meshes = _link_meshes(robot, joint_names, joints)
+    _warn_of_size(notes, joints)
     if notes.ignored_labels:
         message = f"not read: {listed(list(notes.ignored_labels), 20)}"
-        notes.add(codes.ignored, None, message, severity=Severity.NOTE)
+        notes.add(codes.ignored_code, None, message, severity=Severity.NOTE)
     return Rig(
-        _valid_name(robot.name) or notes.path.stem,
+        _replace_controls(robot.name) or notes.path.stem,
         tuple(joints),
         up=UpAxis.Z,
         meshes=meshes,
@@ -117,8 +117,8 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     )
 
 
-def _record_size(notes: XmlNotes, joints: list[Joint]) -> None:
-    """Record a size that suggests another unit than metres (RIG217)."""
+def _warn_of_size(notes: XmlNotes, joints: list[Joint]) -> None:
+    """Warn about a size that suggests another unit than metres (RIG217)."""
     positions, _ = rest_pose_without_kernels(Rig("", tuple(joints)))
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
     if size <= MAX_RIG_SIZE:
@@ -147,12 +147,12 @@ def _link_meshes(
         surface, j = merge_surfaces(link.surfaces), rest_rig.index(name)
         bind = np.eye(4)
         bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
-        count = len(surface.points)
+        point_count = len(surface.points)
         skin = Skin(
             "linear",
             (name,),
-            LoadedArray(np.zeros((count, 1))),
-            LoadedArray(np.ones((count, 1))),
+            LoadedArray(np.zeros((point_count, 1))),
+            LoadedArray(np.ones((point_count, 1))),
         )
         meshes.append(
             Mesh(
@@ -200,40 +200,42 @@ class _JointNames:
 def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
     """Return unique names of the rig's joints; record changed names."""
     used_names: set[str] = set()
-    numbers: dict[str, int] = {}
-    renamed: list[str] = []
+    last_numbers: dict[str, int] = {}
+    name_changes: list[str] = []
 
-    def unique_name(name: str, source: str, ending: str = "") -> str:
+    def unique_name(name: str, source: str, suffix: str = "") -> str:
         """Return a name that is not used yet; changed names are recorded."""
-        unique = name
-        if unique in used_names and ending:
-            unique = f"{name}{ending}"
-        stem = unique
-        while unique in used_names:
-            numbers[stem] = numbers.get(stem, 1) + 1
-            unique = f"{stem}_{numbers[stem]}"
-        used_names.add(unique)
-        if source and unique != source:
-            renamed.append(f"{source!r} is {unique!r}")
-        return unique
+        candidate = name
+        if candidate in used_names and suffix:
+            candidate = f"{name}{suffix}"
+        stem = candidate
+        while candidate in used_names:
+            last_numbers[stem] = last_numbers.get(stem, 1) + 1
+            candidate = f"{stem}_{last_numbers[stem]}"
+        used_names.add(candidate)
+        if source and candidate != source:
+            name_changes.append(f"{source!r} is {candidate!r}")
+        return candidate
 
-    links = [unique_name(_valid_name(link.name), link.name) for link in robot.links]
+    link_names = [
+        unique_name(_replace_controls(link.name), link.name) for link in robot.links
+    ]
     joint_names: list[list[str]] = []
-    merged: list[bool] = []
+    merged_flags: list[bool] = []
     name_of_file_joint: dict[str, str] = {}
-    for link, name in zip(robot.links, links, strict=True):
+    for link, name in zip(robot.links, link_names, strict=True):
         last_joint = link.joints[-1] if link.joints else None
         # Whether the last joint has the name and frame of the link.
         is_merged = last_joint is not None and last_joint.name in {"", link.name}
         is_merged = is_merged and not np.any(link.offset)
-        merged.append(is_merged)
+        merged_flags.append(is_merged)
         new_names = []
         for k, robot_joint in enumerate(link.joints):
             if is_merged and robot_joint is last_joint:
                 new_name = name
             elif robot_joint.name:
                 new_name = unique_name(
-                    _valid_name(robot_joint.name), robot_joint.name, "_joint"
+                    _replace_controls(robot_joint.name), robot_joint.name, "_joint"
                 )
             else:
                 new_name = unique_name(f"{name}_joint_{k + 1}", "")
@@ -242,18 +244,19 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
                 name_of_file_joint[robot_joint.name] = new_name
         joint_names.append(new_names)
     sites = {
-        (i, site): unique_name(_valid_name(site), site, "_site")
+        (i, site): unique_name(_replace_controls(site), site, "_site")
         for i, link in enumerate(robot.links)
         for site, _, _ in link.sites
     }
-    if renamed:
-        message = f"{counted(len(renamed), 'name')} changed, as links and joints "
-        message += f"of a rig share their names: {listed(renamed, MAX_LISTED_JOINTS)}"
-        notes.add(codes.renamed, None, message, severity=Severity.NOTE)
-    return _JointNames(links, joint_names, merged, sites, name_of_file_joint)
+    if name_changes:
+        message = f"{counted(len(name_changes), 'name')} changed, as links and joints "
+        message += "of a rig share their names: "
+        message += listed(name_changes, MAX_LISTED_JOINTS)
+        notes.add(codes.renamed_code, None, message, severity=Severity.NOTE)
+    return _JointNames(link_names, joint_names, merged_flags, sites, name_of_file_joint)
 
 
-def _record_approximate(
+def _note_approximate_colliders(
     robot: Robot, notes: XmlNotes, codes: RobotCodes, largest_error: float
 ) -> None:
     count = sum(
@@ -262,7 +265,7 @@ def _record_approximate(
     message = f"{counted(count, 'box or cylinder', 'boxes and cylinders')} collide as "
     message += f"capsules, whose surfaces are up to {length_text(largest_error)} off"
     hint = "colliders of a rig are capsules; a rig file over this one may have others"
-    notes.add(codes.approximate, None, message, hint, severity=Severity.NOTE)
+    notes.add(codes.approximate_code, None, message, hint, severity=Severity.NOTE)
 
 
 def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:

@@ -16,12 +16,12 @@ from animtool.formats.robots.xml import XmlElement
 MAX_FAULTS = 50
 # Largest value of lengths [m], angles and masses.
 MAX_VALUE = 1e9
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(slots=True, eq=False)
 class XmlNotes:
-    """Faults and notices of a file."""
+    """Faults and notices of a robot's file, collected while it is read."""
 
     path: Path  # path of the file
     number_code: str  # code of an attribute that is not a number
@@ -37,43 +37,44 @@ class XmlNotes:
         message: str,
         hint: str | None = None,
         *,
-        where: str | None = None,
+        location: str | None = None,
         joint: str | None = None,
         severity: Severity = Severity.ERROR,
     ) -> None:
         """Record a fault at an element; None is the file."""
-        path = self.path if element is None else element.path
+        path = str(self.path if element is None else element.path)
         lines = () if element is None else (element.line,)
         column = None if element is None else element.column
         fault = Fault(
-            code, message, str(path), lines, hint, severity, column, where, joint=joint
+            code, message, path, lines, hint, severity, column, location, joint=joint
         )
         (self.faults if severity is Severity.ERROR else self.notices).append(fault)
 
-    def check(self) -> None:
-        """Raise `FormatError` with the recorded faults if there are any."""
+    def raise_faults(self) -> None:
+        """Raise the first recorded faults as a `FormatError`, if there are any."""
         if not self.faults:
             return
         first_faults = self.faults[:MAX_FAULTS]
-        omitted = len(self.faults) - len(first_faults)
-        if omitted:
+        omitted_count = len(self.faults) - len(first_faults)
+        if omitted_count:
             last_fault = first_faults[-1]
-            message = f"and {counted(omitted, 'more fault')} of this kind or another"
+            omitted_faults = counted(omitted_count, "more fault")
+            message = f"and {omitted_faults} of this kind or another"
             first_faults.append(Fault(last_fault.code, message, str(self.path)))
         raise FormatError(first_faults)
 
-    def numbers(
+    def read_numbers(
         self,
         element: XmlElement,
         name: str,
         count: int,
         default: tuple[float, ...],
-        where: str,
-        limit: float = MAX_VALUE,
+        location: str,
+        max_value: float = MAX_VALUE,
     ) -> tuple[float, ...]:
         """Return the numbers of an attribute, or the default.
 
-        Numbers beyond ``limit`` or not finite are recorded as faults.
+        Numbers beyond ``max_value`` or not finite are recorded as faults.
         """
         text = element.attributes.get(name)
         if text is None:
@@ -93,24 +94,24 @@ class XmlNotes:
                     hint = "separate numbers by blanks, and write decimals with a point"
             elif not math.isfinite(number):
                 problem = problem or f"{excerpt(value)} is not finite"
-            elif abs(number) > limit:
-                problem = problem or f"{excerpt(value)} is beyond {limit:g}"
+            elif abs(number) > max_value:
+                problem = problem or f"{excerpt(value)} is beyond {max_value:g}"
             else:
                 numbers.append(number)
         if problem:
             message = f"{name} of <{element.tag}> is {excerpt(text)}: {problem}"
-            self.add(self.number_code, element, message, hint, where=where)
+            self.add(self.number_code, element, message, hint, location=location)
             return default
         return tuple(numbers)
 
-    def number(
-        self, element: XmlElement, name: str, default: float, where: str
+    def read_number(
+        self, element: XmlElement, name: str, default: float, location: str
     ) -> float:
-        """Return the number of an attribute; see `numbers`."""
-        return self.numbers(element, name, 1, (default,), where)[0]
+        """Return the number of an attribute; see `read_numbers`."""
+        return self.read_numbers(element, name, 1, (default,), location)[0]
 
-    def ignore(self, labels: Iterable[str]) -> None:
-        """Record labels of contents that are not read."""
+    def record_ignored(self, labels: Iterable[str]) -> None:
+        """Record labels of contents that are not read, for one notice."""
         self.ignored_labels.update(dict.fromkeys(labels))
 
 
@@ -120,7 +121,7 @@ def to_number(text: str) -> float | None:
     >>> to_number("1e-3"), to_number("1_0"), to_number("0x1p3")
     (0.001, None, None)
     """
-    if _NUMBER.fullmatch(text):
+    if _NUMBER_PATTERN.fullmatch(text):
         return float(text)
     if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
         return math.nan

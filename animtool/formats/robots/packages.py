@@ -11,7 +11,7 @@ from animtool.core.files.reading import exists
 from animtool.core.record import dataclass
 from animtool.formats.robots.xml import XmlCodes, read_xml
 
-_URI_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
+_URI_SCHEME_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _PACKAGE_SCHEMES = {"package", "model"}
 # Maximum number of parent folders that are searched for a file's package.
 MAX_PARENT_FOLDERS = 12
@@ -32,7 +32,7 @@ class PackageFolders:
 
     @staticmethod
     def from_file(path: Path, codes: XmlCodes) -> PackageFolders:
-        """Return the folders of a file.
+        """Return the folders in which a file's references may lie.
 
         The package that contains a file is part of its project: the parent folder with
         that name, or with it in ``package.xml``.
@@ -50,25 +50,27 @@ class PackageFolders:
         return PackageFolders(folder, tuple(root.resolve() for root in roots), packages)
 
     def find(self, name: str) -> Path | None:
-        """Return the path of a file name; None if missing."""
-        uri_match = _URI_SCHEME.fullmatch(name)
+        """Return the file of a name or URI; None if missing, an error if outside."""
+        uri_match = _URI_SCHEME_PATTERN.fullmatch(name)
         if uri_match is None:
             return self._inside_project(self.folder / name, name)
-        scheme, location = uri_match[1].lower(), uri_match[2]
+        scheme, uri_path = uri_match[1].lower(), uri_match[2]
         if scheme == "file":
-            return self._inside_project(Path("/" + location.lstrip("/")), name)
+            return self._inside_project(Path("/" + uri_path.lstrip("/")), name)
         if scheme not in _PACKAGE_SCHEMES:
             raise OutsideError(f"{scheme}:// is of a network, and is never opened")
         # Some writers add a third slash.
-        package, _, relative = location.lstrip("/").partition("/")
-        candidates = [folder for folder in self._candidate_folders(package) if relative]
+        package, _, relative_path = uri_path.lstrip("/").partition("/")
+        candidates = [
+            folder for folder in self._candidate_folders(package) if relative_path
+        ]
         for folder in candidates:
-            path = self._inside_project(folder / relative, name)
+            path = self._inside_project(folder / relative_path, name)
             if path is not None:
                 return path
         if not candidates:
             # A name that leaves one candidate folder leaves all of them.
-            self._inside_project(self.folder / package / relative, name)
+            self._inside_project(self.folder / package / relative_path, name)
         return None
 
     def _candidate_folders(self, package: str) -> list[Path]:
@@ -105,5 +107,5 @@ def _package_name(folder: Path, codes: XmlCodes) -> str:
         root = read_xml(file, codes)
     except AnimtoolError:
         return ""
-    names = root.all("name") if root.tag == "package" else []
+    names = root.find_all("name") if root.tag == "package" else []
     return names[0].text.strip() if names else ""

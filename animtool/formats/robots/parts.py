@@ -80,7 +80,7 @@ class Link:
 
 @dataclass(slots=True, eq=False)
 class Robot:
-    """A tree of links."""
+    """A robot as a tree of links."""
 
     name: str  # name of the robot
     links: list[Link]  # links, parents before children

@@ -50,8 +50,9 @@ def _cylinder_capsule(radius: float, height: float) -> tuple[float, float, float
     """Return radius and length of a capsule for a cylinder, and the surface error."""
     if height >= 2 * radius:
         return radius, height - 2 * radius, (math.sqrt(2) - 1) * radius
-    ball = (0.75 * radius * radius * height) ** (1 / 3)
-    return ball, 0.0, max(math.hypot(radius, height / 2) - ball, ball - height / 2)
+    ball_radius = (0.75 * radius * radius * height) ** (1 / 3)
+    corner = math.hypot(radius, height / 2)
+    return ball_radius, 0.0, max(corner - ball_radius, ball_radius - height / 2)
 
 
 def _box_capsule(
@@ -66,17 +67,17 @@ def _box_capsule(
 
 def build_mass(joint: str, link_mass: LinkMass, link_offset: Vector) -> Mass:
     """Return a joint's mass and principal inertia; its link is at ``link_offset``."""
-    principal, axes = np.linalg.eigh(link_mass.inertia)
+    principal_inertia, axes = np.linalg.eigh(link_mass.inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]
-    a, b, c = np.maximum(principal, 0.0).tolist()
+    a, b, c = np.maximum(principal_inertia, 0.0).tolist()
     centre = float_vector(np.array(link_mass.centre) + np.array(link_offset))
     rotation = float_quaternion(so3.from_matrix(axes))
     return Mass(joint, link_mass.mass, centre, (a, b, c), rotation)
 
 
 def find_mass_problem(mass: float, inertia: FloatArray) -> str:
-    """Return why mass and inertia ``(3, 3)`` are impossible; empty if possible."""
+    """Return the reason why mass and inertia ``(3, 3)`` are impossible, else ""."""
     if not mass > 0:
         return f"its mass is {mass:g} kg"
     problem = inertia_problem(np.linalg.eigvalsh(inertia).tolist())

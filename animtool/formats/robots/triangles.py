@@ -15,8 +15,8 @@ CIRCLE_CORNERS, ARC_CORNERS = 24, 12  # corners of a circle, and of half of one
 
 def merge_surfaces(surfaces: list[Triangles]) -> Triangles:
     """Merge triangle surfaces into one."""
-    counts = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
-    faces = [s.faces + start for s, start in zip(surfaces, counts, strict=False)]
+    first_points = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
+    faces = [s.faces + start for s, start in zip(surfaces, first_points, strict=False)]
     return Triangles(
         np.concatenate([surface.points for surface in surfaces]), np.concatenate(faces)
     )
@@ -42,13 +42,13 @@ def triangulate_shape(solid: SimpleShape) -> Triangles:
 
 
 def _box_faces(size: FloatArray) -> Triangles:
-    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     sides = []
     for axis in range(3):
         for face_side in (-0.5, 0.5):
             points = np.full((4, 3), face_side)
             other_axes = [(axis + 1) % 3, (axis + 2) % 3]
-            points[:, other_axes] = square if face_side > 0 else square[::-1]
+            points[:, other_axes] = corners if face_side > 0 else corners[::-1]
             sides.append(Triangles(points * size, np.array([[0, 1, 2], [0, 2, 3]])))
     return merge_surfaces(sides)
 
@@ -84,21 +84,21 @@ def _side_faces(lower: int, upper: int) -> IntArray:
 
 def _sphere_or_capsule(radius: float, length: float) -> Triangles:
     """Return the triangles of a sphere, or of a capsule along z."""
-    heights = np.linspace(-math.pi / 2, math.pi / 2, ARC_CORNERS + 1)
-    rows = [(h, -0.5 if h <= 0 else 0.5) for h in heights]
+    latitudes = np.linspace(-math.pi / 2, math.pi / 2, ARC_CORNERS + 1)
+    rows = [(latitude, -0.5 if latitude <= 0 else 0.5) for latitude in latitudes]
     if length:
         rows.insert(ARC_CORNERS // 2 + 1, (0.0, 0.5))
     rings = [
         np.column_stack(
             [
-                _circle_points() * radius * math.cos(h),
-                np.full(CIRCLE_CORNERS, radius * math.sin(h) + side * length),
+                _circle_points() * radius * math.cos(latitude),
+                np.full(CIRCLE_CORNERS, radius * math.sin(latitude) + side * length),
             ]
         )
-        for h, side in rows
+        for latitude, side in rows
     ]
-    bands = [
+    side_faces = [
         _side_faces(k * CIRCLE_CORNERS, (k + 1) * CIRCLE_CORNERS)
         for k in range(len(rows) - 1)
     ]
-    return Triangles(np.concatenate(rings), np.concatenate(bands))
+    return Triangles(np.concatenate(rings), np.concatenate(side_faces))

@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 
 # Maximum elements; a robot of thousands of links has some ten thousand.
 MAX_ELEMENTS = 300_000
-MAX_DEPTH = 500
+MAX_NESTING = 500
 MAX_ATTRIBUTES = 100
 MAX_VALUE_LENGTH = 100_000  # longest attribute value [characters]
 # Longest text of an element that is read, such as the name of a package.
@@ -23,7 +23,7 @@ MAX_TEXT_LENGTH = 1000
 
 @dataclass(slots=True, eq=False)
 class XmlElement:
-    """An element of a file."""
+    """An XML element with its location in the file."""
 
     tag: str  # tag name, as written
     attributes: dict[str, str]  # attribute values by name
@@ -34,8 +34,8 @@ class XmlElement:
     children: list[XmlElement] = field(default_factory=list)
     text: str = ""  # text content, without that of children
 
-    def all(self, tag: str) -> list[XmlElement]:
-        """Return the children with a tag."""
+    def find_all(self, tag: str) -> list[XmlElement]:
+        """Return the child elements with a tag, in file order."""
         return [child for child in self.children if child.tag == tag]
 
     def walk(self) -> Iterator[XmlElement]:
@@ -49,11 +49,11 @@ class XmlElement:
 
 @dataclass(frozen=True, slots=True)
 class XmlCodes:
-    """Codes of XML faults."""
+    """Rule codes of faults of XML files."""
 
-    malformed: str
-    entities: str  # a DTD, which may define entities
-    limits: str
+    malformed_code: str  # invalid XML
+    entities_code: str  # a DTD, which may define entities
+    limits_code: str  # a file, element or attribute beyond the limits
 
 
 class _InvalidXmlError(Exception):
@@ -75,23 +75,23 @@ def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> XmlElement:
 
 
 class _TreeBuilder:
-    """Expat handlers that build the tree."""
+    """Builds the tree of an XML file by the events of an expat parser."""
 
     def __init__(self, path: Path, codes: XmlCodes) -> None:
         self._path, self._codes = path, codes
         self._open_elements: list[XmlElement] = []
         self._root: XmlElement | None = None
-        self._count = 0
+        self._element_count = 0
         self._skipped_lines = 0  # blank lines before the declaration
         parser = expat.ParserCreate()
         parser.buffer_text = True
         parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
-        parser.StartElementHandler = self._start
-        parser.EndElementHandler = self._end
-        parser.CharacterDataHandler = self._text
-        parser.StartDoctypeDeclHandler = self._doctype
-        parser.EntityDeclHandler = self._doctype
-        parser.ExternalEntityRefHandler = self._doctype
+        parser.StartElementHandler = self._start_element
+        parser.EndElementHandler = self._end_element
+        parser.CharacterDataHandler = self._add_text
+        parser.StartDoctypeDeclHandler = self._refuse_doctype
+        parser.EntityDeclHandler = self._refuse_doctype
+        parser.ExternalEntityRefHandler = self._refuse_doctype
         self._parser = parser
 
     def parse(self, content: bytes) -> XmlElement:
@@ -105,15 +105,15 @@ class _TreeBuilder:
         except _InvalidXmlError as error:
             self._fail(error.code, error.message, error.hint)
         except expat.ExpatError as error:
-            self._malformed(error)
+            self._raise_malformed(error)
         except (LookupError, ValueError, UnicodeError) as error:
             # The encoding is unknown, or not a text encoding.
             message = f"cannot be decoded: {error}"
-            self._fail(self._codes.malformed, message, "save it as UTF-8")
+            self._fail(self._codes.malformed_code, message, "save it as UTF-8")
         assert self._root is not None
         return self._root
 
-    def _malformed(self, error: expat.ExpatError) -> NoReturn:
+    def _raise_malformed(self, error: expat.ExpatError) -> NoReturn:
         """Raise expat's error, with the element that contains the error."""
         reason = expat.ErrorString(error.code) or "malformed"
         hint = "export or copy the file again"
@@ -129,7 +129,7 @@ class _TreeBuilder:
             reason = "an entity that XML does not define"
             hint = "write the text itself; & is &amp;"
         self._fail(
-            self._codes.malformed,
+            self._codes.malformed_code,
             f"invalid XML: {reason}",
             hint,
             (error.lineno, error.offset + 1),
@@ -146,26 +146,26 @@ class _TreeBuilder:
         position: tuple[int, int] | None = None,
     ) -> NoReturn:
         parser = self._parser
-        current = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
-        line, column = position or current
+        current_position = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        line, column = position or current_position
         line += self._skipped_lines
         fault = Fault(code, message, str(self._path), (line,), hint, column=column)
         raise FormatError(fault)
 
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self._count += 1
+    def _start_element(self, tag: str, attributes: dict[str, str]) -> None:
+        self._element_count += 1
         hint = "no robot is that large: is it the right file?"
-        if self._count > MAX_ELEMENTS:
+        if self._element_count > MAX_ELEMENTS:
             message = f"more than {MAX_ELEMENTS:,} elements"
-            raise _InvalidXmlError(self._codes.limits, message, hint)
-        if len(self._open_elements) >= MAX_DEPTH:
-            message = f"elements are nested deeper than {MAX_DEPTH}"
-            raise _InvalidXmlError(self._codes.limits, message, hint)
-        longest = max(map(len, attributes.values()), default=0)
-        if len(attributes) > MAX_ATTRIBUTES or longest > MAX_VALUE_LENGTH:
+            raise _InvalidXmlError(self._codes.limits_code, message, hint)
+        if len(self._open_elements) >= MAX_NESTING:
+            message = f"elements are nested deeper than {MAX_NESTING}"
+            raise _InvalidXmlError(self._codes.limits_code, message, hint)
+        longest_value = max(map(len, attributes.values()), default=0)
+        if len(attributes) > MAX_ATTRIBUTES or longest_value > MAX_VALUE_LENGTH:
             message = f"<{excerpt(tag)[1:-1]}> has more than {MAX_ATTRIBUTES} "
             message += f"attributes, or one of more than {MAX_VALUE_LENGTH:,} letters"
-            raise _InvalidXmlError(self._codes.limits, message, hint)
+            raise _InvalidXmlError(self._codes.limits_code, message, hint)
         line = self._parser.CurrentLineNumber + self._skipped_lines
         column = self._parser.CurrentColumnNumber + 1
         element = XmlElement(tag, attributes, self._path, line, column)
@@ -175,15 +175,15 @@ class _TreeBuilder:
             self._root = element
         self._open_elements.append(element)
 
-    def _end(self, _tag: str) -> None:
+    def _end_element(self, _tag: str) -> None:
         self._open_elements.pop()
 
-    def _text(self, text: str) -> None:
+    def _add_text(self, text: str) -> None:
         element = self._open_elements[-1]
         if len(element.text) < MAX_TEXT_LENGTH:
             element.text += text[:MAX_TEXT_LENGTH]
 
-    def _doctype(self, *_names: object) -> int:
+    def _refuse_doctype(self, *_names: object) -> int:
         message = "it has a DTD, and so may have entities: these are not read"
         hint = "delete the DOCTYPE, and write out what its entities stand for"
-        raise _InvalidXmlError(self._codes.entities, message, hint)
+        raise _InvalidXmlError(self._codes.entities_code, message, hint)

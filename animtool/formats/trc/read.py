@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
-from animtool.core.clock import Clock
 from animtool.core.errors import counted, excerpt
 from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
@@ -32,48 +30,52 @@ from animtool.motion.markers import Markers
 MAX_MARKERS = 10_000
 # Maximum header lines before the marker names.
 MAX_HEADER_LINES = 12
-_NAMES_LINE = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
+_NAMES_PATTERN = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class TrcHeader:
-    """The values of the header lines of a TRC file."""
+    """Values and marker names that the header lines of a TRC file state."""
 
-    rate: float | None  # DataRate [1/s]; None without a number
+    data_rate: float | None  # DataRate [1/s]; None without a number
     unit: str | None  # Units; None if missing
     frame_count: float | None  # NumFrames; None without a number
     marker_count: float | None  # NumMarkers; None without a number
     names: list[str]  # marker names in column order, empty for unnamed markers
     # Number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing.
     axis_marker_count: int
-    first_row: int  # line index of the first row
+    first_row_index: int  # line index of the first row
     separator: bytes  # separator of cells in rows
 
 
 def read_header(file: CaptureFile, lines: list[bytes]) -> TrcHeader:
-    """Return the values of the header lines."""
-    words = re.split(rb"[\s,;]+", lines[0].strip(BLANK_CHARACTERS + b'"'))
-    if words[0].strip(b'"').lower() != b"pathfiletype":
+    """Return the header of a TRC file; raise without its required lines (TRC001)."""
+    first_words = re.split(rb"[\s,;]+", lines[0].strip(BLANK_CHARACTERS + b'"'))
+    if first_words[0].strip(b'"').lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
-    name_matches = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
+    name_matches = [_NAMES_PATTERN.match(line) for line in lines[:MAX_HEADER_LINES]]
     names_index = next((i for i, n in enumerate(name_matches) if n), 0)
-    lines_above = [i for i in range(1, names_index) if lines[i].strip(BLANK_CHARACTERS)]
-    if len(lines_above) < 2:
-        missing = "DataRate line" if names_index else "line that starts with Frame#"
-        message = f"no {missing} in the first {MAX_HEADER_LINES} lines"
+    indices_above = [
+        i for i in range(1, names_index) if lines[i].strip(BLANK_CHARACTERS)
+    ]
+    if len(indices_above) < 2:
+        missing_line = (
+            "DataRate line" if names_index else "line that starts with Frame#"
+        )
+        message = f"no {missing_line} in the first {MAX_HEADER_LINES} lines"
         raise file.error("TRC001", message)
-    values = _header_values(lines[lines_above[-2]], lines[lines_above[-1]])
+    values = _header_values(lines[indices_above[-2]], lines[indices_above[-1]])
     name_match = name_matches[names_index]
     assert name_match is not None
     names = _read_marker_names(file, lines[names_index], name_match[1], names_index + 1)
-    first_row, axis_marker_count = names_index + 1, 0
+    first_row_index, axis_marker_count = names_index + 1, 0
     # X1 Y1 Z1 follows the names, and sometimes an empty line.
-    while first_row < len(lines) and _is_heading(lines[first_row]):
-        cells = lines[first_row].replace(b",", b" ").replace(b";", b" ").split()
+    while first_row_index < len(lines) and _is_axis_heading(lines[first_row_index]):
+        cells = lines[first_row_index].replace(b",", b" ").replace(b";", b" ").split()
         line_marker_count = sum(cell[:1] in b"Xx" for cell in cells)
         axis_marker_count = max(axis_marker_count, line_marker_count)
-        first_row += 1
-    row = lines[first_row] if first_row < len(lines) else b""
+        first_row_index += 1
+    first_row = lines[first_row_index] if first_row_index < len(lines) else b""
     return TrcHeader(
         parse_number(values.get("datarate")),
         values.get("units"),
@@ -81,8 +83,8 @@ def read_header(file: CaptureFile, lines: list[bytes]) -> TrcHeader:
         parse_number(values.get("nummarkers")),
         names,
         axis_marker_count,
-        first_row,
-        find_row_separator(row, name_match[1]),
+        first_row_index,
+        find_row_separator(first_row, name_match[1]),
     )
 
 
@@ -95,9 +97,12 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
         cells = [text for value in values for text in value.split() or [""]]
         values = cells if len(cells) <= len(keys) else values
     names = [key.lower() for key in keys]
-    unit = names.index("units") if "units" in names else len(values)
-    if unit < len(values) == len(keys) - 1 and parse_number(values[unit]) is not None:
-        values.insert(unit, "")  # an empty unit between blanks has no cell
+    units_index = names.index("units") if "units" in names else len(values)
+    if (
+        units_index < len(values) == len(keys) - 1
+        and parse_number(values[units_index]) is not None
+    ):
+        values.insert(units_index, "")  # an empty unit between blanks has no cell
     return dict(zip(names, values, strict=False))
 
 
@@ -137,8 +142,8 @@ def _strip_axis_suffixes(cells: list[str]) -> list[str]:
     return names[::3]
 
 
-def _is_heading(line: bytes) -> bool:
-    """Return whether a line is not a row of numbers."""
+def _is_axis_heading(line: bytes) -> bool:
+    """Return whether a line is blank or names the axes, ``X1 Y1 Z1``."""
     text = line.strip(BLANK_CHARACTERS)
     return not text or text[:1].upper() in {b"X", b"Y", b"Z"}
 
@@ -146,10 +151,8 @@ def _is_heading(line: bytes) -> bool:
 def _match_columns(file: CaptureFile, header: TrcHeader, cell_count: int) -> list[str]:
     """Return marker names for the columns of the rows, empty for unnamed markers.
 
-    Warns if the header states another count (TRC101).
-
-    ``cell_count`` is the number of cells of the longest row, up to the last nonempty
-    one.
+    Warns if the header states another count (TRC101). ``cell_count`` is the number of
+    cells of the longest row, up to the last nonempty one.
     """
     names, stated_count = header.names, header.marker_count
     column_marker_count = max(0, -(-(cell_count - 2) // 3))
@@ -200,15 +203,15 @@ def read_trc(
     file = CaptureFile(str(path))
     lines = read_lines(path)
     header = read_header(file, lines)
-    rows = gather_rows(lines, header.first_row, header.separator)
+    rows = gather_rows(lines, header.first_row_index, header.separator)
     names = _marker_names(file, header, rows)
-    width = 2 + 3 * len(names)
-    rows = _drop_truncated_row(file, rows, len(lines) if lines[-1] else 0, width)
+    column_count = 2 + 3 * len(names)
+    rows = _drop_truncated_row(file, rows, len(lines) if lines[-1] else 0, column_count)
     if len(rows.texts) * len(names) > MAX_POSITIONS:
         raise file.error("TRC001", f"more than {MAX_POSITIONS:,} positions")
     decimals = rows.decimals(1)
     values = rows.values(
-        width, lambda message, line: file.error("TRC002", message, line=line)
+        column_count, lambda message, line: file.error("TRC002", message, line=line)
     )
     if rows.has_decimal_commas:
         hint = "export it with decimal points, which other programs need"
@@ -221,36 +224,37 @@ def read_trc(
     positions = values[:, 2:].reshape(len(values), -1, 3).copy()
     labels = file.unique_names(names, subject)
     positions = file.clean_positions(positions, length_unit.meters)
-    frames = find_row_frames(
-        file, values[:, :2], rows.line_numbers, decimals, header.rate, fps, len(names)
+    row_frames = find_row_frames(
+        file,
+        values[:, :2],
+        rows.line_numbers,
+        decimals,
+        header.data_rate,
+        fps,
+        len(names),
     )
-    positions = frames.resample(positions)
-    clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
-    notices = tuple(file.notices)
-    return Markers(
-        labels, clock, positions, up_axis, notices=notices, begin=frames.begin
-    )
+    return row_frames.build_markers(file, labels, positions, up_axis)
 
 
 def _marker_names(file: CaptureFile, header: TrcHeader, rows: TextRows) -> list[str]:
     """Return the marker names of the rows; warn about unnamed markers (TRC103)."""
     if not rows.texts:
-        missing = "frames" if header.names else "markers"
-        raise file.error("MKR013", f"the file has no {missing}")
-    max_cells = int(rows.value_counts.max())
-    names = _match_columns(file, header, max_cells)
+        missing_noun = "frames" if header.names else "markers"
+        raise file.error("MKR013", f"the file has no {missing_noun}")
+    max_value_count = int(rows.value_counts.max())
+    names = _match_columns(file, header, max_value_count)
     if not names:
         raise file.error("MKR013", "the file has no markers")
     is_too_wide = rows.value_counts > 2 + 3 * len(header.names)
     # The last cell may be followed by a separator.
     is_ragged = ((rows.value_counts - 2) % 3 != 0) & ((rows.cell_counts - 2) % 3 != 0)
     is_ragged &= (rows.cell_counts == rows.value_counts) | (rows.cell_counts % 3 != 0)
-    bad_rows = np.flatnonzero(is_too_wide & is_ragged)
-    if len(bad_rows) or len(names) > MAX_MARKERS:
-        row = int(bad_rows[0]) if len(bad_rows) else int(rows.value_counts.argmax())
+    ragged_rows = np.flatnonzero(is_too_wide & is_ragged)
+    if len(ragged_rows) or len(names) > MAX_MARKERS:
+        row = int(ragged_rows[0] if len(ragged_rows) else rows.value_counts.argmax())
         message = f"the row has {int(rows.value_counts[row])} values, not "
         message += str(2 + 3 * len(names))
-        if len(bad_rows):
+        if len(ragged_rows):
             message = f"the row has {int(rows.value_counts[row])} values, but frame, "
             message += f"time and {counted(len(header.names), 'named marker')} take "
             message += str(2 + 3 * len(header.names))
@@ -260,11 +264,11 @@ def _marker_names(file: CaptureFile, header: TrcHeader, rows: TextRows) -> list[
         raise file.error("TRC002", message, hint, int(rows.line_numbers[row]))
     unnamed_count = names.count("")
     if unnamed_count:
-        first_unnamed = names.index("")
+        first_index = names.index("")
         message = (
             f"{unnamed_count} of {counted(len(names), 'marker')} "
             f"{'has' if unnamed_count == 1 else 'have'} no name, the first in column "
-            f"{3 + 3 * first_unnamed}"
+            f"{3 + 3 * first_index}"
         )
         if is_too_wide.any() and not is_too_wide.all():
             lines = rows.line_numbers[is_too_wide]
@@ -275,32 +279,32 @@ def _marker_names(file: CaptureFile, header: TrcHeader, rows: TextRows) -> list[
 
 
 def _drop_truncated_row(
-    file: CaptureFile, rows: TextRows, unterminated_line: int, width: int
+    file: CaptureFile, rows: TextRows, unterminated_line: int, column_count: int
 ) -> TextRows:
     """Drop the last row, with a warning, if it is truncated (TRC109).
 
     ``unterminated_line`` is the last line if it has no line end; otherwise 0.
     """
-    is_short = (rows.cell_counts < width) & (rows.value_counts > 1)
+    is_short = (rows.cell_counts < column_count) & (rows.value_counts > 1)
     ends_in_marker = is_short & (rows.cell_counts == rows.value_counts)
     ends_in_marker &= rows.cell_counts % 3 != 2
-    partial_rows = np.flatnonzero(ends_in_marker)
-    last_row = len(rows.texts) - 1
+    partial_indices = np.flatnonzero(ends_in_marker)
+    last_index = len(rows.texts) - 1
     # A row that ends after a complete marker is not truncated if others are short too.
-    is_incomplete = ends_in_marker[last_row] or (
-        is_short[last_row] and is_short.sum() == 1
+    is_incomplete = ends_in_marker[last_index] or (
+        is_short[last_index] and is_short.sum() == 1
     )
-    is_unterminated = rows.line_numbers[last_row] == unterminated_line
-    is_truncated = last_row > 0 and is_unterminated and is_incomplete
-    if not len(partial_rows) and not is_truncated:
+    is_unterminated = rows.line_numbers[last_index] == unterminated_line
+    is_truncated = last_index > 0 and is_unterminated and is_incomplete
+    if not len(partial_indices) and not is_truncated:
         return rows
-    row = last_row if is_truncated else int(partial_rows[0])
-    count_text = f"{int(rows.cell_counts[row])} of {width} values"
+    row = last_index if is_truncated else int(partial_indices[0])
+    count_text = f"{int(rows.cell_counts[row])} of {column_count} values"
     message = f"the last row is truncated ({count_text}) and is skipped"
     if not is_truncated:
         message = f"the row ends within a marker ({count_text}), which is missing there"
-        if len(partial_rows) > 1:
+        if len(partial_indices) > 1:
             message += ", and so do "
-            message += f"{counted(len(partial_rows) - 1, 'other row')}"
+            message += f"{counted(len(partial_indices) - 1, 'other row')}"
     file.warn("TRC109", message, "copy or export it again", int(rows.line_numbers[row]))
     return rows.without_last() if is_truncated else rows

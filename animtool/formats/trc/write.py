@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.units import UpAxis
 from animtool.motion.markers import Markers
 
-# Decimals [mm]: finer than any camera resolves.
+# Decimals of positions [mm], finer than any camera resolves.
 POSITION_DECIMALS = 6
 CHUNK_ROWS = 4096
 
@@ -53,38 +53,38 @@ def write_trc(
 
 
 def _file_chunks(markers: Markers, name: str) -> Iterator[bytes]:
-    count, frames = len(markers.names), len(markers)
-    rate, start = f"{float(markers.clock.rate):.10g}", int(markers.clock.start)
+    marker_count, frame_count = len(markers.names), len(markers)
+    rate, first_frame = f"{float(markers.clock.rate):.10g}", int(markers.clock.start)
     names = [" ".join(name.split()) for name in markers.names]
-    axes = [f"{axis}{i + 1}" for i in range(count) for axis in "XYZ"]
+    axes = [f"{axis}{i + 1}" for i in range(marker_count) for axis in "XYZ"]
     header = [
         f"PathFileType\t4\t(X/Y/Z)\t{name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        f"{rate}\t{rate}\t{frames}\t{count}\tmm\t{rate}\t{start}\t{frames}",
+        f"{rate}\t{rate}\t{frame_count}\t{marker_count}\tmm\t{rate}\t{first_frame}\t{frame_count}",
         "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
         "\t\t" + "\t".join(axes),
         "",
     ]
     yield ("\n".join(header) + "\n").encode()
     # Frame 1 is time 0, as in motion files, so that both match.
-    seconds = (np.arange(frames) + start - 1) / float(markers.clock.rate)
+    times = (np.arange(frame_count) + first_frame - 1) / float(markers.clock.rate)
     if markers.begin is not None:
-        seconds = markers.begin + np.arange(frames) / float(markers.clock.rate)
-    decimals = np.array([0, 9, *[POSITION_DECIMALS] * (3 * count)], np.int64)
-    for begin in range(0, frames, CHUNK_ROWS):
-        chunk = slice(begin, begin + CHUNK_ROWS)
-        block = markers.positions[chunk].reshape(-1, 3 * count) * 1000.0
-        is_missing = np.isnan(block)
-        numbers = np.arange(begin, begin + len(block)) + start
+        times = markers.begin + np.arange(frame_count) / float(markers.clock.rate)
+    decimals = np.array([0, 9, *[POSITION_DECIMALS] * (3 * marker_count)], np.int64)
+    for begin in range(0, frame_count, CHUNK_ROWS):
+        frames = slice(begin, begin + CHUNK_ROWS)
+        positions = markers.positions[frames].reshape(-1, 3 * marker_count) * 1000.0
+        is_missing = np.isnan(positions)
+        frame_numbers = np.arange(begin, begin + len(positions)) + first_frame
         rows = np.column_stack(
-            [numbers, seconds[chunk], np.where(is_missing, 0.0, block)]
+            [frame_numbers, times[frames], np.where(is_missing, 0.0, positions)]
         )
         text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), decimals)
         yield _blank_missing(text, is_missing)
 
 
 def _blank_missing(text: bytes, is_missing: BoolArray) -> bytes:
-    """Return tab-separated rows with missing cells empty.
+    """Return tab-separated rows in which cells of missing positions are empty.
 
     A tab follows the last cell if it is empty, as OpenSim requires.
     """

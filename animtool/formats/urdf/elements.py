@@ -15,11 +15,11 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Mimic, Quaternion
 
-CODES = XmlCodes("URD001", "URD002", "URD003")
+XML_CODES = XmlCodes("URD001", "URD002", "URD003")
 
 
 class UrdfJointKind(StrEnum):
-    """The type of a joint."""
+    """The joint types that URDF defines."""
 
     REVOLUTE = "revolute"
     CONTINUOUS = "continuous"
@@ -37,7 +37,7 @@ SCALAR_KINDS = frozenset(
 
 @dataclass(slots=True, eq=False)
 class UrdfJoint:
-    """A joint as stated in the file."""
+    """A joint of the file before its tree is checked."""
 
     element: XmlElement
     name: str
@@ -51,8 +51,8 @@ class UrdfJoint:
     mimic: Mimic | None = None
 
     @property
-    def where(self) -> str:
-        """Label of the joint in messages."""
+    def location(self) -> str:
+        """Label of the joint in messages, such as ``joint 'elbow'``."""
         return element_label("joint", self.name)
 
 
@@ -67,7 +67,7 @@ class Visual:
 
 @dataclass(slots=True, eq=False)
 class UrdfLink:
-    """A link as stated in the file."""
+    """A link of the file before its tree is checked."""
 
     element: XmlElement
     name: str
@@ -98,52 +98,58 @@ def add_joint_fault(
     severity: Severity = Severity.ERROR,
 ) -> None:
     """Record a fault of a joint, at an element inside it or at the joint."""
-    where, name = joint.where, joint.name
+    location, name = joint.location, joint.name
     element = element or joint.element
-    notes.add(code, element, message, hint, where=where, joint=name, severity=severity)
+    notes.add(
+        code, element, message, hint, location=location, joint=name, severity=severity
+    )
 
 
 def find_single_child(
     element: XmlElement,
     tag: str,
-    where: str,
+    location: str,
     notes: XmlNotes,
     *,
-    required: bool = False,
+    is_required: bool = False,
 ) -> XmlElement | None:
-    """Return the only child with a tag; None if missing, with a fault if required."""
-    elements = element.all(tag)
+    """Return the only child with a tag; None without one, a fault if required."""
+    elements = element.find_all(tag)
     if any(child.attributes != elements[0].attributes for child in elements):
         message = f"<{tag}> is given {len(elements)} times with different values"
-        notes.add("URD006", elements[1], message, "keep one", where=where)
-    if not elements and required:
-        notes.add("URD006", element, f"<{tag}> is missing", where=where)
+        notes.add("URD006", elements[1], message, "keep one", location=location)
+    if not elements and is_required:
+        notes.add("URD006", element, f"<{tag}> is missing", location=location)
     return elements[0] if elements else None
 
 
 def require_text(
-    element: XmlElement, name: str, where: str | None, notes: XmlNotes, hint: str = ""
+    element: XmlElement,
+    name: str,
+    location: str | None,
+    notes: XmlNotes,
+    hint: str = "",
 ) -> str:
     """Return a required attribute; record a fault and return "" if it is missing."""
     text = element.attributes.get(name, "")
     if not text.strip():
         problem = "is empty" if name in element.attributes else "is missing"
         message = f"{name} of <{element.tag}> {problem}"
-        notes.add("URD006", element, message, hint or None, where=where)
+        notes.add("URD006", element, message, hint or None, location=location)
         return ""
     return text
 
 
 def read_pose(
-    element: XmlElement, where: str, notes: XmlNotes
+    element: XmlElement, location: str, notes: XmlNotes
 ) -> tuple[Vector, Quaternion]:
-    """Return position and rotation of an element's origin."""
-    origin = find_single_child(element, "origin", where, notes)
+    """Return position [m] and rotation of an element's origin; identity without one."""
+    origin = find_single_child(element, "origin", location, notes)
     if origin is None:
         return ORIGIN, (0.0, 0.0, 0.0, 1.0)
-    x, y, z = notes.numbers(origin, "xyz", 3, ORIGIN, where)
-    r, p, w = notes.numbers(origin, "rpy", 3, ORIGIN, where)
-    return (x, y, z), rotation_from_rpy(r, p, w)
+    x, y, z = notes.read_numbers(origin, "xyz", 3, ORIGIN, location)
+    roll, pitch, yaw = notes.read_numbers(origin, "rpy", 3, ORIGIN, location)
+    return (x, y, z), rotation_from_rpy(roll, pitch, yaw)
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:

@@ -17,8 +17,8 @@ from animtool.formats.robots.parts import LinkMass, SimpleShape, float_vector
 from animtool.formats.robots.solids import find_mass_problem
 from animtool.formats.robots.xml import XmlElement, read_xml
 from animtool.formats.urdf.elements import (
-    CODES,
     SCALAR_KINDS,
+    XML_CODES,
     UrdfFile,
     UrdfJoint,
     UrdfJointKind,
@@ -39,12 +39,12 @@ EXPAND_HINT = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package
 EXPAND_HINT += "ROS)"
 # Two revolutions, which robot angles do not exceed [rad], and in degrees; larger limits
 # mean no limits.
-MAX_RADIANS = 4 * math.pi
-MAX_DEGREES = 720.0
+MAX_PLAUSIBLE_RADIANS = 4 * math.pi
+MAX_PLAUSIBLE_DEGREES = 720.0
 _LIMIT_ATTRIBUTES = ("lower", "upper")
-# Elements that are not read, and their labels.
-_HANDLED_TAGS = {"link", "joint", "material"}
-_JOINT_CONTENTS = {
+_KNOWN_TAGS = {"link", "joint", "material"}
+# Elements of joints that are not read, and their labels.
+_IGNORED_JOINT_LABELS = {
     "dynamics": "damping and friction of joints",
     "safety_controller": "safety controllers",
     "calibration": "calibrations",
@@ -63,10 +63,10 @@ _SHAPE_ATTRIBUTES: dict[str, tuple[tuple[str, int], ...]] = {
 
 @expects_format("URD001", "a URDF file")
 def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
-    """Return a file's links and joints; record faults."""
-    root = read_xml(path, CODES)
+    """Return the links and joints of a URDF; record faults in ``notes``."""
+    root = read_xml(path, XML_CODES)
     _check_root(root, notes)
-    notes.check()
+    notes.raise_faults()
     links: dict[str, UrdfLink] = {}
     joints: dict[str, UrdfJoint] = {}
     for element in root.children:
@@ -78,13 +78,13 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
         message = "the robot has no link"
         notes.add("URD006", root, message, "a robot is links, and joints between them")
     _warn_about_degrees(root, notes)
-    notes.ignore(_ignored_labels(root))
+    notes.record_ignored(_ignored_labels(root))
     name = root.attributes.get("name", "")
     return UrdfFile(name, links, joints, *_actuated_joints(root))
 
 
 def _check_root(root: XmlElement, notes: XmlNotes) -> None:
-    """Record roots other than <robot>, and xacro files."""
+    """Record a fault if the root is not <robot>, or the file is xacro to expand."""
     for element in root.walk():
         macros = [f"<{element.tag}>"] if element.tag.startswith("xacro:") else []
         for text in element.attributes.values():
@@ -109,29 +109,30 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
 
 def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
     """Warn about joint angles that are likely degrees, and name the first of them."""
-    texts: list[tuple[XmlElement, str, str]] = []
-    for joint in root.all("joint"):
+    angle_texts: list[tuple[XmlElement, str, str]] = []
+    for joint in root.find_all("joint"):
         if joint.attributes.get("type") == "revolute":
-            for limit in joint.all("limit"):
-                texts += [
+            for limit in joint.find_all("limit"):
+                angle_texts += [
                     (limit, n, limit.attributes.get(n, "")) for n in _LIMIT_ATTRIBUTES
                 ]
-    texts += [
+    angle_texts += [
         (element, "rpy", element.attributes.get("rpy", ""))
         for element in root.walk()
         if element.tag == "origin"
     ]
-    in_degrees = [
+    degree_angles = [
         (element, name, value)
-        for element, name, text in texts
+        for element, name, text in angle_texts
         for value in map(to_number, text.split())
-        if value is not None and MAX_RADIANS < abs(value) <= MAX_DEGREES
+        if value is not None
+        and MAX_PLAUSIBLE_RADIANS < abs(value) <= MAX_PLAUSIBLE_DEGREES
     ]
-    if not in_degrees:
+    if not degree_angles:
         return
-    element, name, value = in_degrees[0]
-    message = f"{counted(len(in_degrees), 'angle')} beyond two revolutions in radians, "
-    message += f"such as {name} {value:g} of <{element.tag}>"
+    element, name, value = degree_angles[0]
+    message = f"{counted(len(degree_angles), 'angle')} beyond two revolutions in "
+    message += f"radians, such as {name} {value:g} of <{element.tag}>"
     hint = f"URDF has radians: {value:g} degrees are {math.radians(value):.6g}"
     notes.add("URD111", element, message, hint, severity=Severity.WARNING)
 
@@ -141,11 +142,11 @@ def _ignored_labels(root: XmlElement) -> Iterator[str]:
     for element in root.children:
         if element.tag == "material":
             yield "materials"
-        elif element.tag not in _HANDLED_TAGS:
+        elif element.tag not in _KNOWN_TAGS:
             yield f"<{element.tag[:40]}>"
         for child in element.children:
-            if element.tag == "joint" and child.tag in _JOINT_CONTENTS:
-                yield _JOINT_CONTENTS[child.tag]
+            if element.tag == "joint" and child.tag in _IGNORED_JOINT_LABELS:
+                yield _IGNORED_JOINT_LABELS[child.tag]
             elif element.tag == "joint" and child.tag == "limit":
                 names = {"effort", "velocity"} & set(child.attributes)
                 yield from ("limits of effort and velocity",) if names else ()
@@ -153,7 +154,7 @@ def _ignored_labels(root: XmlElement) -> Iterator[str]:
 
 def _actuated_joints(root: XmlElement) -> tuple[frozenset[str], bool]:
     """Return joints of transmissions or controllers, and whether there are any."""
-    actuators = [*root.all("transmission"), *root.all("ros2_control")]
+    actuators = [*root.find_all("transmission"), *root.find_all("ros2_control")]
     names = {
         joint.attributes.get("name", "")
         for actuator in actuators
@@ -170,29 +171,31 @@ def _read_joint(
     name = require_text(element, "name", None, notes)
     if not name:
         return
-    where = element_label("joint", name)
+    location = element_label("joint", name)
     if name in joints:
         message = f"two joints are named {excerpt(name)}"
         hint = f"the first is in line {joints[name].element.line}"
         notes.add("URD009", element, message, hint, joint=name)
         return
     kind_names = ", ".join(UrdfJointKind)
-    type_name = require_text(element, "type", where, notes, f"allowed: {kind_names}")
+    type_name = require_text(element, "type", location, notes, f"allowed: {kind_names}")
     if type_name not in list(UrdfJointKind):
         if type_name:
             message = f"unknown joint type {excerpt(type_name)}"
             hint = name_hint(type_name, [kind.value for kind in UrdfJointKind])
-            notes.add("URD008", element, message, hint, where=where, joint=name)
+            notes.add("URD008", element, message, hint, location=location, joint=name)
         type_name = UrdfJointKind.FIXED
     link_names = []
     for tag in ("parent", "child"):
-        reference = find_single_child(element, tag, where, notes, required=True)
+        reference = find_single_child(element, tag, location, notes, is_required=True)
         link = (
-            "" if reference is None else require_text(reference, "link", where, notes)
+            ""
+            if reference is None
+            else require_text(reference, "link", location, notes)
         )
         link_names.append(link)
     parent, child = link_names
-    kind, pose = UrdfJointKind(type_name), read_pose(element, where, notes)
+    kind, pose = UrdfJointKind(type_name), read_pose(element, location, notes)
     joint = joints[name] = UrdfJoint(element, name, kind, parent, child, *pose)
     if joint.kind not in {UrdfJointKind.FIXED, UrdfJointKind.FLOATING}:
         joint.axis = _read_axis(joint, notes)
@@ -201,10 +204,10 @@ def _read_joint(
 
 
 def _read_axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
-    element = find_single_child(joint.element, "axis", joint.where, notes)
+    element = find_single_child(joint.element, "axis", joint.location, notes)
     if element is None:
         return (1.0, 0.0, 0.0)
-    values = notes.numbers(element, "xyz", 3, (1.0, 0.0, 0.0), joint.where)
+    values = notes.read_numbers(element, "xyz", 3, (1.0, 0.0, 0.0), joint.location)
     if max(map(abs, values)) < MIN_AXIS_LENGTH:
         text = element.attributes.get("xyz", "")
         message = f"axis {excerpt(text)} has no length, and so no direction"
@@ -221,8 +224,8 @@ def _unit_direction(values: FloatArray) -> Vector:
 
 
 def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
-    where = joint.where
-    element = find_single_child(joint.element, "limit", where, notes)
+    location = joint.location
+    element = find_single_child(joint.element, "limit", location, notes)
     if joint.kind not in _LIMITED_KINDS:
         return None
     if element is None:
@@ -233,7 +236,7 @@ def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
         add_joint_fault(notes, "URD014", joint, message, hint)
         return None
     lower, upper = (
-        notes.numbers(element, name, 1, (0.0,), where, limit=math.inf)[0]
+        notes.read_numbers(element, name, 1, (0.0,), location, max_value=math.inf)[0]
         for name in _LIMIT_ATTRIBUTES
     )
     if lower > upper:
@@ -251,16 +254,16 @@ def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
 
 
 def _read_mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:
-    where = joint.where
-    element = find_single_child(joint.element, "mimic", where, notes)
+    location = joint.location
+    element = find_single_child(joint.element, "mimic", location, notes)
     if element is None:
         return None
     if joint.kind is UrdfJointKind.FIXED:
-        notes.ignore(["mimics of fixed joints"])
+        notes.record_ignored(["mimics of fixed joints"])
         return None
-    leader = require_text(element, "joint", where, notes)
-    gain = notes.number(element, "multiplier", 1.0, where)
-    offset = notes.number(element, "offset", 0.0, where)
+    leader = require_text(element, "joint", location, notes)
+    gain = notes.read_number(element, "multiplier", 1.0, location)
+    offset = notes.read_number(element, "offset", 0.0, location)
     if joint.kind not in SCALAR_KINDS:
         message = f"is {joint.kind}, and mimics {excerpt(leader)}"
         hint = "revolute, continuous and prismatic joints can mimic another"
@@ -276,66 +279,72 @@ def _read_link(
     name = require_text(element, "name", None, notes)
     if not name:
         return
-    where = element_label("link", name)
+    location = element_label("link", name)
     if name in links:
         message = f"two links are named {excerpt(name)}"
         hint = f"the first is in line {links[name].element.line}"
         notes.add("URD009", element, message, hint)
         return
     link = links[name] = UrdfLink(element, name)
-    inertial = find_single_child(element, "inertial", where, notes)
+    inertial = find_single_child(element, "inertial", location, notes)
     if inertial is not None:
-        link.mass = _read_mass(inertial, where, notes)
+        link.mass = _read_mass(inertial, location, notes)
     link.meshes += [
         mesh
-        for shape in (*element.all("visual"), *element.all("collision"))
-        for geometry in shape.all("geometry")
-        for mesh in geometry.all("mesh")
+        for shape in (*element.find_all("visual"), *element.find_all("collision"))
+        for geometry in shape.find_all("geometry")
+        for mesh in geometry.find_all("mesh")
         if mesh.attributes.get("filename")
     ]
-    for shape_element in element.all("collision"):
-        solid = _read_shape(shape_element, where, notes)
+    for shape_element in element.find_all("collision"):
+        solid = _read_shape(shape_element, location, notes)
         if solid is not None:
             link.solids.append(solid)
-    for shape_element in element.all("visual"):
-        link.visuals += _read_visual(shape_element, where, notes)
+    for shape_element in element.find_all("visual"):
+        link.visuals += _read_visual(shape_element, location, notes)
 
 
-def _read_visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
+def _read_visual(
+    element: XmlElement, location: str, notes: XmlNotes
+) -> Iterator[Visual]:
     """Yield the visual of an element; record an invalid one as ignored."""
     visual_notes = XmlNotes(notes.path, notes.number_code)
-    meshes = [m for g in element.all("geometry") for m in g.all("mesh")]
+    meshes = [m for g in element.find_all("geometry") for m in g.find_all("mesh")]
     visual: Visual | None = None
     if meshes and meshes[0].attributes.get("filename"):
-        position, rotation = read_pose(element, where, visual_notes)
-        x, y, z = visual_notes.numbers(meshes[0], "scale", 3, (1.0, 1.0, 1.0), where)
+        position, rotation = read_pose(element, location, visual_notes)
+        x, y, z = visual_notes.read_numbers(
+            meshes[0], "scale", 3, (1.0, 1.0, 1.0), location
+        )
         pose = SimpleShape("mesh", (), position, rotation)
         visual = Visual(meshes[0], pose, (x, y, z))
     elif not meshes:
-        solid = _read_shape(element, where, visual_notes)
+        solid = _read_shape(element, location, visual_notes)
         visual = None if solid is None else Visual(None, solid)
     if visual_notes.faults:
-        notes.ignore(["visuals with faults"])
+        notes.record_ignored(["visuals with faults"])
     elif visual is not None:
         yield visual
     else:
-        notes.ignore(["visuals without a shape"])
+        notes.record_ignored(["visuals without a shape"])
 
 
-def _read_mass(inertial: XmlElement, where: str, notes: XmlNotes) -> LinkMass | None:
+def _read_mass(inertial: XmlElement, location: str, notes: XmlNotes) -> LinkMass | None:
     """Return a link's mass; None without one and, with a warning, if impossible."""
-    position, rotation = read_pose(inertial, where, notes)
+    position, rotation = read_pose(inertial, location, notes)
     fault_count = len(notes.faults)
-    mass_element = find_single_child(inertial, "mass", where, notes)
-    tensor = find_single_child(inertial, "inertia", where, notes)
+    mass_element = find_single_child(inertial, "mass", location, notes)
+    inertia_element = find_single_child(inertial, "inertia", location, notes)
     mass = 0.0
     if mass_element is not None:
-        mass = notes.number(mass_element, "value", 0.0, where)
+        mass = notes.read_number(mass_element, "value", 0.0, location)
     inertia = np.zeros((3, 3))
-    if tensor is not None:
+    if inertia_element is not None:
         for i, row_axis in enumerate("xyz"):
             for j, column_axis in enumerate("xyz"[i:], i):
-                value = notes.number(tensor, f"i{row_axis}{column_axis}", 0.0, where)
+                value = notes.read_number(
+                    inertia_element, f"i{row_axis}{column_axis}", 0.0, location
+                )
                 inertia[i, j] = inertia[j, i] = value
     if len(notes.faults) > fault_count:
         return None
@@ -345,32 +354,35 @@ def _read_mass(inertial: XmlElement, where: str, notes: XmlNotes) -> LinkMass | 
     if problem:
         message = f"no body can have this mass: {problem}; it is ignored"
         hint = "bodies of a ragdoll then weigh what the density of colliders gives"
+        severity = Severity.WARNING
         notes.add(
-            "URD107", inertial, message, hint, where=where, severity=Severity.WARNING
+            "URD107", inertial, message, hint, location=location, severity=severity
         )
         return None
     matrix = so3.to_matrix(np.array(rotation))
     return LinkMass(mass, position, matrix @ inertia @ matrix.T)
 
 
-def _read_shape(element: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
+def _read_shape(
+    element: XmlElement, location: str, notes: XmlNotes
+) -> SimpleShape | None:
     """Return the primitive shape of a visual or collision; None for other geometry."""
-    geometry = find_single_child(element, "geometry", where, notes)
+    geometry = find_single_child(element, "geometry", location, notes)
     shape = next(iter(geometry.children), None) if geometry is not None else None
     if shape is None or shape.tag not in _SHAPE_ATTRIBUTES:
         tag = "of no shape" if shape is None else f"of <{shape.tag[:40]}>"
         label = "collision meshes" if tag == "of <mesh>" else f"collisions {tag}"
-        notes.ignore([label])
+        notes.record_ignored([label])
         return None
-    position, rotation = read_pose(element, where, notes)
+    position, rotation = read_pose(element, location, notes)
     size: list[float] = []
     fault_count = len(notes.faults)
     for name, count in _SHAPE_ATTRIBUTES[shape.tag]:
-        if require_text(shape, name, where, notes):
-            size += notes.numbers(shape, name, count, (1.0,) * count, where)
+        if require_text(shape, name, location, notes):
+            size += notes.read_numbers(shape, name, count, (1.0,) * count, location)
     if len(notes.faults) > fault_count:
         return None
     if min(size) <= 0:
-        notes.ignore(["collisions without size"])
+        notes.record_ignored(["collisions without size"])
         return None
     return SimpleShape(shape.tag, tuple(size), position, rotation)

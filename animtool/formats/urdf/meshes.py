@@ -13,18 +13,18 @@ from animtool.formats.robots.notes import XmlNotes, element_label
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.parts import Triangles
 from animtool.formats.robots.triangles import triangulate_shape
-from animtool.formats.urdf.elements import CODES, UrdfFile, Visual
+from animtool.formats.urdf.elements import XML_CODES, UrdfFile, Visual
 from animtool.maths import so3
 
 MAX_LISTED_FILES = 8
 # Maximum triangles of a robot; the others are omitted.
-MAX_TRIANGLES = 1_000_000
-MAX_BYTES = 100_000_000
+MAX_ROBOT_TRIANGLES = 1_000_000
+MAX_MESH_BYTES = 100_000_000
 MAX_MESH_TRIANGLES = 300_000
 MAX_COORDINATE = 1e9
-SUFFIXES = (".obj", ".stl")
-_HEADER_BYTES, _TRIANGLE_BYTES = 84, 50
-_TRIANGLE_RECORD = np.dtype(
+MESH_SUFFIXES = (".obj", ".stl")
+_STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
+_STL_TRIANGLE = np.dtype(
     [("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<u2")]
 )
 
@@ -37,7 +37,7 @@ def find_mesh_files(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
     meshes = [(link, mesh) for link in file.links.values() for mesh in link.meshes]
     if not meshes:
         return {}
-    folders = PackageFolders.from_file(path, CODES)
+    folders = PackageFolders.from_file(path, XML_CODES)
     files: dict[str, Path] = {}
     missing_files: dict[str, None] = {}
     outside_files: set[tuple[str, str]] = set()
@@ -52,8 +52,8 @@ def find_mesh_files(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            where = element_label("link", link.name)
-            notes.add("URD016", mesh, message, hint, where=where)
+            location = element_label("link", link.name)
+            notes.add("URD016", mesh, message, hint, location=location)
             continue
         if file_path is None:
             missing_files[name] = None
@@ -75,7 +75,7 @@ def read_surfaces(
     meshes_by_path: dict[Path, Triangles | None] = {}
     unreadable_files: dict[str, None] = {}
     surfaces: dict[str, list[Triangles]] = {}
-    total = 0
+    triangle_count = 0
     for link in file.links.values():
         for visual in link.visuals:
             surface = _read_surface(
@@ -83,9 +83,11 @@ def read_surfaces(
             )
             if surface is None:
                 continue
-            total += len(surface.faces)
-            if total > MAX_TRIANGLES:
-                notes.ignore([f"more than {MAX_TRIANGLES:,} triangles of visuals"])
+            triangle_count += len(surface.faces)
+            if triangle_count > MAX_ROBOT_TRIANGLES:
+                notes.record_ignored(
+                    [f"more than {MAX_ROBOT_TRIANGLES:,} triangles of visuals"]
+                )
                 return surfaces
             surfaces.setdefault(link.name, []).append(surface)
     if unreadable_files:
@@ -110,8 +112,8 @@ def _read_surface(
     path = files.get(name)
     if path is None:
         return None
-    if path.suffix.lower() not in SUFFIXES:
-        notes.ignore([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        notes.record_ignored([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
         return None
     if path not in meshes_by_path:
         try:
@@ -134,7 +136,7 @@ def _read_surface(
 def read_mesh(path: Path) -> Triangles:
     """Return the triangles of an OBJ or STL, in file units."""
     try:
-        content = read_input(path, MAX_BYTES)
+        content = read_input(path, MAX_MESH_BYTES)
     except FormatError as error:
         raise ValueError(error.faults[0].message) from error
     is_obj = path.suffix.lower() == ".obj"
@@ -149,17 +151,17 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def _parse_stl(content: bytes) -> Triangles:
-    if len(content) >= _HEADER_BYTES:
-        count = int.from_bytes(content[80:84], "little")
-        if len(content) == _HEADER_BYTES + _TRIANGLE_BYTES * count:
-            rows = np.frombuffer(content, _TRIANGLE_RECORD, offset=_HEADER_BYTES)
+    if len(content) >= _STL_HEADER_BYTES:
+        triangle_count = int.from_bytes(content[80:84], "little")
+        if len(content) == _STL_HEADER_BYTES + _STL_TRIANGLE_BYTES * triangle_count:
+            rows = np.frombuffer(content, _STL_TRIANGLE, offset=_STL_HEADER_BYTES)
             return _separate_triangles(rows["points"].reshape(-1, 3).astype(np.float64))
     if content[:5].lower() != b"solid":
         raise ValueError("it is not an STL, or is truncated")
     words = content.split()
-    vertices = [i for i, word in enumerate(words) if word == b"vertex"]
+    vertex_indices = [i for i, word in enumerate(words) if word == b"vertex"]
     try:
-        points = np.array([words[i + 1 : i + 4] for i in vertices], np.float64)
+        points = np.array([words[i + 1 : i + 4] for i in vertex_indices], np.float64)
     except ValueError as error:
         raise ValueError(f"it has an invalid vertex: {error}") from error
     if len(points) % 3 or points.shape[1:] != (3,):

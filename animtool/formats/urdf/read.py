@@ -59,9 +59,9 @@ def read_urdf_rig(path: Path | str) -> Rig:
     check_tree(file, notes)
     mimics = resolve_mimics(file, notes)
     mesh_files = find_mesh_files(file, path, notes)
-    notes.check()
-    _record_unactuated(file, notes)
-    _record_ranges(file, mimics, notes)
+    notes.raise_faults()
+    _note_unactuated_joints(file, notes)
+    _check_ranges(file, mimics, notes)
     surfaces = read_surfaces(file, mesh_files, notes)
     robot = Robot(file.name or path.stem, _links_depth_first(file, mimics, surfaces))
     return build_rig(robot, notes, _CODES)
@@ -81,15 +81,15 @@ def _links_depth_first(
 ) -> list[Link]:
     """Return links depth-first, parents before children."""
     child_joints: dict[str, list[UrdfJoint]] = {name: [] for name in file.links}
-    for each_joint in file.joints.values():
-        child_joints[each_joint.parent].append(each_joint)
-    children = {each_joint.child for each_joint in file.joints.values()}
+    for urdf_joint in file.joints.values():
+        child_joints[urdf_joint.parent].append(urdf_joint)
+    children = {urdf_joint.child for urdf_joint in file.joints.values()}
     root = next(name for name in file.links if name not in children)
     links: list[Link] = []
-    stack: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
-    while stack:
-        name, parent, joint = stack.pop()
-        source = file.links[name]
+    pending: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
+    while pending:
+        name, parent, joint = pending.pop()
+        urdf_link = file.links[name]
         rig_joints = (
             [] if joint is None else _build_rig_joints(joint, mimics.get(joint.name))
         )
@@ -98,13 +98,13 @@ def _links_depth_first(
                 name,
                 parent,
                 rig_joints,
-                solids=source.solids,
+                solids=urdf_link.solids,
                 surfaces=surfaces.get(name, []),
-                mass=source.mass,
+                mass=urdf_link.mass,
             )
         )
         index = len(links) - 1
-        stack += [(j.child, index, j) for j in reversed(child_joints[name])]
+        pending += [(j.child, index, j) for j in reversed(child_joints[name])]
     return links
 
 
@@ -130,13 +130,15 @@ def _planar_joints(joint: UrdfJoint) -> list[RobotJoint]:
     """Return a planar joint as prismatic joints along x and y and a pin on its axis."""
     rotation = so3.shortest_rotation(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
     x, y = (float_vector(so3.rotate(rotation, np.eye(3)[k])) for k in (0, 1))
-    slide = JointType.PRISMATIC
-    slide_x = RobotJoint(f"{joint.name}_x", slide, joint.position, joint.rotation, x)
-    slide_y = RobotJoint(f"{joint.name}_y", slide, axis=y)
+    prismatic = JointType.PRISMATIC
+    slide_x = RobotJoint(
+        f"{joint.name}_x", prismatic, joint.position, joint.rotation, x
+    )
+    slide_y = RobotJoint(f"{joint.name}_y", prismatic, axis=y)
     return [slide_x, slide_y, RobotJoint(joint.name, JointType.PIN, axis=joint.axis)]
 
 
-def _record_unactuated(file: UrdfFile, notes: XmlNotes) -> None:
+def _note_unactuated_joints(file: UrdfFile, notes: XmlNotes) -> None:
     """Record joints without transmissions if other joints have them."""
     unactuated_names = [
         j.name
@@ -154,7 +156,7 @@ def _record_unactuated(file: UrdfFile, notes: XmlNotes) -> None:
         notes.add("URD105", None, message, hint, severity=Severity.NOTE)
 
 
-def _record_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> None:
+def _check_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> None:
     """Record limits that exclude 0, and mimics beyond their limits."""
     joints_without_zero = [
         joint.name
@@ -183,7 +185,7 @@ def _record_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) ->
         upper = follower.limits.high + LIMIT_TOLERANCE
         if min(follower_range) < lower or max(follower_range) > upper:
             message = (
-                f"where it mimics {leader.where}, it goes from "
+                f"where it mimics {leader.location}, it goes from "
                 f"{min(follower_range):.4g} to {max(follower_range):.4g}, beyond its "
                 f"limits {follower.limits.low:.4g} to {follower.limits.high:.4g}"
             )

@@ -44,11 +44,11 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
 def _cycle_through(joint: UrdfJoint, parent_joints: dict[str, UrdfJoint]) -> list[str]:
     """Return the joints of a cycle through a joint's child; empty without a cycle."""
     names, link = [joint.name], joint.parent
-    visited: set[str] = set()
-    while link in parent_joints and link not in visited:
+    visited_links: set[str] = set()
+    while link in parent_joints and link not in visited_links:
         if link == joint.child:
             return [*reversed(names), names[-1]]
-        visited.add(link)
+        visited_links.add(link)
         names.append(parent_joints[link].name)
         link = parent_joints[link].parent
     return [*reversed(names), names[-1]] if link == joint.child else []
@@ -68,34 +68,32 @@ def _check_roots(
     children: dict[str, list[str]] = {}
     for joint in file.joints.values():
         children.setdefault(joint.parent, []).append(joint.child)
-    pending = list(roots)
-    while pending:
-        for child in children.get(pending.pop(), ()):
+    pending_links = list(roots)
+    while pending_links:
+        for child in children.get(pending_links.pop(), ()):
             if child not in reachable:
                 reachable.add(child)
-                pending.append(child)
-    in_cycles = [name for name in file.links if name not in reachable]
-    if in_cycles:
-        names = [parent_joints[in_cycles[0]].name]
-        link = parent_joints[in_cycles[0]].parent
-        cycle = [in_cycles[0]]
-        while link not in cycle:
-            cycle.append(link)
+                pending_links.append(child)
+    cycle_links = [name for name in file.links if name not in reachable]
+    if cycle_links:
+        names = [parent_joints[cycle_links[0]].name]
+        link = parent_joints[cycle_links[0]].parent
+        link_cycle = [cycle_links[0]]
+        while link not in link_cycle:
+            link_cycle.append(link)
             names.append(parent_joints[link].name)
             link = parent_joints[link].parent
-        names = names[cycle.index(link) :]
+        names = names[link_cycle.index(link) :]
         first_joint = file.joints[names[0]]
         hint = "remove one of these joints"
         message = f"joints go round: {cycle_text([*reversed(names), names[-1]])}"
         if not roots:
             message += "; every link has a parent, so there is no root"
-        add_joint_fault(
-            notes, "URD011", first_joint, message, "remove one of these joints"
-        )
+        add_joint_fault(notes, "URD011", first_joint, message, hint)
 
 
 def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
-    """Return the mimics by joint name.
+    """Return mimics by joint name, each of a joint that mimics no other.
 
     A mimic of a mimic follows the first leader, with combined multipliers and offsets.
     """
@@ -108,7 +106,7 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
             hint = name_hint(joint.mimic.joint, file.joints)
             add_joint_fault(notes, "URD015", joint, f"{message}exist", hint)
         elif leader.kind not in SCALAR_KINDS:
-            message = f"it mimics {leader.where}, which is {leader.kind}"
+            message = f"it mimics {leader.location}, which is {leader.kind}"
             hint = "a mimic follows a revolute, continuous or prismatic joint"
             add_joint_fault(notes, "URD015", joint, message, hint)
     if notes.faults:

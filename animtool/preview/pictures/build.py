@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -57,7 +57,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class PictureReport:
-    """Report on a written picture or film.
+    """Path, size, frames and format of a written picture or film.
 
     Attributes:
         path: Path of the file.
@@ -160,7 +160,7 @@ def write_pictures(
     frames = frame_range.frames if isinstance(frame_range, FrameList) else ()
     _check_options(pictures, kind, frames)
     # Missing packages are reported before scenes are baked.
-    with _open_device() as device:
+    with closing(Device()) as device:
         with protect_inputs([output]):
             page = make_page(paths, options)
         renderer = PictureRenderer(device, page, pictures, kind, frames, progress)
@@ -175,18 +175,8 @@ def save_pictures(
     assert kind is not None
     pictures = pictures or PictureOptions()
     _check_options(pictures, kind, ())
-    with _open_device() as device:
+    with closing(Device()) as device:
         return PictureRenderer(device, page, pictures, kind, (), None).write(output)
-
-
-@contextmanager
-def _open_device() -> Iterator[Device]:
-    """Return a context that opens an off-screen OpenGL device."""
-    device = Device()
-    try:
-        yield device
-    finally:
-        device.close()
 
 
 def _check_options(
@@ -199,7 +189,7 @@ def _check_options(
     drawn_layers(pictures)
     light_direction(pictures)
     sheet = sheet_layout(pictures)
-    picture_size(pictures, kind, sheet=bool(sheet or frames))
+    picture_size(pictures, kind, is_sheet=bool(sheet or frames))
     requested_options = {
         "sheet": sheet,
         "frames": frames,
@@ -219,7 +209,7 @@ def _check_options(
 
 
 class PictureRenderer:
-    """Renders pictures of one page."""
+    """Renders the frames of one page as a picture, contact sheet or film."""
 
     def __init__(
         self,
@@ -242,7 +232,7 @@ class PictureRenderer:
         self._colors = theme_colors()
 
     def write(self, output: Path) -> PictureReport:
-        """Write the picture or the film."""
+        """Write the picture, sheet or film to a file; return its report."""
         is_single_image = not self._kind.codec or self._is_sheet
         if not is_single_image:
             return self._write_film(output)
@@ -263,7 +253,7 @@ class PictureRenderer:
         samples: Sequence[int],
         rate: Fraction,
     ) -> PictureReport:
-        """Return the report of a written file."""
+        """Return the report of a written picture or film."""
         codes = tuple(float(self._scene.codes[i]) for i in samples)
         size = output.stat().st_size
         pixels = image_shape[1], image_shape[0]
@@ -271,7 +261,7 @@ class PictureRenderer:
         return PictureReport(output, size, pixels, codes, rate, format_text, self._page)
 
     def _picture_samples(self) -> list[int]:
-        """Return the samples of a picture or sheet."""
+        """Return the timeline samples that a picture or sheet shows."""
         codes = self._scene.codes
         if self._frames:
             samples = []
@@ -295,18 +285,16 @@ class PictureRenderer:
     def _render_pictures(self) -> tuple[Array, list[int]]:
         """Return the pixels of a picture or sheet, and the samples that it shows."""
         samples = self._picture_samples()
-        cells = [(camera, i) for camera in self._cameras for i in samples]
-        has_several_pictures = len(cells) > 1
-        size = picture_size(self._options, self._kind, sheet=has_several_pictures)
-        captions = self._wrap_captions(len(cells), size)
+        camera_samples = [(camera, i) for camera in self._cameras for i in samples]
+        has_several_pictures = len(camera_samples) > 1
+        size = picture_size(self._options, self._kind, is_sheet=has_several_pictures)
+        captions = self._wrap_captions(len(camera_samples), size)
         picture = Framebuffer(self._device, *size)
-        shows_numbers = self._options.numbers
-        if shows_numbers is None:
-            shows_numbers = len(samples) > 1
+        shows_numbers = self._shows_numbers(len(samples))
         pictures: list[Array] = []
         view: CameraView | None = None
         for k, ((camera, sample), caption) in enumerate(
-            zip(cells, captions, strict=True)
+            zip(camera_samples, captions, strict=True)
         ):
             if view is None or k % len(samples) == 0:
                 view = self._framing_view(camera, size, caption, sample)
@@ -315,19 +303,19 @@ class PictureRenderer:
             pictures.append(
                 self._add_text(pixels, caption, sample if shows_numbers else None)
             )
-            self._progress((k + 1) / len(cells))
+            self._progress((k + 1) / len(camera_samples))
         if not has_several_pictures:
             return pictures[0], samples
-        columns = self._sheet_columns(len(samples), len(cells))
+        columns = self._sheet_columns(len(samples), len(camera_samples))
         rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
         width = columns * (size[0] + SHEET_GAP) - SHEET_GAP
-        title = self._sheet_title(len(cells), width, size[1])
+        title = self._sheet_title(len(camera_samples), width, size[1])
         ink = self._colors["ink"]
         pixels = picture_sheet(rows, SHEET_GAP, self._colors["page"], title, ink)
         return pixels, samples
 
     def _sheet_columns(self, sample_count: int, picture_count: int) -> int:
-        """Return the number of columns of a sheet."""
+        """Return the columns of a sheet: as requested, one per frame, or at most 6."""
         sheet = sheet_layout(self._options)
         if sheet is not None:
             return min(sheet[0], picture_count)
@@ -349,7 +337,7 @@ class PictureRenderer:
         return [Caption((), 0)] * picture_count
 
     def _sheet_title(self, picture_count: int, width: int, height: int) -> Caption:
-        """Return the title of a sheet."""
+        """Return the title above a sheet: its caption, if it has only one."""
         texts = self._options.caption
         title = texts[0] if len(texts) == 1 < picture_count else ""
         return wrap_caption(title, width, height)
@@ -364,6 +352,11 @@ class PictureRenderer:
         camera.position(view)
         return view
 
+    def _shows_numbers(self, frame_count: int) -> bool:
+        """Return whether to show frame numbers: as requested, else for many frames."""
+        numbers = self._options.numbers
+        return frame_count > 1 if numbers is None else numbers
+
     def _add_text(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
         """Return pixels with the caption drawn and, if requested, the frame number."""
         frame_text = ""
@@ -373,20 +366,18 @@ class PictureRenderer:
         return with_caption(pixels, caption, frame_text, ink, background)
 
     def _write_film(self, output: Path) -> PictureReport:
-        """Write a film, frame by frame."""
+        """Write a film frame by frame; return its report."""
         samples, rate = self._film_samples()
-        size = picture_size(self._options, self._kind, sheet=False)
+        size = picture_size(self._options, self._kind, is_sheet=False)
         (caption,) = self._wrap_captions(1, size)
         (camera,) = self._cameras
         picture = Framebuffer(self._device, *size)
         view = self._framing_view(camera, size, caption, samples[0])
         yaw = view.yaw
-        shows_numbers = self._options.numbers
-        if shows_numbers is None:
-            shows_numbers = len(set(samples)) > 1
+        shows_numbers = self._shows_numbers(len(set(samples)))
 
         def render(k: int) -> Array:
-            """Return the pixels of a film frame."""
+            """Return the pixels of a film frame by its number, from 0."""
             if self._options.turntable:
                 view.yaw = yaw + 2 * math.pi * k / len(samples)
             pixels = self._scene.draw(view, samples[k], picture, camera.shot)
@@ -407,13 +398,13 @@ class PictureRenderer:
         return self._report(output, (size[1], size[0]), samples, rate)
 
     def _film_samples(self) -> tuple[list[int], Fraction]:
-        """Return the samples of a film, and its frame rate."""
+        """Return the timeline samples of a film, and its frame rate [1/s]."""
         time = self._page.manifest["time"]
         rate = Fraction(*time["rate"]) / Fraction(time["step"])
         if time["count"] == 1:
-            frames = (
+            frame_count = (
                 TURNTABLE_SECONDS * TURNTABLE_RATE if self._options.turntable else 1
             )
-            return [0] * frames, Fraction(TURNTABLE_RATE)
-        interval = max(1, math.ceil(rate / self._kind.max_rate))
-        return list(range(0, time["count"], interval)), rate / interval
+            return [0] * frame_count, Fraction(TURNTABLE_RATE)
+        sample_interval = max(1, math.ceil(rate / self._kind.max_rate))
+        return list(range(0, time["count"], sample_interval)), rate / sample_interval

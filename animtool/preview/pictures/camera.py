@@ -36,7 +36,7 @@ KEY_LIGHT /= np.linalg.norm(KEY_LIGHT)
 
 
 class Bounds:
-    """Axis-aligned bounds."""
+    """An axis-aligned bounding box that grows by points."""
 
     def __init__(self) -> None:
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -50,7 +50,7 @@ class Bounds:
             self.high = np.maximum(self.high, points.max(axis=0))
 
     def join(self, other: Bounds, shift: FloatArray | float = 0.0) -> None:
-        """Grow to contain other bounds, shifted."""
+        """Grow to contain other bounds, shifted by an offset [m]."""
         if not other.is_empty:
             self.add(np.stack([other.low, other.high]) + shift)
 
@@ -61,7 +61,7 @@ class Bounds:
 
     @property
     def center(self) -> FloatArray:
-        """Center of the bounds."""
+        """Center of the box ``(3,)`` [m]; 0.5 m above the origin if it is empty."""
         if self.is_empty:
             return np.array([0.0, 0.5, 0.0])
         center: FloatArray = (self.low + self.high) / 2
@@ -69,7 +69,7 @@ class Bounds:
 
     @property
     def radius(self) -> float:
-        """Half of the bounds' diagonal."""
+        """Half the diagonal of the box [m], at least 1 mm; 1 m if it is empty."""
         if self.is_empty:
             return 1.0
         return max(float(np.linalg.norm(self.high - self.low)) / 2, 1e-3)
@@ -77,7 +77,7 @@ class Bounds:
 
 @dataclass(slots=True)
 class EyeMatrices:
-    """Camera matrices for drawing.
+    """View and projection matrices of a camera, with the size of its picture.
 
     Attributes:
         view: camera_from_world ``(4, 4)``.
@@ -163,20 +163,20 @@ class CameraView:
         for corner in np.ndindex(2, 2, 2):
             point = np.where(corner, bounds.low, bounds.high) - self.target
             x, y, z = world_from_camera[:3, :3].T @ point
-            for half_size, size in ((half_width, x), (half_height, y)):
+            for half_size, coordinate in ((half_width, x), (half_height, y)):
                 self.distance = max(
-                    self.distance, (abs(size) / half_size + z) * FRAMING_MARGIN
+                    self.distance, (abs(coordinate) / half_size + z) * FRAMING_MARGIN
                 )
 
     def follow_position(self, position: FloatArray) -> None:
-        """Move the camera horizontally with a joint."""
+        """Move the camera horizontally with a joint, if it is following one."""
         if self.is_following and self.followed_position is not None:
             shift = position - self.followed_position
             self.target = self.target + shift * [1.0, 0.0, 1.0]
         self.followed_position = position
 
     def eye_matrices(self) -> EyeMatrices:
-        """Return the camera matrices."""
+        """Return the matrices of the orbit camera, centred below the caption."""
         half_width, half_height = self._half_size()
         half_height /= 1 - self._covered_fraction
         distance = self.distance
@@ -216,20 +216,17 @@ class CameraView:
     def _projected_matrices(
         self, world_from_camera: FloatArray, projection: FloatArray, half_height: float
     ) -> EyeMatrices:
-        """Return the matrices of a camera with a transform and projection."""
+        """Return the matrices of a camera with a world transform and projection."""
         rotation = world_from_camera[:3, :3].T
         view = np.eye(4)
-        view[:3, :3], view[:3, 3] = (
-            rotation,
-            -rotation @ world_from_camera[:3, 3],
-        )
+        view[:3, :3], view[:3, 3] = (rotation, -rotation @ world_from_camera[:3, 3])
         size = self.width, self.height
         per_metre = self.height / (2 * half_height)
         return EyeMatrices(view, projection @ view, *size, per_metre, self.light)
 
 
 def spherical_offset(yaw: float, pitch: float, distance: float = 1.0) -> FloatArray:
-    """Return an offset in the direction of angles [rad], with a length.
+    """Return the vector ``(3,)`` of a length that points along a yaw and pitch [rad].
 
     >>> spherical_offset(0.0, 0.0, 2.0).tolist()
     [0.0, 0.0, 2.0]
@@ -269,8 +266,9 @@ def _perspective_matrix(
     half_width: float, half_height: float, near: float, far: float
 ) -> FloatArray:
     """Return a perspective projection matrix from half sizes at distance 1."""
-    out = np.zeros((4, 4))
-    out[0, 0], out[1, 1] = 1 / half_width, 1 / half_height
-    out[2, 2], out[2, 3] = ((far + near) / (near - far), 2 * far * near / (near - far))
-    out[3, 2] = -1.0
-    return out
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[1, 1] = 1 / half_width, 1 / half_height
+    matrix[2, 2] = (far + near) / (near - far)
+    matrix[2, 3] = 2 * far * near / (near - far)
+    matrix[3, 2] = -1.0
+    return matrix

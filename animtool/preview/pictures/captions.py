@@ -74,50 +74,52 @@ def _wrapped_lines(text: str, width: float, font: Any) -> Iterator[str]:
         line = ""
         for full_word in paragraph.split():
             word = full_word
-            longer = f"{line} {word}".strip()
-            if font.getlength(longer) <= width:
-                line = longer
+            longer_line = f"{line} {word}".strip()
+            if font.getlength(longer_line) <= width:
+                line = longer_line
                 continue
             if line:
                 yield line
             while font.getlength(word) > width and len(word) > 1:
                 lengths = (n for n in range(len(word), 1, -1))
-                length = next(
+                character_count = next(
                     (n for n in lengths if font.getlength(word[:n]) <= width), 1
                 )
-                yield word[:length]
-                word = word[length:]
+                yield word[:character_count]
+                word = word[character_count:]
             line = word
         if line:
             yield line
 
 
 def with_caption(
-    pixels: Array, caption: Caption, number: str, ink: Color, background: Color
+    pixels: Array, caption: Caption, frame_text: str, ink: Color, background: Color
 ) -> Array:
     """Return pixels with a caption at the top and a number at the bottom left."""
-    if not (caption.lines or number):
+    if not (caption.lines or frame_text):
         return pixels
     image_module = import_package("PIL.Image")
     draw_module = import_package("PIL.ImageDraw")
     image = image_module.fromarray(np.ascontiguousarray(pixels))
-    pen = draw_module.Draw(image)
+    drawing = draw_module.Draw(image)
     text_height = caption.text_height
     for i, line in enumerate(caption.lines):
-        position = MARGIN * text_height, text_height * (MARGIN + LINE_SPACING * i)
-        _draw_text(pen, position, line, _load_font(text_height), ink, background)
-    if number:
+        position = (MARGIN * text_height, text_height * (MARGIN + LINE_SPACING * i))
+        _draw_text(drawing, position, line, _load_font(text_height), ink, background)
+    if frame_text:
         text_height = max(MIN_TEXT_HEIGHT, round(font_size(image.height) * 0.8))
         position = (
             MARGIN * text_height,
             image.height - text_height * (MARGIN + LINE_SPACING),
         )
-        _draw_text(pen, position, number, _load_font(text_height), ink, background)
+        _draw_text(
+            drawing, position, frame_text, _load_font(text_height), ink, background
+        )
     return np.asarray(image)
 
 
 def _draw_text(
-    pen: Any,
+    drawing: Any,
     position: tuple[float, float],
     text: str,
     font: Any,
@@ -126,7 +128,9 @@ def _draw_text(
 ) -> None:
     """Draw text with an outline in the background color."""
     corner = tuple(map(round, position))
-    pen.text(corner, text, fill=ink, font=font, stroke_width=2, stroke_fill=background)
+    drawing.text(
+        corner, text, fill=ink, font=font, stroke_width=2, stroke_fill=background
+    )
 
 
 def _load_font(text_height: int) -> Any:
@@ -158,7 +162,7 @@ def picture_sheet(
 
 
 def _sheet_span(count: int, size: int, gap: int) -> int:
-    """Return the total size of cells with gaps between them [px]."""
+    """Return the size of a row or column of pictures with gaps between [px]."""
     return count * size + (count - 1) * gap
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import Float32Array
-from animtool.preview.streams import STORED_NAN, TYPES, Array
+from animtool.preview.streams import DTYPES, STORED_NAN, Array
 
 # Size of the cache of decoded blocks [byte].
 CACHE_BYTES = 64_000_000
@@ -36,7 +36,7 @@ class StreamReader:
         return int(self._entries[stream]["width"])
 
     def static_values(self, stream: int | None) -> Array:
-        """Return the values of a one-sample stream."""
+        """Return the values of a one-sample stream; empty without a stream."""
         return (
             np.zeros(0, np.float32) if stream is None else self.sample_values(stream, 0)
         )
@@ -48,10 +48,10 @@ class StreamReader:
         spans = self._entries[stream]["block"]
         if not spans:
             return np.zeros(0, np.float32)
-        matches = (span for span in spans if sample < span[1] + span[2])
-        block, first, samples = next(matches, spans[-1])
+        later_spans = (span for span in spans if sample < span[1] + span[2])
+        block, first, sample_count = next(later_spans, spans[-1])
         values = self._decoded_block(block)[stream]
-        value: Array = values[min(max(sample - first, 0), samples - 1)]
+        value: Array = values[min(max(sample - first, 0), sample_count - 1)]
         return value
 
     def _decoded_block(self, block: int) -> dict[int, Array]:
@@ -59,12 +59,13 @@ class StreamReader:
         if block in self._decoded_blocks:
             self._decoded_blocks.move_to_end(block)
             return self._decoded_blocks[block]
-        raw = zlib.decompress(base64.b64decode(self._block_texts[block]), -15)
-        values, begin = {}, 0
-        for entry, samples in self._streams_by_block[block]:
-            size = entry["width"] * samples * np.dtype(TYPES[entry["kind"]]).itemsize
-            stream_values = _unpack_stream(raw[begin : begin + size], entry, samples)
-            begin += size
+        block_bytes = zlib.decompress(base64.b64decode(self._block_texts[block]), -15)
+        values, start = {}, 0
+        for entry, sample_count in self._streams_by_block[block]:
+            item_bytes = np.dtype(DTYPES[entry["kind"]]).itemsize
+            end = start + entry["width"] * sample_count * item_bytes
+            stream_values = _unpack_stream(block_bytes[start:end], entry, sample_count)
+            start = end
             values[entry["id"]] = stream_values
             if sum(span[2] for span in entry["block"]) == 1:
                 self._static_values[entry["id"]] = stream_values[0]
@@ -80,23 +81,26 @@ def _size_of(values: dict[int, Array]) -> int:
     return sum(array.nbytes for array in values.values())
 
 
-def _unpack_stream(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
+def _unpack_stream(
+    stream_bytes: bytes, entry: dict[str, Any], sample_count: int
+) -> Array:
     """Return the values of one stream of a block ``(samples, width)``."""
-    dtype, width = np.dtype(TYPES[entry["kind"]]), entry["width"]
-    columns, rows = (1, width) if samples == 1 else (width, samples)
-    planes = np.frombuffer(raw, np.uint8).reshape(columns, dtype.itemsize, rows)
+    dtype, width = np.dtype(DTYPES[entry["kind"]]), entry["width"]
+    columns, rows = (1, width) if sample_count == 1 else (width, sample_count)
+    planes = np.frombuffer(stream_bytes, np.uint8)
+    planes = planes.reshape(columns, dtype.itemsize, rows)
     integers = np.ascontiguousarray(planes.swapaxes(1, 2)).view(dtype)[..., 0]
     if entry["coding"] == "delta":
-        unsigned = integers.view(f"<u{dtype.itemsize}")
-        integers = np.cumsum(unsigned, axis=1, dtype=unsigned.dtype).view(dtype)
-    stored = integers.reshape(1, -1) if samples == 1 else integers.T
+        deltas = integers.view(f"<u{dtype.itemsize}")
+        integers = np.cumsum(deltas, axis=1, dtype=deltas.dtype).view(dtype)
+    stored_values = integers.reshape(1, -1) if sample_count == 1 else integers.T
     scale, offset = entry["scale"], entry["offset"]
     if scale == 1 and offset == 0 and entry["kind"] != "i16":
-        return np.ascontiguousarray(stored)
-    values = np.resize(np.atleast_1d(offset), width) + stored * np.resize(
+        return np.ascontiguousarray(stored_values)
+    values = np.resize(np.atleast_1d(offset), width) + stored_values * np.resize(
         np.atleast_1d(scale), width
     )
     if entry.get("gaps"):
-        values[stored == STORED_NAN] = np.nan
+        values[stored_values == STORED_NAN] = np.nan
     decoded_values: Float32Array = values.astype(np.float32)
     return decoded_values

@@ -22,8 +22,8 @@ Array: TypeAlias = npt.NDArray[Any]
 INSTALL_COMMAND = "pip install 'animtool[pictures]'"
 # Samples per pixel, as on the page.
 MULTISAMPLES = 4
-# Maximum number of cells per row of a table texture.
-MAX_ROW_CELLS = 1024
+# Maximum number of texels per row of a table texture.
+MAX_ROW_TEXELS = 1024
 _PACKAGES_HINT = (
     "to draw without a graphics card: apt-get install libegl1 libgl1 "
     "libgl1-mesa-dri, or dnf install mesa-libEGL mesa-dri-drivers"
@@ -41,17 +41,17 @@ def import_package(name: str) -> ModuleType:
 
 
 class TextureTable:
-    """A float texture that vertex shaders read, four numbers per cell."""
+    """A float texture that vertex shaders read, with four numbers per texel."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._width = self._height = 0
         self.texture: Any = None
 
-    def upload(self, cells: Array) -> None:
-        """Upload cells ``(N, 4)`` to the texture, replacing its content."""
-        count = len(cells)
-        width = min(MAX_ROW_CELLS, max(count, 64))
+    def upload(self, texels: Array) -> None:
+        """Upload texels ``(N, 4)`` to the texture, replacing its content."""
+        count = len(texels)
+        width = min(MAX_ROW_TEXELS, max(count, 64))
         height = max(-(-count // width), 1)
         if self.texture is None or width > self._width or height > self._height:
             if self.texture is not None:
@@ -60,21 +60,23 @@ class TextureTable:
             self._height = max(height, self._height)
             size = self._width, self._height
             self.texture = self._device.gl.texture(size, 4, dtype="f4")
-            nearest = self._device.module.NEAREST
+            nearest = self._device.moderngl.NEAREST
             self.texture.filter = nearest, nearest
         row_count = max(-(-count // self._width), 1)
-        padded = np.zeros((row_count * self._width, 4), "<f4")
-        padded[:count] = cells
-        self.texture.write(padded.tobytes(), viewport=(0, 0, self._width, row_count))
+        padded_texels = np.zeros((row_count * self._width, 4), "<f4")
+        padded_texels[:count] = texels
+        self.texture.write(
+            padded_texels.tobytes(), viewport=(0, 0, self._width, row_count)
+        )
 
 
 class Device:
     """An OpenGL context with cached programs."""
 
     def __init__(self) -> None:
-        self.module = import_package("moderngl")
-        self.gl = _create_context(self.module)
-        self.gl.enable(self.module.PROGRAM_POINT_SIZE)
+        self.moderngl = import_package("moderngl")
+        self.gl = _create_context(self.moderngl)
+        self.gl.enable(self.moderngl.PROGRAM_POINT_SIZE)
         self._programs: dict[tuple[str, ...], Any] = {}
         self._empty_arrays: dict[Any, Any] = {}
 
@@ -86,16 +88,16 @@ class Device:
         defines: tuple[str, ...] = (),
     ) -> Any:
         """Return a program of the viewer; ``defines`` are vertex shader defines."""
-        key = module, vertex, fragment, *defines
-        if key not in self._programs:
-            define_lines = "".join(f"#define {kind}\n" for kind in defines)
-            self._programs[key] = self.gl.program(
+        program_key = module, vertex, fragment, *defines
+        if program_key not in self._programs:
+            define_lines = "".join(f"#define {name}\n" for name in defines)
+            self._programs[program_key] = self.gl.program(
                 vertex_shader=SHADER_HEADER
                 + define_lines
                 + shader_source(module, vertex),
                 fragment_shader=SHADER_HEADER + shader_source(module, fragment),
             )
-        return self._programs[key]
+        return self._programs[program_key]
 
     def set_uniforms(self, program: Any, eye: EyeMatrices, **uniforms: Any) -> None:
         """Set the uniforms of a program, including the camera's."""
@@ -126,26 +128,26 @@ class Device:
         """Draw triangles whose corners the vertex shader generates."""
         if program not in self._empty_arrays:
             self._empty_arrays[program] = self.gl.vertex_array(program, [])
-        mode = self.module.TRIANGLES if mode is None else mode
+        mode = self.moderngl.TRIANGLES if mode is None else mode
         self._empty_arrays[program].render(mode, vertices=vertex_count)
 
     @contextmanager
     def blending(self) -> Iterator[None]:
         """Return a context in which drawing is alpha-blended."""
-        self.gl.enable(self.module.BLEND)
-        self.gl.blend_func = self.module.SRC_ALPHA, self.module.ONE_MINUS_SRC_ALPHA
+        self.gl.enable(self.moderngl.BLEND)
+        self.gl.blend_func = self.moderngl.SRC_ALPHA, self.moderngl.ONE_MINUS_SRC_ALPHA
         try:
             yield
         finally:
-            self.gl.disable(self.module.BLEND)
+            self.gl.disable(self.moderngl.BLEND)
 
     def close(self) -> None:
-        """Release all resources."""
+        """Release the OpenGL context and everything in it."""
         self.gl.release()
 
 
 class Framebuffer:
-    """A multisampled framebuffer."""
+    """A multisampled framebuffer whose pixels can be read back."""
 
     def __init__(self, device: Device, width: int, height: int) -> None:
         gl = device.gl
@@ -165,7 +167,7 @@ class Framebuffer:
         self._samples_buffer.use()
         self._samples_buffer.depth_mask = True
         self._samples_buffer.clear(*(x / 255 for x in background), 1.0, depth=1.0)
-        gl.enable(self._device.module.DEPTH_TEST)
+        gl.enable(self._device.moderngl.DEPTH_TEST)
         draw(self._samples_buffer)
         gl.copy_framebuffer(self._pixel_buffer, self._samples_buffer)
         width, height = self.size

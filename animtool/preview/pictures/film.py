@@ -76,7 +76,7 @@ def film_writer(
                 frame_count = 0
 
                 def encode(pixels: Array) -> None:
-                    """Encode one frame."""
+                    """Encode one frame ``(H, W, 3)`` and write its packets."""
                     nonlocal frame_count
                     frame = _video_frame(av, pixels, palette)
                     frame.pts, frame.time_base = frame_count, 1 / rate
@@ -92,7 +92,7 @@ def film_writer(
 
 
 def _video_frame(av: Any, pixels: Array, palette: Any) -> Any:
-    """Return pixels as a video frame of libav."""
+    """Return pixels as a libav frame: YUV, or palette indices for a GIF."""
     pixels = np.ascontiguousarray(pixels)
     if palette is None:
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")

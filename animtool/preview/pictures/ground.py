@@ -33,7 +33,7 @@ def round_to_1_2_5(x: float) -> float:
 
 
 class GroundRenderer:
-    """Draws the ground grid."""
+    """Draws the grid on the ground, with cells that suit the size of the scene."""
 
     def __init__(self, device: Device, radius: float) -> None:
         self._lines = LineRenderer(device)
@@ -41,20 +41,22 @@ class GroundRenderer:
         self._center_cell: tuple[int, int] | None = None
 
     def draw(
-        self, eye: EyeMatrices, center: FloatArray, line: Color, axis: Color
+        self, eye: EyeMatrices, center: FloatArray, line_color: Color, axis_color: Color
     ) -> None:
-        """Draw the grid around a point."""
+        """Draw the grid around a point, fading with distance."""
         cell_size = self._cell_size
         # Rounds half up, like JavaScript.
         cx, cz = (math.floor(center[k] / cell_size + 0.5) for k in (0, 2))
         if (cx, cz) != self._center_cell:
             self._center_cell = cx, cz
-            self._set_lines(cx, cz, line, axis)
+            self._set_lines(cx, cz, line_color, axis_color)
         fade = (center[0], 0.0, center[2], cell_size * GRID_CELLS / 2)
         self._lines.draw(eye, width=1, fade=fade)
 
-    def _set_lines(self, cx: int, cz: int, line: Color, axis: Color) -> None:
-        """Set the vertices of the grid lines around a cell."""
+    def _set_lines(
+        self, cx: int, cz: int, line_color: Color, axis_color: Color
+    ) -> None:
+        """Set the segments of the grid lines around the cell ``cx``, ``cz``."""
         half, cell_size = GRID_CELLS // 2, self._cell_size
         segments = []
         for i in range(-half, half + 1):
@@ -66,11 +68,13 @@ class GroundRenderer:
                     continue
                 left, right = (cx + k) * cell_size, (cx + k + SEGMENT_CELLS) * cell_size
                 back, front = (cz + k) * cell_size, (cz + k + SEGMENT_CELLS) * cell_size
-                segments.append((x, back, x, front, *(line if cx + i else axis)))
-                segments.append((left, z, right, z, *(line if cz + i else axis)))
+                x_color = line_color if cx + i else axis_color
+                z_color = line_color if cz + i else axis_color
+                segments.append((x, back, x, front, *x_color))
+                segments.append((left, z, right, z, *z_color))
         table = np.array(segments, np.float64)
         ends = np.zeros((2, len(table), 3))
-        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = table[:, :2], table[:, 2:4]
+        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = (table[:, :2], table[:, 2:4])
         alpha = np.full((len(table), 1), 255.0)
         colors = np.concatenate([table[:, 4:], alpha], axis=1)
         self._lines.set_segments(ends[0], ends[1], colors)
@@ -87,17 +91,19 @@ class TrailRenderer:
         self,
         poses: Sequence[PosedTake],
         sample: int,
-        color: ColorOfTake,
+        color_of_take: ColorOfTake,
         contact_color: Color,
         shown_layers: frozenset[str],
     ) -> None:
-        """Set the trails at a sample."""
+        """Set the trails and contact rings of posed takes at a sample."""
         trails = [np.zeros((0, 10))]
         rings = [np.zeros((0, 10))]
         for pose in poses:
             if "trails" in shown_layers and pose.trail_joints:
                 trails.append(
-                    self._trail_segments(pose, sample, color(pose.index), contact_color)
+                    self._trail_segments(
+                        pose, sample, color_of_take(pose.index), contact_color
+                    )
                 )
             for contact_entry in pose.record.get("contacts") or []:
                 code = self._codes[sample : sample + 1]
@@ -116,20 +122,22 @@ class TrailRenderer:
             lines.set_segments(table[:, :3], table[:, 3:6], table[:, 6:])
 
     def _trail_segments(
-        self, pose: PosedTake, sample: int, color: Color, contact: Color
+        self, pose: PosedTake, sample: int, trail_color: Color, contact_color: Color
     ) -> FloatArray:
         """Return the line segments of a take's trails, which fade with time."""
-        first = max(0, sample - TRAIL_SAMPLES)
-        last = min(len(self._codes) - 1, sample + TRAIL_SAMPLES)
-        paths = pose.trail_positions(first, last)
-        samples = np.arange(first, last + 1)
-        closeness = 1 - np.abs(samples - sample) / (TRAIL_SAMPLES + 1)
-        alpha = 255 * closeness * np.where(samples <= sample, 0.95, 0.4)
+        first_sample = max(0, sample - TRAIL_SAMPLES)
+        last_sample = min(len(self._codes) - 1, sample + TRAIL_SAMPLES)
+        paths = pose.trail_positions(first_sample, last_sample)
+        samples = np.arange(first_sample, last_sample + 1)
+        time_weights = 1 - np.abs(samples - sample) / (TRAIL_SAMPLES + 1)
+        alpha = 255 * time_weights * np.where(samples <= sample, 0.95, 0.4)
         is_in_contact = pose.contacts_at(self._codes[samples])
         segments = []
         # Joint by joint, the order in which the page draws them.
         for column in range(len(pose.trail_joints)):
-            segment_colors = np.where(is_in_contact[1:, column, None], contact, color)
+            segment_colors = np.where(
+                is_in_contact[1:, column, None], contact_color, trail_color
+            )
             trail_positions = paths[:, column]
             segments.append(
                 np.concatenate(
@@ -145,7 +153,7 @@ class TrailRenderer:
         return np.concatenate(segments)
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Draw the trails."""
+        """Draw the trails, and the rings around contacts."""
         self._trails.draw(eye, width=2)
         self._rings.draw(eye, width=3)
 
@@ -163,19 +171,21 @@ class ContactShadow:
     """Draws contact shadows of geometry near the ground."""
 
     def __init__(self, device: Device) -> None:
-        gl, module = device.gl, device.module
+        gl, moderngl = device.gl, device.moderngl
         self._device = device
         program, size = device.program, (SHADOW_PIXELS, SHADOW_PIXELS)
         self._blur_program = program("shadow.js", "SCREEN_VERTEX", "BLUR_FRAGMENT")
         self._ground_program = program("shadow.js", "GROUND_VERTEX", "GROUND_FRAGMENT")
         self._height_map = gl.depth_texture(size)
         self._height_map.compare_func = ""
-        self._height_map.filter = module.NEAREST, module.NEAREST
+        self._height_map.filter = moderngl.NEAREST, moderngl.NEAREST
         self._height_buffer = gl.framebuffer([], self._height_map)
         self._blurred_maps = [gl.texture(size, 1) for _ in range(2)]
         for texture in (self._height_map, *self._blurred_maps):
             texture.repeat_x = texture.repeat_y = False
-        self._blur_buffers = [gl.framebuffer([map_]) for map_ in self._blurred_maps]
+        self._blur_buffers = [
+            gl.framebuffer([height_map]) for height_map in self._blurred_maps
+        ]
         self._shadow_area = (0.0, 0.0, 1.0)
 
     def cast(self, view: CameraView, draw: Callable[[EyeMatrices], None]) -> bool:
@@ -189,23 +199,23 @@ class ContactShadow:
         texel = 2 * half_width / SHADOW_PIXELS
         x, z = (math.floor(view.target[k] / texel + 0.5) * texel for k in (0, 2))
         self._shadow_area = x, z, half_width
-        gl, module = self._device.gl, self._device.module
+        gl, moderngl = self._device.gl, self._device.moderngl
         self._height_buffer.use()
         self._height_buffer.clear(depth=1.0)
-        gl.enable(module.DEPTH_TEST)
+        gl.enable(moderngl.DEPTH_TEST)
         eye = _upward_view(view, x, z, half_width)
         draw(eye)
-        gl.disable(module.DEPTH_TEST)
+        gl.disable(moderngl.DEPTH_TEST)
         blur_radius = 1.5 / SHADOW_PIXELS
         passes = (
             (self._blur_buffers[0], self._height_map, (blur_radius, 0.0), 1.0),
             (self._blur_buffers[1], self._blurred_maps[0], (0.0, blur_radius), 0.0),
         )
-        for frame, source, step, heights in passes:
-            frame.use()
+        for framebuffer, source, blur_step, heights in passes:
+            framebuffer.use()
             source.use(0)
             self._device.set_uniforms(
-                self._blur_program, eye, reach=step, heights=heights
+                self._blur_program, eye, reach=blur_step, heights=heights
             )
             self._blur_program["source"].value = 0
             self._device.draw_generated(self._blur_program, 3)
@@ -216,7 +226,7 @@ class ContactShadow:
         self._blurred_maps[1].use(0)
         self._device.set_uniforms(self._ground_program, eye, area=self._shadow_area)
         self._ground_program["map"].value = 0
-        strip = self._device.module.TRIANGLE_STRIP
+        strip = self._device.moderngl.TRIANGLE_STRIP
         self._device.draw_generated(self._ground_program, 4, strip)
 
 

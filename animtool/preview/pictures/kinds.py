@@ -52,7 +52,7 @@ _MP4 = PictureKind(
     ),
     file_settings=(("fflags", "+bitexact"),),
 )
-KINDS: dict[str, PictureKind] = {
+PICTURE_KINDS: dict[str, PictureKind] = {
     ".png": PictureKind("PNG, lossless", is_image=True),
     ".gif": PictureKind(
         "GIF of 256 colours, LZW, free of patents",
@@ -90,9 +90,9 @@ def picture_kind(path: Path) -> PictureKind | None:
     suffix = path.suffix.lower()
     if suffix in PAGE_SUFFIXES:
         return None
-    if suffix not in KINDS:
+    if suffix not in PICTURE_KINDS:
         message = f"{suffix_text(path)} is neither a page nor a picture"
-        hint = f"allowed: .html, {', '.join(KINDS)}"
+        hint = f"allowed: .html, {', '.join(PICTURE_KINDS)}"
         raise OptionError(Fault("PRV002", message, str(path), (), hint))
     if match := _FRAME_PATTERN.search(path.name):
         message = f"{match[0]!r} stands for no number: one picture shows all its frames"
@@ -101,4 +101,4 @@ def picture_kind(path: Path) -> PictureKind | None:
             f"{argument('frame_range', '12')}"
         )
         raise OptionError(Fault("PRV002", message, str(path), (), hint))
-    return KINDS[suffix]
+    return PICTURE_KINDS[suffix]

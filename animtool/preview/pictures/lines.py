@@ -38,24 +38,24 @@ class LineRenderer:
     def __init__(self, device: Device) -> None:
         self._device, self._table = device, TextureTable(device)
         self._program = device.program("lines.js")
-        self.count = 0
+        self.segment_count = 0
 
     def set_segments(
         self, begins: FloatArray, ends: FloatArray, colors: FloatArray
     ) -> None:
-        """Set the segments.
+        """Replace the segments to draw, from starts to ends ``(N, 3)``.
 
         Args:
             begins: Start points ``(N, 3)``.
             ends: End points ``(N, 3)``.
             colors: With alpha, per segment or one for all ``(N or 1, 4)``, 0 to 255.
         """
-        self.count = len(begins)
-        cells = np.zeros((self.count, 3, 4), np.float32)
-        cells[:, 0, :3], cells[:, 1, :3] = begins, ends
-        cells[:, 2] = np.asarray(colors) / 255
-        if self.count:
-            self._table.upload(cells.reshape(-1, 4))
+        self.segment_count = len(begins)
+        texels = np.zeros((self.segment_count, 3, 4), np.float32)
+        texels[:, 0, :3], texels[:, 1, :3] = begins, ends
+        texels[:, 2] = np.asarray(colors) / 255
+        if self.segment_count:
+            self._table.upload(texels.reshape(-1, 4))
 
     def draw(
         self,
@@ -65,7 +65,7 @@ class LineRenderer:
         fade: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
     ) -> None:
         """Draw the segments with widths in pixels or metres, faded around a point."""
-        if not self.count:
+        if not self.segment_count:
             return
         self._device.set_uniforms(
             self._program,
@@ -77,7 +77,7 @@ class LineRenderer:
             fade=fade,
             segments=self._table,
         )
-        self._device.draw_generated(self._program, self.count * 6)
+        self._device.draw_generated(self._program, self.segment_count * 6)
 
 
 class VertexBuffer:
@@ -107,19 +107,19 @@ class SpriteRenderer:
         self._program = device.program("points.js")
         self._buffers = [VertexBuffer(device) for _ in range(3)]
         self._array: Any = None
-        self._count = 0
+        self._point_count = 0
 
     def set_points(
         self, positions: Array, colors: Bytes, radii: Array | None = None
     ) -> None:
-        """Set the points ``(N, 3)``, with colors and radii."""
-        self._count = len(positions)
-        sizes = np.zeros(self._count) if radii is None else radii
+        """Replace the points to draw ``(N, 3)``, with colors and radii."""
+        self._point_count = len(positions)
+        sizes = np.zeros(self._point_count) if radii is None else radii
         arrays = np.asarray(positions, "<f4"), colors, np.asarray(sizes, "<f4")
-        if not self._count:
+        if not self._point_count:
             return
-        pairs = zip(self._buffers, arrays, strict=True)
-        if any([buffer.write(array) for buffer, array in pairs]):
+        buffer_arrays = zip(self._buffers, arrays, strict=True)
+        if any([buffer.write(array) for buffer, array in buffer_arrays]):
             buffer_formats = ("3f", "point"), ("3f1", "color"), ("1f", "own")
             self._array = self._device.gl.vertex_array(
                 self._program,
@@ -133,7 +133,7 @@ class SpriteRenderer:
 
     def draw(self, eye: EyeMatrices, radius: float, min_radius: float) -> None:
         """Draw the balls with a radius [m], at least ``min_radius`` [px]."""
-        if not self._count:
+        if not self._point_count:
             return
         self._device.set_uniforms(
             self._program,
@@ -142,7 +142,7 @@ class SpriteRenderer:
             least=min_radius * 2,
             perMetre=eye.per_metre,
         )
-        self._array.render(self._device.module.POINTS, vertices=self._count)
+        self._array.render(self._device.moderngl.POINTS, vertices=self._point_count)
 
 
 def move_missing_offscreen(values: Values) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.preview.pictures.data import StreamReader
 
-_FOOT_NAME = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
+_FOOT_NAME_PATTERN = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
 
 
 def compose_matrices(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
@@ -32,10 +32,10 @@ def compose_matrices(t: FloatArray, r: FloatArray, s: FloatArray | None) -> Floa
 
 
 class PosedTake:
-    """A take of a page, posed at a sample.
+    """A take of a page in the pose of one sample.
 
     Attributes:
-        world: World matrices of its joints ``(J, 4, 4)``.
+        world_matrices: World matrices of its joints ``(J, 4, 4)``.
         is_visible: Whether it is drawn at the sample.
         bounds_radius: Radius of its bounds [m].
         root: The first joint with animated translation, else the first joint.
@@ -47,18 +47,19 @@ class PosedTake:
     ) -> None:
         self._streams, self.record, self.index = streams, record, index
         skeleton = record["skeleton"]
-        self.names: list[str] = skeleton["names"]
+        self.joint_names: list[str] = skeleton["names"]
         self.parents = np.array(skeleton["parents"], np.int64)
-        self.count = len(self.names)
+        self.joint_count = len(self.joint_names)
         self.levels = _joints_by_depth(self.parents)
-        static = record.get("still") or skeleton["rest"]
-        ones = np.ones((self.count, 3))
+        static_values = record.get("still") or skeleton["rest"]
         self._values = {
-            "t": np.reshape(static["t"], (-1, 3)).astype(np.float64),
-            "r": np.reshape(static["r"], (-1, 4)).astype(np.float64),
-            "s": ones if static.get("s") is None else np.array(static["s"], np.float64),
+            "t": np.reshape(static_values["t"], (-1, 3)).astype(np.float64),
+            "r": np.reshape(static_values["r"], (-1, 4)).astype(np.float64),
+            "s": np.ones((self.joint_count, 3)),
         }
-        self._animated = [
+        if static_values.get("s") is not None:
+            self._values["s"] = np.array(static_values["s"], np.float64)
+        self._animated_components = [
             (
                 component,
                 record[component],
@@ -67,12 +68,12 @@ class PosedTake:
             for component in "trs"
             if record.get(component) is not None and record["moving"].get(component)
         ]
-        self.first: int = (record.get("span") or [0])[0]
+        self.first_sample: int = (record.get("span") or [0])[0]
         self.shift = np.array(record.get("offset") or [0.0] * 3)
         self.tips = [
             (int(j), np.array(position)) for j, *position in skeleton.get("tips") or []
         ]
-        self.world = np.zeros((self.count, 4, 4))
+        self.world_matrices = np.zeros((self.joint_count, 4, 4))
         self.is_visible, self.bounds_radius = True, 1.0
         self.root = self._find_root()
         self.trail_joints = self._trail_joints()
@@ -82,48 +83,51 @@ class PosedTake:
         """Return the first joint with animated translation, else the first joint."""
         translated_joints = {
             int(j)
-            for component, _, joints in self._animated
+            for component, _, joints in self._animated_components
             if component == "t"
             for j in joints
         }
-        order = [int(j) for level in self.levels for j in level]
+        joint_order = [int(j) for level in self.levels for j in level]
         return next(
-            (j for j in order if j in translated_joints), order[0] if order else 0
+            (j for j in joint_order if j in translated_joints),
+            joint_order[0] if joint_order else 0,
         )
 
     def _trail_joints(self) -> list[int]:
         """Return the joints with trails: the root and the feet."""
-        if not self.count:
+        if not self.joint_count:
             return []
         feet = [contact["joint"] for contact in self.record.get("contacts") or []]
         if not feet:
-            parent_names = [self.names[p] if p >= 0 else "" for p in self.parents]
+            parent_names = [self.joint_names[p] if p >= 0 else "" for p in self.parents]
             feet = [
                 int(j)
                 for level in self.levels
                 for j in level
-                if _FOOT_NAME.search(self.names[j])
-                and not _FOOT_NAME.search(parent_names[j])
+                if _FOOT_NAME_PATTERN.search(self.joint_names[j])
+                and not _FOOT_NAME_PATTERN.search(parent_names[j])
             ][:8]
         return list(dict.fromkeys([self.root, *feet]))
 
     def sample_values(self, stream: int | None, sample: int) -> FloatArray | None:
-        """Return a stream's values at a page sample."""
+        """Return a stream's values at a page sample; None without a stream."""
         if stream is None:
             return None
-        return self._streams.sample_values(stream, sample - self.first)
+        return self._streams.sample_values(stream, sample - self.first_sample)
 
     def update(self, sample: int) -> None:
-        """Pose the skeleton at a sample."""
-        visible = self.sample_values(self.record.get("visible"), sample)
-        self.is_visible = visible is None or visible[0] != 0
-        self.world = self._posed_matrices(sample)
+        """Set the visibility and the world matrices of the take at a sample."""
+        visibility = self.sample_values(self.record.get("visible"), sample)
+        self.is_visible = visibility is None or visibility[0] != 0
+        self.world_matrices = self._posed_matrices(sample)
 
     def _posed_matrices(self, sample: int) -> FloatArray:
         """Return the world matrices of the joints at a sample ``(J, 4, 4)``."""
         values = self._values
-        for component, stream, joints in self._animated:
-            stored_values = self._streams.sample_values(stream, sample - self.first)
+        for component, stream, joints in self._animated_components:
+            stored_values = self._streams.sample_values(
+                stream, sample - self.first_sample
+            )
             values[component][joints] = stored_values.reshape(len(joints), -1)
         world = compose_matrices(values["t"], values["r"], values["s"])
         for level in self.levels[1:]:
@@ -133,12 +137,12 @@ class PosedTake:
 
     @property
     def positions(self) -> FloatArray:
-        """Joint positions ``(J, 3)``."""
-        return self.world[:, :3, 3]
+        """World positions of the joints ``(J, 3)`` [m]."""
+        return self.world_matrices[:, :3, 3]
 
     @property
     def root_position(self) -> FloatArray:
-        """Position of the root joint ``(3,)``."""
+        """World position of the root joint ``(3,)`` [m]."""
         position: FloatArray = self.positions[self.root].copy()
         return position
 
@@ -146,7 +150,8 @@ class PosedTake:
         """Return the joints that have a tip, and the tip positions ``(N, 3)``."""
         joints = [j for j, _ in self.tips]
         ends = [
-            self.world[j, :3, :3] @ tip_position + self.world[j, :3, 3]
+            self.world_matrices[j, :3, :3] @ tip_position
+            + self.world_matrices[j, :3, 3]
             for j, tip_position in self.tips
         ]
         return joints, np.reshape(ends, (-1, 3))
@@ -165,7 +170,7 @@ class PosedTake:
         return np.stack([self._paths[i] for i in range(first, last + 1)])
 
     def contacts_at(self, codes: FloatArray) -> BoolArray:
-        """Return a mask of trail joints in ground contact at time codes ``(F, T)``."""
+        """Return whether trail joints touch the ground at time codes ``(F, T)``."""
         is_in_contact = np.zeros((len(codes), len(self.trail_joints)), bool)
         for contact in self.record.get("contacts") or []:
             for column, joint in enumerate(self.trail_joints):
@@ -175,7 +180,7 @@ class PosedTake:
 
 
 def is_in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
-    """Return a mask of the time codes that are inside any of the spans ``(F,)``."""
+    """Return whether each time code is inside any of the spans ``(F,)``."""
     is_inside = np.zeros(len(codes), bool)
     for first, last in spans:
         is_inside |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
@@ -185,10 +190,10 @@ def is_in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
 def _joints_by_depth(parents: IntArray) -> list[IntArray]:
     """Return joints grouped by depth, parents first."""
     depth = np.full(len(parents), -1)
-    level = np.flatnonzero(parents < 0)
+    joints = np.flatnonzero(parents < 0)
     levels: list[IntArray] = []
-    while len(level):
-        depth[level] = len(levels)
-        levels.append(level.astype(np.int64))
-        level = np.flatnonzero((depth < 0) & np.isin(parents, level))
+    while len(joints):
+        depth[joints] = len(levels)
+        levels.append(joints.astype(np.int64))
+        joints = np.flatnonzero((depth < 0) & np.isin(parents, joints))
     return levels

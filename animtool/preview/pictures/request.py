@@ -23,16 +23,16 @@ from animtool.preview.pictures.camera import (
 from animtool.preview.pictures.kinds import PictureKind
 from animtool.preview.pictures.scene import DEFAULT_LAYERS, LAYERS
 
-CELL_SIZE = (480, 360)
+SHEET_PICTURE_SIZE = (480, 360)
 # Smallest and largest size of a picture [px], and most cells of a sheet.
-MIN_SIZE, MAX_SIZE, MAX_CELLS = 16, 8192, 400
-_SIZE_PAIR = re.compile(r"(\d{1,5})x(\d{1,5})")
-_SHOT_CAMERA = re.compile(r"shot:(\d{1,6})")
+MIN_SIZE, MAX_SIZE, MAX_SHEET_PICTURES = 16, 8192, 400
+_SIZE_PAIR_PATTERN = re.compile(r"(\d{1,5})x(\d{1,5})")
+_SHOT_CAMERA_PATTERN = re.compile(r"shot:(\d{1,6})")
 
 
 @dataclass(frozen=True, slots=True)
 class CameraChoice:
-    """Camera of a picture.
+    """A requested camera: an orbit, a framed view, or a shot camera.
 
     Attributes:
         yaw: Angle around the subject [rad].
@@ -64,11 +64,11 @@ def option_error(option: str, message: str, hint: str) -> OptionError:
 
 
 def picture_size(
-    options: PictureOptions, kind: PictureKind, *, sheet: bool
+    options: PictureOptions, kind: PictureKind, *, is_sheet: bool
 ) -> tuple[int, int]:
-    """Return the size of a picture [px]."""
+    """Return the requested or default size of a picture or film [px]."""
     if options.size is None:
-        return CELL_SIZE if sheet else kind.size
+        return SHEET_PICTURE_SIZE if is_sheet else kind.size
     width, height = _parse_pair(options.size, "size", "960x540")
     if not (MIN_SIZE <= width <= MAX_SIZE and MIN_SIZE <= height <= MAX_SIZE):
         message = (
@@ -83,17 +83,17 @@ def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
     if options.sheet is None:
         return None
     columns, rows = _parse_pair(options.sheet, "sheet", "4x3")
-    if not 1 <= columns * rows <= MAX_CELLS:
+    if not 1 <= columns * rows <= MAX_SHEET_PICTURES:
         message = f"a sheet of {options.sheet} pictures"
         raise option_error(
-            "sheet", message, f"use 1 to {MAX_CELLS} of them, such as 4x3"
+            "sheet", message, f"use 1 to {MAX_SHEET_PICTURES} of them, such as 4x3"
         )
     return columns, rows
 
 
 def _parse_pair(text: str, option: str, example: str) -> tuple[int, int]:
     """Return the two numbers of a text such as `960x540`; refuse any other text."""
-    match = _SIZE_PAIR.fullmatch(text.strip().lower())
+    match = _SIZE_PAIR_PATTERN.fullmatch(text.strip().lower())
     if match is None:
         raise option_error(
             option,
@@ -104,7 +104,7 @@ def _parse_pair(text: str, option: str, example: str) -> tuple[int, int]:
 
 
 def drawn_layers(options: PictureOptions) -> frozenset[str]:
-    """Return the layers to draw."""
+    """Return the requested layers, or the default ones; refuse unknown names."""
     for name in options.show:
         if name not in LAYERS:
             message = f"unknown part of a picture {name!r}"
@@ -113,7 +113,7 @@ def drawn_layers(options: PictureOptions) -> frozenset[str]:
 
 
 def light_direction(options: PictureOptions) -> FloatArray:
-    """Return the direction of the key light in view space."""
+    """Return the direction to the key light ``(3,)`` in view space."""
     if options.light is None:
         return KEY_LIGHT.copy()
     numbers = _parse_numbers(options.light)
@@ -130,7 +130,7 @@ def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:
         return CameraChoice(*VIEW_ANGLES[text])
     if text in names:
         return CameraChoice(shot=names.index(text))
-    if match := _SHOT_CAMERA.fullmatch(text):
+    if match := _SHOT_CAMERA_PATTERN.fullmatch(text):
         if int(match[1]) < len(names):
             return CameraChoice(shot=int(match[1]))
     else:
@@ -155,7 +155,7 @@ def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:
 def _parse_numbers(text: str) -> list[float]:
     """Return comma-separated finite numbers; empty if invalid."""
     try:
-        numbers = [float(part) for part in text.split(",")]
+        numbers = [float(number_text) for number_text in text.split(",")]
     except ValueError:
         return []
     return numbers if all(map(math.isfinite, numbers)) else []

@@ -1,4 +1,4 @@
-"""Draws the 3D contents of a page."""
+"""Draws the layers of a page at a sample: ground, meshes, bones, trails, cameras."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ Drawable: TypeAlias = MeshRenderer | InstanceRenderer | PointRenderer | StrandRe
 
 
 class SceneRenderer:
-    """Draws the contents of a page in an OpenGL context."""
+    """Draws the contents of a page at any sample, in an OpenGL context."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class SceneRenderer:
             PosedTake(streams, take, i) for i, take in enumerate(manifest["takes"])
         ]
         # The take that the camera follows; None without joints.
-        has_joints = bool(self._poses) and self._poses[0].count > 0
+        has_joints = bool(self._poses) and self._poses[0].joint_count > 0
         self._main_pose = self._poses[0] if has_joints else None
         geometries: dict[tuple[Any, ...], Any] = {}
         self._meshes = [
@@ -110,19 +110,16 @@ class SceneRenderer:
         """Frame the bounds of the complete motion; follow a travelling character."""
         self._update(sample)
         for pose in self._poses:
-            framed_bounds = Bounds()
-            framed_bounds.add(pose.positions)
-            pose.bounds_radius = (
-                1.0
-                if framed_bounds.is_empty or framed_bounds.radius <= 1e-3
-                else framed_bounds.radius
-            )
+            pose_bounds = Bounds()
+            pose_bounds.add(pose.positions)
+            radius = pose_bounds.radius
+            pose.bounds_radius = radius if radius > 1e-3 else 1.0
         count = len(self.codes)
-        sample_times = [
+        spread_samples = [
             int(i / FRAMING_INTERVALS * (count - 1) + 0.5)
             for i in range(FRAMING_INTERVALS + 1)
         ]
-        samples = [*dict.fromkeys(sample_times), sample]
+        samples = [*dict.fromkeys(spread_samples), sample]
         roots = [self._root_position(i) for i in samples]
         offsets = np.array(roots) - roots[-1]
         travel = float(np.linalg.norm(offsets[:, [0, 2]], axis=1).max())
@@ -162,8 +159,8 @@ class SceneRenderer:
         bounds.join(characters)
         drawn_objects: list[InstanceRenderer | PointRenderer | StrandRenderer]
         drawn_objects = [*self._instances, *self._points, *self._strands]
-        for item in drawn_objects:
-            item.grow_bounds(bounds)
+        for drawable in drawn_objects:
+            drawable.grow_bounds(bounds)
         character_bounds.join(characters, shift)
         framed_bounds.join(bounds, shift)
         if (
@@ -174,7 +171,7 @@ class SceneRenderer:
         return framed_bounds
 
     def _update(self, sample: int) -> None:
-        """Update all objects to a sample."""
+        """Pose takes and deform objects for a sample, unless they already are."""
         if sample == self._sample:
             return
         self._sample = sample
@@ -248,7 +245,7 @@ class SceneRenderer:
         ]
         self._draw_objects(eye, shadow_casters)
         if not self._has_surfaces:
-            self._draw_bones(eye, poses, axes=False)
+            self._draw_bones(eye, poses, shows_axes=False)
 
     def _draw_all(
         self,
@@ -274,13 +271,15 @@ class SceneRenderer:
             if "cameras" in self._shown_layers:
                 self._draw_frusta(far_eye, view, shot)
         target.depth_mask = True
-        axes = "axes" in self._shown_layers
+        shows_axes = "axes" in self._shown_layers
         if not self._has_surfaces:
-            self._draw_bones(far_eye, poses, axes=axes)
+            self._draw_bones(far_eye, poses, shows_axes=shows_axes)
             return
         # Drawn in front of the skin, which would hide them.
         with self._device.blending():
-            self._draw_bones(eye.with_depth_range(0.0, 0.1, 0.5), poses, axes=axes)
+            self._draw_bones(
+                eye.with_depth_range(0.0, 0.1, 0.5), poses, shows_axes=shows_axes
+            )
 
     @property
     def _has_surfaces(self) -> bool:
@@ -291,20 +290,22 @@ class SceneRenderer:
         )
 
     def _draw_objects(self, eye: EyeMatrices, drawables: Sequence[Drawable]) -> None:
-        """Draw objects, unless meshes are hidden."""
+        """Draw objects except prototypes; nothing if meshes are hidden."""
         for drawable in drawables if "meshes" in self._shown_layers else []:
             if not (isinstance(drawable, MeshRenderer) and drawable.is_prototype):
                 drawable.draw(eye)
 
     def _draw_bones(
-        self, eye: EyeMatrices, poses: list[PosedTake], *, axes: bool
+        self, eye: EyeMatrices, poses: list[PosedTake], *, shows_axes: bool
     ) -> None:
-        """Draw skeletons and joint axes, as requested."""
-        bones = "bones" in self._shown_layers
-        self._bones.draw(eye, poses, self._take_color, bones=bones, axes=axes)
+        """Draw bones and joint axes of posed takes, if their layers are shown."""
+        shows_bones = "bones" in self._shown_layers
+        self._bones.draw(
+            eye, poses, self._take_color, shows_bones=shows_bones, shows_axes=shows_axes
+        )
 
     def _take_color(self, take: int) -> Color:
-        """Return the color of a take."""
+        """Return the color of a take; that of bones if it is the only one."""
         if len(self._poses) > 1:
             return TAKE_COLORS[take % len(TAKE_COLORS)]
         return self._colors["bone"]
@@ -312,7 +313,7 @@ class SceneRenderer:
     def _draw_frusta(
         self, eye: EyeMatrices, view: CameraView, shot: int | None
     ) -> None:
-        """Draw the frusta of shot cameras."""
+        """Draw the frusta of shot cameras except the one looked through."""
         segments: list[FloatArray] = []
         for i, camera in enumerate(self.cameras):
             if i == shot:

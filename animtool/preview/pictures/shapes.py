@@ -166,21 +166,21 @@ class MeshRenderer:
         return self._joints is not None
 
     def update(self, sample: int) -> None:
-        """Deform the mesh for a sample."""
+        """Set the points or joint matrices of the mesh at a sample."""
         pose, record = self.pose, self.record
-        first = pose.first if pose else 0
-        visible = record.get("visible")
+        first = pose.first_sample if pose else 0
+        visibility_stream = record.get("visible")
         self.is_hidden = (
-            visible is not None
-            and self._streams.sample_values(visible, sample - first)[0] == 0
+            visibility_stream is not None
+            and self._streams.sample_values(visibility_stream, sample - first)[0] == 0
         ) or (pose is not None and not pose.is_visible)
         if self.is_hidden:
             return
         if pose is not None and self._joints is not None:
-            matrices = pose.world[self._joints] @ self.geometry.bind
-            cells = np.zeros((len(matrices), 4, 4), np.float32)
-            cells[:, :3], cells[:, 3, 0] = matrices[:, :3], -1
-            self._palette.upload(cells.reshape(-1, 4))
+            matrices = pose.world_matrices[self._joints] @ self.geometry.bind
+            texels = np.zeros((len(matrices), 4, 4), np.float32)
+            texels[:, :3], texels[:, 3, 0] = matrices[:, :3], -1
+            self._palette.upload(texels.reshape(-1, 4))
         shape_track = pose.record.get("shapes") if pose else None
         if pose is not None and shape_track and self._shapes:
             weights = pose.sample_values(shape_track["weights"], sample)
@@ -217,7 +217,10 @@ class MeshRenderer:
             None, None, max(-(-len(geometry.rest_points) // BOUNDS_VERTICES), 1)
         )
         first_joints = geometry.joints[sampled_vertices, 0]
-        matrices = pose.world[self._joints[first_joints]] @ geometry.bind[first_joints]
+        matrices = (
+            pose.world_matrices[self._joints[first_joints]]
+            @ geometry.bind[first_joints]
+        )
         points = geometry.rest_points[sampled_vertices].astype(np.float64)
         bounds.add(
             np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3]
@@ -252,7 +255,7 @@ class MeshRenderer:
             **palette,
         )
         vertex_array = self._array if array is None else array
-        vertex_array.render(self._device.module.TRIANGLES, instances=instance_count)
+        vertex_array.render(self._device.moderngl.TRIANGLES, instances=instance_count)
 
 
 class InstanceRenderer:
@@ -267,9 +270,9 @@ class InstanceRenderer:
     ) -> None:
         self._streams, self._record, self._mesh = streams, record, mesh
         self._matrix_buffer, self._colors = VertexBuffer(device), VertexBuffer(device)
-        self._count = streams.width(record["t"]) // 3
+        self._instance_count = streams.width(record["t"]) // 3
         color = mesh.record.get("color") or DEFAULT_COLOR
-        self._colors.write(repeat_color(self._count, srgb_bytes(color)))
+        self._colors.write(repeat_color(self._instance_count, srgb_bytes(color)))
         self._array: Any = None
         self.pose = None
         self.matrices = np.zeros((0, 4, 4))
@@ -301,7 +304,7 @@ class InstanceRenderer:
             )
 
     def grow_bounds(self, bounds: Bounds) -> None:
-        """Grow bounds by the instances."""
+        """Grow bounds by the bounding boxes of the instances."""
         radii = self._mesh.geometry.radius * np.linalg.norm(
             self.matrices[:, :3, 0], axis=1
         )
@@ -339,11 +342,11 @@ class PointRenderer:
         self._sprites.set_points(self._points, self._point_colors, self._radii)
 
     def grow_bounds(self, bounds: Bounds) -> None:
-        """Grow bounds by the points."""
+        """Grow bounds by the points that exist at the sample."""
         bounds.add(self._points[self._points[:, 0] < OFFSCREEN_COORDINATE / 10])
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Draw the points."""
+        """Draw the points as balls of their radii."""
         self._sprites.draw(eye, self._record.get("radius") or 0.0, 2)
 
 
@@ -370,25 +373,25 @@ class StrandRenderer:
     def update(self, sample: int) -> None:
         """Set the points of the strands at a sample."""
         pose, record = self.pose, self._record
-        first = pose.first if pose else 0
+        first = pose.first_sample if pose else 0
         stream_values = self._streams.sample_values(record["points"], sample - first)
         points = stream_values.reshape(-1, 3).astype(np.float64)
         if pose is not None:
             joint, bind = record.get("joint"), record.get("bind")
             if joint is not None and bind:
-                matrix = pose.world[joint] @ np.reshape(bind, (4, 4)).T
+                matrix = pose.world_matrices[joint] @ np.reshape(bind, (4, 4)).T
                 points = points @ matrix[:3, :3].T + matrix[:3, 3]
             else:
                 points = points + pose.shift
         self._points = points
-        ends = points[self._segment_starts], points[self._segment_starts + 1]
+        ends = (points[self._segment_starts], points[self._segment_starts + 1])
         self._lines.set_segments(*ends, self._color)
 
     def grow_bounds(self, bounds: Bounds) -> None:
-        """Grow bounds by the strands."""
+        """Grow bounds by the points of the strands."""
         bounds.add(self._points)
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Draw the strands."""
+        """Draw the strands, unless their take is hidden."""
         if self.pose is None or self.pose.is_visible:
             self._lines.draw(eye, width=1, world_width=self._record.get("width") or 0.0)

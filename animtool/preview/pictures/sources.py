@@ -8,11 +8,11 @@ from functools import cache
 from animtool.preview.page import viewer_text
 
 # Constants of viewer modules that contain only GLSL.
-_CONSTANT_LINE = re.compile(
+_CONSTANT_LINE_PATTERN = re.compile(
     r"^(?:export )?const ([A-Z_]+) = (?:`([^`]*)`|'([^'\n]*)');$", re.M
 )
-_INSERTED_NAME = re.compile(r"\$\{([A-Z_]+)\}")
-_COLOR = re.compile(r"--([\w-]+): #([0-9a-f]{6});")
+_NAME_PATTERN = re.compile(r"\$\{([A-Z_]+)\}")
+_COLOR_PATTERN = re.compile(r"--([\w-]+): #([0-9a-f]{6});")
 # Module with the constants that other modules insert.
 SHARED_MODULE = "gl.js"
 # Header for desktop OpenGL, replacing that of WebGL.
@@ -30,14 +30,14 @@ def shader_source(module: str, name: str) -> str:
     """
     shared_constants = _shader_constants(SHARED_MODULE)
     texts = _shader_constants(module)
-    return _INSERTED_NAME.sub(lambda match: shared_constants[match[1]], texts[name])
+    return _NAME_PATTERN.sub(lambda match: shared_constants[match[1]], texts[name])
 
 
 @cache
 def _shader_constants(module: str) -> dict[str, str]:
     """Return the GLSL constants of a viewer module."""
     text = viewer_text(module)
-    return {name: a or b for name, a, b in _CONSTANT_LINE.findall(text)}
+    return {name: a or b for name, a, b in _CONSTANT_LINE_PATTERN.findall(text)}
 
 
 @cache
@@ -50,5 +50,5 @@ def theme_colors() -> dict[str, tuple[int, int, int]]:
     light = viewer_text("viewer.css").partition("}")[0]
     return {
         name: (int(code[:2], 16), int(code[2:4], 16), int(code[4:], 16))
-        for name, code in _COLOR.findall(light)
+        for name, code in _COLOR_PATTERN.findall(light)
     }

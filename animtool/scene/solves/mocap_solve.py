@@ -24,7 +24,7 @@ from animtool.core.files.output import (
 from animtool.core.files.reading import path_from_folder
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
-from animtool.formats.marker_files import file_of, open_markers
+from animtool.formats.marker_files import marker_file_path, open_markers
 from animtool.motion.take import TakeStream
 from animtool.retarget.standing import with_source_warnings
 from animtool.rig.placed import at_origin
@@ -100,7 +100,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     template = load_template(job.template)
     rig_path = rig_of_template(template, job.rig, job.template)
     inputs = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
-    target.check(file_of(path) for path in inputs if path is not None)
+    target.check(marker_file_path(path) for path in inputs if path is not None)
     with atomic_outputs():
         stream, result = _solve(job, template, rig_path, target.files, progress)
         target.write(stream, result, progress=progress)

@@ -51,5 +51,7 @@ def _take_subjects(
             faults += error.faults
             continue
         take_data = build_stream(built_rig, sampler, frames).collect()
-        subjects.append(clip_subject(scene.path, built_rig.rig, take_data, take.where))
+        subjects.append(
+            clip_subject(scene.path, built_rig.rig, take_data, take.location)
+        )
     return subjects

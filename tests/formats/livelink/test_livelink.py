@@ -15,7 +15,7 @@ from animtool.core.errors import FormatError, OptionError
 from animtool.formats.livelink.columns import ANGLE_COLUMNS, APP_SHAPES
 from animtool.formats.livelink.read import read_livelink
 from animtool.formats.livelink.timecodes import find_row_frames
-from animtool.formats.livelink.write import build_livelink_text, timecode
+from animtool.formats.livelink.write import build_livelink_text, format_timecode
 from animtool.formats.take_text import write_text
 from animtool.formats.trajectories import CaptureFile
 from animtool.motion.take import Take
@@ -200,7 +200,7 @@ def test_over_midnight() -> None:
 
 def test_drop_frame() -> None:
     rate = Fraction(60000, 1001)
-    made = [timecode(f, rate) for f in range(3500, 3700)]
+    made = [format_timecode(f, rate) for f in range(3500, 3700)]
     assert "00:01:00;04.000" in made
     assert "00:01:00;03.000" not in made
     assert frames_of(made) == (rate, list(range(200)))

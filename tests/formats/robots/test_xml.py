@@ -11,7 +11,7 @@ from support.faults import raises
 from animtool.core.errors import FormatError
 from animtool.formats.robots.xml import (
     MAX_ATTRIBUTES,
-    MAX_DEPTH,
+    MAX_NESTING,
     MAX_VALUE_LENGTH,
     XmlCodes,
     parse_xml,
@@ -36,8 +36,8 @@ def test_elements_have_their_lines() -> None:
     assert [(one.tag, one.line) for one in root.walk()][1:] == [
         ("b", 4), ("b", 4), ("c", 4)
     ]  # fmt: skip
-    assert root.all("b")[0].attributes == {"x": "<1"}
-    assert root.all("c")[0].text == "text"
+    assert root.find_all("b")[0].attributes == {"x": "<1"}
+    assert root.find_all("c")[0].text == "text"
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
@@ -60,7 +60,7 @@ def test_encodings_are_those_that_the_file_states(encoding: str) -> None:
         ("<!DOCTYPE a><a/>", "URD002"),
         ("<!DOCTYPE a [<!ENTITY b 'b'>]><a>&b;</a>", "URD002"),
         ("<!DOCTYPE a SYSTEM 'file:///etc/passwd'><a/>", "URD002"),
-        ("<a>" * (MAX_DEPTH + 1) + "</a>" * (MAX_DEPTH + 1), "URD003"),
+        ("<a>" * (MAX_NESTING + 1) + "</a>" * (MAX_NESTING + 1), "URD003"),
         (f"<a x='{'y' * (MAX_VALUE_LENGTH + 1)}'/>", "URD003"),
         (
             "<a " + " ".join(f"x{i}=''" for i in range(MAX_ATTRIBUTES + 1)) + "/>",

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from support.browser import Array, Browser
 from support.preview_pages import Chain, PageDraft, ribbon
 
-from animtool.preview.streams import Quantized, quantize_range
+from animtool.preview.streams import QuantizedValues, quantize_range
 
 pytestmark = pytest.mark.slow(seconds=12)
 
@@ -158,7 +158,7 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
         t=draft.moving(places),
         r=draft.moving(np.tile([0.0, 0, 0, 1], (3, 2, 1))),
         s=None,
-        visible=draft.packer.add(Quantized(seen, "u8")),
+        visible=draft.packer.add(QuantizedValues(seen, "u8")),
         names=None,
     )
     with browser.open(draft.write(tmp_path / "a.html")) as opened:

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from support.browser import Browser
 from support.preview_pages import Chain, PageDraft, ribbon
 
-from animtool.preview.streams import Quantized
+from animtool.preview.streams import QuantizedValues
 
 pytestmark = pytest.mark.slow(seconds=8)
 
@@ -43,7 +43,7 @@ def test_a_crowd_is_drawn_as_bones_or_with_its_meshes(
 def test_what_is_hidden_is_not_drawn(tmp_path: Path, browser: Browser) -> None:
     draft, chain = PageDraft(), Chain.swaying()
     seen = (np.arange(48) < 10).astype("<u1")[:, None]
-    draft.take(chain, visible=draft.packer.add(Quantized(seen, "u8")))
+    draft.take(chain, visible=draft.packer.add(QuantizedValues(seen, "u8")))
     ribbon(draft, chain)
     with browser.open(draft.write(tmp_path / "hidden.html")) as opened:
         opened.bare()
