@@ -138,7 +138,7 @@ class _JointCleaner:
             return None
         if self.options.cutoff is not None:
             return self.options.cutoff
-        return find_best_cutoff(signal, self.rate, rotation=rotation)
+        return find_best_cutoff(signal, self.rate, is_rotation=rotation)
 
 
 def is_above_nyquist(options: CleanOptions, rate: float) -> bool:
@@ -155,7 +155,7 @@ def bridge_gaps(
         rotations[is_known] = so3.align_signs(signal[is_known], signal[is_known][0])
         signal = rotations
     lowpass_filter = lowpass_rotations if rotation else lowpass
-    bridged = lowpass_filter(signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known)
+    bridged = lowpass_filter(signal, BRIDGE_CUTOFF, 1.0, order=3, is_valid=is_known)
     return np.where(is_known[:, None], signal, bridged)
 
 

@@ -33,7 +33,7 @@ BLOCK_ROWS = 2**17
 MARGIN_KEYS = 3
 # Channels with fewer keys are evaluated with all of them.
 MANY_KEYS = 256
-_END_MODES = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
+_ACYCLIC_EXTRAPOLATIONS = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
 def sample_blocks(
@@ -44,19 +44,22 @@ def sample_blocks(
     Blocks share their rest and animated joints. The last one has the notices of all.
     """
     row_count = max(1, len(rig.joints) + len(rig.shapes) + len(rig.controls))
-    size = max(1, BLOCK_ROWS // row_count)
-    if len(times) <= size:
+    block_size = max(1, BLOCK_ROWS // row_count)
+    if len(times) <= block_size:
         yield sample_channels(channels, rig, times, clamp=clamp)
         return
-    starts = range(0, len(times), size)
+    starts = range(0, len(times), block_size)
     # Each begins with the last time of the one before: signs and moves continue there.
-    spans = [times[max(0, begin - 1) : begin + size] for begin in starts]
-    layout = _find_layout(channels, rig, spans, clamp=clamp)
-    blocks = _BlockSampler(channels, rig, clamp)
-    for i, span in enumerate(spans):
-        motion = layout.arrange(blocks.sample_motion(span), skipped_frames=min(i, 1))
-        is_last = i == len(spans) - 1
-        yield SampledMotion(motion, blocks.notices(times) if is_last else [])
+    time_spans = [
+        times[max(0, block_start - 1) : block_start + block_size]
+        for block_start in starts
+    ]
+    layout = _find_layout(channels, rig, time_spans, clamp=clamp)
+    sampler = _BlockSampler(channels, rig, clamp)
+    for i, span in enumerate(time_spans):
+        motion = layout.arrange(sampler.sample_motion(span), skipped_frames=min(i, 1))
+        is_last = i == len(time_spans) - 1
+        yield SampledMotion(motion, sampler.notices(times) if is_last else [])
 
 
 @dataclass(slots=True)
@@ -66,47 +69,54 @@ class _BlockSampler:
     channels: Sequence[ClipChannel]
     rig: Rig
     clamp: bool
-    _worst: dict[tuple[str, str], ClipNotice] = field(default_factory=dict, init=False)
+    _worst_notices: dict[tuple[str, str], ClipNotice] = field(
+        default_factory=dict, init=False
+    )
     _driver_run: DriverRun | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         if self.rig.is_driven:
             from animtool.motion.driver_run import DriverRun
 
-            self._driver_run = DriverRun(self.rig, report_replaced=True)
+            self._driver_run = DriverRun(self.rig, reports_replaced=True)
 
     def sample_motion(self, times: FloatArray) -> Motion:
         """Return the motion of the rig at the given times."""
         first, last = float(times.min()), float(times.max())
         channels = [_with_nearby_keys(c, first, last) for c in self.channels]
         values = evaluate_channels(channels, times)
-        sampled = sample_values(
+        sampled_motion = sample_values(
             values, self.rig, times, clamp=self.clamp, run=self._driver_run
         )
-        for notice in sampled.clip_notices:
+        for notice in sampled_motion.clip_notices:
             key = notice.fault.code, notice.target
-            if key not in self._worst or notice.amount > self._worst[key].amount:
-                self._worst[key] = notice
-        return sampled.motion
+            if (
+                key not in self._worst_notices
+                or notice.amount > self._worst_notices[key].amount
+            ):
+                self._worst_notices[key] = notice
+        return sampled_motion.motion
 
     def notices(self, times: FloatArray) -> list[ClipNotice]:
         """Return the worst notice of each target, given the ``times`` of all blocks."""
         notices = [
             with_keys(notice, self.channels, self.rig, times)
-            for notice in self._worst.values()
+            for notice in self._worst_notices.values()
         ]
-        driven = [] if self._driver_run is None else self._driver_run.located_notices()
-        return [*notices, *(ClipNotice(*notice) for notice in driven)]
+        driver_notices = (
+            [] if self._driver_run is None else self._driver_run.located_notices()
+        )
+        return [*notices, *(ClipNotice(*notice) for notice in driver_notices)]
 
 
 def _with_nearby_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
     """Return a channel with only the keys that affect values between two times."""
     has_few_keys = len(channel.times) < MANY_KEYS
-    if has_few_keys or not {channel.pre, channel.post} <= _END_MODES:
+    if has_few_keys or not {channel.pre, channel.post} <= _ACYCLIC_EXTRAPOLATIONS:
         return channel
-    begin = int(np.searchsorted(channel.times, first, "right")) - 1 - MARGIN_KEYS
-    end = int(np.searchsorted(channel.times, last)) + 1 + MARGIN_KEYS
-    keys = slice(max(begin, 0), end)
+    first_key = int(np.searchsorted(channel.times, first, "right")) - 1 - MARGIN_KEYS
+    end_key = int(np.searchsorted(channel.times, last)) + 1 + MARGIN_KEYS
+    keys = slice(max(first_key, 0), end_key)
     return replace(
         channel,
         times=channel.times[keys],
@@ -124,17 +134,17 @@ class _BlockLayout:
     """Masks of the rows that move in any block, by channel name."""
 
     is_moving_by_part: dict[str, BoolArray] = field(default_factory=dict)
-    _rest: dict[str, FloatArray] = field(default_factory=dict, init=False)
+    _rest_values: dict[str, FloatArray] = field(default_factory=dict, init=False)
     # Rotations at the end of the block before.
-    _last: FloatArray = field(default_factory=so3.IDENTITY.copy, init=False)
+    _last_rotations: FloatArray = field(default_factory=so3.IDENTITY.copy, init=False)
 
     def add_moving_parts(self, motion: Motion) -> None:
         """Mark the rows that move in a block's motion."""
         for part in CURVE_CHANNELS:
             channel: Channel | None = getattr(motion, part)
             if channel is not None:
-                all_static = np.zeros(len(channel.rest), np.bool_)
-                is_moving = self.is_moving_by_part.setdefault(part, all_static)
+                no_rows = np.zeros(len(channel.rest), np.bool_)
+                is_moving = self.is_moving_by_part.setdefault(part, no_rows)
                 is_moving[channel.animated] = True
 
     def covers(self, targets: set[tuple[str, int]]) -> bool:
@@ -162,19 +172,21 @@ class _BlockLayout:
     ) -> Channel:
         """Return a channel with the rows that move in any block animated."""
         if channel is None:
-            width = len(self.is_moving_by_part[part])
-            channel = Channel.static(np.zeros((width, 1)), frames)
-        rest = self._rest.setdefault(part, channel.rest)
-        animated = np.flatnonzero(self.is_moving_by_part[part])
-        is_complete = np.array_equal(channel.animated, animated)
-        values = channel.values if is_complete else channel.gather(animated)
+            row_count = len(self.is_moving_by_part[part])
+            channel = Channel.static(np.zeros((row_count, 1)), frames)
+        rest = self._rest_values.setdefault(part, channel.rest)
+        animated_rows = np.flatnonzero(self.is_moving_by_part[part])
+        is_complete = np.array_equal(channel.animated, animated_rows)
+        values = channel.values if is_complete else channel.gather(animated_rows)
         if part == "rotations":
             # Within a block signs continue already.
-            is_flipped = (values[0] * self._last).sum(axis=-1, keepdims=True) < 0
+            is_flipped = (values[0] * self._last_rotations).sum(
+                axis=-1, keepdims=True
+            ) < 0
             if is_flipped.any():
                 values = np.where(is_flipped, -values, values)
-            self._last = values[-1]
-        return Channel(rest, animated, values[skipped_frames:])
+            self._last_rotations = values[-1]
+        return Channel(rest, animated_rows, values[skipped_frames:])
 
 
 def _find_layout(
@@ -185,10 +197,10 @@ def _find_layout(
     clamp: bool,
 ) -> _BlockLayout:
     """Return the rows that move in any span; stop once all keyed rows have moved."""
-    layout, blocks = _BlockLayout(), _BlockSampler(channels, rig, clamp)
+    layout, sampler = _BlockLayout(), _BlockSampler(channels, rig, clamp)
     targets = _moving_targets(channels, rig)
     for span in spans:
-        layout.add_moving_parts(blocks.sample_motion(span))
+        layout.add_moving_parts(sampler.sample_motion(span))
         if targets is not None and layout.covers(targets):
             break
     return layout

@@ -29,12 +29,12 @@ _NUMBER_INTERPS = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE
 # Interpolations with handles.
 _HANDLE_INTERPS = {Interp.BEZIER, Interp.HERMITE}
 # Number of components; for rotations, of Euler angles.
-_WIDTHS = {
+_COMPONENT_COUNTS = {
     **dict.fromkeys(("control", "shape", "angle", "slide"), 1),
     **dict.fromkeys(("translation", "rotation", "scale"), 3),
 }
 # Shorter quaternions are mistakes, not rotations.
-MIN_QUATERNION = 1e-9
+MIN_QUATERNION_LENGTH = 1e-9
 
 
 @dataclass(slots=True)
@@ -58,7 +58,7 @@ class CurveReader:
         """
         model = self.model
         is_quaternion = kind == "rotation" and model.euler is None
-        components = 4 if is_quaternion else _WIDTHS[kind]
+        component_count = 4 if is_quaternion else _COMPONENT_COUNTS[kind]
         if model.euler is not None and kind != "rotation":
             message = f"{target!r} is not a rotation"
             self._add("CLIP009", ("euler",), message, "remove euler")
@@ -66,16 +66,16 @@ class CurveReader:
         default_interp = Interp.SPLINE if is_quaternion else Interp.BEZIER
         interp = Interp(model.interp or default_interp)
         tangent = Tangent(model.tangents)
-        repeats = components if kind == "scale" else 1  # of a single number
+        repeat_count = component_count if kind == "scale" else 1  # of a single number
         keys, array_name = model.keys, ""
         if isinstance(keys, PlainKeys):
             array_name = keys.name
             is_single = keys.values.shape[1] == 1
-            values = np.repeat(keys.values, repeats if is_single else 1, axis=1)
-            is_valid = interp in allowed_interps and values.shape[1] == components
+            values = np.repeat(keys.values, repeat_count if is_single else 1, axis=1)
+            is_valid = interp in allowed_interps and values.shape[1] == component_count
             if array_name and not is_valid:
                 self._check_interps(target, allowed_interps)
-                self._check_row_width(keys, components)
+                self._check_row_width(keys, component_count)
                 return None
             if not is_valid:
                 entries = keys.entries()
@@ -86,10 +86,10 @@ class CurveReader:
                 self._check_no_tangents(())
             else:
                 self._warn_of_parametrization({interp})
-            count, times = len(keys), keys.times
-            interps, tangents = (interp,) * count, ((tangent, tangent),) * count
-            ins = outs = np.zeros((count, 1 + components))
-            tcb = np.zeros((count, 3))
+            key_count, times = len(keys), keys.times
+            interps, tangents = (interp,) * key_count, ((tangent, tangent),) * key_count
+            ins = outs = np.zeros((key_count, 1 + component_count))
+            tcb = np.zeros((key_count, 3))
         else:
             interps = tuple(Interp(k.interp) if k.interp else interp for k in keys)
             if self._check_interps(target, allowed_interps):
@@ -97,21 +97,21 @@ class CurveReader:
                     self._check_no_tangents(keys)
                 else:
                     self._warn_of_unused_handles(interps)
-            read_values = self._read_values(components, repeats)
+            key_values = self._read_values(component_count, repeat_count)
             handles = [
                 [
-                    (tangent, [0.0] * (1 + components))
+                    (tangent, [0.0] * (1 + component_count))
                     if is_quaternion or handle is None
                     else self._read_handle(
-                        ("keys", k, name), handle, components, repeats, unit
+                        ("keys", k, name), handle, component_count, repeat_count, unit
                     )
                     for name, handle in (("in", key.in_), ("out", key.out))
                 ]
                 for k, key in enumerate(keys)
             ]
-            if read_values is None:
+            if key_values is None:
                 return None
-            values, times = read_values, np.array([key.t for key in keys])
+            values, times = key_values, np.array([key.t for key in keys])
             tangents = tuple((before[0], after[0]) for before, after in handles)
             ins = np.array([before[1] for before, _ in handles])
             outs = np.array([after[1] for _, after in handles])
@@ -139,11 +139,11 @@ class CurveReader:
         """Record a fault at a key of the curve."""
         self.document.add(code, (*self.location, *key), message, hint)
 
-    def _check_row_width(self, keys: PlainKeys, components: int) -> None:
+    def _check_row_width(self, keys: PlainKeys, component_count: int) -> None:
         """Record a fault if the rows of an array do not have a value's components."""
-        if keys.values.shape[1] != components:
+        if keys.values.shape[1] != component_count:
             message = f"rows of {keys.name!r} have {keys.values.shape[1] + 1} numbers "
-            message += f"instead of {components + 1}: a time, then the value"
+            message += f"instead of {component_count + 1}: a time, then the value"
             self._add("CLIP007", ("keys",), message)
 
     def _check_interps(self, target: str, allowed_interps: frozenset[Interp]) -> bool:
@@ -153,18 +153,18 @@ class CurveReader:
             (("keys", k, "interp"), key.interp)
             for k, key in enumerate(self._key_models)
         ]
-        not_allowed = [
+        forbidden_interps = [
             (location, name)
             for location, name in interps
             if name is not None and Interp(name) not in allowed_interps
         ]
-        for location, name in not_allowed:
+        for location, name in forbidden_interps:
             hint = f"allowed: {', '.join(sorted(allowed_interps))}"
             if name == Interp.SPLINE:
                 hint = f"spline is for quaternions; for numbers, {hint}"
             message = f"{name} does not apply to {target!r}"
             self._add("CLIP009", location, message, hint)
-        return not not_allowed
+        return not forbidden_interps
 
     def _check_times(self, times: FloatArray) -> None:
         """Record times beyond the limit, and times that do not ascend."""
@@ -235,16 +235,16 @@ class CurveReader:
         for k, key in enumerate(self._key_models):
             interp_before = interps[max(k - 1, 0) : k]
             interp_after = inner_interps[k : k + 1]
-            for name, handle, adjacent_interps, expected in (
+            for name, handle, adjacent_interps, supporting_interps in (
                 ("in", key.in_, interp_before, _HANDLE_INTERPS),
                 ("out", key.out, interp_after, _HANDLE_INTERPS),
                 ("tcb", key.tcb, interp_before + interp_after, {Interp.TCB}),
             ):
                 is_set = handle is not None and adjacent_interps
-                if is_set and not expected & {*adjacent_interps}:
+                if is_set and not supporting_interps & {*adjacent_interps}:
                     interp_names = " and ".join(dict.fromkeys(adjacent_interps))
                     message = f"'{name}' has no effect with {interp_names}"
-                    hint = f"it applies to {' and '.join(sorted(expected))}"
+                    hint = f"it applies to {' and '.join(sorted(supporting_interps))}"
                     location = (*self.location, "keys", k, name)
                     self.document.warn("CLIP104", location, message, hint)
         self._warn_of_parametrization({*(interps[:-1] or interps)})
@@ -257,19 +257,22 @@ class CurveReader:
             location = (*self.location, "parametrization")
             self.document.warn("CLIP104", location, message)
 
-    def _read_values(self, components: int, repeats: int) -> FloatArray | None:
+    def _read_values(
+        self, component_count: int, repeat_count: int
+    ) -> FloatArray | None:
         """Return the values of keys ``(K, D)``; None with a fault otherwise."""
         value_rows = []
         shown_hints: set[str] = set()  # hints that hold for the channel
         for k, key in enumerate(self._key_models):
-            value_row = _value_row(key.v, repeats)
-            if len(value_row) != components:
+            value_row = _value_row(key.v, repeat_count)
+            if len(value_row) != component_count:
                 location = (*self.location, "keys", k, "v")
-                hint = _rotation_hint(self.model, len(value_row), components)
+                hint = _rotation_hint(self.model, len(value_row), component_count)
                 if hint not in shown_hints:
-                    count = counted(len(value_row), "number")
-                    message = f"{count} instead of {components}"
-                    hint = hint or self.document.decimal_commas(location, components)
+                    number_text = counted(len(value_row), "number")
+                    message = f"{number_text} instead of {component_count}"
+                    if not hint:
+                        hint = self.document.decimal_commas(location, component_count)
                     self.document.add("CLIP007", location, message, hint)
                     shown_hints |= {hint} if hint else set()
                 continue
@@ -282,21 +285,21 @@ class CurveReader:
         self,
         location: Location,
         handle: str | list[Any],
-        components: int,
-        repeats: int,
+        component_count: int,
+        repeat_count: int,
         unit: float,
     ) -> tuple[Tangent, list[float]]:
         """Return the tangent and the offsets of a handle; record a wrong width."""
-        no_handle = [0.0] * (1 + components)
+        no_handle = [0.0] * (1 + component_count)
         if isinstance(handle, str):
             return Tangent(handle), no_handle
         dt, dv = handle
-        values = _value_row(dv, repeats)
-        if not isinstance(dt, list) and len(values) == components:
+        values = _value_row(dv, repeat_count)
+        if not isinstance(dt, list) and len(values) == component_count:
             return Tangent.FREE, [dt, *(value * unit for value in values)]
         name = str(location[-1])
-        message = f"the handle is not a time and {counted(components, 'value')}"
-        zeros = [0] * components if components > 1 else 0
+        message = f"the handle is not a time and {counted(component_count, 'value')}"
+        zeros = [0] * component_count if component_count > 1 else 0
         hint = f"for example {flow_text(name, [-2 if name == 'in' else 2, zeros])}"
         self._add("CLIP007", location, message, hint)
         return Tangent.FREE, no_handle
@@ -324,19 +327,21 @@ class CurveReader:
         return [] if isinstance(self.model.keys, PlainKeys) else self.model.keys
 
 
-def _rotation_hint(model: CurveModel, count: int, components: int) -> str | None:
+def _rotation_hint(
+    model: CurveModel, number_count: int, component_count: int
+) -> str | None:
     """Return a hint if a rotation's keys have the width of another representation."""
-    if components == 4 and count == 3:
+    if component_count == 4 and number_count == 3:
         return "add 'euler: XYZ' to the channel, or write quaternions [w, x, y, z]"
-    if model.euler and count == 4:
+    if model.euler and number_count == 4:
         return "remove 'euler' for quaternions, or write three angles"
     return None
 
 
-def _value_row(value: float | list[float], repeats: int) -> list[float]:
-    """Return a value as a list; a single number is repeated ``repeats`` times."""
+def _value_row(value: float | list[float], repeat_count: int) -> list[float]:
+    """Return a value as a list; a single number is repeated ``repeat_count`` times."""
     values = value if isinstance(value, list) else [value]
-    return values * repeats if len(values) == 1 else values
+    return values * repeat_count if len(values) == 1 else values
 
 
 def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
@@ -351,5 +356,5 @@ def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
     rotations = values[:, [1, 2, 3, 0]]
     is_near_unit = np.abs(lengths - 1.0) <= UNIT_TOLERANCE
     rotations[~is_near_unit] = so3.normalize(rotations[~is_near_unit])
-    zero_rows = np.flatnonzero(~(lengths > MIN_QUATERNION)).tolist()
+    zero_rows = np.flatnonzero(~(lengths > MIN_QUATERNION_LENGTH)).tolist()
     return so3.align_signs(rotations), zero_rows

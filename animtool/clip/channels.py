@@ -67,8 +67,8 @@ local_rotation, scale
             return group
         names = rig.control_names if group == "control" else rig.shape_names
         if name not in names:
-            props = rig.controls if group == "control" else rig.shapes
-            hint = name_hint(name, [prop.name for prop in props])
+            named_parts = rig.controls if group == "control" else rig.shapes
+            hint = name_hint(name, [part.name for part in named_parts])
             return Fault("CLIP002", f"unknown {group} {name!r}", hint=hint)
         return group
     if group != "joint" or not name:
@@ -132,8 +132,8 @@ def _part_fault(name: str, rig: Rig | None) -> Fault:
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
     """Raise the faults of all targets that the rig lacks."""
-    kinds = [target_kind(target, rig) for target in targets]
-    faults = [result for result in kinds if isinstance(result, Fault)]
+    kinds_or_faults = [target_kind(target, rig) for target in targets]
+    faults = [result for result in kinds_or_faults if isinstance(result, Fault)]
     if faults:
         raise OptionError(faults)
 
@@ -188,8 +188,8 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
     empty_arrays = no_values, no_values, np.zeros(0, np.int64), no_handles, no_handles
     columns = zip(empty_arrays, *channel_curves, strict=True)
     times, values, kinds, ins, outs = (np.concatenate(column) for column in columns)
-    by_component = [channel for channel in channels for _ in channel.values.T]
-    key_counts = [len(channel.times) for channel in by_component]
+    component_channels = [channel for channel in channels for _ in channel.values.T]
+    key_counts = [len(channel.times) for channel in component_channels]
     return Curves(
         np.cumsum([0, *key_counts], dtype=np.int64),
         times,
@@ -197,8 +197,8 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
         kinds,
         ins,
         outs,
-        tuple(channel.pre for channel in by_component),
-        tuple(channel.post for channel in by_component),
+        tuple(channel.pre for channel in component_channels),
+        tuple(channel.post for channel in component_channels),
     )
 
 
@@ -206,7 +206,7 @@ def _channel_curves(
     channel: ClipChannel,
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
     """Return times, values, interpolations and handles by component."""
-    components = channel.values.shape[1]
+    component_count = channel.values.shape[1]
     slopes = KeySlopes(
         channel.times, channel.values, channel.tcb, channel.parametrization
     )
@@ -214,15 +214,18 @@ def _channel_curves(
         slopes, channel.interps, channel.tangents, channel.ins, channel.outs
     )
     in_rows, out_rows = (
-        np.stack([np.tile(h[:, 0], components), h[:, 1:].T.ravel()], axis=-1)
-        for h in (ins, outs)
+        np.stack(
+            [np.tile(handles[:, 0], component_count), handles[:, 1:].T.ravel()], axis=-1
+        )
+        for handles in (ins, outs)
     )
-    times, kinds = np.tile(channel.times, components), np.tile(kinds, components)
+    times = np.tile(channel.times, component_count)
+    kinds = np.tile(kinds, component_count)
     return times, channel.values.T.ravel(), kinds, in_rows, out_rows
 
 
 # Rotations per batch: few calls, at most 1 MB each.
-ROTATION_BATCH = 2**15
+ROTATION_BATCH_SIZE = 2**15
 
 
 def evaluate_channels(
@@ -234,7 +237,7 @@ def evaluate_channels(
     angles are converted. Ascending times are fastest.
     """
     values: dict[str, FloatArray] = {}
-    curves: list[ClipChannel] = []
+    number_channels: list[ClipChannel] = []
     quaternion_channels: list[ClipChannel] = []
     for channel in channels:
         if is_static(channel):
@@ -242,12 +245,12 @@ def evaluate_channels(
         elif channel.values.shape[1] == 4:
             quaternion_channels.append(channel)
         else:
-            curves.append(channel)
+            number_channels.append(channel)
     values |= _evaluate_rotation_channels(quaternion_channels, times)
-    if curves:
-        curve_values = evaluate(component_curves(curves), times)
+    if number_channels:
+        curve_values = evaluate(component_curves(number_channels), times)
         start = 0
-        for channel in curves:
+        for channel in number_channels:
             end = start + channel.values.shape[1]
             values[channel.target] = _as_quaternions(channel, curve_values[start:end].T)
             start = end
@@ -264,25 +267,25 @@ def _evaluate_rotation_channels(
         channels_by_timing.setdefault((channel.times.tobytes(), *timing), []).append(
             channel
         )
-    batch_size = max(1, ROTATION_BATCH // max(len(times), 1))
+    batch_size = max(1, ROTATION_BATCH_SIZE // max(len(times), 1))
     values: dict[str, FloatArray] = {}
-    groups = (
+    batches = (
         same_timing[start : start + batch_size]
         for same_timing in channels_by_timing.values()
         for start in range(0, len(same_timing), batch_size)
     )
-    for group in groups:
-        first_channel = group[0]
+    for batch in batches:
+        first_channel = batch[0]
         rotations = evaluate_rotations(
             first_channel.times,
-            np.stack([channel.values for channel in group], axis=1),
+            np.stack([channel.values for channel in batch], axis=1),
             np.array([RotationKind[i.name] for i in first_channel.interps], np.int64),
             times,
             first_channel.pre,
             first_channel.post,
         )
         batch_rotations = np.ascontiguousarray(rotations.swapaxes(0, 1))
-        values |= {c.target: r for c, r in zip(group, batch_rotations, strict=True)}
+        values |= {c.target: r for c, r in zip(batch, batch_rotations, strict=True)}
     return values
 
 

@@ -83,13 +83,13 @@ class Clip:
         13
         """
         codes_per_frame = step * self.fps / _rate_or_default(fps, self.fps)
-        count = (self.last - self.first) // codes_per_frame + 1
-        if not 0 < count <= MAX_FRAMES:
-            message = f"the range has {count} frames; the limit is {MAX_FRAMES}"
-            if count <= 0:
+        frame_count = (self.last - self.first) // codes_per_frame + 1
+        if not 0 < frame_count <= MAX_FRAMES:
+            message = f"the range has {frame_count} frames; the limit is {MAX_FRAMES}"
+            if frame_count <= 0:
                 message = "the range contains no frame"
             raise FormatError(Fault("CLIP006", message, where="range"))
-        return count
+        return frame_count
 
     def sample(
         self,
@@ -129,8 +129,8 @@ class Clip:
         check_loaded(rig, Rig, "rig")
         rate, codes_per_frame = _rate_or_default(fps, self.fps), _exact_step(step)
         check_targets((channel.target for channel in self.channels), rig)
-        count = self.frame_count(rate, codes_per_frame)
-        times = time_codes(self.first, codes_per_frame * self.fps / rate, count)
+        frame_count = self.frame_count(rate, codes_per_frame)
+        times = time_codes(self.first, codes_per_frame * self.fps / rate, frame_count)
         sampled_motion = sample_channels(self.channels, rig, times, clamp=clamp)
         first_code, frames_per_code = float(self.first), float(self.fps / rate)
 
@@ -139,7 +139,7 @@ class Clip:
             clip_times = first_code + (codes - first_code) * frames_per_code
             return sample_channels(self.channels, rig, clip_times, clamp=clamp).motion
 
-        clock = Clock(rate, self.first, codes_per_frame, count)
+        clock = Clock(rate, self.first, codes_per_frame, frame_count)
         notices = tuple(sampled_motion.notices)
         is_exact = not clamp and rate == self.fps
         keyed_curve = KeyedCurve(curve, lambda: self if is_exact else None)
@@ -254,12 +254,12 @@ def _key_entries(
     channel: ClipChannel, k: int, interp: Interp, tangent: Tangent, unit: float
 ) -> Iterator[str]:
     """Yield the entries of a key that differ from the channel's."""
-    row = channel.values[k].tolist()
-    if row[3:]:
-        x, y, z, w = row
-        row = [w, x, y, z]
+    numbers = channel.values[k].tolist()
+    if numbers[3:]:
+        x, y, z, w = numbers
+        numbers = [w, x, y, z]
     yield f"t: {decimal_text(float(channel.times[k]))}"
-    yield f"v: {_value_text(row, unit)}"
+    yield f"v: {_value_text(numbers, unit)}"
     if channel.interps[k] is not interp:
         yield f"interp: {channel.interps[k]}"
     handles = (channel.ins[k].tolist(), channel.outs[k].tolist())

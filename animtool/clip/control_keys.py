@@ -55,26 +55,26 @@ def solve_take_controls(
     The search starts at the take's control values, or at the defaults if there are
     none.
     """
-    frames, controls = take.motion.frames, keyable_controls(rig)
+    frame_count, controls = take.motion.frames, keyable_controls(rig)
     take_controls = take.motion.controls
-    start = {c.name: np.full(frames, c.default) for c in controls}
-    defaults = dict(start)
+    start_values = {c.name: np.full(frame_count, c.default) for c in controls}
+    defaults = dict(start_values)
     if take_controls is not None:
-        start |= keys_of_control_channel(controls, take_controls)
+        start_values |= keys_of_control_channel(controls, take_controls)
     if rig.is_driven:
-        start |= {name: defaults[name] for name in plan_of(rig).controls}
-    start_targets = evaluate_controls(controls, start).targets
-    goals, unreachable = required_control_values(
+        start_values |= {name: defaults[name] for name in plan_of(rig).controls}
+    start_targets = evaluate_controls(controls, start_values).targets
+    goals, unreachable_targets = required_control_values(
         rig, joints, set(start_targets), start_targets, tolerances
     )
     shapes = uncombined_weights_of(take, rig)
     for shape, value in shapes.items():
         if f"shape/{shape}" in start_targets:
             goals[f"shape/{shape}"] = value
-    goals = {t: np.broadcast_to(value, (frames,)) for t, value in goals.items()}
+    goals = {t: np.broadcast_to(value, (frame_count,)) for t, value in goals.items()}
     tolerance_of = {target: tolerances.tolerance_of(target) for target in goals}
     solution = solve_controls(
-        controls, goals, tolerance_of, start, keyed_targets=unreachable
+        controls, goals, tolerance_of, start_values, keyed_targets=unreachable_targets
     )
     values = {
         c.name: _snap_to_constant(solution.values[c.name], c.default) for c in controls
@@ -151,12 +151,16 @@ def fit_controls(
     ``solved_values`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
     """
     defaults = {control.name: control.default for control in rig.controls}
-    changed = {
+    changed_values = {
         n: solved_values[n] for n in defaults if (solved_values[n] != defaults[n]).any()
     }
-    moving_names = [n for n, values in changed.items() if (values != values[0]).any()]
-    effect = _Effect(take, rig, solved_values, keyed_tracks, bounds, weight_tolerance)
-    tolerances = {name: effect.initial_tolerance(name) for name in moving_names}
+    moving_names = [
+        n for n, values in changed_values.items() if (values != values[0]).any()
+    ]
+    control_errors = _ControlErrors(
+        take, rig, solved_values, keyed_tracks, bounds, weight_tolerance
+    )
+    tolerances = {name: control_errors.initial_tolerance(name) for name in moving_names}
     keys: dict[str, FittedKeys] = {}
     values: dict[str, FloatArray] = {}
     for attempt in range(MAX_REFINEMENTS):
@@ -164,21 +168,23 @@ def fit_controls(
             name: fit_keys(column[:, None], tolerances[name])
             if name in tolerances
             else fit_keys(column[:1, None], 1.0)
-            for name, column in changed.items()
+            for name, column in changed_values.items()
         }
         frames = np.arange(take.motion.frames)
         values = {f"control/{n}": evaluate_keys(f, frames) for n, f in keys.items()}
-        ratio = effect.error_ratio(values) if moving_names else 0.0
+        ratio = control_errors.error_ratio(values) if moving_names else 0.0
         if ratio <= CONTROL_FRACTION:
             break
         is_last = attempt >= MAX_REFINEMENTS - 2
         factor = 1e-9 if is_last else 0.8 * CONTROL_FRACTION / ratio
         tolerances = {n: max(t * factor, 1e-13) for n, t in tolerances.items()}
-    channels = [ReducedChannel(f"control/{name}", None, keys[name]) for name in changed]
+    channels = [
+        ReducedChannel(f"control/{name}", None, keys[name]) for name in changed_values
+    ]
     return FittedControls(channels, values, take.motion.frames * len(moving_names))
 
 
-class _Effect:
+class _ControlErrors:
     """Measures the errors of a take that result from changed control values."""
 
     def __init__(
@@ -203,14 +209,18 @@ class _Effect:
         """Return the largest error that control values cause, over the tolerance."""
         take, rig = self.take, self.rig
         frame_indices = np.arange(take.motion.frames) if frames is None else frames
-        exact_motion, trial_motion = (
-            sample_values(
-                {n: v[frame_indices] if len(v) > 1 else v for n, v in sampled.items()},
-                rig,
-                take.clock.times[frame_indices],
-            ).motion
-            for sampled in (self.exact_values, {**self.exact_values, **values})
-        )
+        times = take.clock.times[frame_indices]
+
+        def motion_of(values: Mapping[str, FloatArray]) -> Motion:
+            """Return the motion that control values cause in the frames."""
+            selected_values = {
+                name: value[frame_indices] if len(value) > 1 else value
+                for name, value in values.items()
+            }
+            return sample_values(selected_values, rig, times).motion
+
+        exact_motion = motion_of(self.exact_values)
+        trial_motion = motion_of({**self.exact_values, **values})
         exact_pose = take.motion.select(frame_indices)
         driven_motion = driven_pose(
             exact_pose, trial_motion, exact_motion, self.keyed_tracks
@@ -266,13 +276,13 @@ def _with_moved_joints(channels: Sequence[Channel], keyed_joints: Set[int]) -> C
 
     The channels are those of the take, of fitted and of exact controls.
     """
-    take_channel, fitted, exact = channels
-    moved_joints = {*fitted.animated.tolist(), *exact.animated.tolist()} - keyed_joints
-    joints = np.array(sorted(moved_joints), np.int64)
+    take_channel, fitted_channel, exact_channel = channels
+    moved_joints = {*fitted_channel.animated.tolist(), *exact_channel.animated.tolist()}
+    joints = np.array(sorted(moved_joints - keyed_joints), np.int64)
     if not len(joints):
         return take_channel
-    is_changed = (fitted.gather(joints) != exact.gather(joints)).any(axis=(0, 2))
-    joints = joints[is_changed]
+    is_different = fitted_channel.gather(joints) != exact_channel.gather(joints)
+    joints = joints[is_different.any(axis=(0, 2))]
     if not len(joints):
         return take_channel
-    return take_channel.put(joints, fitted.gather(joints))
+    return take_channel.put(joints, fitted_channel.gather(joints))

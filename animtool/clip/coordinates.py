@@ -40,8 +40,8 @@ class Tolerances:
         if target.startswith("shape/"):
             return self.weight
         part = split_part(target, DRIVEN_PARTS)[1]
-        lengths = part == "slide" or part.startswith("translation")
-        return self.length if lengths else self.angle
+        is_length = part == "slide" or part.startswith("translation")
+        return self.length if is_length else self.angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +55,10 @@ class JointMotion:
     coordinate: FloatArray
     # Largest rotation that the joint's type does not allow [rad].
     rotation_error: float
-    translation_error: (
-        float  # largest translation that the joint's type does not allow [m]
-    )
-    # whether the local rotation is exactly that of the rest pose
-    is_rotation_at_rest: bool
-    is_translation_at_rest: (
-        bool  # whether the local translation is that of the rest pose
-    )
+    # Largest translation that the joint's type does not allow [m].
+    translation_error: float
+    is_rotation_at_rest: bool  # whether the local rotation is exactly the rest rotation
+    is_translation_at_rest: bool  # likewise for the translation
 
 
 def relative_joint_motions(
@@ -74,13 +70,15 @@ def relative_joint_motions(
     with its mimic joints.
     """
     channels = motion.translations, motion.rotations
-    moving_joints = [(channel, set(channel.animated.tolist())) for channel in channels]
+    moving_joints = [set(channel.animated.tolist()) for channel in channels]
     motions = []
     for j, joint in enumerate(rig.joints):
-        row = np.array([j])
+        joint_index = np.array([j])
         translation, rotation = (
-            channel.gather(row)[:, 0] if j in moving else channel.rest[row]
-            for channel, moving in moving_joints
+            channel.gather(joint_index)[:, 0]
+            if j in moving_indices
+            else channel.rest[joint_index]
+            for channel, moving_indices in zip(channels, moving_joints, strict=True)
         )
         motions.append(_joint_motion(joint, translation, rotation))
     for j, joint in enumerate(rig.joints):
@@ -100,10 +98,8 @@ def _joint_motion(
     )
     axis = np.array(joint.axis)
     coordinate = np.zeros(1)
-    rotation_error, translation_error = (
-        0.0,
-        float(np.abs(translation_from_rest).max(initial=0.0)),
-    )
+    rotation_error = 0.0
+    translation_error = float(np.abs(translation_from_rest).max(initial=0.0))
     if joint.type is JointType.PIN:
         coordinate = np.unwrap(
             2.0 * np.arctan2(rotation_from_rest[:, :3] @ axis, rotation_from_rest[:, 3])
@@ -176,7 +172,7 @@ def required_control_values(
     move along axes that no control drives.
     """
     requested_values: dict[str, FloatArray] = {}
-    keyed_names: set[str] = set()
+    unreachable_targets: set[str] = set()
     for target in sorted(targets):
         group, _, name = target.partition("/")
         if group != "joint":
@@ -192,7 +188,7 @@ def required_control_values(
             requested_values[target] = vector[:, "xyz".index(axis)]
             other_axes = [i for i in range(3) if axis_targets[i] not in targets]
             if np.abs(vector[:, other_axes]).max(initial=0.0) > tolerances.angle:
-                keyed_names.add(target)
+                unreachable_targets.add(target)
         elif kind == "translation":
             requested_values[target] = motion.translation[:, "xyz".index(axis)]
         else:
@@ -203,23 +199,23 @@ def required_control_values(
                 else motion.translation_error > tolerances.length
             )
             if is_unreachable:
-                keyed_names.add(target)
-    return requested_values, keyed_names
+                unreachable_targets.add(target)
+    return requested_values, unreachable_targets
 
 
 def _nearest_revolution(rotation: FloatArray, initial_vector: FloatArray) -> FloatArray:
     """Return rotation vectors ``(n, 3)`` on the revolution nearest to a guess."""
     vector = so3.log(rotation)
     vector, initial_vector = np.broadcast_arrays(vector, initial_vector)
-    length = np.linalg.norm(vector, axis=1, keepdims=True)
-    lengths = np.linalg.norm(initial_vector, axis=1, keepdims=True)
-    axis = np.where(length > 1e-9, vector, initial_vector)
+    vector_length = np.linalg.norm(vector, axis=1, keepdims=True)
+    initial_length = np.linalg.norm(initial_vector, axis=1, keepdims=True)
+    axis = np.where(vector_length > 1e-9, vector, initial_vector)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
     guess_on_axis = (initial_vector * axis).sum(axis=1, keepdims=True)
     vector_on_axis = (vector * axis).sum(axis=1, keepdims=True)
     revolutions = np.round((guess_on_axis - vector_on_axis) / (2 * np.pi))
     return np.where(
-        lengths > np.pi / 2, vector + 2 * np.pi * revolutions * axis, vector
+        initial_length > np.pi / 2, vector + 2 * np.pi * revolutions * axis, vector
     )
 
 
@@ -267,21 +263,21 @@ class _KeyedJoint:
     fitted_values: Mapping[str, FloatArray]
     tolerances: Tolerances
 
-    def driven_values(self, part: str, *, use_fitted: bool = False) -> FloatArray:
+    def driven_values(self, part: str, *, is_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a part ``(F or 1,)``."""
-        source = self.fitted_values if use_fitted else self.control_values
+        source = self.fitted_values if is_fitted else self.control_values
         return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
-    def driven_vectors(self, part: str, *, use_fitted: bool = False) -> FloatArray:
+    def driven_vectors(self, part: str, *, is_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
         parts = [f"{part}.{axis}" for axis in "xyz"]
-        columns = [self.driven_values(p, use_fitted=use_fitted) for p in parts]
+        columns = [self.driven_values(p, is_fitted=is_fitted) for p in parts]
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
-    def key_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
-        """Yield the tracks, translation first; ``expected`` ``(F or 1,)``."""
-        yield from self._translation_tracks(expected)
-        yield from self._rotation_tracks(expected)
+    def key_tracks(self, expected_coordinates: FloatArray) -> Iterator[KeyTrack]:
+        """Yield the tracks, translation first; the coordinates are ``(F or 1,)``."""
+        yield from self._translation_tracks(expected_coordinates)
+        yield from self._rotation_tracks(expected_coordinates)
 
     @property
     def is_driven(self) -> bool:
@@ -289,25 +285,25 @@ class _KeyedJoint:
         name = f"joint/{self.joint.name}."
         return any(target.startswith(name) for target in self.control_values)
 
-    def _translation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
+    def _translation_tracks(
+        self, expected_coordinates: FloatArray
+    ) -> Iterator[KeyTrack]:
         """Yield tracks of the slide or translation that controls do not produce."""
         motion, joint, tolerances = self.motion, self.joint, self.tolerances
         rest_translation = np.array(joint.translation)
         rest_rotation = np.array(joint.rotation)
-        if (
-            motion.translation_error > tolerances.length
-            and not motion.is_translation_at_rest
-        ):
-            local = rest_translation + so3.rotate(rest_rotation, motion.translation)
-            yield self._track(ChannelKind.TRANSLATION, "local_translation", local)
+        is_at_rest = motion.is_translation_at_rest
+        if motion.translation_error > tolerances.length and not is_at_rest:
+            offset = so3.rotate(rest_rotation, motion.translation)
+            yield self._key_track(
+                ChannelKind.TRANSLATION, "local_translation", rest_translation + offset
+            )
         elif joint.type is JointType.PRISMATIC:
-            difference = motion.coordinate - expected
-            if self._differs(
-                difference, tolerances.length, motion.is_translation_at_rest
-            ):
-                driven_part = self.driven_values("slide", use_fitted=True)
+            difference = motion.coordinate - expected_coordinates
+            if self._needs_keys(difference, tolerances.length, is_at_rest):
+                driven_part = self.driven_values("slide", is_fitted=True)
                 driven_vector = driven_part[:, None] * np.array(joint.axis)
-                yield self._track(
+                yield self._key_track(
                     ChannelKind.TRANSLATION,
                     "slide",
                     (motion.coordinate - driven_part)[:, None],
@@ -315,30 +311,30 @@ class _KeyedJoint:
                 )
         elif joint.type is JointType.FREE:
             difference = motion.translation - self.driven_vectors("translation")
-            if self._differs(
-                difference, tolerances.length, motion.is_translation_at_rest
-            ):
-                driven_part = self.driven_vectors("translation", use_fitted=True)
-                yield self._track(
+            if self._needs_keys(difference, tolerances.length, is_at_rest):
+                driven_part = self.driven_vectors("translation", is_fitted=True)
+                yield self._key_track(
                     ChannelKind.TRANSLATION,
                     "translation",
                     motion.translation - driven_part,
                     rest_translation + so3.rotate(rest_rotation, driven_part),
                 )
 
-    def _rotation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
+    def _rotation_tracks(self, expected_coordinates: FloatArray) -> Iterator[KeyTrack]:
         """Yield tracks of the angle or rotation that controls do not produce."""
         motion, joint, tolerances = self.motion, self.joint, self.tolerances
         rest_rotation = np.array(joint.rotation)
-        if motion.rotation_error > tolerances.angle and not motion.is_rotation_at_rest:
-            local = so3.align_signs(so3.multiply(rest_rotation, motion.rotation))
-            yield self._euler_track("local_rotation", local, None)
+        is_at_rest = motion.is_rotation_at_rest
+        if motion.rotation_error > tolerances.angle and not is_at_rest:
+            local_rotation = so3.multiply(rest_rotation, motion.rotation)
+            aligned_rotation = so3.align_signs(local_rotation)
+            yield self._euler_track("local_rotation", aligned_rotation, None)
         elif joint.type is JointType.PIN:
-            difference = _wrap_angles(motion.coordinate - expected)
-            if self._differs(difference, tolerances.angle, motion.is_rotation_at_rest):
-                driven_part = self.driven_values("angle", use_fitted=True)
+            difference = _wrap_angles(motion.coordinate - expected_coordinates)
+            if self._needs_keys(difference, tolerances.angle, is_at_rest):
+                driven_part = self.driven_values("angle", is_fitted=True)
                 driven_rotation = so3.from_axis_angle(joint.axis, driven_part)
-                yield self._track(
+                yield self._key_track(
                     ChannelKind.ROTATION,
                     "angle",
                     np.degrees(motion.coordinate - driven_part)[:, None],
@@ -347,13 +343,15 @@ class _KeyedJoint:
         elif joint.type in _ROTATING_TYPES:
             driven_rotation = so3.exp(self.driven_vectors("rotation"))
             difference = so3.angle_between(driven_rotation, motion.rotation)
-            if self._differs(difference, tolerances.angle, motion.is_rotation_at_rest):
-                driven_part = so3.exp(self.driven_vectors("rotation", use_fitted=True))
-                keyed = so3.multiply(so3.conjugate(driven_part), motion.rotation)
+            if self._needs_keys(difference, tolerances.angle, is_at_rest):
+                driven_part = so3.exp(self.driven_vectors("rotation", is_fitted=True))
+                inverse_driven_part = so3.conjugate(driven_part)
+                keyed_rotation = so3.multiply(inverse_driven_part, motion.rotation)
+                aligned_rotation = so3.align_signs(keyed_rotation)
                 reference = so3.multiply(rest_rotation, driven_part)
-                yield self._euler_track("rotation", so3.align_signs(keyed), reference)
+                yield self._euler_track("rotation", aligned_rotation, reference)
 
-    def _differs(
+    def _needs_keys(
         self, difference: FloatArray, tolerance: float, is_at_rest: bool
     ) -> bool:
         """Return whether a difference exceeds its tolerance, so that it needs keys."""
@@ -367,9 +365,9 @@ class _KeyedJoint:
         """Return a track of rotations as Euler angles [deg]."""
         order = euler_order(self.joint, rotations)
         samples = euler.from_quaternion(rotations, order)
-        return self._track(ChannelKind.ROTATION, part, samples, reference, order)
+        return self._key_track(ChannelKind.ROTATION, part, samples, reference, order)
 
-    def _track(
+    def _key_track(
         self,
         kind: ChannelKind,
         part: str,

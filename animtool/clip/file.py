@@ -44,7 +44,7 @@ _REPLACED_BY = {
     "angle": "local_rotation",
 }
 # Array name of a reference without a name.
-DEFAULT_ARRAY = "keys"
+DEFAULT_ARRAY_NAME = "keys"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +76,11 @@ def clip_of_document(document: Document) -> ClipFile:
     """Return the unchecked clip file of a document; see `open_clip`."""
     check_version(document, "clip")
     model = _with_array_keys(document, validate_document(document, ClipModel))
-    rig = None
+    rig_path = None
     if model.rig is not None:
         roots = project_roots(document.path)
-        rig = resolve_reference(document, ("rig",), model.rig, roots)
-    return ClipFile(document, model, rig)
+        rig_path = resolve_reference(document, ("rig",), model.rig, roots)
+    return ClipFile(document, model, rig_path)
 
 
 def _with_array_keys(document: Document, model: ClipModel) -> ClipModel:
@@ -103,18 +103,20 @@ def _load_keys(
     document: Document, location: Location, text: str, archives: Archives
 ) -> PlainKeys | list[object]:
     """Return the keys of an array reference; an empty list if it is faulty."""
-    name, array = split_reference(text, DEFAULT_ARRAY)
+    file_name, array_name = split_reference(text, DEFAULT_ARRAY_NAME)
     if document.is_placeholder(location):
         return []
-    path = resolve_reference(document, location, name, project_roots(document.path))
+    path = resolve_reference(
+        document, location, file_name, project_roots(document.path)
+    )
     reason = None if path is None else not_a_file_reason(path)
     if reason is not None:
-        hint = missing_hint(document, name)
-        document.add("DOC015", location, f"{name!r} {reason}", hint)
+        hint = missing_hint(document, file_name)
+        document.add("DOC015", location, f"{file_name!r} {reason}", hint)
     if path is None or reason is not None:
         return []
     try:
-        key_rows = archives.load(path, array)
+        key_rows = archives.load(path, array_name)
     except ValueError as error:
         document.add("CLIP016", location, str(error))
         return []
@@ -165,7 +167,7 @@ def load_clip(file: ClipFile, rig: Rig) -> Clip:
 
 
 def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
-    """Load a clip; see `Clip.load`."""
+    """Load a clip file for a rig, a rig file or the rig that it names."""
     file = open_clip(path)
     if not isinstance(rig, Rig):
         rig = load_clip_rig(file, None if rig is None else Path(rig))
@@ -193,7 +195,7 @@ def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
 
 # Number and fraction of unknown targets from which the clip is for another rig, unless
 # this fraction of them has names similar to those of the rig: typing errors.
-MIN_TARGETS, MIN_UNKNOWN, MIN_GUESSED = 3, 0.6, 0.5
+MIN_UNKNOWN_TARGETS, MIN_UNKNOWN_FRACTION, MAX_GUESSED_FRACTION = 3, 0.6, 0.5
 
 
 class _ClipReader:
@@ -204,10 +206,10 @@ class _ClipReader:
         document: Document,
         model: ClipModel,
         rig: Rig | None,
-        named_rig: Path | None = None,
+        named_rig_path: Path | None = None,
     ) -> None:
-        self.document, self.model, self.rig_path = document, model, rig
-        self.named_rig = named_rig
+        self.document, self.model, self.rig = document, model, rig
+        self.named_rig_path = named_rig_path
         self.units = file_units(model, rig)
 
     def read_clip(self) -> Clip:
@@ -231,7 +233,7 @@ class _ClipReader:
         warn_of_times(self.document, channels, fps, first, last)
         units, has_unit = self.units, self.model.units.length is not None
         warn_of_numbers(
-            self.document, channels, fps, units, self.rig_path, has_unit=has_unit
+            self.document, channels, fps, units, self.rig, has_unit=has_unit
         )
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)
@@ -239,24 +241,26 @@ class _ClipReader:
 
     def _add_rig_fault(self) -> None:
         """Replace faults of channels by a single one if the clip is for another rig."""
-        faults, count = self.document.faults, len(self.model.channels)
+        faults, channel_count = self.document.faults, len(self.model.channels)
         unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
-        if self.rig_path is None or not unknown_targets:
+        if self.rig is None or not unknown_targets:
             return
         guess_count = sum(
             "did you mean" in (fault.hint or "") for fault in unknown_targets
         )
-        is_for_other_rig = len(unknown_targets) >= max(MIN_TARGETS, MIN_UNKNOWN * count)
-        is_for_other_rig &= guess_count < MIN_GUESSED * len(unknown_targets)
+        is_for_other_rig = len(unknown_targets) >= max(
+            MIN_UNKNOWN_TARGETS, MIN_UNKNOWN_FRACTION * channel_count
+        )
+        is_for_other_rig &= guess_count < MAX_GUESSED_FRACTION * len(unknown_targets)
         is_for_named_rig = self._named_rig_has_all()
         if not is_for_other_rig and not is_for_named_rig:
             return
-        lacks_text = f"has none of the {count} targets"
-        if len(unknown_targets) < count:
-            lacks_text = f"lacks {len(unknown_targets)} of the {count} targets"
+        lacks_text = f"has none of the {channel_count} targets"
+        if len(unknown_targets) < channel_count:
+            lacks_text = f"lacks {len(unknown_targets)} of the {channel_count} targets"
         subjects = (fault.message.removeprefix("unknown ") for fault in unknown_targets)
         names = listed(list(dict.fromkeys(subjects)), 4)
-        message = f"rig {self.rig_path.name!r} {lacks_text}: {names}"
+        message = f"rig {self.rig.name!r} {lacks_text}: {names}"
         hint = "is it the right rig?"
         rig_fault = replace(unknown_targets[0], message=message, hint=hint)
         if is_for_named_rig:
@@ -273,10 +277,10 @@ class _ClipReader:
 
     def _named_rig_has_all(self) -> bool:
         """Return whether the rig that the clip names has all of its targets."""
-        if self.named_rig is None:
+        if self.named_rig_path is None:
             return False
         try:
-            rig = Rig.load(self.named_rig)
+            rig = Rig.load(self.named_rig_path)
         except AnimtoolError:
             return False
         return all(
@@ -306,14 +310,14 @@ class _ClipReader:
     ) -> None:
         """Record a duplicate target, or a joint keyed both from rest and locally."""
         name, part = split_part(target, _REPLACED_BY)
-        claimed_target = f"{name}.{_REPLACED_BY[part]}" if part else target
-        other = channel_of_target.setdefault(claimed_target, i)
-        if other != i:
-            other_target = self.model.channels[other].target
+        local_target = f"{name}.{_REPLACED_BY[part]}" if part else target
+        other_index = channel_of_target.setdefault(local_target, i)
+        if other_index != i:
+            other_target = self.model.channels[other_index].target
             message = f"target {target!r} and {other_target!r} are the same target"
             if other_target == target:
                 message = f"target {target!r} appears twice"
-            line, _ = self.document.position(("channels", other))
+            line, _ = self.document.position(("channels", other_index))
             hint = f"the other is on line {line}"
             self.document.add("CLIP010", ("channels", i, "target"), message, hint)
 
@@ -326,7 +330,7 @@ class _ClipReader:
         reader = CurveReader(self.document, location, model)
         reader.check()
         target_location = (*location, "target")
-        kind = target_kind(model.target, self.rig_path)
+        kind = target_kind(model.target, self.rig)
         if isinstance(kind, Fault):
             self.document.add(kind.code, target_location, kind.message, kind.hint)
             return None

@@ -40,14 +40,18 @@ class ChannelDeviation:
 
 
 def channel_deviations(
-    clip: Clip, rig: Rig, take: Take, keyed: Motion, controls: Mapping[str, FloatArray]
+    clip: Clip,
+    rig: Rig,
+    take: Take,
+    keyed_motion: Motion,
+    controls: Mapping[str, FloatArray],
 ) -> tuple[ChannelDeviation, ...]:
     """Return the largest error of each channel of a clip: ``controls`` ``(F,)``."""
     units = ClipUnits.of_rig(rig)
     control_keys = {}
-    if keyed.controls is not None:
-        control_keys = keys_of_control_channel(rig.controls, keyed.controls)
-    motions = take.motion, keyed
+    if keyed_motion.controls is not None:
+        control_keys = keys_of_control_channel(rig.controls, keyed_motion.controls)
+    motions = take.motion, keyed_motion
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
 
     def target_errors(target: str) -> tuple[FloatArray, str | None]:
@@ -77,9 +81,10 @@ def channel_deviations(
     reports = []
     for channel in clip.channels:
         frame_errors, unit = target_errors(channel.target)
-        frame = int(np.argmax(frame_errors))
-        error, code = float(frame_errors[frame]), float(take.clock.times[frame])
-        reports.append(ChannelDeviation(channel.target, error, unit, code))
+        worst_frame = int(np.argmax(frame_errors))
+        error = float(frame_errors[worst_frame])
+        time_code = float(take.clock.times[worst_frame])
+        reports.append(ChannelDeviation(channel.target, error, unit, time_code))
     return tuple(reports)
 
 
@@ -139,16 +144,18 @@ def _additional_motion_notes(
             rotations = track.to_parent_space(track.samples)
             driven_rotation = track.reference
             assert driven_rotation is not None
-            largest = so3.angle_between(rotations, driven_rotation).max() / units.angle
+            largest_value = (
+                so3.angle_between(rotations, driven_rotation).max() / units.angle
+            )
             unit = units.angle_name
         elif track.part in {"slide", "translation"}:
-            largest = np.linalg.norm(track.samples, axis=1).max() / units.length
+            largest_value = np.linalg.norm(track.samples, axis=1).max() / units.length
             unit = unit_name(units.length)
         else:
             continue
         joint = rig.joints[track.index].name
         message = f"joint {joint!r} has keys on top of what controls drive: "
-        message += f"{track.part} up to {plain_number(largest)} {unit}"
+        message += f"{track.part} up to {plain_number(largest_value)} {unit}"
         yield "CLIP116", message, None
 
 

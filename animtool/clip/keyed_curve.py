@@ -31,7 +31,7 @@ class KeyedCurve:
     sample_blocks: Callable[[FloatArray], Iterator[Motion]] | None = None
 
     def __call__(self, times: FloatArray) -> Motion:
-        """Return the motion at times."""
+        """Evaluate the keys at times ``(F,)`` [time code]."""
         return self.sample(times)
 
     def blocks(self, times: FloatArray) -> Iterator[Motion]:

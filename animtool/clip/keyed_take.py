@@ -103,8 +103,8 @@ def fit_take_keys(
     if base is None:
         solution = solve_take_controls(take, rig, joint_motions, tolerances)
     else:
-        frames = take.motion.frames
-        defaults = {c.name: np.full(frames, c.default) for c in rig.controls}
+        frame_count = take.motion.frames
+        defaults = {c.name: np.full(frame_count, c.default) for c in rig.controls}
         solution = SolvedControls(defaults, (), ())
     job = _KeyingJob(
         take,
@@ -243,13 +243,15 @@ class _KeyingJob:
         if motion.scales is None:
             return []
         without_weights = replace(motion, weights=None)
-        unscaled = Channel.static(np.ones_like(motion.scales.rest))
-        rest = replace(without_weights, scales=unscaled)
+        unit_scales = Channel.static(np.ones_like(motion.scales.rest))
+        rest = replace(without_weights, scales=unit_scales)
         tracks = find_tracks(self.rig, without_weights, rest)
         return [track for track in tracks if track.kind is ChannelKind.SCALE]
 
     def _weight_tracks(
-        self, exact: Mapping[str, FloatArray], fitted: Mapping[str, FloatArray]
+        self,
+        exact_targets: Mapping[str, FloatArray],
+        fitted_targets: Mapping[str, FloatArray],
     ) -> list[KeyTrack]:
         """Return key tracks of the shape weights that nothing else drives."""
         tracks = []
@@ -257,12 +259,12 @@ class _KeyingJob:
         for i, shape in enumerate(self.rig.shapes):
             take_weight = self.weights[shape.name]
             target = f"shape/{shape.name}"
-            remaining = take_weight - exact.get(target, zero)
-            is_derived = bool(shape.combine) or target in exact
+            undriven_weight = take_weight - exact_targets.get(target, zero)
+            is_derived = bool(shape.combine) or target in exact_targets
             tolerance = self.tolerances.weight if is_derived else 0.0
-            if np.abs(remaining).max(initial=0.0) <= tolerance:
+            if np.abs(undriven_weight).max(initial=0.0) <= tolerance:
                 continue
-            samples = np.array(take_weight - fitted.get(target, zero))[:, None]
+            samples = np.array(take_weight - fitted_targets.get(target, zero))[:, None]
             samples = samples[:1] if (samples == samples[:1]).all() else samples
             tracks.append(KeyTrack(ChannelKind.WEIGHT, i, None, samples))
         return tracks
@@ -280,18 +282,18 @@ def _combination_growth(rig: Rig, tracks: list[KeyTrack]) -> float:
 def _measure_errors(
     reduction: Reduction,
     take: Take,
-    keyed: Motion,
+    keyed_motion: Motion,
     base: Take | None,
     bounds: FloatArray,
 ) -> Reduction:
     """Return a reduction whose errors are measured against the take."""
-    weight_error = largest_weight_error(take.motion, keyed)
+    weight_error = largest_weight_error(take.motion, keyed_motion)
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)
     base_motion = None if base is None else base.motion
     true_world, reduced_world = (
         additive_pose(take.rig, motion, base_motion).world_transforms()
-        for motion in (take.motion, keyed)
+        for motion in (take.motion, keyed_motion)
     )
     points = attached_points(take.rig, SHELL_DISTANCE)
     errors = point_errors(points, true_world, reduced_world)

@@ -44,16 +44,16 @@ class PlainKeys:
             return None
         times = [entry["t"] for entry in entries]
         values = [entry["v"] for entry in entries]
-        components = 1
+        component_count = 1
         if all(value.__class__ is list for value in values):
-            components = len(values[0])
-            if not components or any(len(value) != components for value in values):
+            component_count = len(values[0])
+            if not component_count or any(len(v) != component_count for v in values):
                 return None
             values = list(chain.from_iterable(values))
         if not {number.__class__ for number in (*times, *values)} <= _NUMBERS:
             return None
         try:
-            value_rows = np.array(values, np.float64).reshape(len(times), components)
+            value_rows = np.array(values, np.float64).reshape(-1, component_count)
             return PlainKeys.from_arrays(np.array(times, np.float64), value_rows)
         except OverflowError:
             return None

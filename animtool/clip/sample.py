@@ -16,7 +16,7 @@ from animtool.core.quantities import percent_hint
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.rig.controls import DrivenValues, evaluate_controls
+from animtool.rig.controls import ControlEffects, evaluate_controls
 from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.shapes import add_combinations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # A smaller excess is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
 # Joint values gathered in a call: few calls, at most 8 MB.
-ROWS_AT_ONCE = 2**18
+BATCH_ROWS = 2**18
 
 # Values ``(F or 1, D)`` of a joint by part, such as ``angle`` or ``+translation.x``.
 Parts = dict[str, FloatArray]
@@ -99,26 +99,28 @@ def with_keys(
     assert control.low is not None
     assert control.high is not None
     limits = RangeLimit(control.low, control.high)
-    keys = [
+    frames_outside = [
         float(t)
         for c in channels
         if c.target == notice.target
         for t in c.times[np.abs(limits.excess(c.values[:, 0])) > LIMIT_TOLERANCE]
         if times.min() <= t <= times.max()
     ]
-    if not keys or keys == [notice.frame]:
+    if not frames_outside or frames_outside == [notice.frame]:
         return notice
     message = notice.fault.message.removesuffix(_CLAMPED_SUFFIX)
     suffix = _CLAMPED_SUFFIX if message != notice.fault.message else ""
-    subject = f"{len(keys)} keys are" if len(keys) > 1 else "a key is"
-    word = "frames" if len(keys) > 1 else "frame"
-    frames = listed([f"{frame:g}" for frame in keys], MAX_LISTED_FRAMES)
-    message += f"; {subject} outside, at {word} {frames}{suffix}"
+    subject = (
+        f"{len(frames_outside)} keys are" if len(frames_outside) > 1 else "a key is"
+    )
+    frame_noun = "frames" if len(frames_outside) > 1 else "frame"
+    frames = listed([f"{frame:g}" for frame in frames_outside], MAX_LISTED_FRAMES)
+    message += f"; {subject} outside, at {frame_noun} {frames}{suffix}"
     return replace(notice, fault=replace(notice.fault, message=message))
 
 
 def sample_values(
-    keyed: Mapping[str, FloatArray],
+    keyed_values: Mapping[str, FloatArray],
     rig: Rig,
     times: FloatArray,
     *,
@@ -131,42 +133,42 @@ def sample_values(
     are quaternions. ``run`` evaluates the rig's drivers and collects their notices, if
     the times continue earlier ones.
     """
-    count = len(times)
+    frame_count = len(times)
     notices: list[ClipNotice] = []
     controls = {
         name.removeprefix("control/"): value[:, 0]
-        for name, value in keyed.items()
+        for name, value in keyed_values.items()
         if name.startswith("control/")
     }
-    driven_values = evaluate_controls(rig.controls, controls, clamp=clamp)
-    _check_defined(driven_values, times)
-    notices += _range_notices(rig, driven_values, times, clamp=clamp)
-    parts_by_joint = _parts_by_joint(keyed, driven_values)
+    control_effects = evaluate_controls(rig.controls, controls, clamp=clamp)
+    _check_defined(control_effects, times)
+    notices += _range_notices(rig, control_effects, times, clamp=clamp)
+    parts_by_joint = _parts_by_joint(keyed_values, control_effects)
     notices += _drop_replaced_parts(parts_by_joint)
     notices += _apply_mimics(rig, parts_by_joint, clamp=clamp)
-    joints = _JointValues(rig, times, clamp, notices)
+    joint_values = _JointValues(rig, times, clamp, notices)
     for name, joint_parts in parts_by_joint.items():
-        joints.add_joint(rig.index(name), joint_parts)
+        joint_values.add_joint(rig.index(name), joint_parts)
     control_channel = None
     if controls:
-        columns = [driven_values.controls[control.name] for control in rig.controls]
-        control_channel = _column_channel(columns, count)
+        columns = [control_effects.controls[control.name] for control in rig.controls]
+        control_channel = _column_channel(columns, frame_count)
     coordinates = {}
     if rig.is_driven:
         coordinates = _joint_coordinates(rig, parts_by_joint, clamp=clamp)
     motion = Motion(
-        joints.build_channel("translations", rig.rest_translations),
-        joints.build_channel("rotations", rig.rest_rotations),
-        joints.build_channel("scales", np.ones((len(rig.joints), 3)))
-        if joints.values["scales"]
+        joint_values.build_channel("translations", rig.rest_translations),
+        joint_values.build_channel("rotations", rig.rest_rotations),
+        joint_values.build_channel("scales", np.ones((len(rig.joints), 3)))
+        if joint_values.values["scales"]
         else None,
-        _weight_channel(rig, keyed, driven_values, count),
+        _weight_channel(rig, keyed_values, control_effects, frame_count),
         control_channel,
     )
     if rig.is_driven:
         from animtool.motion.driver_run import DriverRun
 
-        driver_run = run or DriverRun(rig, report_replaced=True)
+        driver_run = run or DriverRun(rig, reports_replaced=True)
         motion = driver_run.evaluate(motion, times, coordinates)
         if run is None:
             located_notices = driver_run.located_notices()
@@ -191,9 +193,9 @@ def _joint_coordinates(
     return coordinates
 
 
-def _check_defined(driven_values: DrivenValues, times: FloatArray) -> None:
+def _check_defined(control_effects: ControlEffects, times: FloatArray) -> None:
     """Raise if a control or target is not finite at a time."""
-    all_values = driven_values.unclamped | driven_values.targets
+    all_values = control_effects.unclamped_controls | control_effects.targets
     for name, values in all_values.items():
         undefined_frames = np.flatnonzero(~np.isfinite(values))
         if undefined_frames.size:
@@ -204,29 +206,29 @@ def _check_defined(driven_values: DrivenValues, times: FloatArray) -> None:
 
 
 def _range_notices(
-    rig: Rig, driven_values: DrivenValues, times: FloatArray, *, clamp: bool
+    rig: Rig, control_effects: ControlEffects, times: FloatArray, *, clamp: bool
 ) -> list[ClipNotice]:
     """Return notices on controls that leave their ranges."""
     notices = []
     for control in rig.controls:
         if control.low is None or control.high is None:
             continue
-        values = driven_values.unclamped[control.name]
+        values = control_effects.unclamped_controls[control.name]
         excess = values - np.clip(values, control.low, control.high)
-        worst_frame = int(np.argmax(np.abs(excess)))
-        if abs(excess[worst_frame]) > LIMIT_TOLERANCE:
-            frame = times[worst_frame]
+        worst_index = int(np.argmax(np.abs(excess)))
+        if abs(excess[worst_index]) > LIMIT_TOLERANCE:
+            frame = times[worst_index]
             verb = "would be" if clamp else "is"
-            message = f"control {control.name!r} {verb} {values[worst_frame]:.6g} at "
+            message = f"control {control.name!r} {verb} {values[worst_index]:.6g} at "
             message += f"frame {frame:g}, outside {control.low:g} to {control.high:g}"
             message += _CLAMPED_SUFFIX if clamp else ""
             hint = None if clamp else _CLAMP_HINT
-            value = float(values[worst_frame])
+            value = float(values[worst_index])
             if not clamp and control.high == 1 and MIN_PERCENT <= value <= 100:
                 hint = percent_hint(value)
             fault = warning("CLIP101", message, hint)
             target = f"control/{control.name}"
-            amount = float(abs(excess[worst_frame]))
+            amount = float(abs(excess[worst_index]))
             notices.append(ClipNotice(fault, target, float(frame), amount))
     return notices
 
@@ -238,31 +240,33 @@ _CLAMPED_SUFFIX = ": clamped"
 
 
 def _parts_by_joint(
-    keyed: Mapping[str, FloatArray], driven_values: DrivenValues
+    keyed_values: Mapping[str, FloatArray], control_effects: ControlEffects
 ) -> dict[str, Parts]:
     """Return the values of each joint by part; driven parts begin with ``+``."""
-    result: dict[str, Parts] = {}
-    for target, value in keyed.items():
+    parts_by_joint: dict[str, Parts] = {}
+    for target, value in keyed_values.items():
         if target.startswith("joint/"):
             name, part = split_part(target.removeprefix("joint/"), KEYED_PARTS)
-            result.setdefault(name, {})[part] = value
-    for target, value in driven_values.targets.items():
+            parts_by_joint.setdefault(name, {})[part] = value
+    for target, value in control_effects.targets.items():
         if target.startswith("joint/") and value.any():
             name, part = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)
-            result.setdefault(name, {})[f"+{part}"] = value
-    return result
+            parts_by_joint.setdefault(name, {})[f"+{part}"] = value
+    return parts_by_joint
 
 
 def _drop_replaced_parts(parts_by_joint: Mapping[str, Parts]) -> list[ClipNotice]:
     """Drop control contributions to motion that a local channel replaces."""
     notices = []
     for name, parts in parts_by_joint.items():
-        for local, replaced_parts in _ADDED_PARTS.items():
-            if local not in parts:
+        for local_part, replaced_parts in _ADDED_PARTS.items():
+            if local_part not in parts:
                 continue
-            dropped = [parts.pop(key) for key in replaced_parts if key in parts]
-            if any((values != values[0]).any() for values in dropped):
-                message = f"joint {name!r} has keys for {local}, so no control moves it"
+            dropped_values = [parts.pop(key) for key in replaced_parts if key in parts]
+            if any((values != values[0]).any() for values in dropped_values):
+                message = (
+                    f"joint {name!r} has keys for {local_part}, so no control moves it"
+                )
                 fault = Fault("CLIP105", message, severity=Severity.NOTE)
                 notices.append(ClipNotice(fault, f"joint/{name}"))
     return notices
@@ -347,7 +351,7 @@ class _JointValues:
 
     def build_channel(self, name: str, rest: FloatArray) -> Channel:
         """Return the channel of a part: animated values and constants."""
-        constant_values, count = rest.copy(), len(self.times)
+        constant_values, frame_count = rest.copy(), len(self.times)
         animated_joints: list[int] = []
         columns: list[FloatArray] = []
         for j, values in sorted(self.values[name].items()):
@@ -356,12 +360,12 @@ class _JointValues:
             else:
                 animated_joints.append(j)
                 columns.append(values)
-        animated_values = np.zeros((count, len(columns), rest.shape[1]))
-        size = max(1, ROWS_AT_ONCE // max(count, 1))
-        for first_column in range(0, len(columns), size):
-            rows = np.stack(columns[first_column : first_column + size], axis=1)
+        animated_values = np.zeros((frame_count, len(columns), rest.shape[1]))
+        batch_size = max(1, BATCH_ROWS // max(frame_count, 1))
+        for first_column in range(0, len(columns), batch_size):
+            rows = np.stack(columns[first_column : first_column + batch_size], axis=1)
             rows = so3.align_signs(rows) if name == "rotations" else rows
-            animated_values[:, first_column : first_column + size] = rows
+            animated_values[:, first_column : first_column + batch_size] = rows
         return Channel(
             constant_values, np.array(animated_joints, np.int64), animated_values
         )
@@ -375,8 +379,8 @@ class _JointValues:
         translation = parts.get("translation")
         for i, axis in enumerate("xyz"):
             if f"+translation.{axis}" in parts:
-                added = parts[f"+translation.{axis}"][:, None] * np.eye(3)[i]
-                translation = added if translation is None else translation + added
+                offset = parts[f"+translation.{axis}"][:, None] * np.eye(3)[i]
+                translation = offset if translation is None else translation + offset
         return translation
 
     def _rotation_from_rest(self, joint: Joint, parts: Parts) -> FloatArray | None:
@@ -389,8 +393,12 @@ class _JointValues:
         driven_axes = [parts.get(f"+rotation.{axis}") for axis in "xyz"]
         if any(value is not None for value in driven_axes):
             columns = [np.zeros(1) if v is None else v for v in driven_axes]
-            driven = so3.exp(np.stack(np.broadcast_arrays(*columns), axis=-1))
-            rotation = driven if rotation is None else so3.multiply(driven, rotation)
+            driven_rotation = so3.exp(np.stack(np.broadcast_arrays(*columns), axis=-1))
+            rotation = (
+                driven_rotation
+                if rotation is None
+                else so3.multiply(driven_rotation, rotation)
+            )
         if rotation is not None and isinstance(joint.limits, BallLimit):
             clamped_rotation = joint.limits.clamped(rotation)
             excess = so3.angle_between(rotation, clamped_rotation)
@@ -408,21 +416,24 @@ class _JointValues:
 
     def _add_notice(self, joint: Joint, excess: FloatArray, limit_name: str) -> None:
         """Add a notice on a joint that exceeds its limits."""
-        worst_frame = int(np.argmax(excess))
-        if not excess[worst_frame] > LIMIT_TOLERANCE:
+        worst_index = int(np.argmax(excess))
+        if not excess[worst_index] > LIMIT_TOLERANCE:
             return
-        amount = f"{np.degrees(excess[worst_frame]):.4g}°"
+        amount = f"{np.degrees(excess[worst_index]):.4g}°"
         if joint.type is JointType.PRISMATIC:
-            amount = f"{excess[worst_frame]:.4g} m"
+            amount = f"{excess[worst_index]:.4g} m"
         excess_text = f"exceeds {limit_name} by {amount}"
         if self.clamp:
             excess_text = f"was clamped to {limit_name}, by {amount},"
         message = f"joint {joint.name!r} {excess_text} at frame "
-        message += f"{self.times[worst_frame]:g}"
+        message += f"{self.times[worst_index]:g}"
         hint = None if self.clamp else _CLAMP_HINT
         fault = warning("CLIP102", message, hint)
-        frame, largest = float(self.times[worst_frame]), float(excess[worst_frame])
-        self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame, largest))
+        frame = float(self.times[worst_index])
+        largest_excess = float(excess[worst_index])
+        self.notices.append(
+            ClipNotice(fault, f"joint/{joint.name}", frame, largest_excess)
+        )
 
 
 def _add_values(
@@ -435,30 +446,33 @@ def _add_values(
     return column if keyed_values is None else keyed_values + column
 
 
-def _column_channel(columns: list[FloatArray], count: int) -> Channel:
+def _column_channel(columns: list[FloatArray], frame_count: int) -> Channel:
     """Return a channel from columns ``(F,)`` or ``(1,)``."""
     rest_values = np.array([column[0] for column in columns])[:, None]
     animated_columns = [i for i, c in enumerate(columns) if (c != c[0]).any()]
-    values = np.zeros((count, len(animated_columns), 1))
+    values = np.zeros((frame_count, len(animated_columns), 1))
     for column_index, i in enumerate(animated_columns):
         values[:, column_index, 0] = columns[i]
     return Channel(rest_values, np.array(animated_columns, np.int64), values)
 
 
 def _weight_channel(
-    rig: Rig, keyed: Mapping[str, FloatArray], driven: DrivenValues, count: int
+    rig: Rig,
+    keyed_values: Mapping[str, FloatArray],
+    control_effects: ControlEffects,
+    frame_count: int,
 ) -> Channel | None:
     """Return the shape weights as a channel; None if all are zero."""
     weights: dict[str, FloatArray] = {}
     for shape in rig.shapes:
         target = f"shape/{shape.name}"
         value = np.zeros(1)
-        if target in keyed:
-            value = value + keyed[target][:, 0]
-        if target in driven.targets:
-            value = value + driven.targets[target]
+        if target in keyed_values:
+            value = value + keyed_values[target][:, 0]
+        if target in control_effects.targets:
+            value = value + control_effects.targets[target]
         weights[shape.name] = value
     weights = add_combinations(rig.shapes, weights)
     if not any(value.any() for value in weights.values()):
         return None
-    return _column_channel([weights[shape.name] for shape in rig.shapes], count)
+    return _column_channel([weights[shape.name] for shape in rig.shapes], frame_count)

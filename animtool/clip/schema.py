@@ -20,18 +20,20 @@ from animtool.maths import curves, tangents
 from animtool.maths.euler import ORDERS
 
 if TYPE_CHECKING:
-    Tangent = str
-    Interp = str
+    TangentName = str
+    InterpName = str
     ExtrapolationName = str
     ParametrizationName = str
-    Order = str
+    EulerOrder = str
 else:
     # A free tangent has a handle.
-    Tangent = Literal[tuple(str(one) for one in tangents.Tangent if one != "free")]
-    Interp = Literal[tuple(map(str, curves.Interp))]
+    TangentName = Literal[
+        tuple(str(rule) for rule in tangents.Tangent if rule != "free")
+    ]
+    InterpName = Literal[tuple(map(str, curves.Interp))]
     ExtrapolationName = Literal[tuple(map(str, curves.Extrapolation))]
     ParametrizationName = Literal[tuple(map(str, tangents.Parametrization))]
-    Order = Literal[ORDERS]
+    EulerOrder = Literal[ORDERS]
 Handle = Annotated[list[Real | list[Real]], Len(2, 2)]
 
 
@@ -59,19 +61,19 @@ class KeyModel(FileModel):
         "needs.",
         80.0,
     )
-    interp: Interp | None = key(
+    interp: InterpName | None = key(
         "Interpolation to the next key. Default: that of the channel.",
         "step",
         default=None,
     )
-    in_: Tangent | Handle | None = Field(
+    in_: TangentName | Handle | None = Field(
         default=None,
         alias="in",
         description="Incoming tangent: a rule, or a handle [dt, dv] from the key, dt "
         "≤ 0 frames. Default: the channel's `tangents`.",
         examples=[[-2.0, 5.0]],
     )
-    out: Tangent | Handle | None = key(
+    out: TangentName | Handle | None = key(
         "Outgoing tangent: likewise, dt ≥ 0.", "flat", default=None
     )
     tcb: Vector | None = key(
@@ -100,12 +102,12 @@ class _TargetModel(FileModel):
 class JoinModel(FileModel):
     """Interpolation of keys."""
 
-    interp: Interp | None = key(
+    interp: InterpName | None = key(
         "Interpolation between keys. Default: `bezier`, or `spline` for quaternions.",
         "linear",
         default=None,
     )
-    tangents: Tangent = key(
+    tangents: TangentName = key(
         "Tangent rule for keys without handles.", "flat", default="auto_clamped"
     )
     parametrization: ParametrizationName = key(
@@ -113,7 +115,7 @@ class JoinModel(FileModel):
         "centripetal",
         default="uniform",
     )
-    euler: Order | None = key(
+    euler: EulerOrder | None = key(
         "Keys a rotation by three angles; ZXY is Rz · Rx · Ry, and `v` has the same "
         "order: [z, x, y]. Default: quaternions.",
         "ZXY",

@@ -45,14 +45,14 @@ MIN_SPAN = 0.3
 # somewhere.
 MIN_CHANNELS = 5
 # This many joints of a body, including a knee, do not all rotate several times.
-MIN_WOUND = 3
+MIN_WOUND_JOINTS = 3
 # In radians, some joint of a moving character exceeds this angle [rad].
-MIN_LARGEST = 1.0
+MIN_LARGEST_ANGLE = 1.0
 # Knees and elbows that a few keys bend by this much bend far in radians; in degrees, an
 # idle bends them by less.
 MAX_POSES, MIN_HINGE_SPAN = 12, 2.0
 # Fraction of keys at multiples of 15 degrees in radians that is more than chance.
-MIN_EXACT = 0.2
+MIN_EXACT_FRACTION = 0.2
 # Radians with three decimals are that near to a whole degree by chance in 6 % [deg], so
 # many different keys of one channel in 1e-5.
 MIN_INTEGERS, INTEGER_TOLERANCE = 4, 0.03
@@ -62,25 +62,25 @@ MAX_TRAVEL = 0.05
 TRAVEL_RANGE = (0.2, 20.0)
 # Range of motion of a clip in metres, and largest motion that is invisible if the clip
 # is in the unit of its rig; relative to the rig's size.
-METRE_RANGE, MAX_INVISIBLE = (0.05, 20.0), 0.005
+METRE_RANGE, MAX_INVISIBLE_MOTION = (0.05, 20.0), 0.005
 # Minimum rotation of a limb when a character travels [rad].
-MIN_STRIDE = math.radians(15)
+MIN_LIMB_ROTATION = math.radians(15)
 # Sizes of characters [m], and a speed that even falls do not reach [m/s].
 CHARACTER_SIZES, MAX_SPEED = (0.3, 4.0), 50.0
 # Interval for measuring a speed; a faster move is a teleport [s].
 SPEED_INTERVAL = 0.25
 # Number of fast steps in a row of keys that are no teleports.
-MIN_FAST = 3
+MIN_FAST_STEPS = 3
 SMALLER_UNITS = {1.0: "cm", 0.01: "mm"}
 # Keys on a driven joint over less than this fraction of a control's range are
 # adjustments.
-MIN_LAYER = 0.25
+MIN_LAYER_FRACTION = 0.25
 # Smallest scale at all keys that may be a percentage [1].
 MIN_PERCENT = 10.0
 # Largest weight of a shape beyond which weights are percentages [1].
 MIN_PERCENT_WEIGHT = 10.0
 # Frames at which controls are evaluated.
-MAX_TIMES = 64
+MAX_EVALUATED_TIMES = 64
 
 
 def warn_of_numbers(
@@ -93,7 +93,7 @@ def warn_of_numbers(
     has_unit: bool,
 ) -> None:
     """Warn of quaternions, angles, lengths and speeds that look mistaken."""
-    _warn_of_order(document, channels)
+    _warn_of_quaternion_order(document, channels)
     _warn_of_angles(document, channels, units, rig)
     _warn_of_weights(document, channels)
     if rig is not None:
@@ -119,7 +119,7 @@ def _warn_of_speed(clip: CheckedClip) -> None:
         is_continuous = np.array([interp != Interp.STEP for interp in interps], bool)
         is_fast = lengths > MAX_SPEED * steps
         is_counted = is_fast & (steps >= SPEED_INTERVAL)
-        if is_fast.sum() >= max(MIN_FAST, np.count_nonzero(lengths) / 2):
+        if is_fast.sum() >= max(MIN_FAST_STEPS, np.count_nonzero(lengths) / 2):
             is_counted = is_fast & is_continuous
         if not is_counted.any():
             continue
@@ -137,7 +137,9 @@ def _warn_of_speed(clip: CheckedClip) -> None:
         return
 
 
-def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
+def _warn_of_quaternion_order(
+    document: Document, channels: Sequence[ClipChannel]
+) -> None:
     """Warn of [0, 0, 0, 1], which is the identity only if w is last (CLIP106)."""
     values_of = {i: c.values for i, c in enumerate(channels) if c.values.shape[1] == 4}
     if any((abs(v[:, 3]) > abs(v[:, 2])).any() for v in values_of.values()):
@@ -181,7 +183,7 @@ def _warn_of_angles(
 
 @dataclass(frozen=True, slots=True)
 class AngleCurve:
-    """Keyed angles of a file."""
+    """Keyed angles of a clip or targets file, and where they are in it."""
 
     location: Location  # location of the curve, which contains ``keys``
     name: str  # name of the target or effector
@@ -205,11 +207,11 @@ def warn_of_angle_keys(
     angles = [(curve, values) for curve, values in angles if values.any()]
     if not angles:
         return
-    in_degrees = units.angle != 1.0
+    is_in_degrees = units.angle != 1.0
     named_angles = [(curve.name, values) for curve, values in angles]
     are_all = (
         _look_like_radians(named_angles)
-        if in_degrees
+        if is_in_degrees
         else _look_like_degrees(named_angles, rig)
     )
     if not are_all:
@@ -218,33 +220,35 @@ def warn_of_angle_keys(
             for curve, values in angles
             if _are_integer_degrees_in_radians(values)
         ]
-        angles = suspicious_angles if in_degrees else []
+        angles = suspicious_angles if is_in_degrees else []
     if not angles:
         return
     worst_curve, values = max(angles, key=lambda angle: np.abs(angle[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
-    largest = values[k][np.abs(values[k]).argmax()]
-    file_unit = "deg" if in_degrees else "rad"
+    largest_angle = values[k][np.abs(values[k]).argmax()]
+    file_unit = "deg" if is_in_degrees else "rad"
     likely_unit, factor = OTHER_ANGLE_UNITS[file_unit]
     message = (
         f"{label} {counted(len(angles), noun)} look like {ANGLE_NAMES[likely_unit]}, "
-        f"but the angle unit is {file_unit}: the largest is {largest:.4g}"
+        f"but the angle unit is {file_unit}: the largest is {largest_angle:.4g}"
     )
-    hint = f"this key in {ANGLE_NAMES[file_unit]}: {largest * factor:.4g}"
+    hint = f"this key in {ANGLE_NAMES[file_unit]}: {largest_angle * factor:.4g}"
     unit_hint = f"write 'units: {{angle: {likely_unit}}}', or {hint}"
     hint = unit_hint if are_all else f"write {hint}"
     document.warn("CLIP107", (*worst_curve.location, "keys", k, "v"), message, hint)
 
 
 def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
-    """Return whether angles look like radians."""
+    """Return whether angles in a file in degrees look like radians."""
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
     largest = np.abs(values).max()
     multiple_count = np.count_nonzero(are_multiples(values))
-    if largest <= FULL_REVOLUTION and multiple_count >= MIN_EXACT * len(values):
+    if largest <= FULL_REVOLUTION and multiple_count >= MIN_EXACT_FRACTION * len(
+        values
+    ):
         return True
-    if not MIN_LARGEST <= largest <= HALF_REVOLUTION:
+    if not MIN_LARGEST_ANGLE <= largest <= HALF_REVOLUTION:
         return False
     if any(
         HINGE_NAMES.search(name)
@@ -271,12 +275,12 @@ def _are_integer_degrees_in_radians(values: FloatArray) -> bool:
 
 
 def _look_like_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) -> bool:
-    """Return whether angles look like degrees."""
+    """Return whether angles in a file in radians look like degrees."""
     beyond_revolution = [row for row in angles if _exceeds_revolution(row[1])]
     if any(_winds_up(target, values, rig) for target, values in beyond_revolution):
         return True
     has_hinge = any(HINGE_NAMES.search(target) for target, _ in beyond_revolution)
-    if has_hinge and len(beyond_revolution) >= MIN_WOUND:
+    if has_hinge and len(beyond_revolution) >= MIN_WOUND_JOINTS:
         return True
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
@@ -304,14 +308,14 @@ def _exceeds_revolution(values: FloatArray) -> bool:
 
 def _warn_of_metres(clip: CheckedClip, has_unit: bool) -> None:
     """Warn of lengths that seem to be metres in a cm or mm clip (CLIP108)."""
-    size, unit = rest_size(clip.rig), clip.units.length
-    if unit >= 1.0 or size < CHARACTER_SIZES[0]:
+    rig_size, unit = rest_size(clip.rig), clip.units.length
+    if unit >= 1.0 or rig_size < CHARACTER_SIZES[0]:
         return
     angles = _angle_channels(clip.channels)
     rotation_ranges = [np.ptp(values, axis=0).max() for _, values in angles]
     largest_rotation = max(rotation_ranges, default=0.0)
     # An idle has small motion of all kinds.
-    if rotation_ranges and largest_rotation < MIN_STRIDE:
+    if rotation_ranges and largest_rotation < MIN_LIMB_ROTATION:
         return
     if not has_unit and _warn_of_small_lengths(clip):
         return
@@ -320,33 +324,35 @@ def _warn_of_metres(clip: CheckedClip, has_unit: bool) -> None:
     for i, channel in clip.root_translations():
         largest_distance = float(np.linalg.norm(channel.values, axis=1).max())
         net_distance = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
-        in_metres = largest_distance / unit
-        shortest_travel, longest_travel = (factor * size for factor in TRAVEL_RANGE)
-        is_plausible = shortest_travel <= in_metres <= longest_travel
+        distance_in_metres = largest_distance / unit
+        shortest_travel, longest_travel = (factor * rig_size for factor in TRAVEL_RANGE)
+        is_plausible = shortest_travel <= distance_in_metres <= longest_travel
         has_returned = net_distance < largest_distance / 2
-        if largest_distance > MAX_TRAVEL * size or not is_plausible or has_returned:
+        if largest_distance > MAX_TRAVEL * rig_size or not is_plausible or has_returned:
             continue
         message = (
             f"{channel.target!r} moves by {length_text(net_distance)} while limbs "
             f"rotate by {math.degrees(largest_rotation):.0f}°; "
-            f"the rig is {length_text(size)} tall"
+            f"the rig is {length_text(rig_size)} tall"
         )
-        hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
+        hint = "if these are metres, write 'units: {length: m}': "
+        hint += f"{distance_in_metres:.3g} m"
         clip.warn("CLIP108", i, len(channel.times) - 1, message, hint)
         return
 
 
 def _warn_of_small_lengths(clip: CheckedClip) -> bool:
     """Warn if all lengths of a clip without a unit are plausible metres (CLIP108)."""
-    size = rest_size(clip.rig)
+    rig_size = rest_size(clip.rig)
     spans = [
         (float(np.ptp(channel.values, axis=0).max()), i)
         for i, channel, _ in clip.joint_channels(*LENGTH_PARTS)
     ]
     span, i = max(spans, default=(0.0, 0))
-    in_metres = span / clip.units.length
-    shortest_span, longest_span = (factor * size for factor in METRE_RANGE)
-    if span > MAX_INVISIBLE * size or not shortest_span <= in_metres <= longest_span:
+    span_in_metres = span / clip.units.length
+    shortest_span, longest_span = (factor * rig_size for factor in METRE_RANGE)
+    is_visible = span > MAX_INVISIBLE_MOTION * rig_size
+    if is_visible or not shortest_span <= span_in_metres <= longest_span:
         return False
     values = clip.channels[i].values
     k = int(np.abs(values - values[0]).max(axis=1).argmax())
@@ -354,26 +360,27 @@ def _warn_of_small_lengths(clip: CheckedClip) -> bool:
     message = (
         f"the clip has no unit of length, so it is read in {unit}, the unit of its "
         f"rig: no joint moves by more than {length_text(span)}, and the rig is "
-        f"{length_text(size)} tall"
+        f"{length_text(rig_size)} tall"
     )
-    hint = f"for metres write 'units: {{length: m}}': {in_metres:.3g} m; else 'units: "
-    hint += f"{{length: {unit}}}'"
+    hint = f"for metres write 'units: {{length: m}}': {span_in_metres:.3g} m; else "
+    hint += f"'units: {{length: {unit}}}'"
     clip.warn("CLIP108", i, k, message, hint)
     return True
 
 
 def _warn_of_scale(clip: CheckedClip) -> None:
     """Warn of scales that look like percentages, at all keys (CLIP113)."""
-    size = rest_size(clip.rig)
+    rig_size = rest_size(clip.rig)
     for i, channel, _ in clip.joint_channels("scale"):
-        smallest = float(np.abs(channel.values).min())
-        if smallest < MIN_PERCENT or size * smallest <= MAX_RIG_SIZE:
+        smallest_scale = float(np.abs(channel.values).min())
+        if smallest_scale < MIN_PERCENT or rig_size * smallest_scale <= MAX_RIG_SIZE:
             continue
         message = (
-            f"{channel.target!r} is {smallest:.4g} or more at all keys; the rig, which "
-            f"is {length_text(size)} tall, is {length_text(size * smallest)} with it"
+            f"{channel.target!r} is {smallest_scale:.4g} or more at all keys; the rig, "
+            f"which is {length_text(rig_size)} tall, is "
+            f"{length_text(rig_size * smallest_scale)} with it"
         )
-        hint = f"1 is the size at rest: {percent_hint(smallest)}"
+        hint = f"1 is the size at rest: {percent_hint(smallest_scale)}"
         clip.warn("CLIP113", i, 0, message, hint)
         return
 
@@ -385,17 +392,19 @@ def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> Non
         for i, channel in enumerate(channels)
         if channel.target.startswith("shape/")
     ]
-    largest, i = max(weights, default=(0.0, 0))
-    if largest < MIN_PERCENT_WEIGHT:
+    largest_weight, i = max(weights, default=(0.0, 0))
+    if largest_weight < MIN_PERCENT_WEIGHT:
         return
     name = channels[i].target.removeprefix("shape/")
     other_count = sum(weight >= MIN_PERCENT_WEIGHT for weight, _ in weights) - 1
-    message = f"shape {name!r} is keyed up to {largest:.4g}, but 1 is its full effect"
+    message = (
+        f"shape {name!r} is keyed up to {largest_weight:.4g}, but 1 is its full effect"
+    )
     if other_count:
         message += (
             f"; weights of {counted(other_count, 'other shape')} are in percent too"
         )
-    hint = percent_hint(largest)
+    hint = percent_hint(largest_weight)
     k = int(channels[i].values[:, 0].argmax())
     document.warn("CLIP121", ("channels", i, "keys", k, "v"), message, hint)
 
@@ -405,27 +414,29 @@ def _warn_of_controls(clip: CheckedClip) -> None:
     channels, rig = clip.channels, clip.rig
     controls = [c for c in channels if c.target.startswith("control/")]
     controls = [c for c in controls if np.ptp(c.values) > 0]
-    joints = [i for i, c in enumerate(channels) if c.target.startswith("joint/")]
-    if not controls or not joints:
+    indices = [i for i, c in enumerate(channels) if c.target.startswith("joint/")]
+    if not controls or not indices:
         return
     times = np.unique(np.concatenate([channel.times for channel in channels]))
-    count = min(len(times), MAX_TIMES)
-    times = times[np.linspace(0, len(times) - 1, count).astype(int)]
+    time_count = min(len(times), MAX_EVALUATED_TIMES)
+    times = times[np.linspace(0, len(times) - 1, time_count).astype(int)]
     values_by_target = evaluate_channels(controls, times)
-    keyed = {t.removeprefix("control/"): v[:, 0] for t, v in values_by_target.items()}
-    driven = evaluate_controls(rig.controls, keyed).targets
-    for i in joints:
+    keyed_values = {
+        t.removeprefix("control/"): v[:, 0] for t, v in values_by_target.items()
+    }
+    driven_targets = evaluate_controls(rig.controls, keyed_values).targets
+    for i in indices:
         target = channels[i].target
         spans = [
             float(np.ptp(values))
-            for name, values in driven.items()
+            for name, values in driven_targets.items()
             if name == target or name.startswith(f"{target}.")
         ]
         channel_span = float(np.ptp(channels[i].values, axis=0).max())
         driven_span = max(spans, default=0.0)
-        if not driven_span > 0 or channel_span < MIN_LAYER * driven_span:
+        if not driven_span > 0 or channel_span < MIN_LAYER_FRACTION * driven_span:
             continue
-        names = listed(list(map(repr, _driving_controls(rig, target, keyed))), 3)
+        names = listed(list(map(repr, _driving_controls(rig, target, keyed_values))), 3)
         is_length = target.endswith(("translation", "slide"))
         span_texts = [
             length_text(span) if is_length else f"{math.degrees(span):.4g}°"
@@ -438,13 +449,13 @@ def _warn_of_controls(clip: CheckedClip) -> None:
 
 
 def _driving_controls(
-    rig: Rig, target: str, keyed: Mapping[str, FloatArray]
+    rig: Rig, target: str, keyed_values: Mapping[str, FloatArray]
 ) -> list[str]:
     """Return the keyed controls that drive a target; all keyed controls without one."""
     names = [
         control.name
         for control in rig.controls
-        if control.name in keyed
+        if control.name in keyed_values
         and any(f"{drive.target}.".startswith(f"{target}.") for drive in control.drives)
     ]
-    return names or list(keyed)
+    return names or list(keyed_values)

@@ -23,17 +23,17 @@ from animtool.rig.suspicious_shape import (
 )
 
 # Joints closer to their parent at rest than this fraction of the rig's size are at it.
-MIN_REST = 0.05
+MIN_REST_RATIO = 0.05
 # Largest distances from the rest position, in rest lengths: of keys that include the
 # rest offset, on average and each, and of a key that is at the rest position.
-NEAR_REST, ABOUT_REST, AT_REST = 0.15, 0.5, 0.01
+NEAR_REST_RATIO, ABOUT_REST_RATIO, AT_REST_RATIO = 0.15, 0.5, 0.01
 # With fewer keys, a walk, whose speed is even, cannot be distinguished from a fall.
 MIN_WALK_KEYS = 3
 # A walk that goes down because of another up axis: largest motion to the side, and
 # largest deviation from an even speed [1].
 MAX_SIDEWAYS, MAX_UNEVEN = 0.1, 0.15
 # Positions from software with the other up axis, in the axes of the rig.
-_CONVERTED = {UpAxis.Y: "[x, z, -y]", UpAxis.Z: "[x, -z, y]"}
+_CONVERTED_AXES = {UpAxis.Y: "[x, z, -y]", UpAxis.Z: "[x, -z, y]"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +78,11 @@ def warn_of_positions(clip: CheckedClip) -> None:
 
 def _warn_of_rest(clip: CheckedClip) -> None:
     """Warn of translations that already include the rest offset (CLIP112)."""
-    rig, size = clip.rig, rest_size(clip.rig)
+    rig, rig_size = clip.rig, rest_size(clip.rig)
     for i, channel, name in clip.joint_channels("translation"):
         joint = rig.joints[rig.index(name)]
         rest = np.array(joint.translation)
-        is_at_parent = float(np.linalg.norm(rest)) <= MIN_REST * size
+        is_at_parent = float(np.linalg.norm(rest)) <= MIN_REST_RATIO * rig_size
         if is_at_parent or not _is_near_rest_position(channel.values, rest):
             continue
         position_text, sum_text = (
@@ -103,40 +103,40 @@ def _warn_of_rest(clip: CheckedClip) -> None:
 
 def _is_near_rest_position(values: FloatArray, rest: FloatArray) -> bool:
     """Return whether translations stay near a rest position."""
-    length = float(np.linalg.norm(rest))
-    if (np.linalg.norm(values - rest, axis=1) <= AT_REST * length).all():
+    rest_length = float(np.linalg.norm(rest))
+    if (np.linalg.norm(values - rest, axis=1) <= AT_REST_RATIO * rest_length).all():
         return True
-    fraction_along_rest = values @ rest / length**2
-    is_near = abs(float(fraction_along_rest.mean()) - 1) <= NEAR_REST
-    is_near &= bool((abs(fraction_along_rest - 1) <= ABOUT_REST).all())
+    fraction_along_rest = values @ rest / rest_length**2
+    is_near = abs(float(fraction_along_rest.mean()) - 1) <= NEAR_REST_RATIO
+    is_near &= bool((abs(fraction_along_rest - 1) <= ABOUT_REST_RATIO).all())
     return is_near and len(values) > 1
 
 
 def _warn_of_offsets(clip: CheckedClip) -> None:
     """Warn of offsets from rest that are keyed as local translations (CLIP122)."""
-    rig, size = clip.rig, rest_size(clip.rig)
+    rig, rig_size = clip.rig, rest_size(clip.rig)
     for i, channel, name in clip.joint_channels("local_translation"):
         joint = rig.joints[rig.index(name)]
         rest = np.array(joint.translation)
-        length = float(np.linalg.norm(rest))
-        if length <= MIN_REST * size:
+        rest_length = float(np.linalg.norm(rest))
+        if rest_length <= MIN_REST_RATIO * rig_size:
             continue
-        fraction_along_rest = channel.values @ rest / length**2
+        fraction_along_rest = channel.values @ rest / rest_length**2
         distances = np.linalg.norm(channel.values, axis=1)
         k = int(distances.argmin())
         # A body that lies on the ground is near 0, but hardly at it.
-        is_near = abs(float(fraction_along_rest.mean())) <= NEAR_REST
-        is_near &= max(fraction_along_rest) <= ABOUT_REST
-        is_at_zero = distances[k] <= AT_REST * length
+        is_near = abs(float(fraction_along_rest.mean())) <= NEAR_REST_RATIO
+        is_near &= max(fraction_along_rest) <= ABOUT_REST_RATIO
+        is_at_zero = distances[k] <= AT_REST_RATIO * rest_length
         if joint.parent < 0:
             is_at_zero |= bool(fraction_along_rest.mean() < 0)
         else:
-            is_at_zero |= bool(distances.max() <= NEAR_REST * length)
+            is_at_zero |= bool(distances.max() <= NEAR_REST_RATIO * rest_length)
         if not (is_at_zero and is_near):
             continue
         if joint.parent < 0:
             drop = float(rest @ rig.up.vector)
-            if drop <= MIN_REST * size:
+            if drop <= MIN_REST_RATIO * rig_size:
                 continue
             result = f"the joint is {length_text(drop)} lower than at rest"
         else:
@@ -152,31 +152,37 @@ def _warn_of_offsets(clip: CheckedClip) -> None:
 def _warn_of_up_axis(clip: CheckedClip) -> None:
     """Warn of a root that walks into the ground (CLIP123)."""
     rig, up = clip.rig, clip.rig.up.vector
-    lowest = float((rest_pose_without_kernels(rig)[0] @ up).min())
+    lowest_rest_height = float((rest_pose_without_kernels(rig)[0] @ up).min())
     for i, channel in clip.root_translations():
         name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
-        rest = np.array(rig.joints[rig.index(name)].translation)
-        values = channel.values - (rest if part == "local_translation" else 0.0)
+        rest_position = np.array(rig.joints[rig.index(name)].translation)
+        values = channel.values - (
+            rest_position if part == "local_translation" else 0.0
+        )
         if len(values) < MIN_WALK_KEYS:
             continue
         heights = values @ up
-        drop = float(heights[0] - heights[-1])
-        end_height = float(rest @ up + heights[-1])
-        if drop < rest_size(rig) / 2 or end_height >= lowest:
+        fall_height = float(heights[0] - heights[-1])
+        end_height = float(rest_position @ up + heights[-1])
+        if fall_height < rest_size(rig) / 2 or end_height >= lowest_rest_height:
             continue
         offsets = values - values[0] - np.outer(heights - heights[0], up)
-        sideways = np.linalg.norm(offsets, axis=1)
+        sideways_distances = np.linalg.norm(offsets, axis=1)
         times = channel.times
         even_heights = np.interp(times, times[[0, -1]], heights[[0, -1]])
         unevenness = np.abs(heights - even_heights).max()
-        if sideways.max() > MAX_SIDEWAYS * drop or unevenness > MAX_UNEVEN * drop:
+        if (
+            sideways_distances.max() > MAX_SIDEWAYS * fall_height
+            or unevenness > MAX_UNEVEN * fall_height
+        ):
             continue
         message = (
-            f"{channel.target!r} moves {length_text(drop)} down along {rig.up} and "
-            f"at most {length_text(float(sideways.max()))} to the side: the lowest "
-            f"joint ends at {length_text(lowest + float(heights[-1]))} on {rig.up}"
+            f"{channel.target!r} moves {length_text(fall_height)} down along {rig.up} "
+            f"and at most {length_text(float(sideways_distances.max()))} to the side: "
+            f"the lowest joint ends at "
+            f"{length_text(lowest_rest_height + float(heights[-1]))} on {rig.up}"
         )
         other_axis = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
-        hint = f"for {other_axis}-up keys write [x, y, z] as {_CONVERTED[rig.up]}"
+        hint = f"for {other_axis}-up keys write [x, y, z] as {_CONVERTED_AXES[rig.up]}"
         clip.warn("CLIP123", i, len(values) - 1, message, hint)
         return

@@ -20,7 +20,7 @@ from animtool.motion.key_times import are_in_seconds, are_integer_seconds
 # Ends of a cycle that differ by less are equal [rad]; relative to the value range [1].
 CYCLE_TOLERANCE = 1e-3
 # Extrapolation that does not repeat the keys.
-_NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
+_ACYCLIC_EXTRAPOLATIONS = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
 def warn_of_times(
@@ -53,34 +53,35 @@ def _warn_of_seconds(
     texts = seconds_texts([channel.times for channel in channels], fps, frame_range)
     if texts is None:
         return False
+    message, hint = texts
     i = max(range(len(channels)), key=lambda i: channels[i].times[-1])
     location = ("channels", i, "keys", len(channels[i].times) - 1, "t")
-    document.warn("CLIP110", location, f"key times from {texts[0]}", texts[1])
+    document.warn("CLIP110", location, f"key times from {message}", hint)
     return True
 
 
 def seconds_texts(
-    times: Sequence[FloatArray], fps: Fraction, frames: tuple[float, float] | None
+    times: Sequence[FloatArray], fps: Fraction, frame_range: tuple[float, float] | None
 ) -> tuple[str, str] | None:
     """Return a message about times in seconds and a hint, or None (CLIP110).
 
-    The times of each curve ascend; ``frames`` are the first and last of the file's
+    The times of each curve ascend; ``frame_range`` are the first and last of the file's
     range.
     """
     if not times:
         return None
     rate = float(fps)
-    in_range = frames and are_integer_seconds(times, *frames, rate)
-    if not in_range and not are_in_seconds(times, fps):
+    is_in_range = frame_range and are_integer_seconds(times, *frame_range, rate)
+    if not is_in_range and not are_in_seconds(times, fps):
         return None
     first = min(float(curve_times[0]) for curve_times in times)
     last = max(float(curve_times[-1]) for curve_times in times)
     message = f"{first:g} to {last:g} look like seconds: as frames at {rate:g} fps "
     message += f"they last {(last - first) / rate:.3g} s"
     start = 0.0
-    if frames and in_range:
-        start = frames[0]
-        message += f" of the range from {frames[0]:g} to {frames[1]:g}"
+    if frame_range and is_in_range:
+        start = frame_range[0]
+        message += f" of the range from {frame_range[0]:g} to {frame_range[1]:g}"
     return message, f"write frames: {last:g} s is frame {start + last * rate:g}"
 
 
@@ -99,7 +100,7 @@ def _warn_of_range(
     if not keys_outside:
         return
     i, keys = next(iter(keys_outside.items()))
-    frames = listed([f"{t:g}" for t in channels[i].times[keys]])
+    frame_text = listed([f"{t:g}" for t in channels[i].times[keys]])
     times = channels[i].times
     if times[0] > last or times[-1] < first:
         message = f"no key of {channels[i].target!r} is in the range from {first:g} to "
@@ -109,7 +110,7 @@ def _warn_of_range(
         return
     other_count = len(keys_outside) - 1
     message = f"{counted(len(keys), 'key')} of {channels[i].target!r} outside the "
-    message += f"range from {first:g} to {last:g}: {frames}"
+    message += f"range from {first:g} to {last:g}: {frame_text}"
     message += (
         f"; keys of {counted(other_count, 'other channel')} too" if other_count else ""
     )
@@ -119,7 +120,7 @@ def _warn_of_range(
 
 def keys_without_effect(channel: ClipChannel, first: float, last: float) -> IntArray:
     """Return the keys of a channel that have no effect inside a frame range."""
-    if not {channel.pre, channel.post} <= _NOT_CYCLING:
+    if not {channel.pre, channel.post} <= _ACYCLIC_EXTRAPOLATIONS:
         return np.zeros(0, np.int64)
     keys_before = np.flatnonzero(channel.times < first)[:-1]
     keys_after = np.flatnonzero(channel.times > last)[1:]

@@ -41,7 +41,7 @@ def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
         arrays_path = path.with_name(f"{stem}.npz")
         arrays: StoredArrays
         rig, arrays = with_array_file(
-            with_types_for_motion(take), arrays_path, copy_all=True
+            with_types_for_motion(take), arrays_path, copies_all=True
         )
         contents |= {arrays_path: arrays} if arrays else {}
         contents[rig_path] = [rig_text(rig).encode()]
@@ -112,9 +112,11 @@ def with_types_for_motion(take: Take) -> Rig:
     is_translated = (channel.rest != take.rig.rest_translations).any(axis=1)
     is_translated[channel.animated] = True
     joints = tuple(
-        replace(joint, type=JointType.FREE if moves else JointType.BALL)
+        replace(joint, type=JointType.FREE if is_moving else JointType.BALL)
         if joint.type is JointType.FREE
         else joint
-        for joint, moves in zip(take.rig.joints, is_translated.tolist(), strict=True)
+        for joint, is_moving in zip(
+            take.rig.joints, is_translated.tolist(), strict=True
+        )
     )
     return replace(take.rig, joints=joints)

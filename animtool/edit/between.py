@@ -72,17 +72,18 @@ class TakeSampler:
         self,
         positions: FramePositions,
         *,
-        smooth: bool = False,
+        is_smooth: bool = False,
         has_fixed_rows: bool = False,
     ) -> Motion:
         """Return the take at positions between its frames.
 
-        smooth: rows of joints without curves follow splines of class C1; same_rows: all
-        results have the same animated rows, as required for blocks of one motion.
+        ``is_smooth``: rows of joints without curves follow splines of class C1;
+        ``has_fixed_rows``: all results have the same animated rows, as required for
+        blocks of one motion.
         """
         motion = self.take.motion
         interpolated_motion = motion.map(positions.interpolate)
-        if smooth:
+        if is_smooth:
             scales = motion.scales
             interpolated_motion = replace(
                 interpolated_motion,
@@ -136,19 +137,19 @@ class TakeSampler:
         assert self.take.curve is not None
         curve_motion = self.take.curve(times)
         new_channels: dict[str, Any] = {}
-        for name, rows in self.rows_on_curve.items():
+        for name, is_on_curve in self.rows_on_curve.items():
             interpolated_channel: Channel = getattr(interpolated_motion, name)
             curve_channel: Channel = getattr(curve_motion, name)
             is_moving = (interpolated_channel.rest != curve_channel.rest).any(axis=-1)
             is_moving[curve_channel.animated] = True
             is_moving &= not has_fixed_rows
             is_moving[interpolated_channel.animated] = True
-            moving_rows = np.flatnonzero(is_moving & rows)
+            moving_rows = np.flatnonzero(is_moving & is_on_curve)
             values_of_rows = interpolated_channel.gather(moving_rows)
-            values = curve_channel.gather(moving_rows)
+            curve_values = curve_channel.gather(moving_rows)
             if name == "rotations":
-                values = so3.align_to(values, values_of_rows[is_between])
-            values_of_rows[is_between] = values
+                curve_values = so3.align_to(curve_values, values_of_rows[is_between])
+            values_of_rows[is_between] = curve_values
             new_channels[name] = interpolated_channel.put(moving_rows, values_of_rows)
         return replace(interpolated_motion, **new_channels)
 

@@ -97,10 +97,10 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
     whatever the up axis.
     """
     check_same_rig(rig, other.rig)
-    shapes = _part_order("shapes", rig.shapes, other.rig.shapes)
-    controls = _part_order("controls", rig.controls, other.rig.controls)
+    shape_order = _part_order("shapes", rig.shapes, other.rig.shapes)
+    control_order = _part_order("controls", rig.controls, other.rig.controls)
     rotation = up_from_up(rig.up, other.rig.up)
-    if rotation is None and shapes is None and controls is None:
+    if rotation is None and shape_order is None and control_order is None:
         return other
     roots, placement = np.array(rig.roots, np.int64), None
     if rotation is not None:
@@ -110,8 +110,8 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         """Return a motion in the axes and the order of the rig."""
         motion = replace(
             motion,
-            weights=_reorder(motion.weights, shapes),
-            controls=_reorder(motion.controls, controls),
+            weights=_reorder(motion.weights, shape_order),
+            controls=_reorder(motion.controls, control_order),
         )
         if placement is None:
             return motion
@@ -120,11 +120,11 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         return replace(motion, rotations=rotations) if is_additive else motion
 
     matched_rig, curve = other.rig, other.curve
-    if shapes is not None:
-        parts = tuple(matched_rig.shapes[i] for i in shapes)
-        matched_rig = replace(matched_rig, shapes=parts)
-    if controls is not None:
-        rig_controls = tuple(matched_rig.controls[i] for i in controls)
+    if shape_order is not None:
+        rig_shapes = tuple(matched_rig.shapes[i] for i in shape_order)
+        matched_rig = replace(matched_rig, shapes=rig_shapes)
+    if control_order is not None:
+        rig_controls = tuple(matched_rig.controls[i] for i in control_order)
         matched_rig = replace(matched_rig, controls=rig_controls)
     if placement is not None:
         matched_rig = transform_rig(matched_rig, placement, rig.up)
@@ -137,16 +137,18 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
 
 
 def _part_order(
-    noun: str, parts: Sequence[Shape | Control], others: Sequence[Shape | Control]
+    noun: str, parts: Sequence[Shape | Control], other_parts: Sequence[Shape | Control]
 ) -> IntArray | None:
     """Return each part's index in the other rig; None if the orders are equal."""
-    names, other_names = ([part.name for part in group] for group in (parts, others))
+    names, other_names = (
+        [part.name for part in group] for group in (parts, other_parts)
+    )
     if names == other_names or not names or not other_names:
         return None
     if sorted(names) != sorted(other_names):
-        unmatched = listed(sorted({*names} ^ {*other_names}), MAX_NAMED_PARTS)
+        unmatched_names = listed(sorted({*names} ^ {*other_names}), MAX_NAMED_PARTS)
         message = f"the takes are of different rigs: {noun} that only one of them has: "
-        refuse("SCN017", f"{message}{unmatched}")
+        refuse("SCN017", f"{message}{unmatched_names}")
     return np.array([other_names.index(name) for name in names], np.int64)
 
 
@@ -254,7 +256,7 @@ def add_delta(base: Motion, delta: Motion, strength: BlendStrength) -> Motion:
 
 
 def subtract_base(source: Motion, base: Motion) -> Motion:
-    """Return the delta from ``base`` to ``source``; `add` reverses it.
+    """Return the delta from ``base`` to ``source``; `add_delta` reverses it.
 
     Scales of the base must not be 0. Signs of rotations may jump.
 
@@ -312,10 +314,10 @@ def _interpolate_rotations(
     a: FloatArray, b: FloatArray, weight: FloatArray
 ) -> FloatArray:
     """Interpolate rotations by slerp, exact at weights 0 and 1."""
-    interpolated = so3.slerp(a, b, weight[..., 0])
+    slerped_rotations = so3.slerp(a, b, weight[..., 0])
     # Equal values stay bit-identical.
     is_unchanged = (weight == 0) | (a == b).all(axis=-1, keepdims=True)
-    return np.where(is_unchanged, a, np.where(weight == 1, b, interpolated))
+    return np.where(is_unchanged, a, np.where(weight == 1, b, slerped_rotations))
 
 
 _INTERPOLATE = ChannelOperations(
@@ -329,18 +331,19 @@ _INTERPOLATE = ChannelOperations(
 def sample_other_take(
     other: Take | TakeSampler,
     rate: Fraction,
-    first: int,
-    count: int,
+    first_index: int,
+    frame_count: int,
     delay: Fraction = Fraction(0),
 ) -> Motion:
-    """Return another take at ``count`` frames of a rate [1/s], clamped at its ends.
+    """Return another take at ``frame_count`` frames of a rate [1/s].
 
     First frames coincide, whatever the time codes; ``delay`` starts it later [frame].
+    Before its first and after its last frame the take holds that frame.
     Its curves are evaluated. Pass a `TakeSampler` to read block by block, so that all
     blocks have the same animated rows.
     """
     sampler = other if isinstance(other, TakeSampler) else TakeSampler.from_take(other)
     clock = sampler.take.clock
-    index = np.arange(first, first + count)
-    positions = even_positions(index, -delay, clock.rate / rate, clock.count)
+    frame_indices = np.arange(first_index, first_index + frame_count)
+    positions = even_positions(frame_indices, -delay, clock.rate / rate, clock.count)
     return sampler.sample(positions, has_fixed_rows=sampler is other)

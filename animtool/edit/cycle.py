@@ -124,8 +124,8 @@ def find_cycle(
     end_frames = (first_index, last_index)
     pairs = _nearby_pairs(frames[start], frames[start + lag], stride, end_frames)
     lengths = pairs[1] - pairs[0]
-    has_length = (lengths >= min_lag * stride) & (lengths <= max_lag * stride)
-    i, j, distance = _closest_pair(pose_view, pairs[:, has_length])
+    is_valid_length = (lengths >= min_lag * stride) & (lengths <= max_lag * stride)
+    i, j, distance = _closest_pair(pose_view, pairs[:, is_valid_length])
     return _build_cycle(clock, i, j, distance, max(distance, extent))
 
 
@@ -219,27 +219,29 @@ class _PoseView:
         if not rig.joints:
             message = "without joints: a cycle is found from their positions"
             raise _no_cycle_error(message)
-        leaves = np.setdiff1d(np.arange(len(rig.joints)), rig.parents)
-        bones = np.linalg.norm(rig.rest_translations, axis=-1)
-        bones = np.where(rig.parents < 0, 0.0, bones)
-        weights = bones / 2
+        leaf_joints = np.setdiff1d(np.arange(len(rig.joints)), rig.parents)
+        bone_lengths = np.linalg.norm(rig.rest_translations, axis=-1)
+        bone_lengths = np.where(rig.parents < 0, 0.0, bone_lengths)
+        weights = bone_lengths / 2
         has_parent = rig.parents >= 0
-        np.add.at(weights, rig.parents[has_parent], bones[has_parent] / 2)
+        np.add.at(weights, rig.parents[has_parent], bone_lengths[has_parent] / 2)
         if not weights.any():
-            weights = np.ones(len(bones))
+            weights = np.ones(len(bone_lengths))
         size_or_one = rest_size(rig) or 1.0
-        leaf_distance = np.where(bones[leaves] > 0, bones[leaves], size_or_one)
+        leaf_distances = np.where(
+            bone_lengths[leaf_joints] > 0, bone_lengths[leaf_joints], size_or_one
+        )
         # A leaf is represented by its origin and a point along two of its axes.
-        weights[leaves] /= 3
-        weights = np.concatenate([weights, np.tile(weights[leaves], 2)])
+        weights[leaf_joints] /= 3
+        weights = np.concatenate([weights, np.tile(weights[leaf_joints], 2)])
         moving_joints = [travelling_joint(rig, take.motion, root) for root in rig.roots]
         main_joint = next((j for j in moving_joints if j is not None), rig.roots[0])
         weights /= weights.sum()
         return _PoseView(
             take,
             main_joint,
-            leaves,
-            leaf_distance,
+            leaf_joints,
+            leaf_distances,
             weights,
             STATIC_FRACTION * size_or_one,
         )
@@ -254,10 +256,12 @@ class _PoseView:
 
     def _columns_of_block(self, frames: IntArray) -> FloatArray:
         """Return the columns of a block of frames: positions, then velocities."""
-        count = self.take.clock.count
+        frame_count = self.take.clock.count
         # At the ends of the take, speed follows from the three frames there.
-        inner_frames = np.clip(frames, 1, max(1, count - 2))
-        neighbour_frames = [np.clip(inner_frames + k, 0, count - 1) for k in (-1, 0, 1)]
+        inner_frames = np.clip(frames, 1, max(1, frame_count - 2))
+        neighbour_frames = [
+            np.clip(inner_frames + k, 0, frame_count - 1) for k in (-1, 0, 1)
+        ]
         points_before, points_in_middle, points_after = (
             self._points(frame_indices) for frame_indices in neighbour_frames
         )
@@ -309,18 +313,18 @@ def _best_cycle(
     columns: FloatArray, min_lag: int, max_lag: int, static_extent: float
 ) -> tuple[int, int, float] | None:
     """Return start, length [columns] and extent [m] of the best cycle."""
-    count = columns.shape[1]
+    column_count = columns.shape[1]
     distances_from_mean = _pose_distance(columns, columns.mean(axis=1, keepdims=True))
     deviation = math.sqrt(float(np.mean(distances_from_mean**2)))
     min_extent = max(static_extent, MIN_EXTENT * deviation)
-    extents = np.zeros(count)
+    extents = np.zeros(column_count)
     scores = np.full(max_lag + 1, np.inf)
     starts = np.zeros(max_lag + 1, np.int64)
     largest_extents = np.zeros(max_lag + 1)
     # One step per length: all pairs of that length at once.
     for lag in range(1, max_lag + 1):
         distances = _pose_distances_at_lag(columns, lag)
-        extents = np.maximum(extents[: count - lag], distances)
+        extents = np.maximum(extents[: column_count - lag], distances)
         if lag >= min_lag:
             is_large = extents > min_extent
             ratios = distances / np.where(is_large, extents, 1)
@@ -331,9 +335,9 @@ def _best_cycle(
         return None
     # The shortest cycle that is nearly as good as the best.
     is_acceptable = scores <= EQUAL_FACTOR * scores.min() + EQUAL_OFFSET
-    shortest = int(np.argmax(is_acceptable))
-    nearby_scores = scores[shortest : math.floor(shortest * LENGTH_RANGE) + 1]
-    lag = shortest + int(np.argmin(nearby_scores))
+    shortest_lag = int(np.argmax(is_acceptable))
+    nearby_scores = scores[shortest_lag : math.floor(shortest_lag * LENGTH_RANGE) + 1]
+    lag = shortest_lag + int(np.argmin(nearby_scores))
     return int(starts[lag]), lag, float(largest_extents[lag])
 
 
@@ -358,16 +362,18 @@ def _first_minimum(values: FloatArray) -> tuple[float, int]:
 def _nearby_pairs(i: int, j: int, stride: int, end_frames: tuple[int, int]) -> IntArray:
     """Return all pairs of frames near a pair of the coarse search ``(2, N)``."""
     offsets = np.arange(1 - stride, stride)
-    candidates = (np.unique(np.clip(frame + offsets, *end_frames)) for frame in (i, j))
-    return np.stack([grid.ravel() for grid in np.meshgrid(*candidates, indexing="ij")])
+    choices = (np.unique(np.clip(frame + offsets, *end_frames)) for frame in (i, j))
+    return np.stack([grid.ravel() for grid in np.meshgrid(*choices, indexing="ij")])
 
 
 def _closest_pair(pose_view: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
     """Return the best-matching pair of frames, and its distance [m]."""
-    frames, columns = np.unique(pairs, return_inverse=True)
+    frames, pair_columns = np.unique(pairs, return_inverse=True)
     pose_columns = pose_view.columns_of_frames(frames)
-    starts, end_columns = columns.reshape(pairs.shape)
-    distances = _pose_distance(pose_columns[:, starts], pose_columns[:, end_columns])
+    start_columns, end_columns = pair_columns.reshape(pairs.shape)
+    distances = _pose_distance(
+        pose_columns[:, start_columns], pose_columns[:, end_columns]
+    )
     _, best_index = _first_minimum(distances / pose_view.static_extent)
     i, j = pairs[:, best_index].tolist()
     return i, j, float(distances[best_index])

@@ -104,13 +104,13 @@ def blend(
     clock = take.clock
     delay_frames = exact_fraction(delay, "delay") / clock.step
     other_length = (other.clock.count - 1) * clock.rate / other.clock.rate
-    count = max(clock.count, 1 + math.floor(delay_frames + other_length))
-    check_count(count)
-    full_clock = replace(clock, count=count)
+    frame_count = max(clock.count, 1 + math.floor(delay_frames + other_length))
+    check_count(frame_count)
+    full_clock = replace(clock, count=frame_count)
     weights = weights_at(weight, full_clock.times, interpolation)
     strength = BlendStrength(weights, isinstance(weight, (int, float)))
-    first_motion = sample_other_take(take, clock.rate, 0, count)
-    second_motion = sample_other_take(other, clock.rate, 0, count, delay_frames)
+    first_motion = sample_other_take(take, clock.rate, 0, frame_count)
+    second_motion = sample_other_take(other, clock.rate, 0, frame_count, delay_frames)
     motion = align_signs(interpolate_motions(first_motion, second_motion, strength))
     return replace(take, clock=full_clock, motion=motion.map(Channel.compact))
 
@@ -346,7 +346,9 @@ class _LayerPlan:
         parse_choice(KeyInterpolation, self.interpolation, "interpolation")
         joints = None
         if self.joints:
-            joints = match_joints(stream.rig, self.joints, children=self.children)
+            joints = match_joints(
+                stream.rig, self.joints, includes_children=self.children
+            )
         other = match_rig(stream.rig, self.other, is_additive=is_additive)
         self._weights(time_codes(Fraction(1), Fraction(1), 1))
         if is_additive:
@@ -356,7 +358,7 @@ class _LayerPlan:
     def _weights(self, times: FloatArray) -> FloatArray:
         """Return the weights of the layer at times ``(F,)``."""
         is_bounded = self.mode == LayerMode.OVERRIDE
-        return weights_at(self.weight, times, self.interpolation, bounded=is_bounded)
+        return weights_at(self.weight, times, self.interpolation, is_bounded=is_bounded)
 
     def _layered_blocks(
         self, stream: TakeStream, other: Take, joints: list[int] | None
@@ -373,7 +375,7 @@ class _LayerPlan:
         sampler = TakeSampler.from_take(other)
         rate = stream.fps / stream.step
         frame_count, last_rotations = 0, None
-        displacements = _Displacements(stream.rig, self.placed_joints)
+        largest_displacement = _LargestDisplacement(stream.rig, self.placed_joints)
         for block in stream.blocks:
             block_code = first_code + frame_count * stream.step
             times = time_codes(block_code, stream.step, block.frames)
@@ -383,18 +385,18 @@ class _LayerPlan:
             )
             strength = BlendStrength(weights, is_constant, joints)
             motion = align_signs(combine(block, other_motion, strength), last_rotations)
-            displacements.update(times, block, motion)
+            largest_displacement.record_block(times, block, motion)
             yield motion
             frame_count += block.frames
             last_rotations = motion.rotations.values[-1]
         clock = Clock(stream.fps, first_code, stream.step, frame_count)
         stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
-        stream.notices.extend(displacements.warnings())
+        stream.notices.extend(largest_displacement.warnings())
         if not self.in_shot:
             stream.notices.extend(_delay_warnings(other, self.delay, clock))
 
 
-class _Displacements:
+class _LargestDisplacement:
     """Largest displacement by a layer of a joint that an earlier pass placed."""
 
     def __init__(self, rig: Rig, placed_joints: Sequence[PlacedJoint]) -> None:
@@ -402,19 +404,21 @@ class _Displacements:
         self.placed_joints = [p for p in placed_joints if p.joint in rig.names]
         self.largest, self.effector, self.time = 0.0, "", 0.0
 
-    def update(self, times: FloatArray, before: Motion, after: Motion) -> None:
+    def record_block(self, times: FloatArray, before: Motion, after: Motion) -> None:
         """Update the displacements from a block's frames before and after the layer."""
         if not self.placed_joints:
             return
         offsets = after.world(self.rig).positions - before.world(self.rig).positions
-        for placed in self.placed_joints:
-            distances = np.linalg.norm(offsets[:, self.rig.index(placed.joint)], axis=1)
-            distances = np.where(np.isin(times, placed.times), distances, 0.0)
-            worst_frame = int(distances.argmax())
-            if distances[worst_frame] > self.largest:
-                self.largest = float(distances[worst_frame])
-                self.effector = placed.effector
-                self.time = float(times[worst_frame])
+        for placed_joint in self.placed_joints:
+            distances = np.linalg.norm(
+                offsets[:, self.rig.index(placed_joint.joint)], axis=1
+            )
+            distances = np.where(np.isin(times, placed_joint.times), distances, 0.0)
+            worst_index = int(distances.argmax())
+            if distances[worst_index] > self.largest:
+                self.largest = float(distances[worst_index])
+                self.effector = placed_joint.effector
+                self.time = float(times[worst_index])
 
     def warnings(self) -> list[Fault]:
         """Return a warning if a joint leaves its target visibly (SCN120)."""
@@ -450,15 +454,15 @@ def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
 def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
     """Return a warning if an additive layer has poses, not differences (SCN119)."""
     rig = other.rig
-    rows = np.arange(len(rig.joints))
+    joint_rows = np.arange(len(rig.joints))
     if joint_indices is not None:
-        rows = np.array(joint_indices)
-    rest_translations = rig.rest_translations[rows]
+        joint_rows = np.array(joint_indices)
+    rest_translations = rig.rest_translations[joint_rows]
     rest_lengths = np.linalg.norm(rest_translations, axis=1)
-    has_length = (rest_lengths > 0) & (rig.parents[rows] >= 0)
+    has_length = (rest_lengths > 0) & (rig.parents[joint_rows] >= 0)
     if not has_length.any():
         return []
-    translations = other.motion.translations.select(slice(0, 1)).dense()[0, rows]
+    translations = other.motion.translations.select(slice(0, 1)).dense()[0, joint_rows]
     distances = np.linalg.norm(translations - rest_translations, axis=1)
     has_pose = has_length & (distances <= POSE_TOLERANCE * rest_lengths)
     if 2 * has_pose.sum() < has_length.sum():
@@ -496,7 +500,9 @@ def _check_layer(options: LayerOptions) -> OptionChecks:
     is_bounded = options.mode is LayerMode.OVERRIDE
     return {
         "take": lambda: required_take_path(options.take),
-        "weight": lambda: weights_at(options.weight, np.zeros(0), bounded=is_bounded),
+        "weight": lambda: weights_at(
+            options.weight, np.zeros(0), is_bounded=is_bounded
+        ),
         "delay": lambda: exact_fraction(options.delay, "delay"),
     }
 

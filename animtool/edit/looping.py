@@ -63,16 +63,16 @@ class SeamBlend:
 
     @staticmethod
     def from_lengths(
-        length: int, blend_frames: int, frames_before: int, frames_after: int
+        cycle_length: int, blend_frames: int, frames_before: int, frames_after: int
     ) -> SeamBlend:
         """Return the blend of the last frames of a cycle."""
-        blend_length = min(blend_frames, length)
-        frames = np.arange(length) - (length - blend_length)
-        s = np.clip(frames / max(blend_length, 1), 0, 1)[:, None, None]
+        blend_length = min(blend_frames, cycle_length)
+        frames_from_blend = np.arange(cycle_length) - (cycle_length - blend_length)
+        s = np.clip(frames_from_blend / max(blend_length, 1), 0, 1)[:, None, None]
         offset_weight = s**3 * (10 - 15 * s + 6 * s**2)
         speed_weight = blend_length * s**3 * (-4 + 7 * s - 3 * s**2)
         return SeamBlend(
-            length, frames_before, frames_after, offset_weight, speed_weight
+            cycle_length, frames_before, frames_after, offset_weight, speed_weight
         )
 
     @property
@@ -138,9 +138,9 @@ def close_rotations(
     corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
     weights = blend.offset_weight[blend_frames, :, 0]
     correction = so3.slerp(so3.IDENTITY, offset, weights)
-    corrected_part = so3.multiply(corrected_values[blend_frames], correction)
+    offset_rotations = so3.multiply(corrected_values[blend_frames], correction)
     speed_correction = so3.exp(blend.speed_weight[blend_frames] * missing_velocity)
-    corrected_values[blend_frames] = so3.multiply(corrected_part, speed_correction)
+    corrected_values[blend_frames] = so3.multiply(offset_rotations, speed_correction)
     return corrected_values
 
 
@@ -268,26 +268,33 @@ def loop(
     clock = take.clock
     if clock.count == 1:
         return take
-    i, j = end_indices(clock, first, last)
-    if j <= i:
-        refuse("SCN018", f"{j - i} frames are too few for a cycle")
+    first_index, last_index = end_indices(clock, first, last)
+    if last_index <= first_index:
+        refuse("SCN018", f"{last_index - first_index} frames are too few for a cycle")
     _check_minimum(repeats, 1, "repeats")
     _check_minimum(blend, 0, "blend")
-    length = j - i
-    check_count(length * repeats)
-    has_frame_before, has_frame_after = int(i > 0), int(j < clock.count - 1)
-    seam = SeamBlend.from_lengths(length, blend, has_frame_before, has_frame_after)
-    travel = cycle_travel(take.rig, take.motion.select(slice(i, j + 1)))
-    frames_around = slice(i - has_frame_before, j + has_frame_after + 1)
+    cycle_length = last_index - first_index
+    check_count(cycle_length * repeats)
+    has_frame_before = int(first_index > 0)
+    has_frame_after = int(last_index < clock.count - 1)
+    seam = SeamBlend.from_lengths(
+        cycle_length, blend, has_frame_before, has_frame_after
+    )
+    travel = cycle_travel(
+        take.rig, take.motion.select(slice(first_index, last_index + 1))
+    )
+    frames_around = slice(
+        first_index - has_frame_before, last_index + has_frame_after + 1
+    )
     looper = _CycleLooper(travel, seam, repeats)
     motion = looper.loop_motion(take.motion.select(frames_around))
     tracks = take.tracks
     if tracks:
         motion, tracks = _loop_tracks(take, motion, frames_around, seam, repeats)
-    first_code = clock.start + i * clock.step
+    first_code = clock.start + first_index * clock.step
     return replace(
         take,
-        clock=replace(clock, start=first_code, count=length * repeats),
+        clock=replace(clock, start=first_code, count=cycle_length * repeats),
         motion=align_signs(motion).map(Channel.compact),
         tracks=tracks,
     )
@@ -341,14 +348,14 @@ def _loop_track(
     mapped_transforms = map_attributes(track, transforms, close_numbers)
     columns = zip(track.attributes, mapped_transforms.values, strict=True)
     is_clamped = transforms.is_clamped
-    result = replace(
+    looped_transforms = replace(
         mapped_transforms,
         translations=looped_motion.translations.dense()[:, 0],
         rotations=looped_motion.rotations.dense()[:, 0],
         values=tuple(v if attribute.width else repeat(v) for attribute, v in columns),
         is_clamped=None if is_clamped is None else repeat(is_clamped),
     )
-    return resample_track(track, result)
+    return resample_track(track, looped_transforms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -440,10 +447,10 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
 def _better_cycle(cycle: Cycle, take: Take) -> Cycle | None:
     """Return the take's best cycle if its relative error is below half of a cycle's."""
     try:
-        best = find_cycle(take)
+        best_cycle = find_cycle(take)
     except OptionError:
         return None
-    return best if best.share < cycle.share / 2 else None
+    return best_cycle if best_cycle.share < cycle.share / 2 else None
 
 
 def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]:
@@ -457,22 +464,22 @@ def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]
         message = f"the best cycle: {ends_text}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > MAX_GOOD_SEAM:
-        best = None if options.find else _better_cycle(cycle, take)
+        better_cycle = None if options.find else _better_cycle(cycle, take)
         hint = f"choose other frames with {argument('first')} and {argument('last')}, "
         hint += f"or a longer {argument('blend')}"
-        if best is not None:
-            first = argument("first", f"{best.first:g}")
-            last = argument("last", f"{best.last:g}")
+        if better_cycle is not None:
+            first = argument("first", f"{better_cycle.first:g}")
+            last = argument("last", f"{better_cycle.last:g}")
             hint = f"the best cycle of the take is {first} {last}: its ends differ by "
-            hint += f"{100 * best.share:.0f}%"
+            hint += f"{100 * better_cycle.share:.0f}%"
         message = f"the loop has a visible seam: {ends_text}"
         notices.append(warning("SCN101", message, hint))
-    frames = round((cycle.last - cycle.first) / float(take.clock.step))
+    cycle_length = round((cycle.last - cycle.first) / float(take.clock.step))
     # The default is not a request of the user: it blends short cycles completely.
-    if options.blend > max(frames, _DEFAULTS.blend):
+    if options.blend > max(cycle_length, _DEFAULTS.blend):
         message = f"{argument('blend', options.blend)} is longer than the cycle of "
-        message += f"{frames} frames: every frame is changed"
-        hint = f"use {frames // 2} or fewer; {_DEFAULTS.blend} is the default"
+        message += f"{cycle_length} frames: every frame is changed"
+        hint = f"use {cycle_length // 2} or fewer; {_DEFAULTS.blend} is the default"
         notices.append(warning("SCN115", message, hint))
     return notices
 

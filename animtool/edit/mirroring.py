@@ -58,8 +58,8 @@ class ControlMirror:
     def from_rig(
         rig: Rig,
         partners: IntArray,
-        joints: IntArray,
-        shapes: IntArray,
+        joint_partners: IntArray,
+        shape_partners: IntArray,
         axis_signs: FloatArray,
     ) -> ControlMirror:
         """Determine the partner and the sign of each control of a rig.
@@ -69,8 +69,8 @@ class ControlMirror:
         example, a control that rotates the head left for positive and right for
         negative values.
 
-        ``partners`` ``(C,)``, ``joints`` ``(J,)``, ``shapes`` ``(S,)``, ``axis_signs``
-        ``(3,)``.
+        ``partners`` ``(C,)``, ``joint_partners`` ``(J,)``, ``shape_partners`` ``(S,)``,
+        ``axis_signs`` ``(3,)``.
         """
         # A mirror reverses axes of rotation.
         effect_signs = np.concatenate([-axis_signs, axis_signs])
@@ -78,8 +78,8 @@ class ControlMirror:
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
             effects, weights = _control_effect(rig, i, 1.0, rest_rotations)
-            mirrored_effects = (effects * effect_signs)[joints]
-            flat_effect = _flatten_effect(mirrored_effects, weights[shapes])
+            mirrored_effects = (effects * effect_signs)[joint_partners]
+            flat_effect = _flatten_effect(mirrored_effects, weights[shape_partners])
             if not flat_effect.any():
                 continue
             distances = []
@@ -237,9 +237,9 @@ def _run_mirror(
     requested_pairs = _with_rig_pairs(rig, _pair_tuples(options.pairs))
     pairs = pair_sides(rig.names, rig.parents, requested_pairs)
     partners = pairs.partners
-    _check_stated(rig, options.pairs, partners)
+    _check_requested_pairs(rig, options.pairs, partners)
     is_kept = _is_unpaired(rig, partners)
-    _check_tree(rig, partners, is_kept)
+    _check_partner_parents(rig, partners, is_kept)
     axis = "XYZ".index(parse_choice(Axis, options.axis, "axis"))
     names_by_kind = {
         kind: [part.name for part in getattr(rig, kind, ())]
@@ -252,15 +252,15 @@ def _run_mirror(
         for kind, names in names_by_kind.items():
             notices.extend(_unpaired_warnings(kind, names, pairs_by_kind[kind]))
         is_unpaired = is_kept.copy()
-        is_unpaired[list(pairs.unpaired)] = True
+        is_unpaired[list(pairs.unpaired_indices)] = True
         notices.extend(_asymmetry_warnings(rig, partners, ~is_unpaired, axis))
     joint_mirror = _JointMirror.from_rig(rig, partners, is_kept, axis)
-    shapes = pairs_by_kind["shapes"].partners
+    shape_partners = pairs_by_kind["shapes"].partners
     control_partners = pairs_by_kind["controls"].partners
-    controls = ControlMirror.from_rig(
-        rig, control_partners, partners, shapes, joint_mirror.axis_signs
+    control_mirror = ControlMirror.from_rig(
+        rig, control_partners, partners, shape_partners, joint_mirror.axis_signs
     )
-    blocks = _mirrored_blocks(stream, joint_mirror, shapes, controls)
+    blocks = _mirrored_blocks(stream, joint_mirror, shape_partners, control_mirror)
     return replace(stream, blocks=blocks)
 
 
@@ -275,7 +275,7 @@ def _unpaired_warnings(
     kind: str, names: Sequence[str], pairs: SidePairs, is_kept: BoolArray | None = None
 ) -> Iterator[Fault]:
     """Yield a warning about joints of one side without a partner."""
-    unpaired_indices = set(pairs.unpaired)
+    unpaired_indices = set(pairs.unpaired_indices)
     if is_kept is not None:
         unpaired_indices.update(np.flatnonzero(is_kept).tolist())
     if not unpaired_indices:
@@ -311,22 +311,25 @@ def _asymmetry_warnings(
     mirror_signs = np.where(np.arange(3) == axis, -1.0, 1.0)
     mirrored_offsets = offsets[partners] * mirror_signs
     distances = np.linalg.norm(mirrored_offsets - offsets, axis=1) * is_checked
-    worst = int(distances.argmax())
-    if not distances[worst] > SYMMETRY_TOLERANCE * rig_size:
+    worst_joint = int(distances.argmax())
+    if not distances[worst_joint] > SYMMETRY_TOLERANCE * rig_size:
         return
-    count = int(np.count_nonzero(distances > SYMMETRY_TOLERANCE * rig_size))
+    asymmetric_count = int(np.count_nonzero(distances > SYMMETRY_TOLERANCE * rig_size))
     message = (
-        f"mirror: the rest pose is not symmetric: {rig.names[worst]!r} is "
-        f"{distances[worst]:.3g} m from the mirror image of "
-        f"{rig.names[int(partners[worst])]!r}, "
-        f"{percent_text(distances[worst] / rig_size)} of the rig's size; joints that "
-        f"differ by more than {percent_text(SYMMETRY_TOLERANCE)}: {count}"
+        f"mirror: the rest pose is not symmetric: {rig.names[worst_joint]!r} is "
+        f"{distances[worst_joint]:.3g} m from the mirror image of "
+        f"{rig.names[int(partners[worst_joint])]!r}, "
+        f"{percent_text(distances[worst_joint] / rig_size)} of the rig's size; joints "
+        f"that differ by more than {percent_text(SYMMETRY_TOLERANCE)}: "
+        f"{asymmetric_count}"
     )
     hint = "each joint moves from its own rest pose, so the result differs by as much"
     yield warning("SCN083", message, hint)
 
 
-def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) -> None:
+def _check_requested_pairs(
+    rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray
+) -> None:
     """Raise if the parents of a stated pair are not partners."""
     faults = []
     for a, b in pairs:
@@ -345,7 +348,7 @@ def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) 
         raise OptionError([Fault("SCN019", text, hint=hint) for text in faults])
 
 
-def _check_tree(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
+def _check_partner_parents(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
     """Raise if a joint's parent is not the partner of its partner's parent."""
     for i, joint in enumerate(rig.joints):
         if is_kept[i]:
@@ -379,8 +382,10 @@ class _JointMirror:
         for i, joint in enumerate(rig.joints):
             if joint.parent >= 0:
                 parent_rotations[i] = rest_world_rotations[joint.parent]
-                world = so3.multiply(parent_rotations[i], rest_world_rotations[i])
-                rest_world_rotations[i] = world
+                world_rotation = so3.multiply(
+                    parent_rotations[i], rest_world_rotations[i]
+                )
+                rest_world_rotations[i] = world_rotation
         axis_signs = np.where(np.arange(3) == axis, -1.0, 1.0)
         return _JointMirror(
             partners,
@@ -435,8 +440,8 @@ class _JointMirror:
 def _mirrored_blocks(
     stream: TakeStream,
     joint_mirror: _JointMirror,
-    shapes: IntArray,
-    controls: ControlMirror,
+    shape_partners: IntArray,
+    control_mirror: ControlMirror,
 ) -> Iterator[Motion]:
     """Yield the mirrored motion."""
     partners = joint_mirror.partners
@@ -447,8 +452,8 @@ def _mirrored_blocks(
             ),
             _mirror_channel(block.rotations, partners, joint_mirror.mirror_rotations),
             _swap_partners(block.scales, partners, joint_mirror.mirror_scales),
-            _swap_partners(block.weights, shapes, lambda values, _: values),
-            _swap_partners(block.controls, controls.partners, controls),
+            _swap_partners(block.weights, shape_partners, lambda values, _: values),
+            _swap_partners(block.controls, control_mirror.partners, control_mirror),
             block.track_times,
         )
 

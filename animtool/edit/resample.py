@@ -92,10 +92,12 @@ def plan_samples(
         message = f"{len(frame_numbers)} frames at {float(fps):g} fps are too many"
         raise _range_error(message)
     first, last = origin + frame_numbers[0], origin + frame_numbers[-1]
-    index = np.arange(frame_numbers[0], frame_numbers[-1] + 1, frame_numbers.step)
+    frame_indices = np.arange(
+        frame_numbers[0], frame_numbers[-1] + 1, frame_numbers.step
+    )
     offsets = offsets or (Fraction(0),)
     positions = [
-        even_positions(index, frame_shift + offset, ratio, clock.count)
+        even_positions(frame_indices, frame_shift + offset, ratio, clock.count)
         for offset in offsets
     ]
     code_span = (Fraction(frame_numbers.step), len(frame_numbers))
@@ -125,7 +127,7 @@ def _dropped_samples(
     frames: range,
     shift: Fraction,
     ratio: Fraction,
-    count: int,
+    sample_count: int,
     sampled_frames: IntArray,
 ) -> int:
     """Return the number of source samples between result frames that are dropped.
@@ -133,15 +135,15 @@ def _dropped_samples(
     ``shift``: offset of result frames from the take's first frame [frame].
     """
     first_frame = max(frames[0], math.ceil(-shift))
-    last_frame = min(frames[-1], math.floor((count - 1) / ratio - shift))
+    last_frame = min(frames[-1], math.floor((sample_count - 1) / ratio - shift))
     if last_frame < first_frame:
         return 0
     first_sample = max(0, math.ceil((frames[0] + shift) * ratio))
-    last_sample = min(count - 1, math.floor((frames[-1] + shift) * ratio))
-    index = np.arange(first_frame, last_frame + 1)
-    positions = even_positions(index, shift, ratio, count)
-    on_frames = positions.frames[positions.fractions == 0]
-    used_samples = np.union1d(on_frames, sampled_frames)
+    last_sample = min(sample_count - 1, math.floor((frames[-1] + shift) * ratio))
+    frame_indices = np.arange(first_frame, last_frame + 1)
+    positions = even_positions(frame_indices, shift, ratio, sample_count)
+    samples_on_frames = positions.frames[positions.fractions == 0]
+    used_samples = np.union1d(samples_on_frames, sampled_frames)
     is_in_range = (used_samples >= first_sample) & (used_samples <= last_sample)
     return last_sample - first_sample + 1 - int(is_in_range.sum())
 
@@ -167,8 +169,12 @@ def missing_frames_fault(
     >>> missing_frames_fault(missing, Fraction(1), Fraction(64), name="rest").message
     'rest: frame 0 is not in the take, which has frames 1-64'
     """
-    low, high = frame_range.first, frame_range.last
-    frames = f"frame {low} is" if low == high else f"frames {low}-{high} are"
+    first_frame, last_frame = frame_range.first, frame_range.last
+    frames = (
+        f"frame {first_frame} is"
+        if first_frame == last_frame
+        else f"frames {first_frame}-{last_frame} are"
+    )
     message = f"{argument(name)}: {frames} not in the {noun}, "
     message += f"which has frames {frame_label(first)}-{frame_label(last)}"
     return Fault("CLI005", message)
@@ -215,11 +221,12 @@ def _source_samples(
     return SampleTimes(first, last, codes, frames, np.zeros(len(frames)))
 
 
-def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
+def dropped_notice(dropped_frames: Fraction, fps: Fraction, last: Fraction) -> Fault:
     """Return the note that a fraction of a frame is cut off at the end (TAKE006)."""
     message = (
-        f"the take ends {float(dropped):.3g} frames ({float(dropped / fps):.3g} s) "
-        f"after its last whole frame, {frame_label(last)}; that part is cut off"
+        f"the take ends {float(dropped_frames):.3g} frames "
+        f"({float(dropped_frames / fps):.3g} s) after its last whole frame, "
+        f"{frame_label(last)}; that part is cut off"
     )
     return Fault("TAKE006", message, severity=Severity.NOTE)
 
@@ -237,13 +244,13 @@ def single_frame_warning(
 
 
 def sample_blocks(
-    take: Take | TakeSampler, times: SampleTimes, *, smooth: bool = False
+    take: Take | TakeSampler, times: SampleTimes, *, is_smooth: bool = False
 ) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
     A sample on a frame of the source equals that frame exactly. Between frames,
     rotations follow the shortest arc at constant speed (slerp) and other values are
-    linear. With ``smooth``, joints follow splines of class C1; weights and controls,
+    linear. With ``is_smooth``, joints follow splines of class C1; weights and controls,
     which may have bounds, do not. Curves of the take are evaluated.
     """
     sampler = take if isinstance(take, TakeSampler) else TakeSampler.from_take(take)
@@ -254,8 +261,8 @@ def sample_blocks(
         block_samples = slice(block_start, block_start + block_length)
         fractions = times.fractions[block_samples]
         positions = FramePositions(times.frames[block_samples], fractions)
-        motion = sampler.sample(positions, smooth=smooth)
-        if smooth:
+        motion = sampler.sample(positions, is_smooth=is_smooth)
+        if is_smooth:
             values = so3.align_signs(motion.rotations.values, previous_rotations)
             rotations = replace(motion.rotations, values=values)
             motion = replace(motion, rotations=rotations)
@@ -309,7 +316,7 @@ def resampled(
         cutoff = CUTOFF_FRACTION * float(fps)
         source = replace(take, motion=filter_motion(take.motion, cutoff, float(rate)))
     sampler = TakeSampler.from_take(source)
-    blocks = sample_blocks(sampler, times, smooth=smooth)
+    blocks = sample_blocks(sampler, times, is_smooth=smooth)
     motion = Motion.concatenate([block for _, block in blocks])
     new_start, codes_ratio = take.clock.start, float(take.clock.fps / fps)
     clock, notices = Clock(fps, new_start, Fraction(1), motion.frames), take.notices

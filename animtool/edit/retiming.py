@@ -104,8 +104,8 @@ def _run_trim(
         first_index = max(0, first_index)
     if options.last is not None:
         last_index = nearest_index(options.last, "last", is_rounded_down=not in_shot)
-    ends = {"first": options.first, "last": options.last}
-    stated_ends = {name: end for name, end in ends.items() if end is not None}
+    range_ends = {"first": options.first, "last": options.last}
+    stated_ends = {name: end for name, end in range_ends.items() if end is not None}
     hint = seconds_hint(stated_ends, first_code, stream.fps)
     if last_index is not None and last_index < first_index:
         first = float(first_code) if options.first is None else options.first
@@ -141,25 +141,27 @@ def _trim_blocks(
 
     ``hint``: the frames of a range that seems to be in seconds.
     """
-    count = 0
+    frame_count = 0
     # The source is read to its end, which completes its notices.
     for block in stream.blocks:
-        first_in_block, end_in_block = max(0, first_index - count), block.frames
+        first_in_block, end_in_block = max(0, first_index - frame_count), block.frames
         if last_index is not None:
-            end_in_block = min(block.frames, last_index + 1 - count)
+            end_in_block = min(block.frames, last_index + 1 - frame_count)
         if first_in_block < end_in_block:
             yield block.select(slice(first_in_block, end_in_block))
-        count += block.frames
-    last = start + (count - 1) * stream.step
-    if first_index >= count:
+        frame_count += block.frames
+    last = start + (frame_count - 1) * stream.step
+    if first_index >= frame_count:
         raise frame_error(
             f"the first frame to keep is {float(start + first_index * stream.step):g}, "
             f"but the take has {float(start):g}-{float(last):g}",
             f"write frames from {float(start):g} to {float(last):g}",
         )
-    if hint is not None and last_index == first_index and count > 1:
-        stream.notices.append(warning("TAKE010", f"1 of {count} frames remains", hint))
-    if last_index is not None and last_index >= count and not in_shot:
+    if hint is not None and last_index == first_index and frame_count > 1:
+        stream.notices.append(
+            warning("TAKE010", f"1 of {frame_count} frames remains", hint)
+        )
+    if last_index is not None and last_index >= frame_count and not in_shot:
         requested_end = float(start + last_index * stream.step)
         message = f"last is {requested_end:g}, but the take ends at {float(last):g}, "
         message += f"at {rate_label(stream.fps)}"
@@ -232,13 +234,14 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     if first_index > last_index:
         raise frame_error(f"at speed {speed:g} no frame remains")
     check_count(last_index - first_index + 1)
-    index = np.arange(first_index, last_index + 1)
+    frame_indices = np.arange(first_index, last_index + 1)
     offset = pivot_frame / rate - pivot_frame
-    positions = even_positions(index, offset, rate, clock.count)
+    positions = even_positions(frame_indices, offset, rate, clock.count)
     pivot_time, factor = float(pivot_code), float(rate)
+    start = clock.start + first_index * clock.step
     return _resample_at(
         take,
-        replace(clock, start=clock.start + first_index * clock.step, count=len(index)),
+        replace(clock, start=start, count=len(frame_indices)),
         positions,
         lambda times: pivot_time + (times - pivot_time) * factor,
     )
@@ -355,17 +358,19 @@ def time_warp(
     key_times, values = key_arrays(curve, "curve")
     _check_curve_range(clock, values)
     first, last = float(key_times[0]), float(key_times[-1])
-    ends = [exact_fraction(code, "curve") - clock.start for code in (first, last)]
-    first_index = math.ceil(ends[0] / clock.step)
-    count = math.floor(ends[1] / clock.step) - first_index + 1
-    if count < 1:
+    offsets_from_start = [
+        exact_fraction(code, "curve") - clock.start for code in (first, last)
+    ]
+    first_index = math.ceil(offsets_from_start[0] / clock.step)
+    frame_count = math.floor(offsets_from_start[1] / clock.step) - first_index + 1
+    if frame_count < 1:
         raise frame_error(
             f"the curve from {first:g} to {last:g} contains no whole frame"
         )
-    check_count(count)
+    check_count(frame_count)
     start, step = float(clock.start), float(clock.step)
     result_start = clock.start + first_index * clock.step
-    result_clock = replace(clock, start=result_start, count=count)
+    result_clock = replace(clock, start=result_start, count=frame_count)
 
     def source_times(times: FloatArray) -> FloatArray:
         """Return the times of the take that the curve shows."""

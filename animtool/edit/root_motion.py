@@ -36,7 +36,7 @@ from animtool.rig.kinematics import rest_size
 
 # Travel along an axis that a root motion lacks: relative to the rig's size, and to the
 # travel along those that it has.
-MIN_TRAVEL, MIN_RATIO = 0.2, 2.0
+MIN_TRAVEL, MIN_TRAVEL_RATIO = 0.2, 2.0
 
 
 class RootMode(StrEnum):
@@ -95,16 +95,16 @@ def extract_root(
     check_loaded(take, Take, "take")
     _check_axes(axes)
     rig = take.rig
-    hip = _hips_index(take, root, hips)
+    hip_index = _hips_index(take, root, hips)
     if root not in rig.names:
-        take = insert_joint(take, root, hip)
-        hip += 1
-    joint = take.rig.index(root)
-    if joint not in take.rig.upwards(hip)[1:]:
-        name = take.rig.names[hip]
+        take = insert_joint(take, root, hip_index)
+        hip_index += 1
+    root_index = take.rig.index(root)
+    if root_index not in take.rig.upwards(hip_index)[1:]:
+        name = take.rig.names[hip_index]
         raise _root_error(f"{root!r} is not above {name!r}", "choose other hips")
-    root_transforms = _root_transforms(take, joint, hip, axes.lower(), yaw)
-    return _compact_take(set_joint(take, joint, root_transforms))
+    root_transforms = _root_transforms(take, root_index, hip_index, axes.lower(), yaw)
+    return _compact_take(set_joint(take, root_index, root_transforms))
 
 
 def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Take:
@@ -124,16 +124,16 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
     """
     check_loaded(take, Take, "take")
     rig = take.rig
-    joint = joint_index(rig, root, "root")
-    if joint not in rig.parents:
+    root_index = joint_index(rig, root, "root")
+    if root_index not in rig.parents:
         raise _root_error(f"{root!r} has no joint below it", "name one above the hips")
-    root_joint = rig.joints[joint]
+    root_joint = rig.joints[root_index]
     translations, rotations = np.zeros((1, 3)), so3.IDENTITY[None]
     if keep:
         translations = np.array([root_joint.translation])
         rotations = np.array([root_joint.rotation])
-    take = set_joint(take, joint, JointTransforms(translations, rotations))
-    return _compact_take(take if keep else remove_joint(take, joint))
+    take = set_joint(take, root_index, JointTransforms(translations, rotations))
+    return _compact_take(take if keep else remove_joint(take, root_index))
 
 
 def _check_axes(axes: str) -> None:
@@ -157,37 +157,39 @@ def _hips_index(take: Take, root: str, hips: str) -> int:
         message = "the rig has no joints, so there is no root motion"
         raise _root_error(message, "remove the pass")
     has_root = root in rig.names
-    topmost = rig.index(root) if has_root else rig.roots[0]
-    travelling = travelling_joint(rig, take.motion, topmost, exclude_root=has_root)
-    if travelling is None and has_root:
-        children = (j for j, joint in enumerate(rig.joints) if joint.parent == topmost)
-        travelling = next(children, topmost)
-    return topmost if travelling is None else travelling
+    top = rig.index(root) if has_root else rig.roots[0]
+    hip_index = travelling_joint(rig, take.motion, top, excludes_root=has_root)
+    if hip_index is None and has_root:
+        children = (j for j, joint in enumerate(rig.joints) if joint.parent == top)
+        hip_index = next(children, top)
+    return top if hip_index is None else hip_index
 
 
 def _root_transforms(
-    take: Take, root: int, hip: int, axes: str, yaw: bool
+    take: Take, root_index: int, hip_index: int, axes: str, moves_yaw: bool
 ) -> JointTransforms:
     """Return the local transform of the root joint that carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
     is_root_axis = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
-    hips_frame = joint_frame(rig, motion, hip)
-    root_frame = joint_frame(rig, motion, root)
-    frame = parent_frame(rig, motion, root)
-    if (np.linalg.det(frame.linear) == 0).any():
-        message = f"a joint above {rig.names[root]!r} has a scale of 0"
+    hips_frame = joint_frame(rig, motion, hip_index)
+    root_frame = joint_frame(rig, motion, root_index)
+    parent = parent_frame(rig, motion, root_index)
+    if (np.linalg.det(parent.linear) == 0).any():
+        message = f"a joint above {rig.names[root_index]!r} has a scale of 0"
         raise _root_error(message, "set another scale")
     position = np.where(is_root_axis, hips_frame.position, root_frame.position)
-    offset = (position - frame.position)[..., None]
-    translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
-    rotations = motion.rotations.gather(np.array([root]))[:, 0]
-    if yaw:
-        inverse_rest = so3.conjugate(rest_rotation(rig, hip))
+    offset = (position - parent.position)[..., None]
+    translations = np.asarray(
+        np.linalg.solve(parent.linear, offset)[..., 0], np.float64
+    )
+    rotations = motion.rotations.gather(np.array([root_index]))[:, 0]
+    if moves_yaw:
+        inverse_rest = so3.conjugate(rest_rotation(rig, hip_index))
         from_rest = so3.multiply(hips_frame.rotation, inverse_rest)
         yaw_rotation = vertical_twist(from_rest, up)
-        full_rotation = so3.multiply(yaw_rotation, rest_rotation(rig, root))
-        rotations = so3.multiply(so3.conjugate(frame.rotation), full_rotation)
+        full_rotation = so3.multiply(yaw_rotation, rest_rotation(rig, root_index))
+        rotations = so3.multiply(so3.conjugate(parent.rotation), full_rotation)
     return JointTransforms(translations, rotations)
 
 
@@ -202,22 +204,24 @@ def _axes_warnings(take: Take, options: RootMotionOptions) -> list[Fault]:
     up = "xyz"[int(np.argmax(rig.up.vector))]
     if up not in axes or len(axes) != 2:
         return []
-    hip = _hips_index(take, options.root, options.hips)
-    positions = joint_frame(rig, take.motion, hip).position
+    hip_index = _hips_index(take, options.root, options.hips)
+    positions = joint_frame(rig, take.motion, hip_index).position
     travel = dict(zip("xyz", np.abs(positions[-1] - positions[0]), strict=True))
-    (missing,) = set("xyz") - axes
+    (missing_axis,) = set("xyz") - axes
     root_travel = math.hypot(*(travel[axis] for axis in axes))
-    if travel[missing] < max(MIN_TRAVEL * rest_size(rig), MIN_RATIO * root_travel):
+    if travel[missing_axis] < max(
+        MIN_TRAVEL * rest_size(rig), MIN_TRAVEL_RATIO * root_travel
+    ):
         return []
     names = "".join(sorted(axes))
     message = (
-        f"axes {names} has the up axis {up}, and lacks {missing}, along which "
-        f"{rig.names[hip]!r} travels {length_text(travel[missing])}: the root travels "
-        f"{length_text(root_travel)}"
+        f"axes {names} has the up axis {up}, and lacks {missing_axis}, along which "
+        f"{rig.names[hip_index]!r} travels {length_text(travel[missing_axis])}: "
+        f"the root travels {length_text(root_travel)}"
     )
-    ground = "xyz".replace(up, "")
-    hint = f"the ground of this take is {ground}: write 'axes: {ground}', or leave it "
-    return [warning("SCN121", message, f"{hint}out")]
+    ground_axes = "xyz".replace(up, "")
+    hint = f"the ground of this take is {ground_axes}: write 'axes: {ground_axes}', "
+    return [warning("SCN121", message, f"{hint}or leave it out")]
 
 
 def _run(take: Take, options: RootMotionOptions, context: PassContext) -> Take:

@@ -54,10 +54,12 @@ def interpolation_deviations(
         is_interpolated = np.ones(len(channel.animated), bool)
         if name in sampler.rows_on_curve:
             is_interpolated = ~sampler.rows_on_curve[name][channel.animated]
-        columns = np.flatnonzero(is_interpolated)
-        largest = _largest_error(name, channel, columns, positions)
-        if largest is not None:
-            deviations.append(largest)
+        interpolated_columns = np.flatnonzero(is_interpolated)
+        largest_deviation = _largest_deviation(
+            name, channel, interpolated_columns, positions
+        )
+        if largest_deviation is not None:
+            deviations.append(largest_deviation)
     return deviations
 
 
@@ -78,12 +80,12 @@ def interpolation_notices(
     for deviation in interpolation_deviations(sampler, positions):
         if deviation.size <= thresholds.get(deviation.channel, NEGLIGIBLE_WEIGHT):
             continue
-        size = plain_number(deviation.size)
+        size_text = plain_number(deviation.size)
         kind, names = "joint", list(rig.names)
         if deviation.channel == "translations":
-            size = length_text(deviation.size)
+            size_text = length_text(deviation.size)
         elif deviation.channel == "rotations":
-            size = angle_text(float(np.degrees(deviation.size)))
+            size_text = angle_text(float(np.degrees(deviation.size)))
         elif deviation.channel != "scales":
             kind = deviation.channel.replace("weights", "shapes")[:-1]
             names = [part.name for part in getattr(rig, f"{kind}s")]
@@ -92,7 +94,7 @@ def interpolation_notices(
         name = names[deviation.row]
         code = float(take.clock.start) + deviation.frame * float(take.clock.step)
         error_texts.append(
-            f"{size} ({kind} {name!r}, frame {frame_label(round(code, 2))})"
+            f"{size_text} ({kind} {name!r}, frame {frame_label(round(code, 2))})"
         )
     if not error_texts:
         return []
@@ -101,21 +103,21 @@ def interpolation_notices(
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
 
-def _largest_error(
+def _largest_deviation(
     name: str, channel: Channel, columns: IntArray, positions: FramePositions
 ) -> InterpolationDeviation | None:
     """Return the largest error of the given columns of a channel."""
     (indices_between,) = np.nonzero(positions.fractions > 0)
-    count = len(channel.values)
-    if not len(indices_between) or not len(columns) or count < 3:
+    frame_count = len(channel.values)
+    if not len(indices_between) or not len(columns) or frame_count < 3:
         return None
     largest_error: InterpolationDeviation | None = None
     for start in range(0, len(indices_between), BLOCK_FRAMES):
         block = indices_between[start : start + BLOCK_FRAMES]
         frames, fraction = positions.frames[block], positions.fractions[block]
         # Curvature at the frames before and after each position.
-        first_inner = int(np.clip(frames.min(), 1, count - 2))
-        last_inner = int(np.clip(frames.max() + 1, 1, count - 2))
+        first_inner = int(np.clip(frames.min(), 1, frame_count - 2))
+        last_inner = int(np.clip(frames.max() + 1, 1, frame_count - 2))
         values = channel.values[first_inner - 1 : last_inner + 2]
         second_differences = _second_differences(values, columns)
         peaks, factor = second_differences.max(axis=1), fraction * (1 - fraction) / 2
@@ -123,14 +125,16 @@ def _largest_error(
             np.clip(indices, first_inner, last_inner) - first_inner
             for indices in (frames, frames + 1)
         )
-        worst = int(np.argmax(np.maximum(peaks[before], peaks[after]) * factor))
-        sizes = np.maximum(*second_differences[[before[worst], after[worst]]])
-        sizes = sizes * factor[worst]
-        column = int(np.argmax(sizes))
-        size = float(sizes[column])
+        worst_index = int(np.argmax(np.maximum(peaks[before], peaks[after]) * factor))
+        sizes = np.maximum(
+            *second_differences[[before[worst_index], after[worst_index]]]
+        )
+        sizes = sizes * factor[worst_index]
+        worst_column = int(np.argmax(sizes))
+        size = float(sizes[worst_column])
         if largest_error is None or size > largest_error.size:
-            frame = float(frames[worst] + fraction[worst])
-            row = int(channel.animated[columns[column]])
+            frame = float(frames[worst_index] + fraction[worst_index])
+            row = int(channel.animated[columns[worst_column]])
             largest_error = InterpolationDeviation(name, row, frame, size)
     return largest_error
 

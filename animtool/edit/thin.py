@@ -63,31 +63,32 @@ def thin_samples(
     tolerance of weights is `WEIGHT_TOLERANCE` [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
-    measure = _ThinningErrors(rig, codes, motion, bounds)
-    kept_samples = _add_samples(measure, np.unique([0, len(codes) - 1]))
-    for round_ in range(MAX_DROP_PASSES):
-        kept_samples = _drop_alternate(measure, kept_samples, round_ % 2)
-    return measure.report(kept_samples)
+    thinning_errors = _ThinningErrors(rig, codes, motion, bounds)
+    kept_samples = _add_samples(thinning_errors, np.unique([0, len(codes) - 1]))
+    for pass_index in range(MAX_DROP_PASSES):
+        kept_samples = _drop_alternate(thinning_errors, kept_samples, pass_index % 2)
+    return thinning_errors.build_result(kept_samples)
 
 
-def _add_samples(measure: _ThinningErrors, kept_samples: IntArray) -> IntArray:
+def _add_samples(thinning_errors: _ThinningErrors, kept_samples: IntArray) -> IntArray:
     """Split intervals at their worst sample until all are within the tolerance."""
-    frames = np.setdiff1d(np.arange(len(measure.codes)), kept_samples)
+    frames = np.setdiff1d(np.arange(len(thinning_errors.codes)), kept_samples)
     while len(frames):
-        ratios = measure.ratios(kept_samples, frames)
-        interval = np.searchsorted(kept_samples, frames) - 1
-        starts = np.flatnonzero(np.diff(interval, prepend=-1))
-        worst_ratios = np.maximum.reduceat(ratios, starts)
+        ratios = thinning_errors.error_ratios(kept_samples, frames)
+        interval_indices = np.searchsorted(kept_samples, frames) - 1
+        first_positions = np.flatnonzero(np.diff(interval_indices, prepend=-1))
+        worst_ratios = np.maximum.reduceat(ratios, first_positions)
         is_over_tolerance = worst_ratios > 1
         if not is_over_tolerance.any():
             break
-        lengths = np.diff([*starts, len(frames)])
-        interval_of_frame = np.repeat(np.arange(len(starts)), lengths)
-        peaks = np.flatnonzero(ratios == worst_ratios[interval_of_frame])
-        _, first_peaks = np.unique(interval_of_frame[peaks], return_index=True)
-        split_frames = frames[peaks[first_peaks]][is_over_tolerance]
-        interval_starts = kept_samples[interval[starts[is_over_tolerance]]]
-        interval_ends = kept_samples[interval[starts[is_over_tolerance]] + 1]
+        lengths = np.diff([*first_positions, len(frames)])
+        interval_of_frame = np.repeat(np.arange(len(first_positions)), lengths)
+        peak_positions = np.flatnonzero(ratios == worst_ratios[interval_of_frame])
+        _, first_peaks = np.unique(interval_of_frame[peak_positions], return_index=True)
+        split_frames = frames[peak_positions[first_peaks]][is_over_tolerance]
+        split_intervals = interval_indices[first_positions[is_over_tolerance]]
+        interval_starts = kept_samples[split_intervals]
+        interval_ends = kept_samples[split_intervals + 1]
         margin = ((interval_ends - interval_starts) * SPLIT_MARGIN).astype(np.int64)
         lowest, highest = interval_starts + margin, interval_ends - margin
         split_frames = np.clip(split_frames, lowest, highest)
@@ -98,7 +99,7 @@ def _add_samples(measure: _ThinningErrors, kept_samples: IntArray) -> IntArray:
 
 
 def _drop_alternate(
-    measure: _ThinningErrors, kept_samples: IntArray, first_dropped: int
+    thinning_errors: _ThinningErrors, kept_samples: IntArray, first_dropped: int
 ) -> IntArray:
     """Drop every second sample if its removal stays within the tolerance."""
     dropped_positions = np.arange(1 + first_dropped, len(kept_samples) - 1, 2)
@@ -108,12 +109,12 @@ def _drop_alternate(
     first = kept_samples[dropped_positions[0] - 1]
     end = kept_samples[dropped_positions[-1] + 1]
     frames = np.setdiff1d(np.arange(first, end), fewer_samples)
-    ratios = measure.ratios(fewer_samples, frames)
+    ratios = thinning_errors.error_ratios(fewer_samples, frames)
     # Every interval of the trial contains one frame: the sample that it drops.
     starts = kept_samples[dropped_positions - 1]
-    interval = np.searchsorted(starts, frames, side="right") - 1
+    interval_indices = np.searchsorted(starts, frames, side="right") - 1
     worst_ratios = np.zeros(len(dropped_positions))
-    np.maximum.at(worst_ratios, interval, ratios)
+    np.maximum.at(worst_ratios, interval_indices, ratios)
     return np.delete(kept_samples, dropped_positions[worst_ratios <= 1])
 
 
@@ -134,23 +135,25 @@ class _ThinningErrors:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         positions = positions_between(self.codes[kept_samples], self.codes[frames])
         restored_motion = self.motion.select(kept_samples).map(positions.interpolate)
-        original = self.original_world
-        original = WorldTransforms(original.positions[frames], original.linear[frames])
+        original_world = self.original_world
+        original_world = WorldTransforms(
+            original_world.positions[frames], original_world.linear[frames]
+        )
         world = restored_motion.world(self.rig)
-        worst_errors = np.zeros(len(frames))
+        weight_errors_by_frame = np.zeros(len(frames))
         if restored_motion.weights is not None and self.motion.weights is not None:
             original_weights = self.motion.weights.values[frames]
             weight_errors = np.abs(restored_motion.weights.values - original_weights)
-            worst_errors = weight_errors.max(axis=(1, 2), initial=0.0)
-        return point_errors(self.points, original, world), worst_errors
+            weight_errors_by_frame = weight_errors.max(axis=(1, 2), initial=0.0)
+        return point_errors(self.points, original_world, world), weight_errors_by_frame
 
-    def ratios(self, kept_samples: IntArray, frames: IntArray) -> FloatArray:
+    def error_ratios(self, kept_samples: IntArray, frames: IntArray) -> FloatArray:
         """Return the largest error at each frame, divided by its tolerance ``(N,)``."""
         joint_errors, weight_errors = self.errors(kept_samples, frames)
-        largest = (joint_errors / self.bounds).max(axis=1, initial=0.0)
-        return np.asarray(np.maximum(largest, weight_errors / WEIGHT_TOLERANCE))
+        largest_ratios = (joint_errors / self.bounds).max(axis=1, initial=0.0)
+        return np.asarray(np.maximum(largest_ratios, weight_errors / WEIGHT_TOLERANCE))
 
-    def report(self, kept_samples: IntArray) -> ThinnedSamples:
+    def build_result(self, kept_samples: IntArray) -> ThinnedSamples:
         """Return the kept samples with their errors."""
         count = len(self.codes)
         joint_errors, weight_errors = self.errors(kept_samples, np.arange(count))

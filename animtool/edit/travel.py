@@ -113,8 +113,8 @@ class FramePositions:
         normalised. On a frame the result equals that frame exactly. A take of fewer
         than three frames is interpolated linearly.
         """
-        values, count = channel.values, len(channel.values)
-        if count < 3:
+        values, frame_count = channel.values, len(channel.values)
+        if frame_count < 3:
             return self.interpolate(channel)
         # The parabola of the last three frames continues beyond the ends.
         row_before = 3 * values[:1] - 3 * values[1:2] + values[2:3]
@@ -137,33 +137,33 @@ class FramePositions:
 
 
 def even_positions(
-    index: IntArray, offset: Fraction | int, ratio: Fraction, count: int
+    frame_indices: IntArray, offset: Fraction | int, ratio: Fraction, frame_count: int
 ) -> FramePositions:
-    """Return positions ``(index + offset) · ratio`` in ``count`` frames.
+    """Return positions ``(index + offset) · ratio`` in ``frame_count`` frames.
 
     The positions are exact, and clamped at the ends of the take.
 
     >>> even_positions(np.arange(4), 0, Fraction(1, 2), 9).fractions.tolist()
     [0.0, 0.5, 0.0, 0.5]
     """
-    shift = Fraction(offset)
-    scale = ratio.denominator * shift.denominator
-    numerator_step = ratio.numerator * shift.denominator
-    offset_numerator = ratio.numerator * shift.numerator
-    largest_index = max(abs(int(index[0])), abs(int(index[-1]))) + 1
+    exact_offset = Fraction(offset)
+    scale = ratio.denominator * exact_offset.denominator
+    numerator_step = ratio.numerator * exact_offset.denominator
+    offset_numerator = ratio.numerator * exact_offset.numerator
+    largest_index = max(abs(int(frame_indices[0])), abs(int(frame_indices[-1]))) + 1
     if max(scale, abs(numerator_step) * largest_index + abs(offset_numerator)) < 2**62:
-        numerators = index.astype(np.int64) * numerator_step + offset_numerator
+        numerators = frame_indices.astype(np.int64) * numerator_step + offset_numerator
         frames, remainders = np.divmod(numerators, scale)
         fractions = remainders / float(scale)
     else:
-        quotients = [divmod((int(i) + shift) * ratio, 1) for i in index]
-        bounded_frames = [min(max(frame, -1), count) for frame, _ in quotients]
+        quotients = [divmod((int(i) + exact_offset) * ratio, 1) for i in frame_indices]
+        bounded_frames = [min(max(frame, -1), frame_count) for frame, _ in quotients]
         frames = np.array(bounded_frames, np.int64)
         fractions = np.array([float(remainders) for _, remainders in quotients])
-    return _clamp_positions(frames, fractions, count)
+    return _clamp_positions(frames, fractions, frame_count)
 
 
-def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
+def nearby_positions(positions: ArrayLike, frame_count: int) -> FramePositions:
     """Return the frame positions of fractional frame indices ``(N,)``.
 
     A number within 1e-9 of a frame is that frame; positions are clamped to the take.
@@ -171,12 +171,12 @@ def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
     >>> nearby_positions([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
     [0, 1, 1]
     """
-    clamped_positions = np.clip(np.asarray(positions, np.float64), 0, count - 1)
-    nearest = np.round(clamped_positions)
-    is_on_frame = np.abs(clamped_positions - nearest) <= FRAME_TOLERANCE
-    clamped_positions = np.where(is_on_frame, nearest, clamped_positions)
+    clamped_positions = np.clip(np.asarray(positions, np.float64), 0, frame_count - 1)
+    nearest_frames = np.round(clamped_positions)
+    is_on_frame = np.abs(clamped_positions - nearest_frames) <= FRAME_TOLERANCE
+    clamped_positions = np.where(is_on_frame, nearest_frames, clamped_positions)
     frames = np.floor(clamped_positions).astype(np.int64)
-    return _clamp_positions(frames, clamped_positions - frames, count)
+    return _clamp_positions(frames, clamped_positions - frames, frame_count)
 
 
 def positions_between(codes: FloatArray, requested_times: ArrayLike) -> FramePositions:
@@ -195,12 +195,12 @@ def positions_between(codes: FloatArray, requested_times: ArrayLike) -> FramePos
 
 
 def _clamp_positions(
-    frames: IntArray, fractions: FloatArray, count: int
+    frames: IntArray, fractions: FloatArray, frame_count: int
 ) -> FramePositions:
     """Return positions clamped to the first and last frame."""
-    is_outside = (frames < 0) | (frames >= count - 1)
+    is_outside = (frames < 0) | (frames >= frame_count - 1)
     fractions = np.where(is_outside, 0.0, fractions)
-    return FramePositions(np.clip(frames, 0, count - 1), fractions)
+    return FramePositions(np.clip(frames, 0, frame_count - 1), fractions)
 
 
 # A joint that moves by less than this fraction of the rig's size, or rotates by less
@@ -222,7 +222,7 @@ class CycleTravel:
 
 
 def travelling_joint(
-    rig: Rig, motion: Motion, root: int, *, exclude_root: bool = False
+    rig: Rig, motion: Motion, root: int, *, excludes_root: bool = False
 ) -> int | None:
     """Return the joint that carries the full character, from a root down.
 
@@ -231,7 +231,7 @@ def travelling_joint(
     nothing travels.
     """
     is_moving = _is_translated(rig, motion, root) or _is_rotated(motion, root)
-    if is_moving and not exclude_root:
+    if is_moving and not excludes_root:
         return root
     moving_joints = _travelling_joints(rig, motion, root)
     return max(moving_joints, key=lambda j: (_subtree_size(rig, j), -j), default=None)
@@ -244,11 +244,11 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
     root travels independently, and joints below a static root move with the joint that
     `travelling_joint` returns.
     """
-    count = len(rig.joints)
+    joint_count = len(rig.joints)
     travel = CycleTravel(
-        np.tile(so3.IDENTITY, (count, 1)),
-        np.tile(np.eye(3), (count, 1, 1)),
-        np.zeros((count, 3)),
+        np.tile(so3.IDENTITY, (joint_count, 1)),
+        np.tile(np.eye(3), (joint_count, 1, 1)),
+        np.zeros((joint_count, 3)),
     )
     end_frames, up = motion.select(np.array([0, -1])), np.array(rig.up.vector)
     for root in rig.roots:

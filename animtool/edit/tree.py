@@ -32,13 +32,13 @@ def joint_index(rig: Rig, name: str, option: str) -> int:
 
 
 def match_joints(
-    rig: Rig, patterns: str | Sequence[str], *, children: bool = False
+    rig: Rig, patterns: str | Sequence[str], *, includes_children: bool = False
 ) -> list[int]:
     """Return the joints that match names or glob patterns, ascending.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0), Joint("c", -1)))
-    >>> match_joints(arm, ["a"], children=True)
+    >>> match_joints(arm, ["a"], includes_children=True)
     [0, 1]
     """
     joint_indices: set[int] = set()
@@ -47,7 +47,7 @@ def match_joints(
         if not matches:
             raise _unknown_joint_error(rig, pattern, "joints")
         joint_indices |= matches
-    if children:
+    if includes_children:
         for i, joint in enumerate(rig.joints):
             if joint.parent in joint_indices:
                 joint_indices.add(i)
@@ -79,8 +79,8 @@ class JointTransforms:
 def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
     """Replace a joint's local transforms; its children keep their world transforms."""
     motion = take.motion
-    children = np.flatnonzero(take.rig.parents == joint)
-    joint_and_children = np.concatenate([[joint], children])
+    child_indices = np.flatnonzero(take.rig.parents == joint)
+    joint_and_children = np.concatenate([[joint], child_indices])
     translations = motion.translations.gather(joint_and_children)
     rotations = motion.rotations.gather(joint_and_children)
     inverse_rotations = so3.conjugate(transforms.rotations)
@@ -152,7 +152,7 @@ def remove_joint(take: Take, joint: int) -> Take:
     joints = []
     for i, rig_joint in enumerate(rig.joints):
         if rig_joint.parent == joint:
-            pose = _relative_pose(_rest_pose(rig.joints[joint]), _rest_pose(rig_joint))
+            pose = _relative_pose(rig.joints[joint].rest_pose, rig_joint.rest_pose)
             rig_joint = replace(  # noqa: PLW2901
                 rig_joint,
                 parent=parent,
@@ -185,15 +185,17 @@ def _move_scale_to_children(take: Take, joint: int) -> Take:
     if scales is None:
         return take
     scale = _joint_scale(take, joint, np.ones(1, np.bool_))[:, None]
-    children = np.flatnonzero(take.rig.parents == joint)
+    child_indices = np.flatnonzero(take.rig.parents == joint)
     translations = take.motion.translations
-    joint_and_children = np.concatenate([[joint], children])
-    sizes = scales.gather(joint_and_children) * scale
-    sizes[:, 0] = 1.0
+    joint_and_children = np.concatenate([[joint], child_indices])
+    scale_values = scales.gather(joint_and_children) * scale
+    scale_values[:, 0] = 1.0
     motion = replace(
         take.motion,
-        scales=scales.put(joint_and_children, sizes),
-        translations=translations.put(children, translations.gather(children) * scale),
+        scales=scales.put(joint_and_children, scale_values),
+        translations=translations.put(
+            child_indices, translations.gather(child_indices) * scale
+        ),
     )
     return replace(take, motion=motion)
 
@@ -212,11 +214,6 @@ def _with_changed_channels(
     return replace(take, rig=rig, motion=motion)
 
 
-def _rest_pose(joint: Joint) -> Pose:
-    """Return the rest pose of a joint."""
-    return Pose(joint.translation, joint.rotation)
-
-
 def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
     """Compose a parent's pose with a child's, relative to the parent's parent."""
     offset = so3.rotate(parent_pose.rotation, pose.translation)
@@ -229,10 +226,10 @@ def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
     """Return the bind poses of a rig after a joint is removed."""
     removed_joint = rig.joints[joint]
     bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
-    parent_pose = rig.bind.get(removed_joint.name, _rest_pose(removed_joint))
+    parent_pose = rig.bind.get(removed_joint.name, removed_joint.rest_pose)
     for child in rig.joints:
         if child.parent == joint and {child.name, removed_joint.name} & set(rig.bind):
-            pose = rig.bind.get(child.name, _rest_pose(child))
+            pose = rig.bind.get(child.name, child.rest_pose)
             bind[child.name] = _relative_pose(parent_pose, pose)
     return bind
 
@@ -241,7 +238,7 @@ def _referenced_joints(rig: Rig) -> set[str]:
     """Return the joints that other parts of a rig reference."""
     names = {name for chain in rig.chains for name in (chain.root, chain.tip)}
     names.update(*(mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None))
-    names.update(*(entry.joints for entry in rig.attach))
+    names.update(*(attachment.joints for attachment in rig.attach))
     for control in rig.controls:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
@@ -310,15 +307,17 @@ def hang(
     if joint not in rig.names:
         hint = name_hint(joint, rig.names)
         raise _hang_error(f"unknown joint {joint!r}", "joint", hint)
-    j = rig.index(joint)
-    if rig.joints[j].type is not JointType.FREE:
-        message = f"joint {joint!r} is of type {rig.joints[j].type}, and cannot leave "
+    index = rig.index(joint)
+    if rig.joints[index].type is not JointType.FREE:
+        message = (
+            f"joint {joint!r} is of type {rig.joints[index].type}, and cannot leave "
+        )
         raise _hang_error(f"{message}its parent", "joint", "make it `type: free`")
-    rows, world = np.array([j]), take.world()
-    _check_scales(take, world, j)
-    rotation = world.rotations[:, j]
+    joint_row, world = np.array([index]), take.world()
+    _check_scales(take, world, index)
+    rotation = world.rotations[:, index]
     down_vector = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
-    rest_rotation = rest_world(take.rig).rotations[0, j]
+    rest_rotation = rest_world(take.rig).rotations[0, index]
     local_axis = so3.rotate(so3.conjugate(rest_rotation), down_vector)
     if axis is not None:
         local_axis = np.asarray(axis, np.float64)
@@ -326,13 +325,13 @@ def hang(
         segment = ends[:, 1] - ends[:, 0]
         swing = _shortest_rotations(so3.rotate(rotation, local_axis), segment)
         rotation = so3.multiply(swing, rotation)
-    parent = rig.joints[j].parent
+    parent = rig.joints[index].parent
     positions, rotations = _to_parent_space(world, parent, ends[:, 1], rotation)
     rotations = so3.align_signs(rotations)
     motion = replace(
         motion,
-        translations=motion.translations.put(rows, positions[:, None]).compact(),
-        rotations=motion.rotations.put(rows, rotations[:, None]).compact(),
+        translations=motion.translations.put(joint_row, positions[:, None]).compact(),
+        rotations=motion.rotations.put(joint_row, rotations[:, None]).compact(),
     )
     return replace(take, motion=motion)
 
@@ -369,9 +368,11 @@ def _to_parent_space(
         return positions, rotations
     inverse_linear = np.linalg.inv(world.linear[:, parent])
     offsets = positions - world.positions[:, parent]
-    local = np.einsum("fij,fj->fi", inverse_linear, offsets)
+    local_positions = np.einsum("fij,fj->fi", inverse_linear, offsets)
     inverse_parent = so3.conjugate(world.rotations[:, parent])
-    return np.ascontiguousarray(local), so3.multiply(inverse_parent, rotations)
+    return np.ascontiguousarray(local_positions), so3.multiply(
+        inverse_parent, rotations
+    )
 
 
 def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:

@@ -16,7 +16,7 @@ from animtool.ik.driver_programs import (
     FOLLOWS_PROGRAM,
     UNDRIVEN,
     CoordinateSource,
-    Programs,
+    DriverPrograms,
 )
 from animtool.ik.goals import Goal
 from animtool.ik.limbs import limb_joints
@@ -43,8 +43,8 @@ class _Frame:
 
     def transform(self, translation: FloatArray, rotation: FloatArray) -> _Frame:
         """Return a child's frame, transformed from this frame to the parent node."""
-        transformed = self.translation + so3.rotate(self.rotation, translation)
-        return _Frame(self.node, transformed, so3.multiply(self.rotation, rotation))
+        position = self.translation + so3.rotate(self.rotation, translation)
+        return _Frame(self.node, position, so3.multiply(self.rotation, rotation))
 
 
 class _ChainBuilder:
@@ -65,20 +65,20 @@ class _ChainBuilder:
         self.ball_rotations: list[tuple[int, FloatArray]] = []
         self.leader_columns: dict[int, int] = {}
         self.ball_columns: dict[int, int] = {}
-        self.programs = Programs(rig, pose) if rig.is_driven else None
+        self.programs = DriverPrograms(rig, pose) if rig.is_driven else None
 
-    def add_joint(self, joint: int, frame: _Frame) -> _Frame:
+    def add_joint(self, joint_index: int, frame: _Frame) -> _Frame:
         """Append a joint's nodes below its rest frame; return the joint's frame."""
-        spec = self.rig.joints[joint]
-        first = self.slices[joint].start
-        if spec.type in {JointType.PIN, JointType.PRISMATIC}:
-            return self._add_axis_joint(joint, frame)
-        if spec.type is JointType.FREE:
+        joint = self.rig.joints[joint_index]
+        first_column = self.slices[joint_index].start
+        if joint.type in {JointType.PIN, JointType.PRISMATIC}:
+            return self._add_axis_joint(joint_index, frame)
+        if joint.type is JointType.FREE:
             for i in range(3):
-                frame = self._add_slide(first + i, frame, np.eye(3)[i])
-            return self._add_ball(first + 3, spec, frame)
-        self.ball_columns[joint] = len(self.rig_columns)
-        return self._add_ball(first, spec, frame)
+                frame = self._add_slide(first_column + i, frame, np.eye(3)[i])
+            return self._add_ball(first_column + 3, joint, frame)
+        self.ball_columns[joint_index] = len(self.rig_columns)
+        return self._add_ball(first_column, joint, frame)
 
     def sources(self) -> dict[int, CoordinateSource]:
         """Return the chain coordinates that drivers may read, by joint."""
@@ -120,14 +120,14 @@ class _ChainBuilder:
         rotation = _rotation_from_z(axis)
         return self._add_node(SLIDE, frame, rotation, len(self.rig_columns) - 1)
 
-    def _add_axis_joint(self, joint: int, frame: _Frame) -> _Frame:
+    def _add_axis_joint(self, joint_index: int, frame: _Frame) -> _Frame:
         """Append the node of a pin or prismatic joint; return its frame."""
-        leader, gain, shift = _leader_of(self.rig, joint)
-        spec = self.rig.joints[joint]
-        kind = PIN if spec.type is JointType.PIN else SLIDE
-        rotation = _rotation_from_z(np.asarray(spec.axis, np.float64))
-        if self.programs is not None and joint in self.programs.plan.joints:
-            program = self.programs.request_index(joint)
+        leader, gain, shift = _leader_of(self.rig, joint_index)
+        joint = self.rig.joints[joint_index]
+        kind = PIN if joint.type is JointType.PIN else SLIDE
+        rotation = _rotation_from_z(np.asarray(joint.axis, np.float64))
+        if self.programs is not None and joint_index in self.programs.plan.joints:
+            program = self.programs.request_program(joint_index)
             return self._add_node(
                 kind, frame, rotation, program, driver_kind=FOLLOWS_PROGRAM
             )
@@ -155,15 +155,15 @@ class _ChainBuilder:
             kind, frame, rotation, column, gain=(gain, shift), limit=limit
         )
 
-    def _add_ball(self, column: int, spec: Joint, frame: _Frame) -> _Frame:
+    def _add_ball(self, column: int, joint: Joint, frame: _Frame) -> _Frame:
         """Append the node of a ball joint; return its frame."""
         rotation, limit = so3.IDENTITY, (np.inf, np.inf, -np.inf, np.inf)
-        if isinstance(spec.limits, BallLimit):
-            twist_axis, first_swing_axis, second_swing_axis = spec.limits.axes
+        if isinstance(joint.limits, BallLimit):
+            twist_axis, first_swing_axis, second_swing_axis = joint.limits.axes
             basis = np.stack([first_swing_axis, second_swing_axis, twist_axis], axis=1)
             rotation = so3.from_matrix(basis)
-            swing = spec.limits.swing or (np.inf, np.inf)
-            twist = spec.limits.twist or UNLIMITED
+            swing = joint.limits.swing or (np.inf, np.inf)
+            twist = joint.limits.twist or UNLIMITED
             if twist[1] - twist[0] >= 2 * np.pi - REVOLUTION_TOLERANCE:
                 twist = UNLIMITED
             limit = (*swing, *twist)
@@ -208,13 +208,13 @@ def _coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
         if gain == 0:
             continue
         ends = (joint.limits.low, joint.limits.high)
-        first, last = sorted((end - shift) / gain for end in ends)
+        range_start, range_end = sorted((end - shift) / gain for end in ends)
         low, high = ranges.get(leader, UNLIMITED)
-        ranges[leader] = max(low, first), min(high, last)
+        ranges[leader] = max(low, range_start), min(high, range_end)
     return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
 
 
-def assemble(
+def assemble_chain(
     rig: Rig, goals: Sequence[Goal], moving_joints: set[int], pose: FloatArray
 ) -> tuple[Chain, list[Fault]]:
     """Return the chain of the moving joints; other joints are fixed at a pose ``(Q,)``.
@@ -342,8 +342,8 @@ def _node_rows(
     coordinate_scales = np.where(is_program, 1.0, scales[columns])
     gains = np.array(builder.gains)
     limits = np.array(builder.limits)
-    single_columns = nodes[:, 0] != BALL
-    limits[single_columns, :2] /= coordinate_scales[single_columns, None]
+    is_single_axis = nodes[:, 0] != BALL
+    limits[is_single_axis, :2] /= coordinate_scales[is_single_axis, None]
     node_numbers = np.concatenate(
         [
             np.array(builder.rest_matrices).reshape(-1, 9),
@@ -356,10 +356,12 @@ def _node_rows(
     )
     if builder.programs is not None:
         sources = builder.sources()
-        requested, program_rows, values = builder.programs.arrays(sources, scales)
-        nodes[is_program, 2] = np.array(requested, np.int64)[nodes[is_program, 2]]
+        program_indices, program_rows, program_values = builder.programs.arrays(
+            sources, scales
+        )
+        nodes[is_program, 2] = np.array(program_indices, np.int64)[nodes[is_program, 2]]
         padding = np.zeros((len(program_rows), node_numbers.shape[1]))
-        padding[:, :6] = np.array(values).reshape(-1, 6)
+        padding[:, :6] = np.array(program_values).reshape(-1, 6)
         nodes = np.concatenate([nodes, np.array(program_rows, np.int64).reshape(-1, 4)])
         node_numbers = np.concatenate([node_numbers, padding])
     return nodes, np.ascontiguousarray(node_numbers)

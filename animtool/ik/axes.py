@@ -19,10 +19,10 @@ from animtool.rig.skeleton import Rig
 # Larger coordinates are mistakes of another kind [m].
 MAX_DISTANCE = 1e6
 # A target in the unit that is meant may still be missed by a little, in limb lengths.
-MAX_REACH = 1.5
+MAX_REACH_RATIO = 1.5
 # If targets of left and right are exchanged, limbs cross by this part of the distance
 # of their roots, and a joint is on its limit in this fraction of frames [1].
-MIN_CROSSING, MIN_LIMITED = 0.5, 0.5
+MIN_CROSSING_FRACTION, MIN_LIMIT_FRACTION = 0.5, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class LimbTarget:
 def limb_target(
     solved_take: TakeIk, goal_index: int, frame: float
 ) -> LimbTarget | None:
-    """Return the target of a goal's position at a time code; None without one."""
+    """Return a goal's position target and limb at a time code; None without target."""
     track, rig = solved_take.tracks.goals[goal_index], solved_take.take.rig
     value = track.values.get("position")
     if value is None:
@@ -74,9 +74,9 @@ def unit_hint(rig: Rig, target: LimbTarget | None) -> str | None:
     if target is None:
         return None
     for unit in (LengthUnit.CM, LengthUnit.MM):
-        factor = unit.meters / rig.meters_per_unit
-        distance = float(np.linalg.norm(factor * target.point - target.origin))
-        if factor < 1 and distance <= MAX_REACH * target.length:
+        unit_factor = unit.meters / rig.meters_per_unit
+        distance = float(np.linalg.norm(unit_factor * target.point - target.origin))
+        if unit_factor < 1 and distance <= MAX_REACH_RATIO * target.length:
             return (
                 f"the rig is in {unit_name(rig.meters_per_unit)}; with "
                 f"'units: {{length: {unit}}}' the target is "
@@ -134,8 +134,8 @@ def pole_hint(
 def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
     """Return pairs of a left and a right goal whose targets seem to be exchanged.
 
-    In all frames of both, the limbs cross by `MIN_CROSSING` or more, and in most of
-    them a joint of theirs is on its limit.
+    In all frames of both, the limbs cross by `MIN_CROSSING_FRACTION` or more, and in
+    most of them a joint of theirs is on its limit.
     """
     rig, tracks = solved_take.take.rig, solved_take.tracks.goals
     pairs = pair_sides(rig.names, rig.parents)
@@ -144,38 +144,40 @@ def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
         for e, track in enumerate(tracks)
         if track.values.get("position") is not None
     }
-    crossed: list[tuple[int, int]] = []
+    crossed_pairs: list[tuple[int, int]] = []
     world_positions: FloatArray | None = None
     for left in pairs.left:
         right = int(pairs.partners[left])
         if left not in goal_of_joint or right not in goal_of_joint:
             continue
-        goals = goal_of_joint[left], goal_of_joint[right]
+        goal_pair = goal_of_joint[left], goal_of_joint[right]
         paired_joints = [j for j in rig.upwards(left) if pairs.partners[j] != j]
         roots = paired_joints[-1], int(pairs.partners[paired_joints[-1]])
-        frames = solved_take.active[:, goals, 0].all(axis=1)
+        is_active = solved_take.active[:, goal_pair, 0].all(axis=1)
         if world_positions is None:
             world_positions = solved_take.take.world().positions
-        positions = world_positions[frames]
+        positions = world_positions[is_active]
         root_offsets = positions[:, roots[0]] - positions[:, roots[1]]
         tip_offsets = positions[:, left] - positions[:, right]
         crossings = -(tip_offsets * root_offsets).sum(axis=1)
         if (
             not len(crossings)
-            or (crossings <= MIN_CROSSING * (root_offsets**2).sum(axis=1)).any()
+            or (
+                crossings <= MIN_CROSSING_FRACTION * (root_offsets**2).sum(axis=1)
+            ).any()
         ):
             continue
         names = {
             rig.names[joint] for tip in (left, right) for joint in rig.upwards(tip)
         }
         limit_fractions = [
-            float(on[frames].mean())
-            for name, on in solved_take.on_limits.items()
+            float(is_on_limit[is_active].mean())
+            for name, is_on_limit in solved_take.on_limits.items()
             if name in names
         ]
-        if max(limit_fractions, default=0.0) >= MIN_LIMITED:
-            crossed.append(goals)
-    return crossed
+        if max(limit_fractions, default=0.0) >= MIN_LIMIT_FRACTION:
+            crossed_pairs.append(goal_pair)
+    return crossed_pairs
 
 
 def _point_text(point: FloatArray) -> str:

@@ -29,9 +29,9 @@ MISS_COST = 1e4
 # Weight factor per priority level [1].
 PRIORITY_FACTOR = 1e-2
 # Costs that differ by at most this count as equal misses, see `miss_cost`.
-EQUAL_COST = 1e-3
+EQUAL_COST_TOLERANCE = 1e-3
 # Poses nearer than this belong to one branch [rad], [fraction of the length].
-SAME_BRANCH = 1e-3
+SAME_BRANCH_DISTANCE = 1e-3
 # Maximum iterations from any start, and from the neighbouring frame; a branch that
 # needs more ends there.
 START_ITERATIONS, TRACK_ITERATIONS = 100, 30
@@ -55,11 +55,11 @@ class Interval:
     poses: FloatArray  # the current path, chain coordinates ``(L, C)``
     costs: FloatArray  # miss cost of each frame, see `miss_cost` ``(L,)``
     # Source motion that the path modifies ``(L, C)``; a repeated pose if there is none.
-    reference: FloatArray
+    reference_poses: FloatArray
     # Largest joint step without penalty, for each frame pair ``(L - 1,)``.
-    free_step: FloatArray
+    unpenalized_step: FloatArray
     # Preferred poses of all frames, weighted by ``rest_weight`` ``(F, Q)``.
-    preferred: FloatArray
+    preferred_poses: FloatArray
     options: IkOptions  # solver options of a frame
 
     @property
@@ -82,7 +82,7 @@ class Interval:
         return poses, miss_cost(misses, result.converged)
 
     def track(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
-        """Track a pose through rows; return poses and their number before a miss."""
+        """Solve row after row from a pose; return poses and how many precede a miss."""
         frame_options = replace(
             self.options, warm=True, restarts=0, iterations=TRACK_ITERATIONS
         )
@@ -92,9 +92,9 @@ class Interval:
             batch = slice(first, min(first + TRACK_BATCH, len(rows)))
             result = self._solve(start, self.frames.start + rows[batch], frame_options)
             poses[batch] = self.chain.from_rig(result.coordinates)
-            missed_frames = np.flatnonzero(~result.converged)
-            if len(missed_frames):
-                return poses, first + int(missed_frames[0])
+            missed_rows = np.flatnonzero(~result.converged)
+            if len(missed_rows):
+                return poses, first + int(missed_rows[0])
             start = result.coordinates[-1]
         return poses, len(rows)
 
@@ -103,8 +103,8 @@ class Interval:
     ) -> IkResult:
         """Return the IK solutions of the given frames from their starts."""
         targets = targets_of_frames(self.targets, frames)
-        preferred = self.preferred[frames]
-        return solve(self.problem, starts, targets, options, prefer=preferred)
+        preferred_rows = self.preferred_poses[frames]
+        return solve(self.problem, starts, targets, options, prefer=preferred_rows)
 
     def _rig_rows(self, poses: FloatArray) -> FloatArray:
         """Return chain poses as rig coordinates ``(B, Q)``; other joints are 0."""
@@ -123,8 +123,10 @@ def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> Flo
     weights = weights * PRIORITY_FACTOR ** problem.chain.goals[:, 3:4]
     if targets.weights is not None:
         weights = weights * np.asarray(targets.weights, np.float64)
-    largest = weights.max(axis=(-2, -1), keepdims=True)
-    weights = np.divide(weights, largest, out=np.zeros_like(weights), where=largest > 0)
+    largest_weight = weights.max(axis=(-2, -1), keepdims=True)
+    weights = np.divide(
+        weights, largest_weight, out=np.zeros_like(weights), where=largest_weight > 0
+    )
     relative_misses = misses / by_unit(problem.length, 1.0)
     # Misses of weight 0 may be infinite.
     return np.asarray(np.where(weights > 0, relative_misses, 0.0) * weights, np.float64)
@@ -132,8 +134,8 @@ def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> Flo
 
 def miss_cost(misses: FloatArray, is_reached: BoolArray) -> FloatArray:
     """Return the cost of weighted misses ``(F,)``; 0 where goals are reached."""
-    cost = MISS_COST * (1.0 + (misses**2).sum(axis=(1, 2)))
-    return np.where(is_reached, 0.0, cost)
+    costs = MISS_COST * (1.0 + (misses**2).sum(axis=(1, 2)))
+    return np.where(is_reached, 0.0, costs)
 
 
 def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:
@@ -142,10 +144,10 @@ def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:
     In each frame, a path whose miss exceeds the smallest by at most ``slack``
     [fraction of the length] costs as little as that one.
     """
-    smallest = costs.min(axis=0)
-    slack_cost = MISS_COST * (1.0 + (miss_of_cost(smallest) + slack) ** 2)
-    limit = np.where(smallest > 0, slack_cost, 0.0)
-    return np.where(costs <= limit, smallest, costs)
+    smallest_costs = costs.min(axis=0)
+    slack_cost = MISS_COST * (1.0 + (miss_of_cost(smallest_costs) + slack) ** 2)
+    cost_limits = np.where(smallest_costs > 0, slack_cost, 0.0)
+    return np.where(costs <= cost_limits, smallest_costs, costs)
 
 
 def miss_of_cost(costs: FloatArray) -> FloatArray:
@@ -154,7 +156,7 @@ def miss_of_cost(costs: FloatArray) -> FloatArray:
 
 
 def find_branches(
-    interval: Interval, count: int, seed: int
+    interval: Interval, start_count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return candidate paths through an interval ``(K, L, C)``, and costs ``(K, L)``.
 
@@ -164,23 +166,25 @@ def find_branches(
     """
     jump_row = interval.jump_frame - interval.frames.start
     starts = [interval.poses[jump_row], interval.poses[jump_row - 1]]
-    starts += list(_random_starts(interval, interval.poses[jump_row], count, seed))
+    starts += list(
+        _random_starts(interval, interval.poses[jump_row], start_count, seed)
+    )
     frames = np.full(len(starts), interval.jump_frame)
-    solutions, cost = interval.solve_frames(np.array(starts), frames)
-    distinct = _distinct(interval.chain, solutions[cost == 0])
-    if not len(distinct):
-        distinct = solutions[np.argsort(cost, kind="stable")[:1]]
-    tracks, costs = track_both_directions(interval, distinct, jump_row)
+    solutions, solution_costs = interval.solve_frames(np.array(starts), frames)
+    distinct_poses = _distinct_poses(interval.chain, solutions[solution_costs == 0])
+    if not len(distinct_poses):
+        distinct_poses = solutions[np.argsort(solution_costs, kind="stable")[:1]]
+    tracks, costs = track_both_directions(interval, distinct_poses, jump_row)
     paths = [interval.poses[None], tracks]
     all_costs = [interval.costs[None], costs]
-    for path, cost in _blend_paths(interval, tracks, jump_row):
+    for path, solution_costs in _blend_paths(interval, tracks, jump_row):
         paths.append(path[None])
-        all_costs.append(cost[None])
+        all_costs.append(solution_costs[None])
     return np.concatenate(paths), np.concatenate(all_costs)
 
 
 def branch_tracks(
-    interval: Interval, rows: IntArray, count: int, seed: int
+    interval: Interval, rows: IntArray, start_count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return candidate paths ``(K, L, C)`` tracked from the given rows, and costs.
 
@@ -191,14 +195,15 @@ def branch_tracks(
     for row in rows.tolist():
         current_pose = interval.poses[row]
         starts = [current_pose, interval.poses[max(row - 1, 0)]]
-        starts += list(_random_starts(interval, current_pose, count, seed + row))
+        starts += list(_random_starts(interval, current_pose, start_count, seed + row))
         frames = np.full(len(starts), interval.frames[row])
-        solutions, cost = interval.solve_frames(np.array(starts), frames)
-        distinct = _distinct(interval.chain, solutions[cost <= cost.min() + EQUAL_COST])
-        steps = np.abs(joint_steps(interval.chain, current_pose, distinct))
+        solutions, solution_costs = interval.solve_frames(np.array(starts), frames)
+        is_best = solution_costs <= solution_costs.min() + EQUAL_COST_TOLERANCE
+        poses = _distinct_poses(interval.chain, solutions[is_best])
+        steps = np.abs(joint_steps(interval.chain, current_pose, poses))
         order = np.argsort(steps.max(axis=1), kind="stable")
-        distinct = distinct[order[:SOLUTIONS_PER_SAMPLE]]
-        tracks, costs = track_both_directions(interval, distinct, row, TRACK_ITERATIONS)
+        poses = poses[order[:SOLUTIONS_PER_SAMPLE]]
+        tracks, costs = track_both_directions(interval, poses, row, TRACK_ITERATIONS)
         paths.append(tracks)
         all_costs.append(costs)
     return np.concatenate(paths), np.concatenate(all_costs)
@@ -212,67 +217,67 @@ def search_long_interval(
     They are the current path and solutions from seeded starts every ``spacing`` frames,
     each tracked in both directions until it ends or a later layer replaces it.
     """
-    length, width = interval.poses.shape
-    paths = np.zeros((1 + MAX_LAYERS * SOLUTIONS_PER_SAMPLE, length, width))
-    costs = np.full((len(paths), length), 2 * MISS_COST)
-    paths[0] = interval.poses
-    costs[0] = interval.costs
-    search_reach = MAX_LAYERS * spacing // 2
-    for i, row in enumerate(range(0, length, spacing)):
+    frame_count = len(interval.poses)
+    path_count = 1 + MAX_LAYERS * SOLUTIONS_PER_SAMPLE
+    paths = np.zeros((path_count, *interval.poses.shape))
+    costs = np.full((path_count, frame_count), 2 * MISS_COST)
+    paths[0], costs[0] = interval.poses, interval.costs
+    half_span = MAX_LAYERS * spacing // 2
+    for i, row in enumerate(range(0, frame_count, spacing)):
         frames = np.full(SOLUTIONS_PER_SAMPLE, interval.frames[row])
-        starts = _random_starts(
-            interval, interval.poses[row], SOLUTIONS_PER_SAMPLE, seed + i
-        )
-        solutions, cost = interval.solve_frames(np.array(list(starts)), frames)
-        layer = 1 + i % MAX_LAYERS * SOLUTIONS_PER_SAMPLE
-        reach_rows = slice(max(row - search_reach, 0), row + search_reach)
-        paths[layer : layer + SOLUTIONS_PER_SAMPLE, reach_rows] = solutions[:, None]
-        for k in np.flatnonzero(cost == 0):
+        pose = interval.poses[row]
+        starts = list(_random_starts(interval, pose, SOLUTIONS_PER_SAMPLE, seed + i))
+        solutions, solution_costs = interval.solve_frames(np.array(starts), frames)
+        first_path = 1 + i % MAX_LAYERS * SOLUTIONS_PER_SAMPLE
+        layer = slice(first_path, first_path + SOLUTIONS_PER_SAMPLE)
+        reach_rows = slice(max(row - half_span, 0), row + half_span)
+        paths[layer, reach_rows] = solutions[:, None]
+        for k in np.flatnonzero(solution_costs == 0):
             for rows in (
-                np.arange(row, min(row + search_reach, length)),
-                np.arange(row, max(row - search_reach, -1), -1),
+                np.arange(row, min(row + half_span, frame_count)),
+                np.arange(row, max(row - half_span, -1), -1),
             ):
                 poses, reached_count = interval.track(solutions[k], rows)
-                paths[layer + k, rows[:reached_count]] = poses[:reached_count]
-                costs[layer + k, rows[:reached_count]] = 0.0
+                paths[first_path + k, rows[:reached_count]] = poses[:reached_count]
+                costs[first_path + k, rows[:reached_count]] = 0.0
     return paths, costs
 
 
 def _random_starts(
-    interval: Interval, centre: FloatArray, count: int, seed: int
+    interval: Interval, centre: FloatArray, pose_count: int, seed: int
 ) -> Iterator[FloatArray]:
-    """Yield random poses: joints within their limits, others around ``centre``."""
-    return random_poses(interval.chain, centre, count, [seed, interval.jump_frame])
+    """Yield start poses of an interval, seeded by its jump; see `random_poses`."""
+    return random_poses(interval.chain, centre, pose_count, [seed, interval.jump_frame])
 
 
 def random_poses(
-    chain: Chain, centre: FloatArray, count: int, seed: Sequence[int]
+    chain: Chain, centre: FloatArray, pose_count: int, seed: Sequence[int]
 ) -> Iterator[FloatArray]:
     """Yield random poses: joints within their limits, others around ``centre``."""
     rng = np.random.default_rng(seed)
-    for i in range(count):
+    for i in range(pose_count):
         step = rng.normal(size=chain.degrees) * RANDOM_SPREADS[i % len(RANDOM_SPREADS)]
         pose = apply_steps(chain, centre, step)
-        for (kind, _, column, driver_kind), numbers in zip(
+        for (kind, _, column, driver_kind), node_numbers in zip(
             chain.nodes[:, :4], with_periods(chain), strict=True
         ):
-            fraction, (low, high) = rng.uniform(-1, 1), numbers[14:16]
+            fraction, (low, high) = rng.uniform(-1, 1), node_numbers[14:16]
             if kind != BALL and not driver_kind and np.isfinite([low, high]).all():
                 half_range = min((high - low) / 2, np.pi)
                 pose[column] = (low + high) / 2 + fraction * half_range
         yield pose
 
 
-def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
-    """Return the poses that differ from all earlier ones by more than `SAME_BRANCH`."""
-    distinct: list[FloatArray] = []
+def _distinct_poses(chain: Chain, poses: FloatArray) -> FloatArray:
+    """Return the first pose of each branch: poses near an earlier one are left out."""
+    distinct_poses: list[FloatArray] = []
     for pose in poses:
-        steps = (
-            np.abs(joint_steps(chain, np.array(distinct), pose)) if distinct else None
-        )
-        if steps is None or steps.max(axis=1).min() > SAME_BRANCH:
-            distinct.append(pose)
-    return np.array(distinct).reshape(-1, poses.shape[-1])
+        if distinct_poses:
+            steps = np.abs(joint_steps(chain, np.array(distinct_poses), pose))
+            if not steps.max(axis=1).min() > SAME_BRANCH_DISTANCE:
+                continue
+        distinct_poses.append(pose)
+    return np.array(distinct_poses).reshape(-1, poses.shape[-1])
 
 
 def track_both_directions(
@@ -282,19 +287,21 @@ def track_both_directions(
     iterations: int = START_ITERATIONS,
 ) -> tuple[FloatArray, FloatArray]:
     """Track poses ``(K, C)`` from a row to both ends; return paths and costs."""
-    length = len(interval.frames)
-    tracks = np.zeros((len(poses), length, poses.shape[1]))
-    costs = np.zeros((len(poses), length))
-    for direction, stop in ((1, length), (-1, -1)):
-        current = poses
-        for row in range(start_row, stop, direction):
+    frame_count = len(interval.frames)
+    tracks = np.zeros((len(poses), frame_count, poses.shape[1]))
+    costs = np.zeros((len(poses), frame_count))
+    chain, references = interval.chain, interval.reference_poses
+    for direction, end_row in ((1, frame_count), (-1, -1)):
+        current_poses = poses
+        for row in range(start_row, end_row, direction):
             if row != start_row:
-                previous = interval.reference[row - direction]
-                change = joint_steps(interval.chain, previous, current)
-                current = apply_steps(interval.chain, interval.reference[row], change)
-            frames = np.full(len(current), interval.frames[row])
-            current, costs[:, row] = interval.solve_frames(current, frames, iterations)
-            tracks[:, row] = current
+                change = joint_steps(chain, references[row - direction], current_poses)
+                current_poses = apply_steps(chain, references[row], change)
+            frames = np.full(len(current_poses), interval.frames[row])
+            current_poses, costs[:, row] = interval.solve_frames(
+                current_poses, frames, iterations
+            )
+            tracks[:, row] = current_poses
     return tracks, costs
 
 
@@ -305,8 +312,8 @@ def _blend_paths(
     progress = np.clip(np.arange(len(interval.frames)) / max(end_row, 1), 0.0, 1.0)
     weights = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:
-        step = joint_steps(interval.chain, interval.poses, track)
-        blended_poses = apply_steps(interval.chain, interval.poses, weights * step)
+        steps = joint_steps(interval.chain, interval.poses, track)
+        blended_poses = apply_steps(interval.chain, interval.poses, weights * steps)
         yield interval.solve_frames(blended_poses, np.array(interval.frames))
 
 
@@ -315,20 +322,21 @@ def best_path(
     paths: FloatArray,
     costs: FloatArray,
     *,
-    fixed_end: bool,
-    free_start: bool = False,
+    is_end_fixed: bool,
+    is_start_free: bool = False,
 ) -> FloatArray:
     """Return the least-cost route ``(L, C)`` across candidate paths, by Viterbi search.
 
     It minimises the sum of squared steps and miss costs (A. Viterbi, Error bounds for
-    convolutional codes, 1967); steps above ``free_step`` are penalised. The route
-    begins on the first path unless ``free_start``, and ends there if ``fixed_end``.
+    convolutional codes, 1967); steps above ``unpenalized_step`` are penalised. The
+    route begins on the first path unless ``is_start_free``, and ends there if
+    ``is_end_fixed``.
 
     ``paths`` ``(K, L, C)``, ``costs`` ``(K, L)``.
     """
     chain = interval.chain
     reference_steps = joint_steps(
-        chain, interval.reference[:-1], interval.reference[1:]
+        chain, interval.reference_poses[:-1], interval.reference_poses[1:]
     )
     path_indices = _kernels.cheapest_ik_path(
         chain.nodes,
@@ -336,8 +344,8 @@ def best_path(
         paths,
         costs,
         reference_steps,
-        interval.free_step,
-        free_start,
-        fixed_end,
+        interval.unpenalized_step,
+        is_start_free,
+        is_end_fixed,
     )
     return unwrap_angles(chain, paths[path_indices, np.arange(costs.shape[1])])

@@ -98,14 +98,16 @@ def joint_steps(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
     """
     start, end = np.broadcast_arrays(start, end)
     steps = np.zeros((*start.shape[:-1], chain.degrees))
-    columns, dofs, balls = _joint_columns(chain)
-    angles = end[..., columns[~balls]] - start[..., columns[~balls]]
+    columns, first_dofs, is_ball = _joint_columns(chain)
+    angles = end[..., columns[~is_ball]] - start[..., columns[~is_ball]]
     revolutions = 2 * np.pi * np.round(angles / (2 * np.pi))
-    angles -= np.where(_unlimited_pins(chain)[~balls], revolutions, 0.0)
-    steps[..., dofs[~balls]] = angles
-    for column, dof in zip(columns[balls], dofs[balls], strict=True):
-        ball = slice(column, column + 4)
-        rotation = so3.multiply(end[..., ball], so3.conjugate(start[..., ball]))
+    angles -= np.where(_unlimited_pins(chain)[~is_ball], revolutions, 0.0)
+    steps[..., first_dofs[~is_ball]] = angles
+    for column, dof in zip(columns[is_ball], first_dofs[is_ball], strict=True):
+        ball_columns = slice(column, column + 4)
+        rotation = so3.multiply(
+            end[..., ball_columns], so3.conjugate(start[..., ball_columns])
+        )
         steps[..., dof : dof + 3] = so3.log(rotation)
     return steps
 
@@ -114,21 +116,21 @@ def apply_steps(chain: Chain, start: FloatArray, step: FloatArray) -> FloatArray
     """Add joint steps ``(..., D)`` to poses ``(..., C)``, ignoring limits."""
     shape = np.broadcast_shapes(start.shape[:-1], step.shape[:-1])
     poses = np.array(np.broadcast_to(start, (*shape, start.shape[-1])))
-    columns, dofs, balls = _joint_columns(chain)
-    poses[..., columns[~balls]] += step[..., dofs[~balls]]
-    for column, dof in zip(columns[balls], dofs[balls], strict=True):
-        ball = slice(column, column + 4)
+    columns, first_dofs, is_ball = _joint_columns(chain)
+    poses[..., columns[~is_ball]] += step[..., first_dofs[~is_ball]]
+    for column, dof in zip(columns[is_ball], first_dofs[is_ball], strict=True):
+        ball_columns = slice(column, column + 4)
         rotation = so3.exp(step[..., dof : dof + 3])
-        poses[..., ball] = so3.multiply(rotation, poses[..., ball])
+        poses[..., ball_columns] = so3.multiply(rotation, poses[..., ball_columns])
     return poses
 
 
 def _joint_columns(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
     """Return each joint's first coordinate and degree of freedom, and a ball mask."""
     nodes = chain.nodes[chain.nodes[:, 3] == 0]
-    balls = nodes[:, 0] == BALL
-    widths = np.where(balls, 3, 1)
-    return nodes[:, 2], np.cumsum(widths) - widths, balls
+    is_ball = nodes[:, 0] == BALL
+    dof_counts = np.where(is_ball, 3, 1)
+    return nodes[:, 2], np.cumsum(dof_counts) - dof_counts, is_ball
 
 
 def unwrap_angles(chain: Chain, poses: FloatArray) -> FloatArray:
@@ -158,6 +160,6 @@ def with_periods(chain: Chain) -> FloatArray:
 
 def _unlimited_pins(chain: Chain) -> BoolArray:
     """Return a mask of the joints that are pins without angle limits."""
-    independent = chain.nodes[:, 3] == 0
-    is_unlimited = ~np.isfinite(with_periods(chain)[independent, 14:16]).any(axis=1)
-    return np.asarray((chain.nodes[independent, 0] == PIN) & is_unlimited)
+    is_independent = chain.nodes[:, 3] == 0
+    is_unlimited = ~np.isfinite(with_periods(chain)[is_independent, 14:16]).any(axis=1)
+    return np.asarray((chain.nodes[is_independent, 0] == PIN) & is_unlimited)

@@ -87,12 +87,12 @@ def spans_of_take(
     controls = controls or {}
     rig = with_controls(rig, controls, 0)
     problem = build(rig, goals, joints=joints, pose=coordinates[0])
-    moving = {rig.index(name) for name in problem.joints}
+    moving_joints = {rig.index(name) for name in problem.joints}
     paths = [rig.upwards(rig.index(goal.joint)) for goal in goals]
     root_path_indices = [
-        max(i for i, j in enumerate(path) if j in moving) for path in paths
+        max(i for i, j in enumerate(path) if j in moving_joints) for path in paths
     ]
-    carriers = [
+    carrier_joints = [
         rig.parents[path[root_path_index]]
         for path, root_path_index in zip(paths, root_path_indices, strict=True)
     ]
@@ -108,27 +108,27 @@ def spans_of_take(
     moving_between = [
         j
         for j in sorted(path_joints)
-        if (leaves_joint_type[j] if j in moving else is_changed[0][j])
-        or (j not in moving | pivot_joints and is_changed[1][j])
+        if (leaves_joint_type[j] if j in moving_joints else is_changed[0][j])
+        or (j not in moving_joints | pivot_joints and is_changed[1][j])
     ]
     moving_sources = _moving_sources(
-        rig, moving & path_joints, moving, is_changed[0] | is_changed[1]
+        rig, moving_joints & path_joints, moving_joints, is_changed[0] | is_changed[1]
     )
     moving_between = sorted({*moving_between, *moving_sources})
     changing_controls = [
         name for name, values in controls.items() if (values != values[0]).any()
     ]
-    count = len(coordinates)
+    frame_count = len(coordinates)
     if moving_between or changing_controls:
-        spans = [slice(f, f + 1) for f in range(count)]
+        spans = [slice(f, f + 1) for f in range(frame_count)]
     else:
-        spans = [slice(0, count)]
-    positions, rotations = _carrier_transforms(world, carriers)
-    path_joint_list = sorted({j for path in paths for j in path})
+        spans = [slice(0, frame_count)]
+    positions, rotations = _carrier_transforms(world, carrier_joints)
+    joints_above_goals = sorted({j for path in paths for j in path})
     spans_of_frames = [
         SolveSpan(
             with_controls(
-                _with_rest_pose(rig, rest_poses, span.start, path_joint_list),
+                _with_rest_pose(rig, rest_poses, span.start, joints_above_goals),
                 controls,
                 span.start,
             ),
@@ -214,9 +214,11 @@ def _with_rest_pose(
     joints = list(rig.joints)
     for j in path_joints:
         translation, rotation = rest.translations[frame, j], rest.rotations[frame, j]
-        differs = np.abs(translation - rig.rest_translations[j]).max() > EQUAL_TOLERANCE
+        is_translated = (
+            np.abs(translation - rig.rest_translations[j]).max() > EQUAL_TOLERANCE
+        )
         if (
-            differs
+            is_translated
             or so3.angle_between(rotation, rig.rest_rotations[j]) > EQUAL_TOLERANCE
         ):
             x, y, z = translation.tolist()
@@ -229,9 +231,9 @@ def _carrier_transforms(
     world: WorldTransforms, joints: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
     """Return joint positions ``(F, E, 3)`` and rotations; the identity for joint -1."""
-    count = len(world.positions)
-    positions = np.zeros((count, len(joints), 3))
-    rotations = np.tile(so3.IDENTITY, (count, len(joints), 1))
+    frame_count = len(world.positions)
+    positions = np.zeros((frame_count, len(joints), 3))
+    rotations = np.tile(so3.IDENTITY, (frame_count, len(joints), 1))
     for e, j in enumerate(joints):
         if j >= 0:
             positions[:, e] = world.positions[:, j]
@@ -249,13 +251,13 @@ def check_scales(
     is_scaled = (channel.rest != 1.0).any(axis=1)
     is_scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
     faults = {}
-    source = None if path is None else str(path)
+    path_text = None if path is None else str(path)
     for effector, joint in effectors:
         for j in take.rig.upwards(take.rig.index(joint)):
             if is_scaled[j]:
                 name = take.rig.names[j]
                 message = f"{effector!r} is below {name!r}, which is scaled"
                 hint = "inverse kinematics needs joints without scale"
-                faults[name] = Fault("TGT016", message, source, (), hint)
+                faults[name] = Fault("TGT016", message, path_text, (), hint)
     if faults:
         raise OptionError(list(faults.values()))

@@ -70,7 +70,7 @@ class ClipPath:
         start: Start poses of the solve ``(F, Q)``.
         is_motion: Whether the starts are a motion that the solve modifies.
         prefer: Preferred poses, weighted by ``rest_weight`` ``(F, Q)``.
-        reference: Chain coordinates of the start ``(F, C)``.
+        reference_poses: Chain coordinates of the start ``(F, C)``.
         jump_threshold: Jump threshold [rad], [fraction of the length].
         least_costs: Smallest known cost of each frame ``(F,)``, see `miss_cost`.
     """
@@ -92,7 +92,7 @@ class ClipPath:
         self.prefer = self.start
         if prefer is not None:
             self.prefer = pose_rows(problem, prefer, len(self.start), "prefer")
-        self.reference = problem.chain.from_rig(self.start)
+        self.reference_poses = problem.chain.from_rig(self.start)
         self.jump_threshold = jump_threshold(options.fps)
         self.least_costs = np.full(len(self.start), np.inf)
 
@@ -151,7 +151,7 @@ class ClipPath:
         targets = targets_of_frames(self.targets, window)
         weighted_misses = weight_misses(self.problem, misses, targets)
         is_reached = frame_path.max_tolerance_ratio(misses_in_tolerances) <= 1
-        free_step = SMOOTH_ENOUGH * self.jump_threshold
+        unpenalized_step = SMOOTH_ENOUGH * self.jump_threshold
         return Interval(
             self.problem,
             self.targets,
@@ -159,8 +159,8 @@ class ClipPath:
             frame,
             poses,
             miss_cost(weighted_misses, is_reached),
-            self.reference[window],
-            np.full(len(frame_path.preserved_steps), free_step),
+            self.reference_poses[window],
+            np.full(len(frame_path.preserved_steps), unpenalized_step),
             self.prefer,
             replace(self.options.solving, method=IkMethod.DAMPED),
         )
@@ -171,8 +171,8 @@ class ClipPath:
         paths: FloatArray,
         costs: FloatArray,
         *,
-        fixed_end: bool = False,
-        free_start: bool = False,
+        is_end_fixed: bool = False,
+        is_start_free: bool = False,
         source_weight: float = 0.0,
     ) -> FloatArray:
         """Return the best route across candidate paths; see `best_path`.
@@ -182,12 +182,14 @@ class ClipPath:
         """
         costs = equalize_near_misses(costs, self.slack)
         if source_weight > 0:
-            source_distances = joint_steps(
-                self.problem.chain, interval.reference, paths
-            )
-            costs = costs + source_weight * (source_distances**2).sum(axis=2)
+            steps = joint_steps(self.problem.chain, interval.reference_poses, paths)
+            costs = costs + source_weight * (steps**2).sum(axis=2)
         return best_path(
-            interval, paths, costs, fixed_end=fixed_end, free_start=free_start
+            interval,
+            paths,
+            costs,
+            is_end_fixed=is_end_fixed,
+            is_start_free=is_start_free,
         )
 
     def with_steadier_status(self, result: IkResult) -> IkResult:
@@ -196,16 +198,15 @@ class ClipPath:
         costs = self.interval(self.chain_poses(result), all_frames, 0).costs
         path_misses, least_misses = miss_of_cost(costs), miss_of_cost(self.least_costs)
         # Misses that overflow are infinite at the nearest pose, too.
-        excess, is_larger = np.zeros_like(path_misses), path_misses > least_misses
-        np.subtract(path_misses, least_misses, out=excess, where=is_larger)
-        excess *= self.problem.length
-        statuses = tuple(
-            IkStatus.STEADIER if status is IkStatus.NEAREST and is_beyond else status
-            for status, is_beyond in zip(
-                result.statuses, excess > MIN_IMPROVEMENT, strict=True
-            )
-        )
-        return replace(result, statuses=statuses)
+        excess_misses = np.zeros_like(path_misses)
+        is_larger = path_misses > least_misses
+        np.subtract(path_misses, least_misses, out=excess_misses, where=is_larger)
+        excess_misses *= self.problem.length
+        statuses = list(result.statuses)
+        for row in np.flatnonzero(excess_misses > MIN_IMPROVEMENT):
+            if statuses[row] is IkStatus.NEAREST:
+                statuses[row] = IkStatus.STEADIER
+        return replace(result, statuses=tuple(statuses))
 
     def with_window(
         self, result: IkResult, window: slice, poses: FloatArray

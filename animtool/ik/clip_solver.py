@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.ik.branches import (
-    EQUAL_COST,
+    EQUAL_COST_TOLERANCE,
     Interval,
     branch_tracks,
     equalize_near_misses,
@@ -123,20 +123,20 @@ def _solve_in_order(clip: ClipPath) -> IkResult:
     for attempt in range(MAX_SEARCHES if _has_small_solution_set(clip) else 0):
         if not _is_worth_searching(clip, clip.chain_poses(result), attempt):
             break
-        previous, result = result, _search_full_clip(clip, result, attempt)
-        if result is previous:
+        previous_result, result = result, _search_full_clip(clip, result, attempt)
+        if result is previous_result:
             break
     result = _with_nearer_frames(clip, result)
-    last_checked = 0
+    last_checked_frame = 0
     while True:
         poses = clip.chain_poses(result)
-        jumps = clip.find_jumping_frames(poses)
-        remaining_jumps = jumps[jumps > last_checked]
-        if not len(remaining_jumps):
+        jumping_frames = clip.find_jumping_frames(poses)
+        remaining_frames = jumping_frames[jumping_frames > last_checked_frame]
+        if not len(remaining_frames):
             break
-        last_checked = int(remaining_jumps[0])
-        if _is_avoidable(clip, poses, last_checked):
-            result = _with_shorter_jump(clip, result, last_checked)
+        last_checked_frame = int(remaining_frames[0])
+        if _is_avoidable(clip, poses, last_checked_frame):
+            result = _with_shorter_jump(clip, result, last_checked_frame)
     if clip.is_motion:
         result = _switch_branches(clip, result)
     return clip.with_steadier_status(result)
@@ -166,7 +166,9 @@ def _is_avoidable(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
     frame_pairs, costs = find_branches(interval, options.branches, options.solving.seed)
-    frame_pairs = frame_pairs[(costs <= interval.costs + EQUAL_COST).all(axis=1)]
+    frame_pairs = frame_pairs[
+        (costs <= interval.costs + EQUAL_COST_TOLERANCE).all(axis=1)
+    ]
     current_ratio = clip.max_jump_ratio(poses[window], window.start)
     return any(
         clip.max_jump_ratio(frame_pair, window.start) < MIN_REDUCTION * current_ratio
@@ -182,7 +184,7 @@ def _search_full_clip(clip: ClipPath, result: IkResult, attempt: int) -> IkResul
     spacing = max(round(SEARCH_INTERVAL * clip.options.fps), 1)
     seed = clip.options.solving.seed + attempt * len(clip)
     paths, costs = search_long_interval(interval, spacing, seed)
-    path = _best_even_path(clip, interval, paths, costs, fixed_end=False)
+    path = _best_even_path(clip, interval, paths, costs, is_end_fixed=False)
     if clip.max_jump_ratio(path, 0) < MIN_REDUCTION * clip.max_jump_ratio(poses, 0):
         return clip.with_window(result, all_frames, path)
     return result
@@ -207,20 +209,22 @@ def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
     costs = clip.interval(independent_poses, all_frames, int(frames[0])).costs
     clip.least_costs = np.minimum(interval.costs, costs)
     all_costs = np.stack([interval.costs, costs])
-    current, independent = equalize_near_misses(all_costs, clip.slack)
-    improvements = np.where(current > independent, interval.costs - costs, 0.0)
+    current_costs, independent_costs = equalize_near_misses(all_costs, clip.slack)
+    improvements = np.where(
+        current_costs > independent_costs, interval.costs - costs, 0.0
+    )
     if not improvements.any():
         return result
     paths, path_costs = [poses[None], independent_poses[None]], [all_costs]
     for row in np.argsort(-improvements, kind="stable")[:MAX_SEARCHES]:
         if improvements[row] > 0:
-            tracks, cost = track_both_directions(
+            tracks, track_costs = track_both_directions(
                 interval, independent_poses[row : row + 1], int(row)
             )
             paths.append(tracks)
-            path_costs.append(cost)
+            path_costs.append(track_costs)
     candidates = np.concatenate(paths), np.concatenate(path_costs)
-    route = clip.best_route(interval, *candidates, free_start=True)
+    route = clip.best_route(interval, *candidates, is_start_free=True)
     return clip.with_window(result, all_frames, route)
 
 
@@ -228,29 +232,35 @@ def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult
     """Search windows before a jump for a better path; return the improved result."""
     poses = clip.chain_poses(result)
     smallest_ratio = clip.max_jump_ratio(poses[frame - 1 : frame + 1], frame - 1)
-    best_result: tuple[slice, FloatArray] | None = None
-    starts: list[int] = []
+    best_window_path: tuple[slice, FloatArray] | None = None
+    window_starts: list[int] = []
     seconds_before = FIRST_INTERVAL
-    while seconds_before <= clip.options.back and (not starts or starts[-1] > 0):
-        start = max(frame - max(round(seconds_before * clip.options.fps), 2), 0)
-        if start < frame and start not in starts:
-            starts.append(start)
+    while seconds_before <= clip.options.back and (
+        not window_starts or window_starts[-1] > 0
+    ):
+        window_start = max(frame - max(round(seconds_before * clip.options.fps), 2), 0)
+        if window_start < frame and window_start not in window_starts:
+            window_starts.append(window_start)
         seconds_before *= 2
-    for first in starts:
+    for first in window_starts:
         frames_after = min(frame - first, round(MAX_INTERVAL_AFTER * clip.options.fps))
         window = slice(first, min(frame + frames_after + 1, len(clip)))
         interval = clip.interval(poses[window], window, frame)
         options = clip.options
         paths, costs = find_branches(interval, options.branches, options.solving.seed)
         is_inside = window.stop < len(clip)
-        fixed_end = is_inside and (clip.is_motion or _has_small_solution_set(clip))
-        even_path = _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
+        is_end_fixed = is_inside and (clip.is_motion or _has_small_solution_set(clip))
+        even_path = _best_even_path(
+            clip, interval, paths, costs, is_end_fixed=is_end_fixed
+        )
         ratio = clip.max_jump_ratio(even_path, first)
         if ratio < MIN_REDUCTION * smallest_ratio:
-            smallest_ratio, best_result = ratio, (window, even_path)
+            smallest_ratio, best_window_path = ratio, (window, even_path)
         if smallest_ratio <= SMOOTH_ENOUGH:
             break
-    return result if best_result is None else clip.with_window(result, *best_result)
+    if best_window_path is None:
+        return result
+    return clip.with_window(result, *best_window_path)
 
 
 def _best_even_path(
@@ -259,7 +269,7 @@ def _best_even_path(
     paths: FloatArray,
     costs: FloatArray,
     *,
-    fixed_end: bool,
+    is_end_fixed: bool,
 ) -> FloatArray:
     """Return the best of candidate paths, with its speed evened out.
 
@@ -267,17 +277,19 @@ def _best_even_path(
     """
     window = slice(interval.frames.start, interval.frames.stop)
     path = clip.frame_path.select_frames(window)
-    route = clip.best_route(interval, paths, costs, fixed_end=fixed_end)
-    best_even_path = path.even_speed(route)[0]
+    route = clip.best_route(interval, paths, costs, is_end_fixed=is_end_fixed)
+    best_even_path = path.with_even_speed(route)[0]
     smallest_ratio = clip.max_jump_ratio(best_even_path, window.start)
     if window.start > 0 or smallest_ratio <= 1:
         return best_even_path
-    free_route = clip.best_route(
-        interval, paths, costs, fixed_end=fixed_end, free_start=True
+    free_start_route = clip.best_route(
+        interval, paths, costs, is_end_fixed=is_end_fixed, is_start_free=True
     )
-    free_route = path.even_speed(free_route, free_start=True)[0]
-    ratio = clip.max_jump_ratio(free_route, window.start)
-    return free_route if ratio < MIN_REDUCTION * smallest_ratio else best_even_path
+    free_start_route = path.with_even_speed(free_start_route, is_start_free=True)[0]
+    ratio = clip.max_jump_ratio(free_start_route, window.start)
+    return (
+        free_start_route if ratio < MIN_REDUCTION * smallest_ratio else best_even_path
+    )
 
 
 def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
@@ -288,19 +300,20 @@ def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
     all_frames = slice(0, len(clip))
     for attempt in range(MAX_SEARCHES):
         poses = clip.chain_poses(result)
-        jump_sizes = _squared_jump_ratios(clip, poses)
-        if not jump_sizes.any():
+        squared_ratios = _squared_jump_ratios(clip, poses)
+        if not squared_ratios.any():
             break
-        rows = np.sort(np.argsort(-jump_sizes, kind="stable")[: 1 + attempt]) + 1
-        rows = rows[jump_sizes[rows - 1] > 0]
+        rows = np.sort(np.argsort(-squared_ratios, kind="stable")[: 1 + attempt]) + 1
+        rows = rows[squared_ratios[rows - 1] > 0]
         interval = clip.interval(poses, all_frames, int(rows[0]))
         seed = clip.options.solving.seed + attempt * len(clip)
         paths, costs = branch_tracks(interval, rows, clip.options.branches, seed)
         path = clip.best_route(
-            interval, paths, costs, free_start=True, source_weight=BRANCH_COST
+            interval, paths, costs, is_start_free=True, source_weight=BRANCH_COST
         )
-        path = _even_speed(clip, path)
-        if _squared_jump_ratios(clip, path).sum() < MIN_REDUCTION * jump_sizes.sum():
+        path = _with_even_speed(clip, path)
+        ratio_sum = _squared_jump_ratios(clip, path).sum()
+        if ratio_sum < MIN_REDUCTION * squared_ratios.sum():
             result = clip.with_window(result, all_frames, path)
     return result
 
@@ -313,7 +326,7 @@ def _squared_jump_ratios(clip: ClipPath, poses: FloatArray) -> FloatArray:
     return ratios
 
 
-def _even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
+def _with_even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
     """Even out the speed around each jump of a path, where that reduces the jump."""
     poses = poses.copy()
     for frame in clip.find_jumping_frames(poses).tolist():
@@ -324,8 +337,10 @@ def _even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
             path = clip.frame_path.select_frames(window)
             smallest_ratio = clip.max_jump_ratio(poses[window], window.start)
             # The first pose of the clip moves only if that reduces a jump.
-            for free_start in (False, True)[: 2 if window.start == 0 else 1]:
-                even_path = path.even_speed(poses[window], free_start=free_start)[0]
+            for is_start_free in (False, True)[: 2 if window.start == 0 else 1]:
+                even_path = path.with_even_speed(
+                    poses[window], is_start_free=is_start_free
+                )[0]
                 ratio = clip.max_jump_ratio(even_path, window.start)
                 if ratio < MIN_REDUCTION * smallest_ratio:
                     poses[window], smallest_ratio = even_path, ratio

@@ -45,18 +45,21 @@ _Instruction = tuple[str, int, tuple[float, ...]]
 
 
 def with_driver_sources(
-    rig: Rig, moving: set[int], goals: Sequence[Goal], joints: Collection[str] | None
+    rig: Rig,
+    joints_of_goals: set[int],
+    goals: Sequence[Goal],
+    joints: Collection[str] | None,
 ) -> set[int]:
     """Return the moving joints, including joints that drive a driven joint.
 
     A driven joint moves if one of its sources may move, whether it is named or not.
     """
-    plan, moving_joints = plan_of(rig), set(moving)
+    plan, moving_joints = plan_of(rig), set(joints_of_goals)
     joints_above_goals = {
         j for goal in goals for j in path_to_root(rig, goal.joint, goal.root)
     }
     for j in sorted(joints_above_goals.intersection(plan.joints)):
-        if joints is None and j not in moving:
+        if joints is None and j not in joints_of_goals:
             # It moves no goal.
             continue
         movable_sources = {
@@ -80,18 +83,18 @@ class CoordinateSource:
 
 
 @dataclass(slots=True)
-class Programs:
+class DriverPrograms:
     """The programs of a rig's driven joints, and of the controls that these read.
 
     Attributes:
         rig: A rig with drivers.
         pose: Coordinates ``(Q,)`` of static joints.
-        requested: Targets whose programs the chain uses, in order.
+        requested_programs: Targets whose programs the chain uses, in order.
     """
 
     rig: Rig
     pose: FloatArray
-    requested: dict[str, int] = field(default_factory=dict)
+    requested_programs: dict[str, int] = field(default_factory=dict)
     # Index of each program by target, in evaluation order.
     _indices: dict[str, int] = field(default_factory=dict, init=False)
     # Chain coordinates by joint, and the divisor of each coordinate.
@@ -103,10 +106,10 @@ class Programs:
         """Evaluation order of the rig's drivers."""
         return plan_of(self.rig)
 
-    def request_index(self, joint: int) -> int:
+    def request_program(self, joint: int) -> int:
         """Request a driven joint's program; return its index."""
         target = f"joint/{self.rig.names[joint]}"
-        return self.requested.setdefault(target, len(self.requested))
+        return self.requested_programs.setdefault(target, len(self.requested_programs))
 
     def arrays(
         self, sources: Mapping[int, CoordinateSource], scales: FloatArray
@@ -120,31 +123,35 @@ class Programs:
             scales: Divisor of each chain coordinate.
         """
         self._sources, self._scales = sources, scales
-        needed_inputs = set(self.requested)
+        needed_targets = set(self.requested_programs)
         for target in reversed(self.plan.order):
-            if target in needed_inputs:
-                needed_inputs.update(self._targets_read(target))
-        order = [target for target in self.plan.order if target in needed_inputs]
+            if target in needed_targets:
+                needed_targets.update(self._targets_read_by(target))
+        order = [target for target in self.plan.order if target in needed_targets]
         self._indices = {target: i for i, target in enumerate(order)}
         nodes: list[list[int]] = []
         numbers: list[list[float]] = []
-        for target, number in self._indices.items():
-            for name, reference, values in self._target_program(target):
+        for target, program_index in self._indices.items():
+            for operation_name, reference, values in self._target_program(target):
                 # The reference is counted from 1: 0 marks joint rows.
-                operation = _OPERATION_NUMBERS[name]
-                nodes.append([INSTRUCTION, number, operation, reference + 1])
+                operation = _OPERATION_NUMBERS[operation_name]
+                nodes.append([INSTRUCTION, program_index, operation, reference + 1])
                 numbers.append([*values, *[0.0] * (6 - len(values))])
-        return [self._indices[target] for target in self.requested], nodes, numbers
+        return (
+            [self._indices[target] for target in self.requested_programs],
+            nodes,
+            numbers,
+        )
 
-    def _targets_read(self, target: str) -> list[str]:
+    def _targets_read_by(self, target: str) -> list[str]:
         """Return the joints and controls whose values a target's program reads."""
         kind, _, name = target.partition("/")
         names: list[str] = []
         if kind == "joint":
-            driven = self.plan.driver_of(self.rig.index(name))
-            if isinstance(driven, Mimic):
-                return [f"joint/{driven.joint}"]
-            names += driven.names
+            driver = self.plan.driver_of(self.rig.index(name))
+            if isinstance(driver, Mimic):
+                return [f"joint/{driver.joint}"]
+            names += driver.names
         else:
             control = self._control_of(name)
             if control.driven is not None:
@@ -167,7 +174,7 @@ class Programs:
     def _drives_of(self, control: str) -> list[Driver]:
         """Return the drives that other controls add to a control."""
         return [
-            Driver(drive.expression, master.name, drive.curve, drive.smooth)
+            Driver(drive.expression, master.name, drive.curve, drive.is_smooth)
             for master in self.rig.controls
             for drive in master.drives
             if drive.target == f"control/{control}"
@@ -184,17 +191,17 @@ class Programs:
             for drive in self._drives_of(name):
                 program += [*self._driver_program(drive), ("+", 0, ())]
             return program
-        joint = self.rig.index(name)
-        driven, spec = self.plan.driver_of(joint), self.rig.joints[joint]
-        if isinstance(driven, Mimic):
-            leader = self.rig.joints[self.rig.index(driven.joint)]
+        joint_index = self.rig.index(name)
+        driver, joint = self.plan.driver_of(joint_index), self.rig.joints[joint_index]
+        if isinstance(driver, Mimic):
+            leader = self.rig.joints[self.rig.index(driver.joint)]
             part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
             program = self._source_program(f"{leader.name}.{part}")
-            program += [*_multiply(driven.gain), *_add(driven.offset)]
+            program += [*_multiply(driver.gain), *_add(driver.offset)]
         else:
-            program = self._driver_program(driven)
-        if isinstance(spec.limits, RangeLimit):
-            limits = (spec.limits.low, spec.limits.high)
+            program = self._driver_program(driver)
+        if isinstance(joint.limits, RangeLimit):
+            limits = (joint.limits.low, joint.limits.high)
             program += [("number", 0, (limit,)) for limit in limits]
             program.append(("clamp", 0, ()))
         return program
@@ -205,13 +212,13 @@ class Programs:
         if driver.expression is None:
             program += self._input_program(driver, driver.curve_input)
             slopes = [0.0] * len(driver.curve)
-            if driver.smooth and len(driver.curve) > 1:
+            if driver.is_smooth and len(driver.curve) > 1:
                 slopes = smooth_slopes(driver.curve).tolist()
             program += [
                 ("point", 0, (x, y, slope))
                 for (x, y), slope in zip(driver.curve, slopes, strict=True)
             ]
-            program.append(("curve", len(driver.curve), (float(driver.smooth),)))
+            program.append(("curve", len(driver.curve), (float(driver.is_smooth),)))
         else:
             for kind, value in driver.expression.postfix_program():
                 if kind == "name":
@@ -229,31 +236,31 @@ class Programs:
 
     def _source_program(self, name: str) -> list[_Instruction]:
         """Return the program that reads a control or a joint coordinate."""
-        joint, part = split_coordinate(name)
-        target = f"joint/{joint}" if joint else f"control/{name}"
+        joint_name, part = split_coordinate(name)
+        target = f"joint/{joint_name}" if joint_name else f"control/{name}"
         if target in self._indices:
             return [("result", self._indices[target] + 1, (1.0,))]
-        if not joint:
+        if not joint_name:
             return [("number", 0, (self._control_of(name).default,))]
-        j = self.rig.index(joint)
-        spec = self.rig.joints[j]
-        if j not in self._sources:
-            return [("number", 0, (self._static_coordinate(j, part),))]
-        source = self._sources[j]
+        joint_index = self.rig.index(joint_name)
+        joint = self.rig.joints[joint_index]
+        if joint_index not in self._sources:
+            return [("number", 0, (self._static_coordinate(joint_index, part),))]
+        source = self._sources[joint_index]
         column = source.column
-        if spec.type is JointType.BALL:
-            return [("ball", column + 1, _ball_weights(spec, part))]
+        if joint.type is JointType.BALL:
+            return [("ball", column + 1, _ball_weights(joint, part))]
         program: list[_Instruction] = [
             ("coordinate", column + 1, (float(self._scales[column]),))
         ]
         return [*program, *_multiply(source.gain), *_add(source.shift)]
 
-    def _static_coordinate(self, j: int, part: str) -> float:
+    def _static_coordinate(self, joint_index: int, part: str) -> float:
         """Return the value of a static joint's coordinate [rad], [m]."""
-        values = self.pose[coordinate_slices(self.rig)[j]][None]
-        spec = self.rig.joints[j]
-        if spec.type is JointType.BALL:
-            return float(ball_part_values(spec, part, values)[0])
+        values = self.pose[coordinate_slices(self.rig)[joint_index]][None]
+        joint = self.rig.joints[joint_index]
+        if joint.type is JointType.BALL:
+            return float(ball_part_values(joint, part, values)[0])
         return float(values[0, 0])
 
 

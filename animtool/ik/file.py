@@ -28,7 +28,7 @@ from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.suspicions import (
     warn_of_angles,
     warn_of_offsets,
-    warn_of_order,
+    warn_of_quaternion_order,
     warn_of_seconds,
     warn_of_stretch,
 )
@@ -39,7 +39,7 @@ from animtool.rig.skeleton import Rig
 
 # Effectors of which only another rig lacks so many, if fewer than this fraction of them
 # have names similar to those of the rig.
-MIN_EFFECTORS, MIN_UNKNOWN, MIN_GUESSED = 2, 0.6, 0.5
+MIN_UNKNOWN_EFFECTORS, MIN_UNKNOWN_FRACTION, MAX_GUESSED_FRACTION = 2, 0.6, 0.5
 # A shorter direction is a typing error and is refused.
 MIN_DIRECTION = 1e-9
 
@@ -81,20 +81,20 @@ class _TargetsReader:
     ) -> None:
         self.document, self.model, self.rig = document, model, rig
         self.first, self.last = self._read_range()
-        count = None
+        row_count = None
         if self.first is not None and self.last is not None and self.first <= self.last:
-            count = int((self.last - self.first) // 1) + 1
-        units, roots, first = (
-            self._read_units(),
-            project_roots(document.path),
-            self.first,
+            row_count = int((self.last - self.first) // 1) + 1
+        units = self._read_units()
+        roots = project_roots(document.path)
+        first = self.first
+        self.values = ValueReader(
+            document, rig, units, roots, archives, first, row_count
         )
-        self.values = ValueReader(document, rig, units, roots, archives, first, count)
 
     def read_tracks(self) -> TargetTracks:
         """Return the tracks of the file; record its faults."""
         fps = self._read_rate()
-        warn_of_order(self.document)
+        warn_of_quaternion_order(self.document)
         goals = [
             track
             for i, goal in enumerate(self.model.goals)
@@ -122,22 +122,24 @@ class _TargetsReader:
 
     def _merge_unknown_effectors(self) -> None:
         """Merge faults of unknown effectors if the targets are for another rig."""
-        faults, count = self.document.faults, len(self.model.goals)
-        unknown = [
+        faults, goal_count = self.document.faults, len(self.model.goals)
+        effector_faults = [
             fault
             for fault in faults
             if fault.code == "TGT001" and (fault.where or "").endswith(".effector")
         ]
-        guesses = sum("did you mean" in (fault.hint or "") for fault in unknown)
+        unknown_count = len(effector_faults)
+        guess_count = sum("did you mean" in (f.hint or "") for f in effector_faults)
+        min_count = max(MIN_UNKNOWN_EFFECTORS, MIN_UNKNOWN_FRACTION * goal_count)
         if (
             self.rig is None
-            or len(unknown) < max(MIN_EFFECTORS, MIN_UNKNOWN * count)
-            or guesses >= MIN_GUESSED * len(unknown)
+            or unknown_count < min_count
+            or guess_count >= MAX_GUESSED_FRACTION * unknown_count
         ):
             return
-        names = dict.fromkeys(fault.message.partition(" is ")[0] for fault in unknown)
+        names = dict.fromkeys(f.message.partition(" is ")[0] for f in effector_faults)
         message = (
-            f"{len(unknown)} of {count} effectors are not in {self.rig.name!r}: "
+            f"{unknown_count} of {goal_count} effectors are not in {self.rig.name!r}: "
             f"{listed(list(names), 4)}; these targets look like those of another rig"
         )
         chains = [chain.name for chain in self.rig.chains]
@@ -145,8 +147,9 @@ class _TargetsReader:
         if chains:
             hint = f"the chains of {self.rig.name!r} are {listed(chains, 8)}"
         hint += "; pass the rig that the targets are for"
-        other = replace(unknown[0], message=message, hint=hint)
-        faults[:] = [other, *(fault for fault in faults if fault not in unknown)]
+        merged_fault = replace(effector_faults[0], message=message, hint=hint)
+        other_faults = [fault for fault in faults if fault not in effector_faults]
+        faults[:] = [merged_fault, *other_faults]
 
     def _read_units(self) -> ClipUnits:
         """Return the units of the file, by default those of its rig."""
@@ -180,11 +183,13 @@ class _TargetsReader:
         """Return the track of a goal; None if it is faulty."""
         joint, chain = self._read_effector((*location, "effector"), model.effector)
         root = self._read_root(location, model, joint, chain)
-        spans = self._read_spans((*location, "hold"), model.hold)
-        during = self._read_spans((*location, "during"), model.during)
+        hold_spans = self._read_spans((*location, "hold"), model.hold)
+        active_spans = self._read_spans((*location, "during"), model.during)
         values = {kind.name: self._read_value(location, model, kind) for kind in KINDS}
-        parts_to_hold = _hold_parts(values, chain) if spans else frozenset[str]()
-        value_parts = {part for part in PARTS if getattr(model, part) is not None}
+        parts_to_hold = _hold_parts(values, chain) if hold_spans else frozenset[str]()
+        value_parts = {
+            goal_part for goal_part in PARTS if getattr(model, goal_part) is not None
+        }
         is_empty = not value_parts - {"pole"} and not model.hold
         if is_empty and not self.document.has_placeholder_below(location):
             message = f"has no goal for {model.effector!r}"
@@ -193,9 +198,9 @@ class _TargetsReader:
         used_parts = value_parts | parts_to_hold
         weights = self._read_weights((*location, "weight"), model.weight, used_parts)
         axes = [
-            self._read_axis((*location, kind.name, "axis"), part.axis)
+            self._read_axis((*location, kind.name, "axis"), goal_part.axis)
             for kind in KINDS
-            if kind.has_axis and (part := getattr(model, kind.name)) is not None
+            if kind.has_axis and (goal_part := getattr(model, kind.name)) is not None
         ]
         if joint is None:
             return None
@@ -209,7 +214,7 @@ class _TargetsReader:
             priority=model.priority,
             soft=model.soft,
             stretch=stretch if model.stretch is None else model.stretch,
-            **{part: float(part in used_parts) for part in PARTS},
+            **{goal_part: float(goal_part in used_parts) for goal_part in PARTS},
         )
         return GoalTrack(
             model.effector,
@@ -217,11 +222,11 @@ class _TargetsReader:
             chain,
             values,
             weights,
-            tuple(spans),
+            tuple(hold_spans),
             model.ease,
             frozenset(parts_to_hold),
             location=self.document.position(location),
-            during=tuple(during),
+            during=tuple(active_spans),
         )
 
     def _read_value(
@@ -253,7 +258,11 @@ class _TargetsReader:
         return None, None
 
     def _read_root(
-        self, base: Location, model: GoalModel, joint: str | None, chain: IkChain | None
+        self,
+        goal_location: Location,
+        model: GoalModel,
+        joint: str | None,
+        chain: IkChain | None,
     ) -> str | None:
         """Return the root of a goal from the file, else the root of its chain."""
         name = model.root
@@ -261,7 +270,7 @@ class _TargetsReader:
             return None if chain is None else chain.root
         if self.rig is None or joint is None:
             return name
-        location = (*base, "root")
+        location = (*goal_location, "root")
         if name not in self.rig.names:
             message = f"unknown joint {name!r} of {self.rig.name!r}"
             hint = name_hint(name, self.rig.names)
@@ -314,7 +323,7 @@ class _TargetsReader:
         self,
         location: Location,
         model: float | WeightsModel,
-        goal_kinds: AbstractSet[str],
+        used_parts: AbstractSet[str],
     ) -> dict[str, Value]:
         """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
@@ -329,7 +338,7 @@ class _TargetsReader:
             weight = getattr(model, part)
             if weight is None:
                 continue
-            if part not in goal_kinds:
+            if part not in used_parts:
                 message = f"the weight of the {part} has no effect: the goal has none"
                 self.document.warn("TGT101", (*location, part), message)
             curve = self._read_weight((*location, part), weight)
@@ -354,9 +363,9 @@ class _TargetsReader:
 def _hold_parts(
     values: dict[str, Value | None], chain: IkChain | None
 ) -> frozenset[str]:
-    """Return the parts of a goal that its `hold` spans apply to."""
+    """Return the parts that `hold` spans keep: those with targets, else the chain's."""
     pose_parts = ("position", "orientation")
     parts_with_value = frozenset(p for p in pose_parts if values[p] is not None)
-    goal = "pose" if chain is None else chain.goal
-    goal_parts = frozenset(part for part in pose_parts if goal in {part, "pose"})
+    chain_goal = "pose" if chain is None else chain.goal
+    goal_parts = frozenset(part for part in pose_parts if chain_goal in {part, "pose"})
     return parts_with_value or goal_parts

@@ -21,7 +21,7 @@ REST_RETURN = 0.005
 # Weight of the extrapolated pose in a single-frame solve, relative to acceleration.
 EXTRAPOLATION_WEIGHT = 0.25
 # Iterations of a single frame, and of all frames together.
-ITERATIONS, ROUNDS = 30, 12
+FRAME_ITERATIONS, MAX_ROUNDS = 30, 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class FitOptions:
     fps: float
     acceleration: float = 60.0
     robust: float = math.inf
-    rounds: int = ROUNDS
+    rounds: int = MAX_ROUNDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,15 +103,17 @@ def fit(
         1987. A. Blake, A. Zisserman, Visual reconstruction, 1987.
     """
     chain = problem.chain
-    packed = pack_for_chain(problem, targets)
-    count = len(packed)
-    start_rows = pose_rows(problem, starts, count, "starts")
-    start_path = start_rows if path is None else pose_rows(problem, path, count, "path")
+    packed_targets = pack_for_chain(problem, targets)
+    frame_count = len(packed_targets)
+    start_rows = pose_rows(problem, starts, frame_count, "starts")
+    start_path = (
+        start_rows if path is None else pose_rows(problem, path, frame_count, "path")
+    )
     acceleration_weight = (options.fps**2 / options.acceleration) ** 2
-    output = _kernels.fit_ik(
+    kernel_output = _kernels.fit_ik(
         *chain.kernel_arrays,
         path=unwrap_angles(chain, chain.from_rig(start_path)),
-        targets=packed,
+        targets=packed_targets,
         starts=chain.from_rig(start_rows),
         anchor=ANCHOR_WEIGHT,
         speed=0.0,
@@ -120,20 +122,26 @@ def fit(
         rest_weight=EXTRAPOLATION_WEIGHT * acceleration_weight,
         homing=REST_RETURN,
         first=first,
-        end=count,
-        iterations=ITERATIONS,
+        end=frame_count,
+        iterations=FRAME_ITERATIONS,
         rounds=options.rounds,
         tracked=path is None or first > 0,
     )
-    coordinates, misses, searched, target_indices, rounds, cost_before, cost_after = (
-        output
-    )
+    (
+        coordinates,
+        misses,
+        start_counts,
+        target_indices,
+        rounds,
+        cost_before,
+        cost_after,
+    ) = kernel_output
     return FitResult(
         with_mimics(
             problem.rig, chain.into_rig(coordinates, start_path), problem.joints
         ),
         misses[:, :, 0] * chain.length,
-        searched > 0,
+        start_counts > 0,
         target_indices,
         rounds,
         cost_before,

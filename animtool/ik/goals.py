@@ -122,7 +122,7 @@ IS_LENGTH = np.array([kind.is_length for kind in KINDS], np.bool_)
 
 
 def by_unit(length: float, angle: float) -> FloatArray:
-    """Return a value for each kind ``(K,)``, by the unit of its miss: length or angle.
+    """Return ``length`` for kinds whose miss is a length, else ``angle`` ``(K,)``.
 
     >>> by_unit(1e-3, 0.1).tolist()
     [0.001, 0.1, 0.1, 0.1]
@@ -261,8 +261,8 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         message = f"stretch must be a number from 0, not {goal.stretch}"
         faults.append(Fault("IK002", message, where=where))
     if np.shape(goal.offset) != (3,):
-        count = counted(np.size(goal.offset), "number")
-        message = f"its offset has {count} instead of 3"
+        number_count = counted(np.size(goal.offset), "number")
+        message = f"its offset has {number_count} instead of 3"
         faults.append(Fault("IK002", message, where=where))
     if not (np.abs(goal.offset) <= MAX_COORDINATE).all():
         message = f"its offset is beyond {MAX_COORDINATE:g} m, or not a number"
@@ -307,10 +307,12 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
         array = _target_array(name, values, len(goals), columns, faults)
         if array is not None:
             supplied_arrays.append((columns, array))
-    counts = {len(checked) for _, checked in supplied_arrays}
-    if len(counts) > 1:
-        faults.append(Fault("IK010", f"targets of {sorted(counts)} problems at once"))
-    shape = (min(counts, default=1), len(goals), WEIGHT_COLUMNS.stop)
+    problem_counts = {len(array) for _, array in supplied_arrays}
+    if len(problem_counts) > 1:
+        faults.append(
+            Fault("IK010", f"targets of {sorted(problem_counts)} problems at once")
+        )
+    shape = (min(problem_counts, default=1), len(goals), WEIGHT_COLUMNS.stop)
     packed_targets = np.zeros(shape)
     packed_targets[:, :, WEIGHT_COLUMNS] = 1.0
     for kind in KINDS:
@@ -319,12 +321,12 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     for columns, array in supplied_arrays:
         packed_targets[:, :, columns] = array[: len(packed_targets)]
     # Mask of the parts that each problem uses ``(B, E, 4)``.
-    weighted = np.array([goal.weights for goal in goals]) > 0
-    is_active = np.asarray(weighted & (packed_targets[:, :, WEIGHT_COLUMNS] > 0))
+    has_weight = np.array([goal.weights for goal in goals]) > 0
+    is_active = np.asarray(has_weight & (packed_targets[:, :, WEIGHT_COLUMNS] > 0))
     is_missing = is_active & [
         getattr(targets, kind.targets_field) is None for kind in KINDS
     ]
-    if faults or is_missing.any() or not _all_values_valid(packed_targets):
+    if faults or is_missing.any() or not _are_all_values_valid(packed_targets):
         faults += _value_faults(packed_targets, is_active, is_missing)
         np.nan_to_num(packed_targets, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
@@ -349,35 +351,39 @@ def _target_array(
     """Return the targets of one part as an array; None if missing or misshapen."""
     if values is None:
         return None
-    width = columns.stop - columns.start
-    expected = f"(B, {goal_count}, {width})"
+    component_count = columns.stop - columns.start
+    expected_shape = f"(B, {goal_count}, {component_count})"
     try:
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError):
         # Text, or lists of different lengths.
-        message = f"{name} must be numbers of shape {expected}"
+        message = f"{name} must be numbers of shape {expected_shape}"
     else:
-        if array.ndim == 3 and array.shape[1:] == (goal_count, width):
+        if array.ndim == 3 and array.shape[1:] == (goal_count, component_count):
             return array
-        message = f"{name} must have shape {expected}, not {array.shape}"
+        message = f"{name} must have shape {expected_shape}, not {array.shape}"
     faults.append(Fault("IK010", message))
     return None
 
 
-def _all_values_valid(packed: FloatArray) -> bool:
+def _are_all_values_valid(packed_targets: FloatArray) -> bool:
     """Return whether all packed values are valid, including unused ones."""
     columns = [TARGET_COLUMNS[kind.name] for kind in KINDS if kind.is_rotation]
-    rotations_valid = all(packed[:, :, c].any(axis=2).all() for c in columns)
-    weights_valid = (packed[:, :, WEIGHT_COLUMNS] >= 0).all()
-    return bool(np.isfinite(packed).all() and rotations_valid and weights_valid)
+    are_rotations_valid = all(
+        packed_targets[:, :, c].any(axis=2).all() for c in columns
+    )
+    are_weights_valid = (packed_targets[:, :, WEIGHT_COLUMNS] >= 0).all()
+    return bool(
+        np.isfinite(packed_targets).all() and are_rotations_valid and are_weights_valid
+    )
 
 
 def _value_faults(
-    packed: FloatArray, active: BoolArray, missing: BoolArray
+    packed_targets: FloatArray, is_active: BoolArray, is_missing: BoolArray
 ) -> list[Fault]:
     """Return faults of missing or invalid values in used parts ``(B, E, 4)``."""
     faults = []
-    weights = packed[:, :, WEIGHT_COLUMNS]
+    weights = packed_targets[:, :, WEIGHT_COLUMNS]
     is_invalid = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
     if is_invalid.any():
         b, e = (int(i) for i in np.argwhere(is_invalid)[0])
@@ -385,17 +391,17 @@ def _value_faults(
         faults.append(Fault("TGT007", message))
     for i, kind in enumerate(KINDS):
         name = kind.targets_field
-        if missing[..., i].any():
-            goal = int(np.argwhere(missing[..., i])[0, 1])
+        if is_missing[..., i].any():
+            goal = int(np.argwhere(is_missing[..., i])[0, 1])
             faults.append(Fault("IK010", f"goal {goal} needs {name}"))
             continue
-        kind_targets = packed[:, :, TARGET_COLUMNS[kind.name]]
+        kind_targets = packed_targets[:, :, TARGET_COLUMNS[kind.name]]
         is_invalid = ~np.isfinite(kind_targets).all(axis=2)
         reason = "are not finite numbers"
         if kind.is_rotation:
             is_invalid |= ~kind_targets.any(axis=2)
             reason = "is not a rotation"
-        is_invalid &= active[..., i]
+        is_invalid &= is_active[..., i]
         if is_invalid.any():
             b, e = (int(i) for i in np.argwhere(is_invalid)[0])
             faults.append(Fault("TGT007", f"{name}[{b}, {e}] {reason}"))

@@ -20,7 +20,7 @@ MIN_JUMP, MIN_SPEED, MAX_ROTATION = 0.1, 8.0, 0.5
 GOAL_MOTION_FACTOR = 2.0
 # Slower jumps are reported if the joint moves this many times farther than within this
 # many frames before and after.
-NEIGHBOUR_FACTOR, NEIGHBOURS = 4.0, 2
+NEIGHBOUR_FACTOR, NEIGHBOUR_COUNT = 4.0, 2
 # Unpredicted slides, and noise [chain lengths]: half the thresholds of rule MOT202,
 # since a chain may be longer than its rig at rest.
 MIN_SLIDE, SLIDE_NOISE = 0.1, 0.001
@@ -49,7 +49,7 @@ class Jump:
 
     @property
     def unit(self) -> str:
-        """The unit of the sizes."""
+        """Unit of ``size`` and ``source``: ``m`` for a slide, else ``rad``."""
         return "m" if self.slides else "rad"
 
 
@@ -85,47 +85,47 @@ def find_jumps(
         revolutions: Full revolutions of joints between frames ``(F - 1, J)`` [rad],
             which quaternions do not show; None for none.
     """
-    count = len(solved_poses.rotations)
-    if count < 2:
+    pose_count = len(solved_poses.rotations)
+    if pose_count < 2:
         return ()
-    moving = _moving_joints(source_poses, solved_poses, revolutions)
-    if not len(moving):
+    moving_joints = _moving_joints(source_poses, solved_poses, revolutions)
+    if not len(moving_joints):
         return ()
-    names = [names[j] for j in moving]
-    solved_poses = _select_joints(solved_poses, moving)
+    names = [names[j] for j in moving_joints]
+    solved_poses = _select_joints(solved_poses, moving_joints)
     if source_poses is not None:
-        source_poses = _select_joints(source_poses, moving)
+        source_poses = _select_joints(source_poses, moving_joints)
     else:
         source_poses = LocalTransforms(
-            solved_poses.translations[:1].repeat(count, 0),
-            solved_poses.rotations[:1].repeat(count, 0),
+            solved_poses.translations[:1].repeat(pose_count, 0),
+            solved_poses.rotations[:1].repeat(pose_count, 0),
         )
-    is_cut_before = np.zeros(count - 1, np.bool_)
+    is_cut_before = np.zeros(pose_count - 1, np.bool_)
     goal_steps = goal_moves[:, None]
-    rotations = _rotation_steps(solved_poses.rotations)
+    solved_steps = _rotation_steps(solved_poses.rotations)
     source_steps = _rotation_steps(source_poses.rotations)
-    angles = np.linalg.norm(rotations, axis=2)
+    angles = np.linalg.norm(solved_steps, axis=2)
     source_angles = np.linalg.norm(source_steps, axis=2)
     if revolutions is not None:
-        angles = angles + revolutions[:, moving]
-    excess = angles - source_angles
-    is_jump = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
-    is_jump |= (excess > jump_threshold(fps)) | _find_isolated_steps(excess, goal_steps)
-    is_pop = find_rotation_pops(rotations, 1.0 / fps, is_cut_before)[0]
+        angles = angles + revolutions[:, moving_joints]
+    excess_steps = angles - source_angles
+    is_jump = (angles > MAX_ROTATION) & (excess_steps > MIN_JUMP)
+    is_jump |= excess_steps > jump_threshold(fps)
+    is_jump |= _find_isolated_steps(excess_steps, goal_steps)
+    is_pop = find_rotation_pops(solved_steps, 1.0 / fps, is_cut_before)[0]
     is_jump |= is_pop & ~find_rotation_pops(source_steps, 1.0 / fps, is_cut_before)[0]
     jumps = _jumps_at(names, is_jump, angles, source_angles, goal_steps)
-    displacements = np.diff(solved_poses.translations, axis=0)
+    solved_steps = np.diff(solved_poses.translations, axis=0)
     source_steps = np.diff(source_poses.translations, axis=0)
     sizes, source_sizes = (
-        np.linalg.norm(rows, axis=2) / length for rows in (displacements, source_steps)
+        np.linalg.norm(steps, axis=2) / length for steps in (solved_steps, source_steps)
     )
-    excess = sizes - source_sizes
-    is_jump = (excess > jump_threshold(fps)) | _find_isolated_steps(excess, goal_steps)
-    limits = (1.0 / fps, is_cut_before, MIN_SLIDE * length, SLIDE_NOISE * length)
-    is_jump |= (
-        find_translation_pops(displacements, *limits)[0]
-        & ~find_translation_pops(source_steps, *limits)[0]
-    )
+    excess_steps = sizes - source_sizes
+    is_jump = excess_steps > jump_threshold(fps)
+    is_jump |= _find_isolated_steps(excess_steps, goal_steps)
+    pop_limits = (1.0 / fps, is_cut_before, MIN_SLIDE * length, SLIDE_NOISE * length)
+    is_pop = find_translation_pops(solved_steps, *pop_limits)[0]
+    is_jump |= is_pop & ~find_translation_pops(source_steps, *pop_limits)[0]
     jumps += _jumps_at(names, is_jump, sizes, source_sizes, goal_steps, length=length)
     return tuple(sorted(jumps, key=lambda jump: jump.frame))
 
@@ -159,7 +159,7 @@ def _rotation_steps(rotations: FloatArray) -> FloatArray:
 def _find_isolated_steps(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
     """Return a mask of steps ``(F - 1, N)`` that far exceed the adjacent steps."""
     largest_neighbour = np.zeros_like(steps)
-    for offset in range(1, NEIGHBOURS + 1):
+    for offset in range(1, NEIGHBOUR_COUNT + 1):
         earlier, later = largest_neighbour[:-offset], largest_neighbour[offset:]
         np.maximum(later, steps[:-offset], out=later)
         np.maximum(earlier, steps[offset:], out=earlier)
@@ -181,7 +181,7 @@ def _jumps_at(
     length: float | None = None,
 ) -> list[Jump]:
     """Return the jumps at flagged steps ``(F - 1, J)``; slides if a length is given."""
-    by_goals = steps - source_steps <= MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
+    is_by_goals = steps - source_steps <= MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
     steps_and_joints: IntArray = np.argwhere(is_jump)
     return [
         Jump(
@@ -190,7 +190,7 @@ def _jumps_at(
             float(steps[t, j]) * (length or 1.0),
             float(source_steps[t, j]) * (length or 1.0),
             length is not None,
-            bool(by_goals[t, j]) and bool(goal_moves[t, 0] > 0),
+            bool(is_by_goals[t, j]) and bool(goal_moves[t, 0] > 0),
         )
         for t, j in steps_and_joints
     ]

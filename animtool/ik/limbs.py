@@ -19,7 +19,7 @@ MIN_BONE_FRACTION = 1e-9
 # Lengths below this fraction of the problem's length count as zero.
 ZERO_LENGTH = 1e-12
 # A limb within this fraction of its full length is straight.
-STRAIGHT = 1e-9
+STRAIGHT_TOLERANCE = 1e-9
 
 
 def limb_joints(
@@ -109,7 +109,7 @@ def _goal_limb(
     straight_length = length_between + tip_length
     if straight_length > 0:
         extension = min(_limb_reach(chain, path, tip_offset) / straight_length, 1.0)
-    if extension > 1 - STRAIGHT:
+    if extension > 1 - STRAIGHT_TOLERANCE:
         extension = 1.0
     return GoalLimb(
         e,
@@ -122,10 +122,10 @@ def _goal_limb(
     )
 
 
-def _limb_reach(chain: Chain, path: list[int], end: FloatArray) -> float:
+def _limb_reach(chain: Chain, path: list[int], end_offset: FloatArray) -> float:
     """Return the reach of a limb of two bones and a pin; infinity for others.
 
-    ``end`` ``(3,)``: the goal's point in the frame of the path's last node.
+    ``end_offset`` ``(3,)``: the goal's point in the frame of the path's last node.
     """
     bending_nodes = [
         n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > ZERO_LENGTH
@@ -141,7 +141,8 @@ def _limb_reach(chain: Chain, path: list[int], end: FloatArray) -> float:
         return np.inf
     offset = chain.numbers[last_node, 9:12]
     x, y, z = chain.numbers[last_node, :9].reshape(3, 3).T @ offset
-    cosine_part, sine_part = x * end[0] + y * end[1], y * end[0] - x * end[1]
+    cosine_part = x * end_offset[0] + y * end_offset[1]
+    sine_part = y * end_offset[0] - x * end_offset[1]
     # The squared reach is a constant plus a cosine about its farthest angle.
     low, high = chain.numbers[last_node, 14:16]
     farthest = float(np.arctan2(sine_part, cosine_part))
@@ -150,7 +151,11 @@ def _limb_reach(chain: Chain, path: list[int], end: FloatArray) -> float:
     angles = [farthest] if farthest <= high else [low, high]
     products = [cosine_part * np.cos(a) + sine_part * np.sin(a) for a in angles]
     largest_cosine = max(products)
-    squared_reach = offset @ offset + end @ end + 2 * (z * end[2] + largest_cosine)
+    squared_reach = (
+        offset @ offset
+        + end_offset @ end_offset
+        + 2 * (z * end_offset[2] + largest_cosine)
+    )
     return float(np.sqrt(max(squared_reach, 0.0)))
 
 

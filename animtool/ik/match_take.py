@@ -27,7 +27,7 @@ from animtool.ik.goals import PARTS, path_to_root
 from animtool.ik.matching import Matched, match
 from animtool.ik.sub_rig import sub_rig
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import ArrayRows, Constant, Keyed, Value
+from animtool.ik.values import ArrayRows, Constant, KeyedValue, Value
 from animtool.ik.write import DEFAULT_EASE
 from animtool.maths import euler, so3
 from animtool.maths.curves import Interp
@@ -98,13 +98,15 @@ def match_take(
         path: Path of the targets file.
         reduce: Tolerance of keys [m], > 0; for rotations at a point 3 cm from the tip.
     """
-    part_rig, indices = sub_rig(take.rig, [chain.tip for chain in chains])
+    smaller_rig, joint_indices = sub_rig(take.rig, [chain.tip for chain in chains])
     check_scales(take, [(chain.name, chain.tip) for chain in chains])
     motion = take.motion
     world = forward_kinematics(
-        part_rig, motion.translations.gather(indices), motion.rotations.gather(indices)
+        smaller_rig,
+        motion.translations.gather(joint_indices),
+        motion.rotations.gather(joint_indices),
     )
-    matched_limbs = match(part_rig, chains, world)
+    matched_limbs = match(smaller_rig, chains, world)
     clock = take.clock
     first = Fraction(float(clock.start))
     last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
@@ -113,9 +115,9 @@ def match_take(
     writes_keys = writes_keys or last - first != clock.count - 1 or "#" in path.name
     array_file = None if writes_keys else array_file_of(path).name
     units = ClipUnits.of_rig(take.rig)
-    values = _ValueBuilder(clock, units, array_file, first, reduce)
+    value_builder = _ValueBuilder(clock, units, array_file, first, reduce)
     goals = tuple(
-        _track(take.rig, chain, e, matched_limbs, values)
+        _goal_track(take.rig, chain, e, matched_limbs, value_builder)
         for e, chain in enumerate(chains)
     )
     return TargetTracks(path, clock.fps, first, last, goals)
@@ -145,7 +147,7 @@ def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Faul
         if chain.stretch > 0
     }
     motion = take.motion
-    moving_joints = _joints_off_rest(
+    translating_joints = _joints_off_rest(
         motion.translations,
         rig.rest_translations,
         joints_above | roots | chain_joints - stretching_joints,
@@ -153,7 +155,7 @@ def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Faul
     rotating_joints = _joints_off_rest(
         motion.rotations, rig.rest_rotations, joints_above
     )
-    names = [rig.names[j] for j in sorted(moving_joints | rotating_joints)]
+    names = [rig.names[j] for j in sorted(translating_joints | rotating_joints)]
     if not names:
         return []
     message = f"the targets do not mention {listed(names, MAX_LISTED_NAMES)}, "
@@ -173,16 +175,21 @@ def _joints_off_rest(channel: Channel, rest: FloatArray, joints: set[int]) -> se
     return set(joint_indices[(distances > REST_TOLERANCE).any(axis=0)].tolist())
 
 
-def _track(
-    rig: Rig, chain: IkChain, index: int, matched: Matched, builder: _ValueBuilder
+def _goal_track(
+    rig: Rig,
+    chain: IkChain,
+    goal_index: int,
+    matched_limbs: Matched,
+    builder: _ValueBuilder,
 ) -> GoalTrack:
     """Return the target track of a chain."""
-    goal = matched.goals[index]
+    goal = matched_limbs.goals[goal_index]
     values: dict[str, Value | None] = dict.fromkeys(PARTS)
+    tip = rig.joints[rig.index(chain.tip)]
     for kind in goal.kinds:
-        rows = np.asarray(getattr(matched.targets, kind.targets_field))[:, index]
+        target_values = np.asarray(getattr(matched_limbs.targets, kind.targets_field))
         name = f"{chain.name}_{kind.name}"
-        tip = rig.joints[rig.index(chain.tip)]
+        rows = target_values[:, goal_index]
         values[kind.name] = builder.build_value(rows, name, tip)
     return GoalTrack(
         chain.name, goal, chain, values, {}, (), DEFAULT_EASE, frozenset[str]()
@@ -213,34 +220,34 @@ class _ValueBuilder:
         if self.reduce is not None:
             return self._fit_sparse_keys(rows, joint, self.reduce)
         if self.array_file is None:
-            return Keyed(self._keys_per_frame(rows))
+            return KeyedValue(self._keys_per_frame(rows))
         return ArrayRows(
             f"{self.array_file}#{self._unique_name(name)}", rows, self.first
         )
 
     def _unique_name(self, name: str) -> str:
         """Return a unique array name of word characters only."""
-        unique = identifier = re.sub(r"\W", "_", name)
+        unique_name = identifier = re.sub(r"\W", "_", name)
         number = 2
-        while unique in self.names:
-            unique, number = f"{identifier}_{number}", number + 1
-        self.names.add(unique)
-        return unique
+        while unique_name in self.names:
+            unique_name, number = f"{identifier}_{number}", number + 1
+        self.names.add(unique_name)
+        return unique_name
 
     def _keys_per_frame(self, rows: FloatArray) -> ClipChannel:
         """Return a channel with a key for each frame."""
-        count, width = rows.shape
-        is_rotation = width == 4
+        frame_count, component_count = rows.shape
+        is_rotation = component_count == 4
         tangents = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
         return ClipChannel(
             _ROTATION if is_rotation else _TRANSLATION,
             self.clock.times,
             rows,
-            (Interp.SLERP if is_rotation else Interp.LINEAR,) * count,
-            (tangents,) * count,
-            np.zeros((count, 1 + width)),
-            np.zeros((count, 1 + width)),
-            np.zeros((count, 3)),
+            (Interp.SLERP if is_rotation else Interp.LINEAR,) * frame_count,
+            (tangents,) * frame_count,
+            np.zeros((frame_count, 1 + component_count)),
+            np.zeros((frame_count, 1 + component_count)),
+            np.zeros((frame_count, 3)),
         )
 
     def _fit_sparse_keys(
@@ -250,10 +257,10 @@ class _ValueBuilder:
         if rows.shape[1] == 3:
             keys = fit_keys(rows, tolerance)
             channel = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)
-            return Keyed(channel)
+            return KeyedValue(channel)
         order = euler_order(joint, rows)
         # Three rotations within a tolerance compose to at most sqrt(3) times it.
         angle = math.degrees(tolerance / SHELL_DISTANCE) / math.sqrt(3)
         keys = fit_keys(euler.from_quaternion(rows, order), angle)
         unit = self.units.angle
-        return Keyed(fitted_channel(_ROTATION, keys, self.clock, unit, order))
+        return KeyedValue(fitted_channel(_ROTATION, keys, self.clock, unit, order))

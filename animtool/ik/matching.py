@@ -112,7 +112,7 @@ class _BendingLimb:
         length: Length of its bones at rest [m].
         default_side: Default side of the middle joint in the root joint's frame, used
             where no pose determines it ``(3,)``.
-        hinge: Axis of the middle joint in its frame ``(3,)``; zero without a hinge.
+        hinge_axis: Axis of the middle joint in its frame ``(3,)``; 0 without a hinge.
     """
 
     root: int
@@ -120,7 +120,7 @@ class _BendingLimb:
     tip: int
     length: float
     default_side: FloatArray
-    hinge: FloatArray
+    hinge_axis: FloatArray
 
 
 def _bending_limb(
@@ -130,8 +130,8 @@ def _bending_limb(
     if not goal.position:
         return None
     tip, origins = rig.index(chain.tip), rest.positions[0]
-    moving = find_moving_joints(rig, [goal])
-    joints = limb_joints(rig, goal, moving, origins, origins[tip])
+    moving_joints = find_moving_joints(rig, [goal])
+    joints = limb_joints(rig, goal, moving_joints, origins, origins[tip])
     if joints is None:
         return None
     root, middle = joints
@@ -146,8 +146,8 @@ def _bending_limb(
     pole_direction = np.array(chain.pole_dir or (0.0, 0.0, 0.0))
     default_side = rest.linear[0, root].T @ parent_rotation @ pole_direction
     is_hinge = rig.joints[middle].type is JointType.PIN
-    hinge = np.array(rig.joints[middle].axis) if is_hinge else np.zeros(3)
-    return _BendingLimb(root, middle, tip, length, default_side, hinge)
+    hinge_axis = np.array(rig.joints[middle].axis) if is_hinge else np.zeros(3)
+    return _BendingLimb(root, middle, tip, length, default_side, hinge_axis)
 
 
 def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
@@ -158,11 +158,11 @@ def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
     min_distance = MIN_SIDE_DISTANCE * limb.length
     line_directions, has_direction = _normalize(tip - root, min_distance)
     line_directions[~has_direction] = 0.0
-    middle_on_line = _part_along(line_directions, middle - root)
+    middle_on_line = _component_along(line_directions, middle - root)
     sides, has_side = _normalize(middle - root - middle_on_line, min_distance)
     if not has_side.all():
         bend_sides = _transport_bend_sides(limb, world, sides, has_side)
-        outward_sides = bend_sides - _part_along(line_directions, bend_sides)
+        outward_sides = bend_sides - _component_along(line_directions, bend_sides)
         # If a transported side lies along the line, any side will do.
         transported_sides, is_transported = _normalize(
             outward_sides, np.sqrt(MIN_SIDE_DISTANCE)
@@ -173,7 +173,7 @@ def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
     return np.asarray(root + middle_on_line + sides * limb.length / 2)
 
 
-def _part_along(directions: FloatArray, vectors: FloatArray) -> FloatArray:
+def _component_along(directions: FloatArray, vectors: FloatArray) -> FloatArray:
     """Return the parts of vectors along unit directions, each ``(F, 3)``."""
     products = np.sum(vectors * directions, axis=1, keepdims=True)
     return np.asarray(products * directions)
@@ -193,17 +193,19 @@ def _transport_bend_sides(
     rotations = so3.split_scale(world.linear[:, limb.root])[0]
     if has_side.any():
         local_sides = so3.rotate(so3.conjugate(rotations), sides)
-        return so3.rotate(rotations, local_sides[_nearest_before(has_side)])
-    hinges = so3.rotate(so3.split_scale(world.linear[:, limb.middle])[0], limb.hinge)
+        return so3.rotate(rotations, local_sides[_nearest_known_frames(has_side)])
+    hinge_axes = so3.rotate(
+        so3.split_scale(world.linear[:, limb.middle])[0], limb.hinge_axis
+    )
     default_side = so3.rotate(rotations, limb.default_side)
-    return np.asarray(default_side - _part_along(hinges, default_side))
+    return np.asarray(default_side - _component_along(hinge_axes, default_side))
 
 
-def _nearest_before(is_known: BoolArray) -> IntArray:
+def _nearest_known_frames(is_known: BoolArray) -> IntArray:
     """Return the last known frame up to each frame; before any, the first known.
 
-    >>> _nearest_before(np.array([False, True, False, True])).tolist()
+    >>> _nearest_known_frames(np.array([False, True, False, True])).tolist()
     [1, 1, 1, 3]
     """
-    last = np.maximum.accumulate(np.where(is_known, np.arange(len(is_known)), -1))
-    return np.where(last < 0, int(np.argmax(is_known)), last)
+    last_known = np.maximum.accumulate(np.where(is_known, np.arange(len(is_known)), -1))
+    return np.where(last_known < 0, int(np.argmax(is_known)), last_known)

@@ -19,12 +19,12 @@ from animtool.ik.solving import solve
 
 # Number of starts from combinations of limits, and as many random poses; a ninth of
 # them for chains with more degrees of freedom than the second number.
-MAX_STARTS, MANY_DEGREES = 27, 12
+MAX_STARTS, MANY_DOFS = 27, 12
 # Iterations from each start, and from the best ones; a start whose cost is then this
 # many times that of the current pose is dropped.
 TRIAL_ITERATIONS, FULL_ITERATIONS, HOPELESS_RATIO = 8, 100, 1.3
 # Number of the most promising starts that are solved to convergence.
-MAX_REFINED = 4
+MAX_REFINED_STARTS = 4
 
 
 def frames_out_of_reach(result: IkResult, options: IkOptions) -> IntArray:
@@ -50,7 +50,7 @@ def find_nearest_poses(
     """
     frame_options = replace(options, method=IkMethod.DAMPED, restarts=0)
     frame_options = replace(frame_options, ordered=False, warm=False, near=False)
-    preferred = np.asarray(prefer, np.float64)
+    preferred_poses = np.asarray(prefer, np.float64)
     trial_options, descent_options = (
         replace(frame_options, iterations=n)
         for n in (TRIAL_ITERATIONS, FULL_ITERATIONS)
@@ -60,28 +60,28 @@ def find_nearest_poses(
     for start in _start_poses(problem, result.coordinates[0], options.seed):
         starts = np.repeat(start[None], len(result.coordinates), axis=0)
         rows = problem.chain.into_rig(starts, result.coordinates)
-        trial_result = solve(problem, rows, targets, trial_options, prefer=preferred)
+        trial_result = solve(
+            problem, rows, targets, trial_options, prefer=preferred_poses
+        )
         trial_results.append(trial_result.coordinates)
         costs.append(miss_costs(trial_result, targets))
     best_result, order = result, np.argsort(costs, axis=0, kind="stable")
-    for start_indices in order[:MAX_REFINED]:
+    for start_indices in order[:MAX_REFINED_STARTS]:
         best_costs = np.array(costs)[start_indices, np.arange(len(start_indices))]
         current_costs = miss_costs(best_result, targets)
-        promising = np.flatnonzero(best_costs < HOPELESS_RATIO * current_costs)
-        if len(promising):
-            starts = np.array(trial_results)[start_indices[promising], promising]
-            promising_targets = targets_of_frames(targets, promising)
+        promising_rows = np.flatnonzero(best_costs < HOPELESS_RATIO * current_costs)
+        if len(promising_rows):
+            best_starts = start_indices[promising_rows]
+            starts = np.array(trial_results)[best_starts, promising_rows]
+            promising_targets = targets_of_frames(targets, promising_rows)
+            prefer = preferred_poses[promising_rows]
             trial_result = solve(
-                problem,
-                starts,
-                promising_targets,
-                descent_options,
-                prefer=preferred[promising],
+                problem, starts, promising_targets, descent_options, prefer=prefer
             )
             trial_costs = miss_costs(trial_result, promising_targets)
-            better = np.flatnonzero(trial_costs < current_costs[promising])
+            improved_rows = np.flatnonzero(trial_costs < current_costs[promising_rows])
             best_result = _replace_rows(
-                best_result, trial_result, promising[better], better
+                best_result, trial_result, promising_rows[improved_rows], improved_rows
             )
     return best_result
 
@@ -115,16 +115,16 @@ def _start_poses(
 ) -> Iterator[FloatArray]:
     """Yield start poses ``(C,)``: combinations of limits, and random ones."""
     chain = problem.chain
-    max_starts = MAX_STARTS if problem.degrees <= MANY_DEGREES else MAX_STARTS // 9
+    max_starts = MAX_STARTS if problem.degrees <= MANY_DOFS else MAX_STARTS // 9
     pose = chain.from_rig(start[None])[0]
     yield from _limit_combinations(chain, pose, max_starts)
     yield from random_poses(chain, pose, max_starts, [seed])
 
 
 def _limit_combinations(
-    chain: Chain, start: FloatArray, max_poses: int
+    chain: Chain, start: FloatArray, max_pose_count: int
 ) -> Iterator[FloatArray]:
-    """Yield combinations of the first joint limits, at most ``max_poses``."""
+    """Yield combinations of the first joint limits, at most ``max_pose_count``."""
     ranges = []
     for (kind, _, column, driver_kind), numbers in zip(
         chain.nodes[:, :4], with_periods(chain), strict=True
@@ -132,10 +132,10 @@ def _limit_combinations(
         low, high = numbers[14:16]
         if kind != BALL and not driver_kind and np.isfinite([low, high]).all():
             ranges.append((int(column), (low, (low + high) / 2, high)))
-    combination = ranges[: int(np.log(max_poses) / np.log(3))]
-    for values in product(*(values for _, values in combination)):
+    combined_ranges = ranges[: int(np.log(max_pose_count) / np.log(3))]
+    for values in product(*(values for _, values in combined_ranges)):
         pose = start.copy()
-        pose[[column for column, _ in combination]] = values
+        pose[[column for column, _ in combined_ranges]] = values
         yield pose
 
 

@@ -37,7 +37,7 @@ from animtool.rig.skeleton import Rig
 
 # A pole this near to the line is on it, and a middle joint this near is on a straight
 # limb, whose pole does not matter; in lengths of the limb.
-ON_LINE, STRAIGHT = 0.02, 0.02
+ON_LINE_TOLERANCE, STRAIGHT_TOLERANCE = 0.02, 0.02
 # Maps tracks, and for each goal the take it fades from, to the solved take.
 SolveTracks = Callable[[TargetTracks, tuple[Take, ...]], Take]
 
@@ -104,7 +104,7 @@ def _solve_for_goals(
 
 
 # Pattern of goals in fault messages.
-_GOAL = re.compile(r"goals\[(\d+)\]")
+_GOAL_LOCATION = re.compile(r"goals\[(\d+)\]")
 
 
 @renamed_arguments(still="static")
@@ -143,29 +143,33 @@ def solve_take(
     tracks = tracks.at_clock(take.clock)
     effectors = [(track.name, track.goal.joint) for track in tracks.goals]
     check_scales(take, effectors, tracks.path)
-    solve_count, solves_done = count_solves(tracks), 0
+    solve_count, done_count = count_solves(tracks), 0
     seconds_spent = 0.0
 
-    def solve_round(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> TakeIk:
+    def solve_for_tracks(
+        tracks: TargetTracks, fade_sources: tuple[Take, ...]
+    ) -> TakeIk:
         """Return the take solved for tracks; progress covers all solves."""
 
-        def report(fraction: float) -> None:
+        def report_progress(fraction: float) -> None:
             if progress is not None:
-                progress((solves_done + fraction) / solve_count)
+                progress((done_count + fraction) / solve_count)
 
-        return _solve_take(take, tracks, fade_sources, options, static, only, report)
+        return _solve_take(
+            take, tracks, fade_sources, options, static, only, report_progress
+        )
 
     def solve_fade_source(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> Take:
         """Return the solved take that a goal fades from."""
-        nonlocal solves_done, seconds_spent
-        solution = solve_round(tracks, fade_sources)
-        solves_done, seconds_spent = solves_done + 1, seconds_spent + solution.seconds
+        nonlocal done_count, seconds_spent
+        solution = solve_for_tracks(tracks, fade_sources)
+        done_count, seconds_spent = done_count + 1, seconds_spent + solution.seconds
         return solution.take
 
     fade_sources = solve_fade_sources(take, tracks, solve_fade_source)
-    result = solve_round(tracks, fade_sources)
-    driven = drive_take(result.take)
-    return replace(result, take=driven, seconds=seconds_spent + result.seconds)
+    result = solve_for_tracks(tracks, fade_sources)
+    driven_take = drive_take(result.take)
+    return replace(result, take=driven_take, seconds=seconds_spent + result.seconds)
 
 
 def _solve_take(
@@ -180,33 +184,37 @@ def _solve_take(
     """Solve a take for targets that fade from and to the given takes."""
     goals = [track.goal for track in tracks.goals]
     typed_rig = with_ball_joints(take.rig)
-    rig, indices = sub_rig(typed_rig, (goal.joint for goal in goals))
-    joints = _movable_names(take.rig, rig, options)
+    rig, joint_indices = sub_rig(typed_rig, (goal.joint for goal in goals))
+    joints = _movable_joint_names(take.rig, rig, options)
     local = LocalTransforms(
-        take.motion.translations.gather(indices), take.motion.rotations.gather(indices)
+        take.motion.translations.gather(joint_indices),
+        take.motion.rotations.gather(joint_indices),
     )
     world = forward_kinematics(rig, local.translations, local.rotations)
-    solved_parts: list[SpanSolution] = []
+    span_solutions: list[SpanSolution] = []
     with _locate_faults(tracks):
         fade_transforms = tuple(
-            _world_like(rig, indices, fade_take, world) for fade_take in fade_sources
+            _broadcast_world(rig, joint_indices, fade_take, world)
+            for fade_take in fade_sources
         )
         targets = tracks.sample(rig, take.clock, world, fade_transforms)
         if only is not None:
-            parts = _select_frame(take, local, world, targets, only)
-            take, local, world, targets = parts
+            selection = _select_frame(take, local, world, targets, only)
+            take, local, world, targets = selection
         rate = float(take.clock.rate)
         solver = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
         controls = _control_values(rig, take)
         solve_spans = spans_of_take(rig, local, world, goals, joints, controls)
         for span in solve_spans.spans:
-            solved_parts.append(solver.solve_span(span))
-            progress(solved_parts[-1].span.frames.stop / take.clock.count)
-    solved_take = join_spans(take, indices, local, tracks, targets, solved_parts, rate)
+            span_solutions.append(solver.solve_span(span))
+            progress(span_solutions[-1].span.frames.stop / take.clock.count)
+    solved_take = join_spans(
+        take, joint_indices, local, tracks, targets, span_solutions, rate
+    )
     rig_size = float(np.ptp(world.positions[0], axis=0).max())
     open_poles = None
     if solved_take.active[:, :, PARTS.index("pole")].any():
-        open_poles = _find_open_poles(rig, indices, solved_take, targets)
+        open_poles = _find_open_poles(rig, joint_indices, solved_take, targets)
     return replace(
         solved_take,
         open_poles=open_poles,
@@ -217,19 +225,21 @@ def _solve_take(
 
 
 def _find_open_poles(
-    rig: Rig, indices: IntArray, solved_take: TakeIk, targets: Targets
+    rig: Rig, joint_indices: IntArray, solved_take: TakeIk, targets: Targets
 ) -> BoolArray:
     """Return a mask of poles on the line from root to end of a bent limb ``(F, E)``.
 
     Such poles do not determine the limb's bend.
     """
-    motion, active = solved_take.take.motion, solved_take.active
+    motion, is_part_active = solved_take.take.motion, solved_take.active
     world = forward_kinematics(
-        rig, motion.translations.gather(indices), motion.rotations.gather(indices)
+        rig,
+        motion.translations.gather(joint_indices),
+        motion.rotations.gather(joint_indices),
     )
-    is_on_line = np.zeros(active.shape[:2], np.bool_)
+    is_on_line = np.zeros(is_part_active.shape[:2], np.bool_)
     for e, track in enumerate(solved_take.tracks.goals):
-        is_active = active[:, e, PARTS.index("pole")]
+        is_active = is_part_active[:, e, PARTS.index("pole")]
         effector = FreeEffector(rig, track.goal, world)
         limb = effector.limb() if is_active.any() else None
         if limb is None:
@@ -237,14 +247,16 @@ def _find_open_poles(
         points = effector.position()
         root, middle = (world.positions[:, j] for j in limb)
         # The effector is off its position where the pole leads astray.
-        has_position = active[:, e, PARTS.index("position")]
+        has_position = is_part_active[:, e, PARTS.index("position")]
         positions = np.asarray(targets.positions)[:, e]
         ends = np.where(has_position[:, None], positions, points)
         length = np.linalg.norm(middle - root, axis=1)
         length += np.linalg.norm(points - middle, axis=1)
         pole_distance = _line_distances(np.asarray(targets.poles)[:, e], root, ends)
-        is_bent = _line_distances(middle, root, points) > STRAIGHT * length
-        is_on_line[:, e] = is_active & is_bent & (pole_distance < ON_LINE * length)
+        is_bent = _line_distances(middle, root, points) > STRAIGHT_TOLERANCE * length
+        is_on_line[:, e] = (
+            is_active & is_bent & (pole_distance < ON_LINE_TOLERANCE * length)
+        )
     return is_on_line
 
 
@@ -286,13 +298,15 @@ def _min_target_distances(
     return tuple(0.0 if distance == np.inf else distance for distance in distances)
 
 
-def _world_like(
-    rig: Rig, indices: IntArray, take: Take, reference: WorldTransforms
+def _broadcast_world(
+    rig: Rig, joint_indices: IntArray, take: Take, reference: WorldTransforms
 ) -> WorldTransforms:
     """Return a take's world transforms, a single frame repeated to the reference's."""
     motion = take.motion
     world = forward_kinematics(
-        rig, motion.translations.gather(indices), motion.rotations.gather(indices)
+        rig,
+        motion.translations.gather(joint_indices),
+        motion.rotations.gather(joint_indices),
     )
     return WorldTransforms(
         np.broadcast_to(world.positions, reference.positions.shape),
@@ -312,10 +326,10 @@ def _locate_faults(tracks: TargetTracks) -> Iterator[None]:
 
 def _locate_fault(fault: Fault, tracks: TargetTracks) -> Fault:
     """Return a fault located at its goal in the targets file."""
-    goal = _GOAL.match(fault.where or "")
-    if fault.path is not None or goal is None:
+    location_match = _GOAL_LOCATION.match(fault.where or "")
+    if fault.path is not None or location_match is None:
         return fault.in_file(tracks.path)
-    line, column = tracks.goals[int(goal[1])].location
+    line, column = tracks.goals[int(location_match[1])].location
     return replace(fault, path=str(tracks.path), lines=(line,), column=column)
 
 
@@ -338,7 +352,9 @@ def _select_frame(
     )
 
 
-def _movable_names(full_rig: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
+def _movable_joint_names(
+    full_rig: Rig, rig: Rig, options: TakeOptions
+) -> list[str] | None:
     """Return the names of the joints that may move; None is all that move a goal."""
     if not options.joints:
         return None

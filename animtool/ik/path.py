@@ -30,11 +30,11 @@ from animtool.rig.skeleton import JointType, Rig
 MAX_ITERATIONS = 30
 # Lookahead of a smoothed block, in smoothing times; frames at its end have a weight of
 # e^(-12 / sqrt 2), .0002.
-LOOKAHEAD = 12
+LOOKAHEAD_FACTOR = 12
 # Fewest frames of a block.
-MIN_BLOCK = 256
+MIN_BLOCK_FRAMES = 256
 # Weight of the original path when its speed is evened out.
-PATH_WEIGHT = 1e-6
+ORIGINAL_PATH_WEIGHT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,14 @@ class FramePath:
     preserved_steps: FloatArray
     options: IkOptions
 
-    def select_frames(self, rows: slice) -> FramePath:
+    def select_frames(self, frames: slice) -> FramePath:
         """Return the path restricted to consecutive frames."""
-        steps = self.preserved_steps[rows.start : rows.stop - 1]
-        row_indices = np.arange(len(self.targets))[rows]
-        targets, limbs = self.targets[rows], self.soft_reach[row_indices]
-        return replace(self, targets=targets, soft_reach=limbs, preserved_steps=steps)
+        steps = self.preserved_steps[frames.start : frames.stop - 1]
+        frame_indices = np.arange(len(self.targets))[frames]
+        targets, soft_reach = self.targets[frames], self.soft_reach[frame_indices]
+        return replace(
+            self, targets=targets, soft_reach=soft_reach, preserved_steps=steps
+        )
 
     def steps(self, poses: FloatArray) -> FloatArray:
         """Return steps between poses ``(F, C)``, minus the preserved steps."""
@@ -76,37 +78,41 @@ class FramePath:
         ahead as far as later frames matter.
         """
         weights = (1.0, 0.0, acceleration)
-        lookahead_frames = math.ceil(LOOKAHEAD * acceleration**0.25)
-        size = max(MIN_BLOCK, 4 * lookahead_frames)
+        lookahead_frames = math.ceil(LOOKAHEAD_FACTOR * acceleration**0.25)
+        block_size = max(MIN_BLOCK_FRAMES, 4 * lookahead_frames)
         smooth_poses = np.zeros_like(poses)
         misses = []
-        begin = 0
-        while begin < len(poses):
-            is_last = begin + size + lookahead_frames >= len(poses)
-            end = len(poses) if is_last else begin + size
-            first = max(begin - 2, 0)
-            window = slice(first, min(end + lookahead_frames, len(poses)))
-            later = poses[begin : window.stop]
-            starts = np.concatenate([smooth_poses[first:begin], later])
-            moving_range = (begin - first, len(starts))
-            path, path_misses = self.select_frames(window)._run_kernel(
-                starts, weights, moving_range, MAX_ITERATIONS
+        block_start = 0
+        while block_start < len(poses):
+            is_last = block_start + block_size + lookahead_frames >= len(poses)
+            block_end = len(poses) if is_last else block_start + block_size
+            window_start = max(block_start - 2, 0)
+            window = slice(window_start, min(block_end + lookahead_frames, len(poses)))
+            later_poses = poses[block_start : window.stop]
+            start_poses = np.concatenate(
+                [smooth_poses[window_start:block_start], later_poses]
             )
-            block = slice(begin - first, end - first)
-            smooth_poses[begin:end] = path[block]
+            moving_range = (block_start - window_start, len(start_poses))
+            path, path_misses = self.select_frames(window)._run_kernel(
+                start_poses, weights, moving_range, MAX_ITERATIONS
+            )
+            block = slice(block_start - window_start, block_end - window_start)
+            smooth_poses[block_start:block_end] = path[block]
             misses.append(path_misses[block])
-            begin = end
+            block_start = block_end
         return smooth_poses, np.concatenate(misses)
 
-    def even_speed(
-        self, poses: FloatArray, *, free_start: bool = False
+    def with_even_speed(
+        self, poses: FloatArray, *, is_start_free: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Return poses that move from the first to the last pose at an even speed.
 
-        The last pose is fixed, and so is the first unless ``free_start``.
+        The last pose is fixed, and so is the first unless ``is_start_free``.
         """
-        moving = (0 if free_start else 1, len(poses) - 1)
-        return self._run_kernel(poses, (PATH_WEIGHT, 1.0, 0.0), moving, MAX_ITERATIONS)
+        moving_range = (0 if is_start_free else 1, len(poses) - 1)
+        return self._run_kernel(
+            poses, (ORIGINAL_PATH_WEIGHT, 1.0, 0.0), moving_range, MAX_ITERATIONS
+        )
 
     def measure_misses(self, poses: FloatArray) -> FloatArray:
         """Return the misses of poses ``(F, E, 4)``."""
@@ -132,7 +138,7 @@ class FramePath:
         chain = self.problem.chain
         anchor, speed, acceleration = weights
         first, end = moving_range
-        smoothed = _kernels.smooth_ik(
+        kernel_output = _kernels.smooth_ik(
             *chain.kernel_arrays,
             path=unwrap_angles(chain, poses),
             targets=self.targets,
@@ -149,20 +155,22 @@ class FramePath:
             damping=WARM_DAMPING,
             rounds=max_iterations,
         )
-        return smoothed[0], smoothed[1]
+        return kernel_output[0], kernel_output[1]
 
 
 def build_frame_path(
     problem: Problem, targets: Targets, start: ArrayLike | None, options: IkOptions
 ) -> FramePath:
     """Build the path of a problem; the motion of a start ``(F, Q)`` is preserved."""
-    packed = pack_for_chain(problem, targets)
-    preserved_steps = np.zeros((max(len(packed) - 1, 0), problem.degrees))
+    packed_targets = pack_for_chain(problem, targets)
+    preserved_steps = np.zeros((max(len(packed_targets) - 1, 0), problem.degrees))
     if start is not None and np.ndim(start) == 2:
-        source = problem.chain.from_rig(pose_rows(problem, start, len(packed), "start"))
-        preserved_steps = joint_steps(problem.chain, source[:-1], source[1:])
-    soft_reach = extend_softly(problem.limbs, packed)
-    return FramePath(problem, packed, soft_reach, preserved_steps, options)
+        chain = problem.chain
+        start_rows = pose_rows(problem, start, len(packed_targets), "start")
+        source_poses = chain.from_rig(start_rows)
+        preserved_steps = joint_steps(chain, source_poses[:-1], source_poses[1:])
+    soft_reach = extend_softly(problem.limbs, packed_targets)
+    return FramePath(problem, packed_targets, soft_reach, preserved_steps, options)
 
 
 def goal_steps(problem: Problem, targets: FloatArray) -> FloatArray:
@@ -193,21 +201,21 @@ def find_clip_jumps(
     ``start`` ``(F, Q)``: the source poses; None, or one pose, is static.
     """
     problem = result.problem
-    source = None
+    source_poses = None
     if start is not None and np.ndim(start) == 2:
-        source = pose_rows(problem, start, len(result.coordinates), "start")
-    steps = goal_steps(problem, pack_for_chain(problem, targets))
-    stretched_translations = result.local_translations()
+        source_poses = pose_rows(problem, start, len(result.coordinates), "start")
+    goal_moves = goal_steps(problem, pack_for_chain(problem, targets))
+    coordinates, translations = result.coordinates, result.local_translations()
     return _find_jumps(
-        problem, result.coordinates, stretched_translations, source, steps, fps
+        problem, coordinates, translations, source_poses, goal_moves, fps
     )
 
 
 def find_jumping_frames(
     path: FramePath,
     poses: FloatArray,
-    rows: FloatArray,
-    source: FloatArray | None,
+    coordinates: FloatArray,
+    source_poses: FloatArray | None,
     fps: float,
 ) -> IntArray:
     """Return the frames at which a joint jumps, ascending.
@@ -215,54 +223,58 @@ def find_jumping_frames(
     Args:
         path: The path of F frames.
         poses: Chain coordinates ``(F, C)``.
-        rows: Rig coordinates of the other joints ``(F, Q)``.
-        source: The source motion ``(F, Q)``; None if there is no source.
+        coordinates: Rig coordinates of the other joints ``(F, Q)``.
+        source_poses: The source motion ``(F, Q)``; None if there is no source.
         fps: Frames a second.
     """
     problem = path.problem
-    rows = with_mimics(problem.rig, problem.chain.into_rig(poses, rows), problem.joints)
-    steps = goal_steps(problem, path.targets)
-    jumps = _find_jumps(problem, rows, None, source, steps, fps)
+    coordinates = with_mimics(
+        problem.rig, problem.chain.into_rig(poses, coordinates), problem.joints
+    )
+    goal_moves = goal_steps(problem, path.targets)
+    jumps = _find_jumps(problem, coordinates, None, source_poses, goal_moves, fps)
     return np.unique(np.array([jump.frame for jump in jumps], np.int64))
 
 
 def _find_jumps(
     problem: Problem,
-    rows: FloatArray,
+    coordinates: FloatArray,
     translations: FloatArray | None,
-    source: FloatArray | None,
-    steps: FloatArray,
+    source_poses: FloatArray | None,
+    goal_moves: FloatArray,
     fps: float,
 ) -> tuple[Jump, ...]:
     """Find the jumps of coordinates ``(F, Q)``, including stretched bones."""
-    local = local_from_coordinates(problem.rig, rows)
+    local = local_from_coordinates(problem.rig, coordinates)
     if translations is not None:
         local = replace(local, translations=translations)
     return find_jumps(
         problem.rig.names,
-        None if source is None else local_from_coordinates(problem.rig, source),
+        None
+        if source_poses is None
+        else local_from_coordinates(problem.rig, source_poses),
         local,
-        steps,
+        goal_moves,
         fps=fps,
         length=problem.length,
-        revolutions=full_revolutions(problem.rig, rows),
+        revolutions=full_revolutions(problem.rig, coordinates),
     )
 
 
-def full_revolutions(rig: Rig, rows: FloatArray) -> FloatArray:
+def full_revolutions(rig: Rig, coordinates: FloatArray) -> FloatArray:
     """Return full revolutions of pins from frame to frame ``(F - 1, J)`` [rad].
 
     For pins with limits wider than a revolution: their rotation does not show the
-    revolution, but a cable would. ``rows`` ``(F, Q)``.
+    revolution, but a cable would. ``coordinates`` ``(F, Q)``.
     """
-    revolutions = np.zeros((max(len(rows) - 1, 0), len(rig.joints)))
+    revolutions = np.zeros((max(len(coordinates) - 1, 0), len(rig.joints)))
     for j, columns in enumerate(coordinate_slices(rig)):
         limits = rig.joints[j].limits
         is_pin = rig.joints[j].type is JointType.PIN
         if not is_pin or not isinstance(limits, RangeLimit):
             continue
         if 2 * np.pi + REVOLUTION_EXCESS < limits.high - limits.low < np.inf:
-            steps = np.diff(rows[:, columns.start]) / (2 * np.pi)
+            steps = np.diff(coordinates[:, columns.start]) / (2 * np.pi)
             revolutions[:, j] = 2 * np.pi * np.abs(np.round(steps))
     return revolutions
 
@@ -333,11 +345,11 @@ def with_poses(
     is_reached = path.max_tolerance_ratio(misses) <= 1
     statuses = tuple(
         IkStatus.CONVERGED
-        if is_hit
+        if is_frame_reached
         else IkStatus.NEAREST
         if status is IkStatus.CONVERGED
         else status
-        for is_hit, status in zip(is_reached, result.statuses, strict=True)
+        for is_frame_reached, status in zip(is_reached, result.statuses, strict=True)
     )
     return replace(
         result,

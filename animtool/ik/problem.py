@@ -13,7 +13,7 @@ from animtool.core.array_types import ArrayLike, as_floats
 from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
-from animtool.ik.assembly import assemble
+from animtool.ik.assembly import assemble_chain
 from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_driver_sources
 from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
@@ -57,12 +57,12 @@ class Problem:
 
     def __repr__(self) -> str:
         """Return the rig's name and the numbers of goals, joints and degrees."""
-        goals = counted(len(self.goals), "goal")
-        joints = counted(len(self.joints), "joint")
-        degrees = "degree" if self.degrees == 1 else "degrees"
+        goal_text = counted(len(self.goals), "goal")
+        joint_text = counted(len(self.joints), "joint")
+        degree_noun = "degree" if self.degrees == 1 else "degrees"
         name = self.rig.name
-        freedom = f"{self.degrees} {degrees} of freedom"
-        return f"<Problem of {name!r}: {goals}, {joints}, {freedom}>"
+        freedom_text = f"{self.degrees} {degree_noun} of freedom"
+        return f"<Problem of {name!r}: {goal_text}, {joint_text}, {freedom_text}>"
 
     @cached_property
     def coordinates(self) -> int:
@@ -128,7 +128,7 @@ def build(
     faults = _immovable_faults(rig, goals, moving_joints)
     if faults:
         raise OptionError(faults)
-    chain, faults = assemble(rig, goals, moving_joints, pose_coordinates)
+    chain, faults = assemble_chain(rig, goals, moving_joints, pose_coordinates)
     limbs: tuple[GoalLimb, ...] = ()
     if not faults:
         limbs, faults = find_limbs(rig, goals, moving_joints, chain)
@@ -187,8 +187,8 @@ def _is_reversed(limits: RangeLimit | BallLimit | None) -> bool:
         case RangeLimit(low, high):
             return not low <= high
         case BallLimit(swing, twist):
-            swing_ordered = swing is None or min(swing) >= 0
-            return not (swing_ordered and (twist is None or twist[0] <= twist[1]))
+            is_swing_valid = swing is None or min(swing) >= 0
+            return not (is_swing_valid and (twist is None or twist[0] <= twist[1]))
     return False
 
 

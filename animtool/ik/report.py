@@ -38,10 +38,10 @@ from animtool.rig.skeleton import JointType
 MISSED_LENGTH = parse_length(REPORTED_MISS)
 MISSED_ANGLE = math.radians(REPORTED_MISS_DEGREES)
 # Misses above this many chain lengths suggest wrong units.
-FAR_MISS = 10.0
+FAR_MISS_RATIO = 10.0
 UNITS_QUESTION = "do the targets use these units and this space?"
 # So do targets farther than this many rig sizes from the rig in every frame.
-FAR_TARGET = 20.0
+FAR_TARGET_RATIO = 20.0
 # Shots often begin at frame 1001, and takes at 1.
 SHOT_OFFSET = 1000
 # Suggested fraction of a limb's reach for `soft`.
@@ -70,7 +70,7 @@ class Misses:
 
     @property
     def unit(self) -> str:
-        """The unit of the numbers."""
+        """Unit of the statistics: ``m`` for a position, else ``rad``."""
         return "m" if self.is_length else "rad"
 
 
@@ -100,7 +100,7 @@ class GoalReport:
 
     @property
     def residuals(self) -> dict[str, Misses]:
-        """Misses by part."""
+        """Miss statistics by goal part: ``position``, ``orientation`` and so on."""
         return {miss.part: miss for miss in self.misses}
 
 
@@ -120,45 +120,46 @@ def goal_reports(
         angle_tolerance: Tolerance of orientations, aims and poles [rad].
     """
     times = solved_take.take.clock.times
-    limits = by_unit(tolerance, angle_tolerance)
+    tolerances = by_unit(tolerance, angle_tolerance)
     reports = []
     statuses = solved_take.statuses
     is_yielded = np.array([s is IkStatus.YIELDED for s in statuses], np.bool_)
     for e, track in enumerate(solved_take.tracks.goals):
         is_targeted, misses = solved_take.active[:, e], solved_take.misses[:, e]
         miss_reports = tuple(
-            _misses(part, times[is_targeted[:, i]], misses[is_targeted[:, i], i])
+            _miss_statistics(
+                part, times[is_targeted[:, i]], misses[is_targeted[:, i], i]
+            )
             for i, part in enumerate(PARTS)
             if is_targeted[:, i].any()
         )
-        is_missed = np.asarray((is_targeted & (misses > limits)).any(axis=1), np.bool_)
-        if track.goal.priority > 0 or track.goal.soft > 0:
+        goal = track.goal
+        is_missed = np.any(is_targeted & (misses > tolerances), axis=1)
+        if goal.priority > 0 or goal.soft > 0:
             is_missed = np.asarray(is_missed & ~is_yielded, np.bool_)
         targeted_misses = np.where(is_targeted, misses, 0.0)
-        spans = tuple(_spans(solved_take, targeted_misses, is_missed))
+        spans = tuple(_missed_spans(solved_take, targeted_misses, is_missed))
         reports.append(
-            GoalReport(
-                track.name, track.goal.joint, track.location, miss_reports, spans
-            )
+            GoalReport(track.name, goal.joint, track.location, miss_reports, spans)
         )
     return reports
 
 
-def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
+def _miss_statistics(part: str, times: FloatArray, misses: FloatArray) -> Misses:
     """Return the statistics of one part's misses."""
-    worst_frame = int(np.argmax(misses))
+    worst_index = int(np.argmax(misses))
     return Misses(
         part,
         len(misses),
         float(misses.mean()),
         # Without interpolation, which fails between infinite misses.
         float(np.percentile(misses, 95, method="inverted_cdf")),
-        float(misses[worst_frame]),
-        float(times[worst_frame]),
+        float(misses[worst_index]),
+        float(times[worst_index]),
     )
 
 
-def _spans(
+def _missed_spans(
     solved_take: TakeIk, misses: FloatArray, is_missed: BoolArray
 ) -> list[MissedSpan]:
     """Return the runs of frames in which a goal is missed, from misses ``(F, 4)``."""
@@ -184,12 +185,12 @@ def _spans(
 
 
 def take_notices(
-    solved_take: TakeIk, reports: list[GoalReport], *, smooth: bool = False
+    solved_take: TakeIk, reports: list[GoalReport], *, is_smoothed: bool = False
 ) -> list[Fault]:
     """Return all warnings of a solved take."""
     return [
         *span_notices(solved_take),
-        *independent_frame_notices(solved_take, smooth=smooth),
+        *independent_frame_notices(solved_take, is_smoothed=is_smoothed),
         *far_target_notices(solved_take, reports),
         *missed_notices(solved_take, reports),
         *pole_notices(solved_take),
@@ -244,15 +245,19 @@ def crossed_notices(solved_take: TakeIk) -> list[Fault]:
     return notices
 
 
-def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
+def _miss_hint(solved_take: TakeIk, report: GoalReport, goal_index: int) -> str | None:
     """Return a hint that may bring a missed goal into reach; None if unknown."""
-    worst = max(report.spans, key=lambda span: span.distance)
-    if worst.distance > 0:
-        rig, target = solved_take.take.rig, limb_target(solved_take, i, worst.frame)
+    worst_span = max(report.spans, key=lambda span: span.distance)
+    if worst_span.distance > 0:
+        rig = solved_take.take.rig
+        target = limb_target(solved_take, goal_index, worst_span.frame)
         hint = up_axis_hint(rig, target)
-        hint = hint or pole_hint(solved_take, i, worst.frame, target)
+        hint = hint or pole_hint(solved_take, goal_index, worst_span.frame, target)
         hint = hint or space_hint(rig, target)
-        if hint is None and worst.distance > FAR_MISS * solved_take.problem.length:
+        if (
+            hint is None
+            and worst_span.distance > FAR_MISS_RATIO * solved_take.problem.length
+        ):
             hint = unit_hint(rig, target)
             hint = hint or f"far out of reach: {UNITS_QUESTION}"
         if hint is not None:
@@ -329,29 +334,32 @@ def rest_notices(solved_take: TakeIk) -> list[Fault]:
 
 def jump_notices(solved_take: TakeIk) -> list[Fault]:
     """Return a warning about the largest jump of a joint."""
-    if not solved_take.jumps:
+    jumps = solved_take.jumps
+    if not jumps:
         return []
     length = solved_take.problem.length
-    largest = max(solved_take.jumps, key=lambda jump: _severity_order(jump, length))
-    first, last = solved_take.take.clock.times[largest.frame - 1 : largest.frame + 1]
-    verb = "slides" if largest.slides else "rotates"
-    message = f"joint {largest.joint!r} {verb} by {_step_text(largest, largest.size)} "
-    message += f"from frame {span_label(first, last)}"
-    if largest.source > 0:
-        message += f" ({_step_text(largest, largest.source)} in the source)"
-    frame_count = len({jump.frame for jump in solved_take.jumps} - {largest.frame})
+    largest_jump = max(jumps, key=lambda jump: _jump_order(jump, length))
+    times, frame = solved_take.take.clock.times, largest_jump.frame
+    verb = "slides" if largest_jump.slides else "rotates"
+    message = f"joint {largest_jump.joint!r} {verb} by "
+    message += f"{_step_text(largest_jump, largest_jump.size)} from frame "
+    message += span_label(times[frame - 1], times[frame])
+    if largest_jump.source > 0:
+        message += f" ({_step_text(largest_jump, largest_jump.source)} in the source)"
+    frame_count = len({jump.frame for jump in jumps} - {frame})
     if frame_count:
         message += f"; joints jump in {counted(frame_count, 'other frame')} too"
-    other_joints = sorted({jump.joint for jump in solved_take.jumps} - {largest.joint})
+    other_joints = sorted({jump.joint for jump in jumps} - {largest_jump.joint})
     if other_joints:
         message += f"; also {listed(other_joints)}"
     path = str(solved_take.tracks.path)
-    by_goals = all(jump.by_goals for jump in solved_take.jumps)
-    level = Severity.NOTE if by_goals else Severity.WARNING
-    return [Fault("IK102", message, path, (), _jump_hint(solved_take, largest), level)]
+    is_by_goals = all(jump.by_goals for jump in jumps)
+    severity = Severity.NOTE if is_by_goals else Severity.WARNING
+    hint = _jump_hint(solved_take, largest_jump)
+    return [Fault("IK102", message, path, (), hint, severity)]
 
 
-def _severity_order(jump: Jump, length: float) -> tuple[bool, float]:
+def _jump_order(jump: Jump, length: float) -> tuple[bool, float]:
     """Return whether goals do not explain a jump, and its excess [rad], [length]."""
     unit = length if jump.slides else 1.0
     return (not jump.by_goals, (jump.size - jump.source) / unit)
@@ -362,7 +370,7 @@ def _step_text(jump: Jump, size: float) -> str:
     return length_text(size) if jump.slides else angle_text(math.degrees(size), 3)
 
 
-def _jump_hint(solved_take: TakeIk, worst: Jump) -> str:
+def _jump_hint(solved_take: TakeIk, worst_jump: Jump) -> str:
     """Return a hint that reduces the jumps of a take."""
     smoothing = solved_take.steadier
     if smoothing is not None:
@@ -371,31 +379,33 @@ def _jump_hint(solved_take: TakeIk, worst: Jump) -> str:
             remaining_text = "leaves rotations of "
             remaining_text += f"{angle_text(math.degrees(smoothing.angle), 3)} at most"
         return f"{argument('smooth', f'{smoothing.seconds:g}')} {remaining_text}"
-    track = _fading_goal(solved_take, worst)
+    track = _fading_goal(solved_take, worst_jump)
     if track is not None:
         hint = f"the goal {track.name!r} starts or ends there within "
         return f"{hint}{counted(round(track.ease), 'frame')}: a longer ease: slows it"
-    if worst.by_goals:
+    if worst_jump.by_goals:
         return "its goals move or rotate as fast there: space their keys farther apart"
-    goal = _straightening_goal(solved_take, worst)
+    goal = _straightening_goal(solved_take, worst_jump)
     if goal is not None:
         hint = f"the limb becomes straight there: soft: {SUGGESTED_SOFT:g} on the goal "
         return f"{hint}{goal!r} eases it, and stops slightly short of its target"
     if solved_take.moving_between:
         return "each frame is solved on its own; let the joints between move (TGT105)"
     hint = f"no smoother path was found, nor with {argument('smooth')}; a target that "
-    hint += f"passes farther from {worst.joint!r}, moves earlier or has less weight "
+    hint += (
+        f"passes farther from {worst_jump.joint!r}, moves earlier or has less weight "
+    )
     return f"{hint}may help"
 
 
-def _fading_goal(solved_take: TakeIk, worst: Jump) -> GoalTrack | None:
+def _fading_goal(solved_take: TakeIk, worst_jump: Jump) -> GoalTrack | None:
     """Return a goal of the joint that fades in or out at a jump."""
-    time = float(solved_take.take.clock.times[worst.frame])
+    time = float(solved_take.take.clock.times[worst_jump.frame])
     for track in solved_take.tracks.goals:
-        ends = [(first - track.ease, first) for first, _ in track.during]
-        ends += [(last, last + track.ease) for _, last in track.during]
-        fades = any(start < time <= end + 1 for start, end in ends)
-        if fades and worst.joint in _chain_names(solved_take, track):
+        fade_ranges = [(first - track.ease, first) for first, _ in track.during]
+        fade_ranges += [(last, last + track.ease) for _, last in track.during]
+        is_fading = any(start < time <= end + 1 for start, end in fade_ranges)
+        if is_fading and worst_jump.joint in _chain_names(solved_take, track):
             return track
     return None
 
@@ -406,32 +416,34 @@ def _chain_names(solved_take: TakeIk, track: GoalTrack) -> list[str]:
     return [rig.names[j] for j in rig.upwards(rig.index(track.goal.joint))]
 
 
-def _straightening_goal(solved_take: TakeIk, worst: Jump) -> str | None:
+def _straightening_goal(solved_take: TakeIk, worst_jump: Jump) -> str | None:
     """Return the name of a goal whose limb snaps straight at a jump, or None."""
     rig = solved_take.take.rig
-    if rig.joints[rig.index(worst.joint)].type is not JointType.PIN:
+    if rig.joints[rig.index(worst_jump.joint)].type is not JointType.PIN:
         return None
-    rows = slice(worst.frame - 1, worst.frame + 1)
+    rows = slice(worst_jump.frame - 1, worst_jump.frame + 1)
     for e, track in enumerate(solved_take.tracks.goals):
         is_missed = solved_take.misses[rows, e, 0] > MISSED_LENGTH
-        all_active = solved_take.active[rows, e, 0].all()
-        snaps = all_active and is_missed[0] != is_missed[1] and not track.goal.soft
+        is_always_active = solved_take.active[rows, e, 0].all()
+        snaps_straight = (
+            is_always_active and is_missed[0] != is_missed[1] and not track.goal.soft
+        )
         if (
-            snaps
-            and worst.joint in _chain_names(solved_take, track)
+            snaps_straight
+            and worst_jump.joint in _chain_names(solved_take, track)
             and _may_be_soft(solved_take, e)
         ):
             return track.name
     return None
 
 
-def _may_be_soft(solved_take: TakeIk, e: int) -> bool:
-    """Return whether a goal may be soft."""
+def _may_be_soft(solved_take: TakeIk, goal_index: int) -> bool:
+    """Return whether a goal's limb supports soft extension."""
     problem = solved_take.problem
     goals = list(problem.goals)
-    goals[e] = replace(goals[e], soft=SUGGESTED_SOFT)
-    moving = {problem.rig.index(name) for name in problem.joints}
-    return not find_limbs(problem.rig, goals, moving, problem.chain)[1]
+    goals[goal_index] = replace(goals[goal_index], soft=SUGGESTED_SOFT)
+    moving_joints = {problem.rig.index(name) for name in problem.joints}
+    return not find_limbs(problem.rig, goals, moving_joints, problem.chain)[1]
 
 
 def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[Fault]:
@@ -443,7 +455,7 @@ def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[F
     for i, (report, distance) in enumerate(
         zip(reports, solved_take.target_distances, strict=True)
     ):
-        if report.spans or not distance > FAR_TARGET * solved_take.size:
+        if report.spans or not distance > FAR_TARGET_RATIO * solved_take.size:
             continue
         message = (
             f"the targets of {report.name!r} are at least {length_text(distance)} from "
@@ -455,13 +467,13 @@ def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[F
 
 
 def independent_frame_notices(
-    solved_take: TakeIk, *, smooth: bool = False
+    solved_take: TakeIk, *, is_smoothed: bool = False
 ) -> list[Fault]:
-    """Return a notice if each frame was solved individually: a warning if ``smooth``.
+    """Return a notice if each frame was solved on its own; a warning with smoothing.
 
     Args:
         solved_take: The solved take.
-        smooth: Whether smoothing was requested, which needs connected frames.
+        is_smoothed: Whether smoothing was requested, which needs connected frames.
     """
     frame_count = len(solved_take.statuses)
     if not solved_take.moving_between or frame_count == 1:
@@ -474,26 +486,30 @@ def independent_frame_notices(
     )
     hint = "that takes longer, no smoother path is searched for, and nothing is "
     hint += "smoothed; let these joints move, or move by what their types have"
-    level = Severity.WARNING if smooth else Severity.NOTE
-    return [Fault("TGT105", message, str(solved_take.tracks.path), (), hint, level)]
+    severity = Severity.WARNING if is_smoothed else Severity.NOTE
+    return [Fault("TGT105", message, str(solved_take.tracks.path), (), hint, severity)]
 
 
 def _goal_warning(
-    solved_take: TakeIk, code: str, goal: int, message: str, hint: str | None = None
+    solved_take: TakeIk,
+    code: str,
+    goal_index: int,
+    message: str,
+    hint: str | None = None,
 ) -> Fault:
     """Return a warning that points at a goal in the targets file."""
-    line, column = solved_take.tracks.goals[goal].location
-    path, where, level = (
-        str(solved_take.tracks.path),
-        f"goals[{goal}]",
-        Severity.WARNING,
+    line, column = solved_take.tracks.goals[goal_index].location
+    path = str(solved_take.tracks.path)
+    where = f"goals[{goal_index}]"
+    severity = Severity.WARNING
+    return Fault(
+        code, message, path, (line,), hint, severity, column=column, where=where
     )
-    return Fault(code, message, path, (line,), hint, level, column=column, where=where)
 
 
 def _miss_text(report: GoalReport) -> str:
     """Return text that states the frames, the part and the size of a goal's miss."""
-    worst = max(report.spans, key=lambda span: span.distance + span.angle)
+    worst_span = max(report.spans, key=lambda span: span.distance + span.angle)
     spans_text = listed(
         [
             f"{'frame' if span.first == span.last else 'frames'} "
@@ -502,17 +518,19 @@ def _miss_text(report: GoalReport) -> str:
         ],
         max_items=6,
     )
-    amounts = []
-    if worst.distance > 0:
-        is_finite = np.isfinite(worst.distance)
+    amount_texts = []
+    distance = worst_span.distance
+    if distance > 0:
         overflow_text = f"over {OVERFLOW_DISTANCE:g} m"
-        amounts.append(length_text(worst.distance) if is_finite else overflow_text)
-    if worst.angle > 0:
-        amounts.append(angle_text(float(np.degrees(worst.angle))))
+        text = length_text(distance) if np.isfinite(distance) else overflow_text
+        amount_texts.append(text)
+    if worst_span.angle > 0:
+        amount_texts.append(angle_text(float(np.degrees(worst_span.angle))))
     message = f"{report.name!r} is not reached at {spans_text}: "
-    message += f"{' and '.join(amounts)} off at frame {frame_label(worst.frame)}"
+    message += " and ".join(amount_texts)
+    message += f" off at frame {frame_label(worst_span.frame)}"
     is_steadier = any(span.status is IkStatus.STEADIER for span in report.spans)
-    return f"{message}, {IkStatus.STEADIER if is_steadier else worst.status}"
+    return f"{message}, {IkStatus.STEADIER if is_steadier else worst_span.status}"
 
 
 def _span_text(first: float, last: float) -> str:
@@ -528,10 +546,10 @@ def status_text(solved_take: TakeIk) -> str:
     counts = {
         IkStatus(name): count for name, count in solved_take.status_counts.items()
     }
-    steadier = counts.pop(IkStatus.STEADIER, 0)
-    missed_count = steadier + counts.pop(IkStatus.NEAREST, 0) if steadier else 0
-    counts_text = [f"{count} {status}" for status, count in counts.items()]
-    if steadier:
-        path_text = f"{steadier} of them on a smoother path than the nearest poses give"
-        counts_text.append(f"{missed_count} out of reach ({path_text})")
-    return ", ".join(counts_text)
+    steadier_count = counts.pop(IkStatus.STEADIER, 0)
+    nearest_count = counts.pop(IkStatus.NEAREST, 0) if steadier_count else 0
+    texts = [f"{count} {status}" for status, count in counts.items()]
+    if steadier_count:
+        text = f"{steadier_count + nearest_count} out of reach ({steadier_count} of "
+        texts.append(f"{text}them on a smoother path than the nearest poses give)")
+    return ", ".join(texts)

@@ -159,8 +159,8 @@ class IkResult:
         Raises:
             OptionError: The rate is invalid (SCN022), or there is no pose (TAKE001).
         """
-        count = len(self.coordinates)
-        clock = Clock(rate_option(fps), Fraction(start), Fraction(1), count)
+        pose_count = len(self.coordinates)
+        clock = Clock(rate_option(fps), Fraction(start), Fraction(1), pose_count)
         rig = self.problem.rig
         rotations = local_from_coordinates(rig, self.coordinates).rotations
         translations = Channel.from_dense(self.local_translations())
@@ -183,9 +183,10 @@ class IkResult:
         """Return the number of problems by status, and the worst miss."""
         counts = Counter(map(str, self.statuses))
         status_text = ", ".join(f"{count} {status}" for status, count in counts.items())
-        largest = float(self.positions.max(initial=0.0))
-        missed = f"; goals missed: {len(self.missed)}" if self.missed else ""
-        return f"<IkResult: {status_text}{missed}; worst position {largest:.3g} m>"
+        worst_position = float(self.positions.max(initial=0.0))
+        missed_text = f"; goals missed: {len(self.missed)}" if self.missed else ""
+        worst_text = f"worst position {worst_position:.3g} m"
+        return f"<IkResult: {status_text}{missed_text}; {worst_text}>"
 
 
 # Names of the arrays that have a row for each problem.
@@ -222,5 +223,5 @@ def _is_on_limit(limit: RangeLimit | BallLimit, coordinates: FloatArray) -> Bool
         swing = (a, b)
     if twist is not None and twist[1] - twist[0] > 2 * LIMIT_TOLERANCE:
         twist = (twist[0] + LIMIT_TOLERANCE, twist[1] - LIMIT_TOLERANCE)
-    inner = BallLimit(swing, twist, limit.twist_axis)
-    return np.asarray(inner.excess(coordinates[:, -4:]) > LIMIT_TOLERANCE / 10)
+    narrower_limit = BallLimit(swing, twist, limit.twist_axis)
+    return np.asarray(narrower_limit.excess(coordinates[:, -4:]) > LIMIT_TOLERANCE / 10)

@@ -124,27 +124,27 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
 
 
 def _mimic_columns(
-    rig: Rig, moved_names: tuple[str, ...]
+    rig: Rig, moving_names: tuple[str, ...]
 ) -> tuple[IntArray, FloatArray]:
     """Return columns of mimic and lead joints ``(M, 2)``, gains and offsets ``(M, 2)``.
 
     Lead joints come before their mimics. A rig with drivers has none: drivers evaluate
     mimics too.
     """
-    names = [] if rig.is_driven else find_mimics(rig, moved_names)
+    names = [] if rig.is_driven else find_mimics(rig, moving_names)
     slices = coordinate_slices(rig)
-    columns, numbers = [], []
+    columns, gains_and_offsets = [], []
     ready_names = set(rig.names) - set(names)
     mimic_of = {j.name: j.mimic for j in rig.joints if j.mimic is not None}
     while names:
         ready_mimics = [n for n in names if mimic_of[n].joint in ready_names] or names
         for name in ready_mimics:
-            joint_pair = rig.index(name), rig.index(mimic_of[name].joint)
-            columns.append([slices[index].start for index in joint_pair])
-            numbers.append([mimic_of[name].gain, mimic_of[name].offset])
+            mimic_and_leader = rig.index(name), rig.index(mimic_of[name].joint)
+            columns.append([slices[index].start for index in mimic_and_leader])
+            gains_and_offsets.append([mimic_of[name].gain, mimic_of[name].offset])
         ready_names.update(ready_mimics)
         names = [name for name in names if name not in ready_names]
     return (
         np.array(columns, np.int64).reshape(-1, 2),
-        np.array(numbers, np.float64).reshape(-1, 2),
+        np.array(gains_and_offsets, np.float64).reshape(-1, 2),
     )

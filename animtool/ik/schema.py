@@ -84,21 +84,23 @@ class AimModel(FileModel):
     )
 
 
-_VALUES = {TargetValue.POINT: Vector, TargetValue.ROTATION: Quaternion}
+_TARGET_TYPES = {TargetValue.POINT: Vector, TargetValue.ROTATION: Quaternion}
 
 
-def _with_kinds(base: type[FileModel], *, weights: bool) -> type[FileModel]:
+def _with_kinds(base: type[FileModel], *, uses_weights: bool) -> type[FileModel]:
     """Return a model with a key for each kind of goal: its weight, or its target."""
     fields: dict[str, Any] = {}
     for kind in KINDS:
-        target = (
-            AimModel if kind.has_axis else _VALUES[kind.value_type] | str | ValueModel
+        target_type = (
+            AimModel
+            if kind.has_axis
+            else _TARGET_TYPES[kind.value_type] | str | ValueModel
         )
         fields[kind.name] = (
-            (Weight | CurveModel if weights else target) | None,
+            (Weight | CurveModel if uses_weights else target_type) | None,
             key(
-                kind.weight_description if weights else kind.description,
-                kind.weight_example if weights else kind.example,
+                kind.weight_description if uses_weights else kind.description,
+                kind.weight_example if uses_weights else kind.example,
                 default=None,
             ),
         )
@@ -106,12 +108,12 @@ def _with_kinds(base: type[FileModel], *, weights: bool) -> type[FileModel]:
 
 
 if TYPE_CHECKING:
-    _Weights = FileModel
+    _WeightsBase = FileModel
 else:
-    _Weights = _with_kinds(FileModel, weights=True)
+    _WeightsBase = _with_kinds(FileModel, uses_weights=True)
 
 
-class WeightsModel(_Weights):
+class WeightsModel(_WeightsBase):
     """The weight of each part of a goal."""
 
 
@@ -131,12 +133,12 @@ class _Effector(FileModel):
 
 
 if TYPE_CHECKING:
-    _RequestedModel = _Effector
+    _GoalBase = _Effector
 else:
-    _RequestedModel = _with_kinds(_Effector, weights=False)
+    _GoalBase = _with_kinds(_Effector, uses_weights=False)
 
 
-class GoalModel(_RequestedModel):
+class GoalModel(_GoalBase):
     """The targets of one effector."""
 
     weight: Weight | WeightsModel = key(

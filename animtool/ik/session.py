@@ -99,7 +99,7 @@ class Session:
         self._joints = None if joints is None else tuple(joints)
         self._pose, self._rest_weight = pose, rest_weight
         self._goals = _goals_by_name(rig, goals, self._joints or ())
-        self._packed: dict[RequestedKinds, _PackedProblem] = {}
+        self._packed_problems: dict[RequestedKinds, _PackedProblem] = {}
 
     def __repr__(self) -> str:
         """Return the rig's name and the goals."""
@@ -129,22 +129,26 @@ class Session:
             OptionError: As for `build` and `solve`.
         """
         values_by_goal = named if targets is None else {**targets, **named}
-        packed, values = self._fill_buffer(values_by_goal)
+        packed_problem, buffer = self._fill_buffer(values_by_goal)
+        problem, solver = packed_problem.problem, packed_problem.solver
         if self.options.near or self.rig.is_driven:
-            buffered = _targets_of_buffer(values)
-            return solve(packed.problem, start, buffered, self.options, prefer=prefer)
-        problem = packed.problem
-        rows = packed.rest if start is None else np.asarray(start, np.float64)[None]
-        preferred = None if prefer is None else np.asarray(prefer, np.float64)[None]
+            buffered_targets = _targets_of_buffer(buffer)
+            return solve(problem, start, buffered_targets, self.options, prefer=prefer)
+        start_rows = packed_problem.rest
+        if start is not None:
+            start_rows = np.asarray(start, np.float64)[None]
+        preferred_rows = None
+        if prefer is not None:
+            preferred_rows = np.asarray(prefer, np.float64)[None]
         try:
-            solution = packed.solver.solve(rows, values, preferred, placed=True)
+            solution = solver.solve(start_rows, buffer, preferred_rows, placed=True)
         except (TypeError, ValueError):
             # Invalid numbers or shapes: packing again raises the full error.
-            repack = pack(_targets_of_buffer(values), problem.goals)
-            rows = pose_rows(problem, start, 1, "start")
+            buffer = pack(_targets_of_buffer(buffer), problem.goals)
+            start_rows = pose_rows(problem, start, 1, "start")
             if prefer is not None:
-                preferred = pose_rows(problem, prefer, 1, "prefer")
-            solution = packed.solver.solve(rows, repack, preferred, placed=True)
+                preferred_rows = pose_rows(problem, prefer, 1, "prefer")
+            solution = solver.solve(start_rows, buffer, preferred_rows, placed=True)
         return result_of_kernel(problem, solution)
 
     def branches(
@@ -165,53 +169,55 @@ class Session:
                 the last three meet or the middle ones are parallel; and as for `solve`.
         """
         values_by_goal = named if targets is None else {**targets, **named}
-        packed, values = self._fill_buffer(values_by_goal)
-        problem = packed.problem
-        if not packed.has_branches:
+        packed_problem, target_buffer = self._fill_buffer(values_by_goal)
+        problem = packed_problem.problem
+        if not packed_problem.has_branches:
             names = ", ".join(values_by_goal)
             message = f"{names} ends no arm whose poses have a closed form"
             hint = "six pins in a row, the last three meeting in a point or the second "
             hint += "to fourth parallel, with a position and a rotation to reach"
             raise OptionError(Fault("IK015", message, hint=hint))
-        row = packed.rest[0] if start is None else np.asarray(start, np.float64)
+        start_pose = (
+            packed_problem.rest[0] if start is None else np.asarray(start, np.float64)
+        )
         try:
-            return packed.solver.branches(row, values[0])
+            return packed_problem.solver.branches(start_pose, target_buffer[0])
         except (TypeError, ValueError):
             # As in `solve`.
-            repack = pack(_targets_of_buffer(values), problem.goals)
-            row = pose_rows(problem, start, 1, "start")[0]
-            return packed.solver.branches(row, repack[0])
+            repacked_targets = pack(_targets_of_buffer(target_buffer), problem.goals)
+            start_pose = pose_rows(problem, start, 1, "start")[0]
+            return packed_problem.solver.branches(start_pose, repacked_targets[0])
 
     def _fill_buffer(
         self, values_by_goal: Mapping[str, Any]
     ) -> tuple[_PackedProblem, FloatArray]:
         """Return the problem of a call, and its filled target buffer."""
-        requested: list[tuple[str, tuple[bool, ...]]] = []
-        values: list[Any] = []
+        requested_kinds: list[tuple[str, tuple[bool, ...]]] = []
+        target_values: list[Any] = []
         for name, value in values_by_goal.items():
             if name not in self._goals:
                 message = f"the session has no goal {excerpt(name)}"
                 refuse("TGT001", message, hint=name_hint(name, self._goals))
-            goal_parts, kind_mask = _target_parts(name, self._goals[name], value)
-            requested.append((name, kind_mask))
-            values += goal_parts
-        packed = self._packed.get(key := tuple(requested))
-        if packed is None:
-            packed = self._packed[key] = self._pack_problem(key)
+            goal_targets, kind_mask = _split_targets(name, self._goals[name], value)
+            requested_kinds.append((name, kind_mask))
+            target_values += goal_targets
+        packed_problem = self._packed_problems.get(key := tuple(requested_kinds))
+        if packed_problem is None:
+            packed_problem = self._packed_problems[key] = self._pack_problem(key)
         try:
-            for view, part in zip(packed.views, values, strict=True):
-                if len(part) != len(view):
+            for view, target in zip(packed_problem.views, target_values, strict=True):
+                if len(target) != len(view):
                     raise ValueError  # noqa: TRY301 - of the same kind as numpy's
-                view[:] = part
+                view[:] = target
         except (TypeError, ValueError) as error:
             raise _shape_error(values_by_goal) from error
-        return packed, packed.targets
+        return packed_problem, packed_problem.targets
 
-    def _pack_problem(self, requested: RequestedKinds) -> _PackedProblem:
+    def _pack_problem(self, requested_kinds: RequestedKinds) -> _PackedProblem:
         """Return the packed problem of the given goals, with a target buffer."""
         goals = [
             self._goals[name] or _goal_of_call(self.rig, name, kind_mask)
-            for name, kind_mask in requested
+            for name, kind_mask in requested_kinds
         ]
         problem = build(
             self.rig,
@@ -242,22 +248,22 @@ def _goals_by_name(
     """Return goals by name; None where each call decides which parts are solved."""
     if not goals:
         raise OptionError(Fault("IK006", "there are no goals"))
-    by_name: dict[str, Goal | None] = {}
+    goals_by_name: dict[str, Goal | None] = {}
     faults = []
     for goal in goals:
         name = goal if isinstance(goal, str) else goal.joint
-        if name in by_name:
+        if name in goals_by_name:
             faults.append(Fault("IK006", f"{name!r} has two goals"))
-        by_name[name] = None if isinstance(goal, str) else goal
+        goals_by_name[name] = None if isinstance(goal, str) else goal
     chains = [chain.name for chain in rig.chains]
-    for name, named_goal in by_name.items():
+    for name, named_goal in goals_by_name.items():
         names = rig.names if named_goal else [*chains, *rig.names]
         faults += _unknown_joint_faults(rig, name, names)
     for name in joints:
         faults += _unknown_joint_faults(rig, name, rig.names)
     if faults:
         raise OptionError(faults)
-    return by_name
+    return goals_by_name
 
 
 def _unknown_joint_faults(rig: Rig, name: str, names: Sequence[str]) -> list[Fault]:
@@ -268,7 +274,7 @@ def _unknown_joint_faults(rig: Rig, name: str, names: Sequence[str]) -> list[Fau
     return [Fault("TGT001", message, hint=name_hint(name, names))]
 
 
-def _target_parts(
+def _split_targets(
     name: str, goal: Goal | None, value: Any
 ) -> tuple[Sequence[Any], tuple[bool, ...]]:
     """Split the value of a goal into targets, and a mask of the kinds they set."""
@@ -279,10 +285,10 @@ def _target_parts(
         return (value,), (True,)
     if not isinstance(value, (tuple, list)) or len(value) != len(kinds):
         raise _shape_error({name: value})
-    kind_mask = tuple([part is not None for part in value])
+    kind_mask = tuple([target is not None for target in value])
     if goal is not None and not all(kind_mask):
         raise _shape_error({name: value})
-    return [part for part in value if part is not None], kind_mask
+    return [target for target in value if target is not None], kind_mask
 
 
 def _goal_of_call(rig: Rig, name: str, kind_mask: tuple[bool, ...]) -> Goal:
@@ -304,9 +310,10 @@ def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
     return OptionError(Fault("IK010", message, hint=hint))
 
 
-def _targets_of_buffer(values: FloatArray) -> Targets:
+def _targets_of_buffer(target_buffer: FloatArray) -> Targets:
     """Return targets from a packed buffer."""
-    return Targets(
-        **{k.targets_field: values[:, :, TARGET_COLUMNS[k.name]] for k in KINDS},
-        weights=values[:, :, WEIGHT_COLUMNS],
-    )
+    values_by_field = {
+        kind.targets_field: target_buffer[:, :, TARGET_COLUMNS[kind.name]]
+        for kind in KINDS
+    }
+    return Targets(**values_by_field, weights=target_buffer[:, :, WEIGHT_COLUMNS])

@@ -22,7 +22,7 @@ from animtool.rig.joints import rest_coordinates
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType
 
-_STATUSES = (
+_KERNEL_STATUSES = (
     IkStatus.CONVERGED,
     IkStatus.NEAREST,
     IkStatus.BUDGET,
@@ -85,35 +85,39 @@ def solve(
     options = options or IkOptions()
     raise_faults(option_faults(options))
     check_method(problem, options.method)
-    packed = pack(targets, problem.goals)
-    starts = pose_rows(problem, start, len(packed), "start")
+    packed_targets = pack(targets, problem.goals)
+    starts = pose_rows(problem, start, len(packed_targets), "start")
     if prefer is not None:
-        prefer = pose_rows(problem, prefer, len(packed), "prefer")
+        prefer = pose_rows(problem, prefer, len(packed_targets), "prefer")
     solver = build_solver(problem, options)
-    solution = solver.solve(starts, packed, prefer, placed=False)
+    solution = solver.solve(starts, packed_targets, prefer, placed=False)
     result = result_of_kernel(problem, solution)
     if options.near and options.method in CLOSED_FORM_METHODS | {IkMethod.DAMPED}:
-        preferred = starts if prefer is None else prefer
-        return _pull_to_preferred(problem, packed, preferred, options, result)
+        preferred_poses = starts if prefer is None else prefer
+        return _pull_to_preferred(
+            problem, packed_targets, preferred_poses, options, result
+        )
     return result
 
 
 def result_of_kernel(problem: Problem, solution: KernelSolution) -> IkResult:
     """Convert the output of a kernel solver to a result."""
-    rows, misses, reports, seconds, reached, scales, positions, linear = solution
+    coordinates, misses, reports, seconds, reached, bone_scales, positions, linear = (
+        solution
+    )
     if problem.rig.is_driven:
-        rows = with_mimics(problem.rig, rows, problem.joints)
+        coordinates = with_mimics(problem.rig, coordinates, problem.joints)
         positions = positions[:0]
     result = IkResult(
         problem,
-        rows,
-        tuple([_STATUSES[status] for status in reports[:, 0].tolist()]),
+        coordinates,
+        tuple([_KERNEL_STATUSES[status] for status in reports[:, 0].tolist()]),
         reports[:, 1],
         reports[:, 2],
         seconds,
         misses,
         reached,
-        scales,
+        bone_scales,
     )
     if not len(positions):
         return result
@@ -122,16 +126,16 @@ def result_of_kernel(problem: Problem, solution: KernelSolution) -> IkResult:
 
 def pack_for_chain(problem: Problem, targets: Targets) -> FloatArray:
     """Return targets packed in the chain's units and frames ``(B, E, W)``."""
-    packed = pack(targets, problem.goals)
+    packed_targets = pack(targets, problem.goals)
     chain = problem.chain
-    _kernels.to_chain_targets(packed, chain.goal_frames, chain.length)
-    return packed
+    _kernels.to_chain_targets(packed_targets, chain.goal_frames, chain.length)
+    return packed_targets
 
 
 def _pull_to_preferred(
     problem: Problem,
-    packed: FloatArray,
-    preferred: FloatArray,
+    packed_targets: FloatArray,
+    preferred_poses: FloatArray,
     options: IkOptions,
     result: IkResult,
 ) -> IkResult:
@@ -145,15 +149,17 @@ def _pull_to_preferred(
     if not is_redundant or has_preference or not len(rows):
         return result
     pull_options = replace(options, method=IkMethod.DAMPED, restarts=0)
+    targets, preferred_poses = packed_targets[rows], preferred_poses[rows]
     poses, pulled_result = result.coordinates[rows], result
     for weight in PULL_WEIGHTS:
         solver = build_solver(replace(problem, rest_weight=weight), pull_options)
-        solution = solver.solve(poses, packed[rows], preferred[rows], placed=False)
+        solution = solver.solve(poses, targets, preferred_poses, placed=False)
         pulled_result = result_of_kernel(problem, solution)
         poses = pulled_result.coordinates
     chain = problem.chain
+    preferred_coordinates = chain.from_rig(preferred_poses)
     distance_before, distance_after = (
-        np.linalg.norm(joint_steps(chain, chain.from_rig(preferred[rows]), q), axis=1)
+        np.linalg.norm(joint_steps(chain, preferred_coordinates, q), axis=1)
         for q in (chain.from_rig(result.coordinates[rows]), chain.from_rig(poses))
     )
     is_improved = pulled_result.reached.all(axis=1) & (distance_after < distance_before)
@@ -192,20 +198,21 @@ def raise_faults(faults_by_option: Mapping[str, list[Fault]]) -> None:
 
 
 def pose_rows(
-    problem: Problem, pose: ArrayLike | None, batch: int, name: str
+    problem: Problem, pose: ArrayLike | None, batch_size: int, name: str
 ) -> FloatArray:
     """Return poses as ``(B, Q)``; a single pose is repeated for the batch."""
-    width = problem.coordinates
+    coordinate_count = problem.coordinates
     rest = rest_coordinates(problem.rig, 1)[0]
     rows = rest if pose is None else np.asarray(pose, np.float64)
-    if rows.shape not in {(width,), (batch, width)}:
-        message = f"{name} must have shape ({width},) or ({batch}, {width})"
+    if rows.shape not in {(coordinate_count,), (batch_size, coordinate_count)}:
+        message = f"{name} must have shape ({coordinate_count},) or "
+        message += f"({batch_size}, {coordinate_count})"
         raise OptionError(Fault("IK012", f"{message}, not {rows.shape}"))
     if not np.isfinite(rows).all():
         raise OptionError(Fault("IK013", f"{name} is not finite"))
-    repeated = np.empty((batch, width))
-    repeated[:] = rows
-    return repeated
+    repeated_rows = np.empty((batch_size, coordinate_count))
+    repeated_rows[:] = rows
+    return repeated_rows
 
 
 def supported_methods(problem: Problem) -> list[IkMethod]:
@@ -219,7 +226,7 @@ def supported_methods(problem: Problem) -> list[IkMethod]:
     >>> [str(method) for method in supported_methods(problem)]
     ['auto', 'damped', 'gradient', 'newton', 'ccd']
     """
-    return [method for method in IkMethod if _obstacle(problem, method) is None]
+    return [method for method in IkMethod if _method_obstacle(problem, method) is None]
 
 
 def check_method(problem: Problem, method: IkMethod) -> None:
@@ -227,7 +234,7 @@ def check_method(problem: Problem, method: IkMethod) -> None:
     if method not in set(IkMethod):
         hint = f"methods for this problem: {', '.join(supported_methods(problem))}"
         raise OptionError(Fault("IK015", f"unknown method {method!r}", hint=hint))
-    obstacle = _obstacle(problem, method)
+    obstacle = _method_obstacle(problem, method)
     if obstacle is None:
         return
     hint = f"methods for this problem: {', '.join(supported_methods(problem))}"
@@ -236,7 +243,7 @@ def check_method(problem: Problem, method: IkMethod) -> None:
     raise OptionError(Fault("IK015", f"{method} {obstacle}", hint=hint))
 
 
-def _obstacle(problem: Problem, method: IkMethod) -> str | None:
+def _method_obstacle(problem: Problem, method: IkMethod) -> str | None:
     """Return why a method does not support a problem; None if it does."""
     if method in {IkMethod.AUTO, IkMethod.DAMPED}:
         return None
@@ -271,8 +278,8 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
     ]
     matching_rules = (
         obstacle
-        for applies, methods, obstacle in rules
-        if applies and method in methods
+        for is_applicable, methods, obstacle in rules
+        if is_applicable and method in methods
     )
     return next(matching_rules, None)
 

@@ -28,37 +28,41 @@ def find_mimics(rig: Rig, joint_names: Collection[str]) -> list[str]:
     ['tail']
     """
     moving_names = set(joint_names)
-    remaining = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
-    while (
-        new_names := {name for name, lead in remaining.items() if lead in moving_names}
-        - moving_names
-    ):
+    leader_names = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
+    while new_names := {
+        name
+        for name, leader_name in leader_names.items()
+        if leader_name in moving_names and name not in moving_names
+    }:
         moving_names |= new_names
-    mimic_names = {name for name in moving_names if name in remaining}
+    mimic_names = {name for name in moving_names if name in leader_names}
     if rig.is_driven:
         mimic_names.update(plan_of(rig).dependent_joints(moving_names))
     return [name for name in rig.names if name in mimic_names]
 
 
 def with_mimics(
-    rig: Rig, coordinates: FloatArray, moved_names: Collection[str]
+    rig: Rig, coordinates: FloatArray, moving_names: Collection[str]
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with mimic and driven joints updated."""
-    names = find_mimics(rig, moved_names)
+    names = find_mimics(rig, moving_names)
     if not names:
         return coordinates
     if rig.is_driven:
         driven_names = {rig.names[j] for j in plan_of(rig).joints}
         names = [name for name in names if name not in driven_names]
-    slices, updated = coordinate_slices(rig), coordinates.copy()
+    slices, coordinates = coordinate_slices(rig), coordinates.copy()
     # Repeated for each name, so that chains of mimics are resolved.
     for _ in names:
         for name in names:
             mimic = rig.joints[rig.index(name)].mimic
             assert mimic is not None
-            lead = updated[:, slices[rig.index(mimic.joint)]]
-            updated[:, slices[rig.index(name)]] = mimic.gain * lead + mimic.offset
-    return driven_coordinates(plan_of(rig), updated) if rig.is_driven else updated
+            leader_coordinates = coordinates[:, slices[rig.index(mimic.joint)]]
+            mimicked_coordinates = mimic.gain * leader_coordinates + mimic.offset
+            coordinates[:, slices[rig.index(name)]] = mimicked_coordinates
+    return (
+        driven_coordinates(plan_of(rig), coordinates) if rig.is_driven else coordinates
+    )
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
@@ -77,7 +81,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     """
     included_joints: set[int] = set()
     pending_joints = [rig.index(name) for name in names]
-    links = _driver_links(rig) if rig.is_driven else {}
+    driver_links = _driver_links(rig) if rig.is_driven else {}
     while pending_joints:
         j = pending_joints.pop()
         if j in included_joints:
@@ -88,22 +92,22 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
             pending_joints.append(joint.parent)
         if joint.mimic is not None:
             pending_joints.append(rig.index(joint.mimic.joint))
-        pending_joints += links.get(j, ())
-        mimics = [(i, other.mimic) for i, other in enumerate(rig.joints)]
+        pending_joints += driver_links.get(j, ())
+        mimics = [(i, other_joint.mimic) for i, other_joint in enumerate(rig.joints)]
         pending_joints += [
             i for i, mimic in mimics if mimic and mimic.joint == joint.name
         ]
-    indices = sorted(included_joints)
-    index_in_part = {j: i for i, j in enumerate(indices)} | {-1: -1}
+    joint_indices = sorted(included_joints)
+    index_in_part = {j: i for i, j in enumerate(joint_indices)} | {-1: -1}
     joints = tuple(
         replace(rig.joints[j], parent=index_in_part[rig.joints[j].parent])
-        for j in indices
+        for j in joint_indices
     )
     smaller_rig = Rig(rig.name, joints, rig.meters_per_unit, rig.up, chains=rig.chains)
-    if links:
+    if driver_links:
         controls = _supported_controls(rig, smaller_rig.names)
         smaller_rig = replace(smaller_rig, controls=controls)
-    return smaller_rig, np.array(indices, np.int64)
+    return smaller_rig, np.array(joint_indices, np.int64)
 
 
 def _driver_links(rig: Rig) -> dict[int, list[int]]:
@@ -120,15 +124,17 @@ def _driver_links(rig: Rig) -> dict[int, list[int]]:
 def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
     """Return controls without drives of joints, and without unsupported drivers."""
     # Names of controls have no joint.
-    available = {"", *names}
+    available_names = {"", *names}
     controls = []
     for control in rig.controls:
-        drives = tuple(d for d in control.drives if d.target.startswith("control/"))
-        driven = control.driven
-        inputs = () if driven is None else driven.names
-        if not available.issuperset(split_coordinate(name)[0] for name in inputs):
-            driven = None
-        controls.append(replace(control, drives=drives, driven=driven))
+        drives = tuple(
+            drive for drive in control.drives if drive.target.startswith("control/")
+        )
+        driver = control.driven
+        inputs = () if driver is None else driver.names
+        if not available_names.issuperset(split_coordinate(name)[0] for name in inputs):
+            driver = None
+        controls.append(replace(control, drives=drives, driven=driver))
     return tuple(controls)
 
 

@@ -16,7 +16,7 @@ from animtool.core.units import LengthUnit, unit_name
 from animtool.documents.document import Document, Location
 from animtool.ik.schema import GoalModel
 from animtool.ik.tracks import GoalTrack
-from animtool.ik.values import Keyed
+from animtool.ik.values import KeyedValue
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicions import (
@@ -30,22 +30,26 @@ from animtool.rig.suspicions import (
 MAX_OFFSET, PLAUSIBLE_OFFSET = 2.0, 1.0
 
 
-def warn_of_order(document: Document) -> None:
+def warn_of_quaternion_order(document: Document) -> None:
     """Warn of [0, 0, 0, 1], which is the identity only if w is last (TGT108)."""
-    rows: list[tuple[Location, list[float]]] = []
+    located_quaternions: list[tuple[Location, list[float]]] = []
     for i, goal in enumerate(document.value["goals"]):
         value = goal.get("orientation")
         location: Location = ("goals", i, "orientation")
         if isinstance(value, list):
-            rows.append((location, value))
+            located_quaternions.append((location, value))
         elif isinstance(value, dict) and isinstance(value.get("keys"), list):
-            keys = enumerate(value["keys"])
-            rows += [((*location, "keys", k, "v"), key["v"]) for k, key in keys]
-    rows = [row for row in rows if isinstance(row[1], list) and len(row[1]) == 4]
-    if any(abs(row[0]) > abs(row[3]) for _, row in rows):
+            for k, key in enumerate(value["keys"]):
+                located_quaternions.append(((*location, "keys", k, "v"), key["v"]))
+    located_quaternions = [
+        (location, quaternion)
+        for location, quaternion in located_quaternions
+        if isinstance(quaternion, list) and len(quaternion) == 4
+    ]
+    if any(abs(first) > abs(last) for _, (first, *_, last) in located_quaternions):
         return
-    for location, row in rows:
-        if row == HALF_REVOLUTION_ABOUT_Z:
+    for location, quaternion in located_quaternions:
+        if quaternion == HALF_REVOLUTION_ABOUT_Z:
             warn_of_quaternion(document, "TGT108", location)
             return
 
@@ -68,15 +72,15 @@ def warn_of_seconds(
         value.channel.times
         for track in goals
         for value in (*track.values.values(), *track.weights.values())
-        if isinstance(value, Keyed)
+        if isinstance(value, KeyedValue)
     ]
     times += [
         np.array(span) for track in goals for span in (*track.spans, *track.during)
     ]
-    texts = seconds_texts(times, fps, frames)
-    if texts is not None:
-        message = f"key times and spans from {texts[0]}"
-        document.warn("CLIP110", ("goals",), message, texts[1])
+    message_and_hint = seconds_texts(times, fps, frames)
+    if message_and_hint is not None:
+        message = f"key times and spans from {message_and_hint[0]}"
+        document.warn("CLIP110", ("goals",), message, message_and_hint[1])
 
 
 def warn_of_angles(
@@ -86,7 +90,7 @@ def warn_of_angles(
     curves = [
         AngleCurve(("goals", i, "orientation"), track.name, value.channel.values)
         for i, track in enumerate(goals)
-        if isinstance(value := track.values.get("orientation"), Keyed)
+        if isinstance(value := track.values.get("orientation"), KeyedValue)
         and value.channel.euler
     ]
     warn_of_angle_keys(document, curves, "orientation keys of", "goal", units, rig)
@@ -103,27 +107,27 @@ def warn_of_offsets(
     document: Document, goals: Sequence[GoalModel], units: ClipUnits, rig: Rig
 ) -> None:
     """Warn of an offset that is far longer than the rig (TGT110)."""
-    size = rest_size(rig)
+    rig_size = rest_size(rig)
     for i, goal in enumerate(goals):
-        length = math.hypot(*goal.offset)
+        offset_length = math.hypot(*goal.offset)
         likely_unit = next(
             (
                 unit
                 for unit in (LengthUnit.CM, LengthUnit.MM)
                 if unit.meters < units.length
-                and length * unit.meters <= PLAUSIBLE_OFFSET * size
+                and offset_length * unit.meters <= PLAUSIBLE_OFFSET * rig_size
             ),
             None,
         )
-        if length * units.length <= MAX_OFFSET * size or likely_unit is None:
+        if offset_length * units.length <= MAX_OFFSET * rig_size or likely_unit is None:
             continue
         factor = likely_unit.meters / units.length
         numbers = ", ".join(f"{number * factor:.4g}" for number in goal.offset)
         unit = unit_name(units.length)
         message = (
-            f"the offset is {length_text(length * units.length)} from "
+            f"the offset is {length_text(offset_length * units.length)} from "
             f"{goal.effector!r}, with lengths in {unit}; the rig is "
-            f"{length_text(size)} tall"
+            f"{length_text(rig_size)} tall"
         )
         hint = f"for {likely_unit} write [{numbers}], or 'units: {{length: "
         hint += f"{likely_unit}}}' for all lengths"

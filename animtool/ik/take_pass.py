@@ -64,29 +64,29 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
     """Run the pass: solve the take and report its misses."""
     rig = take.rig
     take, tracks = rig_and_tracks(take, options, context.folder)
-    options_of_solve = solve_options(options)
-    solved_take = solve_take(take, tracks, options_of_solve, progress=context.progress)
+    take_options = solve_options(options)
+    solved_take = solve_take(take, tracks, take_options, progress=context.progress)
     context.notices.extend(tracks.notices)
-    goals = goal_reports(
+    reports = goal_reports(
         solved_take,
-        max(options_of_solve.tolerance, MISSED_LENGTH),
-        max(options_of_solve.angle_tolerance, MISSED_ANGLE),
+        max(take_options.tolerance, MISSED_LENGTH),
+        max(take_options.angle_tolerance, MISSED_ANGLE),
     )
-    warnings = take_notices(solved_take, goals, smooth=options_of_solve.smooth > 0)
+    warnings = take_notices(solved_take, reports, is_smoothed=take_options.smooth > 0)
     context.notices.extend(warnings)
     times = solved_take.take.clock.times
     context.placed_joints.extend(
         PlacedJoint(track.goal.joint, track.name, times[solved_take.active[:, e, 0]])
         for e, track in enumerate(solved_take.tracks.goals)
     )
-    misses = [miss for goal in goals for miss in goal.misses]
+    misses = [miss for goal in reports for miss in goal.misses]
     context.errors.extend(miss.max for miss in misses if miss.is_length)
     return replace(solved_take.take, rig=rig)
 
 
 def solve_options(options: Any) -> TakeOptions:
     """Return the solve options of the pass (invalid tolerance: IK014)."""
-    tolerance = _length(options.tolerance)
+    tolerance = _parse_tolerance(options.tolerance)
     return replace(_options_without_tolerance(options), tolerance=tolerance)
 
 
@@ -100,14 +100,14 @@ def _options_without_tolerance(options: Any) -> TakeOptions:
 
 
 def _targets_file(options: IkPassOptions) -> Path:
-    """Return the path of the targets file."""
+    """Return the path of the targets file; raise if the option is missing (TGT013)."""
     if options.targets is None:
         refuse("TGT013", "targets must name a targets file")
     return options.targets
 
 
-def _length(text: str) -> float:
-    """Parse a length with its unit; return metres."""
+def _parse_tolerance(text: str) -> float:
+    """Return the tolerance in metres from text such as ``0.1mm``."""
     try:
         return parse_length(text)
     except ValueError as error:
@@ -120,7 +120,7 @@ def _option_checks(options: Any) -> OptionChecks:
     return {
         **{n: partial(raise_faults, {n: f}) for n, f in faults_by_name.items()},
         "targets": lambda: _targets_file(options),
-        "tolerance": lambda: _length(options.tolerance),
+        "tolerance": lambda: _parse_tolerance(options.tolerance),
     }
 
 

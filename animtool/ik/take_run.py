@@ -46,7 +46,7 @@ EQUAL_COORDINATE = 1e-12
 PATH_METHODS = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
 # Smoothing times tried where joints jump [s], and the factor by which a jump must
 # shrink for the smoothing to be suggested.
-TRIAL_SMOOTHINGS, MIN_REDUCTION = (0.1, 0.3), 0.9
+TRIAL_SMOOTHING_TIMES, MIN_REDUCTION = (0.1, 0.3), 0.9
 # Distance of a pole in chain lengths, so far that only its direction matters.
 POLE_DISTANCE = 10.0
 
@@ -133,7 +133,9 @@ class TakeIk:
     @property
     def limit_counts(self) -> dict[str, int]:
         """Number of frames in which each joint is at a limit; zeros are left out."""
-        counts = {name: int(on.sum()) for name, on in self.on_limits.items()}
+        counts = {
+            name: int(is_on_limit.sum()) for name, is_on_limit in self.on_limits.items()
+        }
         return {name: count for name, count in counts.items() if count}
 
     @property
@@ -178,7 +180,7 @@ class SpanSolution:
 
 def join_spans(
     take: Take,
-    indices: IntArray,
+    rig_indices: IntArray,
     local: LocalTransforms,
     tracks: TargetTracks,
     targets: Targets,
@@ -193,51 +195,55 @@ def join_spans(
     stretched_joints = {j for limb in problem.limbs for j in limb.joints}
     joints = sorted({rig.index(name) for name in names} | stretched_joints)
     translations, rotations = local.translations[:, joints], local.rotations[:, joints]
-    source = LocalTransforms(translations.copy(), rotations.copy())
+    source_poses = LocalTransforms(translations.copy(), rotations.copy())
     for solution in solutions:
         span, frames = solution.span, solution.span.frames
-        rows, source_rows = solution.result.coordinates, span.coordinates
-        solved = local_from_coordinates(span.rig, rows)
-        stretched_translations = solution.result.local_translations()
+        solved_rows, source_rows = solution.result.coordinates, span.coordinates
+        solved_poses = local_from_coordinates(span.rig, solved_rows)
+        local_translations = solution.result.local_translations()
         slices = coordinate_slices(span.rig)
         for i, j in enumerate(joints):
-            change = np.abs(rows[:, slices[j]] - source_rows[:, slices[j]])
+            change = np.abs(solved_rows[:, slices[j]] - source_rows[:, slices[j]])
             is_changed = change.max(axis=1, initial=0.0) > EQUAL_COORDINATE
-            differs = stretched_translations[:, j] != solved.translations[:, j]
-            is_changed |= differs.any(axis=1)
-            translations[frames, i][is_changed] = stretched_translations[is_changed, j]
-            rotations[frames, i][is_changed] = solved.rotations[is_changed, j]
-    index = indices[joints]
+            is_stretched = local_translations[:, j] != solved_poses.translations[:, j]
+            is_changed |= is_stretched.any(axis=1)
+            translations[frames, i][is_changed] = local_translations[is_changed, j]
+            rotations[frames, i][is_changed] = solved_poses.rotations[is_changed, j]
+    indices, aligned_rotations = rig_indices[joints], so3.align_signs(rotations)
     motion = replace(
         motion,
-        translations=motion.translations.put(index, translations).compact(),
-        rotations=motion.rotations.put(index, so3.align_signs(rotations)).compact(),
+        translations=motion.translations.put(indices, translations).compact(),
+        rotations=motion.rotations.put(indices, aligned_rotations).compact(),
     )
     packed_targets = np.concatenate([solution.targets for solution in solutions])
     coordinates = np.concatenate([result.coordinates for result in results])
     jumps = find_jumps(
         [rig.names[j] for j in joints],
-        source,
+        source_poses,
         LocalTransforms(translations, rotations),
         goal_steps(problem, packed_targets),
         fps=rate,
         length=problem.length,
         revolutions=full_revolutions(rig, coordinates)[:, joints],
     )
-    active = np.asarray(targets.weights) * [goal.goal.weights for goal in tracks.goals]
-    limits = [frames_on_limits(r.problem, r.coordinates) for r in results]
+    goal_weights = [track.goal.weights for track in tracks.goals]
+    active_weights = np.asarray(targets.weights) * goal_weights
+    limit_masks = [frames_on_limits(r.problem, r.coordinates) for r in results]
     return TakeIk(
         replace(take, motion=motion),
         tracks,
         problem,
-        active > 0,
+        active_weights > 0,
         np.concatenate([result.misses for result in results]),
         tuple(status for result in results for status in result.statuses),
         np.concatenate([result.iterations for result in results]),
         np.concatenate([result.descents for result in results]),
         sum(solution.seconds for solution in solutions),
         jumps,
-        {name: np.concatenate([masks[name] for masks in limits]) for name in limits[0]},
+        {
+            name: np.concatenate([masks[name] for masks in limit_masks])
+            for name in limit_masks[0]
+        },
         steadier=solutions[0].steadier if jumps else None,
     )
 
@@ -249,7 +255,7 @@ def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:
     >>> [name for name, found in faults.items() if found]
     ['seed', 'smooth']
     """
-    solving = IkOptions(
+    solver_options = IkOptions(
         tolerance=options.tolerance,
         angle_tolerance=options.angle_tolerance,
         restarts=options.restarts,
@@ -257,7 +263,7 @@ def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:
         seconds=options.seconds,
     )
     return {
-        **option_faults(solving),
+        **option_faults(solver_options),
         "rest_weight": rest_weight_faults(options.rest_weight),
         "smooth": smoothing_faults(options.smooth, 1.0),
     }
@@ -273,7 +279,7 @@ class TakeSolver:
     world: WorldTransforms
     options: TakeOptions
     joints: list[str] | None
-    static: bool
+    is_static: bool
     rate: float
 
     @property
@@ -285,20 +291,22 @@ class TakeSolver:
         """Return the solution of a frame span."""
         problem = self._build_problem(span, self.goals)
         targets = span.to_chain_frame(self.targets)
-        packed = pack_for_chain(problem, targets)
-        if not self.static:
+        packed_targets = pack_for_chain(problem, targets)
+        if not self.is_static:
             start = span.coordinates
-            result, seconds = self._timed_solve(problem, start, targets, warm=False)
+            result, seconds = self._timed_solve(
+                problem, start, targets, is_warm_started=False
+            )
             steadier = self._find_steadier_smoothing(result, targets, start)
-            return SpanSolution(span, packed, result, seconds, steadier)
+            return SpanSolution(span, packed_targets, result, seconds, steadier)
         bent_start, bent_seconds = self._solve_bent_start(span, problem, targets)
         start, start_seconds = self._solve_start(span, problem, bent_start, targets)
         result, seconds = self._timed_solve(
-            problem, start, targets, warm=True, prefer=span.coordinates[0]
+            problem, start, targets, is_warm_started=True, prefer=span.coordinates[0]
         )
         seconds += bent_seconds + start_seconds
         steadier = self._find_steadier_smoothing(result, targets, None)
-        return SpanSolution(span, packed, result, seconds, steadier)
+        return SpanSolution(span, packed_targets, result, seconds, steadier)
 
     def _find_steadier_smoothing(
         self, result: IkResult, targets: Targets, start: FloatArray | None
@@ -308,12 +316,14 @@ class TakeSolver:
         if not angles or self.options.smooth > 0:
             return None
         best_smoothing = Smoothing(0.0, MIN_REDUCTION * max(angles))
-        for seconds in TRIAL_SMOOTHINGS:
-            options = self._solver_options(result.problem, warm=start is None)
-            trial = smooth(
+        for seconds in TRIAL_SMOOTHING_TIMES:
+            options = self._solver_options(
+                result.problem, is_warm_started=start is None
+            )
+            smoothed_result = smooth(
                 result, targets, seconds, fps=self.rate, start=start, options=options
             )
-            jumps = find_clip_jumps(trial, targets, start, self.rate)
+            jumps = find_clip_jumps(smoothed_result, targets, start, self.rate)
             angle = max((jump.size for jump in jumps if not jump.slides), default=0.0)
             if angle < MIN_REDUCTION * best_smoothing.angle:
                 best_smoothing = Smoothing(seconds, angle)
@@ -337,12 +347,12 @@ class TakeSolver:
         If it needs restarts, that is a solution near the source pose; otherwise the
         clip would keep the random pose of a restart.
         """
-        first = targets_of_frames(targets, slice(0, 1))
-        poses, seconds = self._timed_solve(
-            problem, start, first, warm=False, prefer=span.coordinates[0]
+        targets, prefer = targets_of_frames(targets, slice(0, 1)), span.coordinates[0]
+        start_result, seconds = self._timed_solve(
+            problem, start, targets, is_warm_started=False, prefer=prefer
         )
-        is_restarted = poses.descents[0] > 1 and bool(poses.converged[0])
-        return poses.coordinates[0] if is_restarted else start, seconds
+        is_restarted = start_result.descents[0] > 1 and bool(start_result.converged[0])
+        return start_result.coordinates[0] if is_restarted else start, seconds
 
     def _solve_bent_start(
         self, span: SolveSpan, problem: Problem, targets: Targets
@@ -367,16 +377,16 @@ class TakeSolver:
             poles[:, e], weights[:, e, PARTS.index("pole")] = point, 1.0
         if goals == self.goals:
             return span.coordinates[0], 0.0
-        leaning_problem = self._build_problem(span, goals)
-        if self.options.method not in supported_methods(leaning_problem):
+        bent_problem = self._build_problem(span, goals)
+        if self.options.method not in supported_methods(bent_problem):
             return span.coordinates[0], 0.0
-        first = targets_of_frames(targets, slice(0, 1))
-        leaning_targets = replace(first, poles=poles, weights=weights)
+        first_targets = targets_of_frames(targets, slice(0, 1))
+        bent_targets = replace(first_targets, poles=poles, weights=weights)
         start = span.coordinates[0]
-        poses, seconds = self._timed_solve(
-            leaning_problem, start, leaning_targets, warm=True, restarts=0
+        bent_result, seconds = self._timed_solve(
+            bent_problem, start, bent_targets, is_warm_started=True, restarts=0
         )
-        return poses.coordinates[0], seconds
+        return bent_result.coordinates[0], seconds
 
     def _timed_solve(
         self,
@@ -384,13 +394,15 @@ class TakeSolver:
         starts: FloatArray,
         targets: Targets,
         *,
-        warm: bool,
+        is_warm_started: bool,
         restarts: int | None = None,
         prefer: FloatArray | None = None,
     ) -> tuple[IkResult, float]:
         """Solve a problem; return the result and the elapsed time [s]."""
         options = self.options
-        frame_options = self._solver_options(problem, warm=warm, restarts=restarts)
+        frame_options = self._solver_options(
+            problem, is_warm_started=is_warm_started, restarts=restarts
+        )
         start_time = time.perf_counter()
         if options.method in PATH_METHODS and len(np.asarray(targets.positions)) > 1:
             from animtool.ik.clip_path import FollowOptions
@@ -408,14 +420,14 @@ class TakeSolver:
             result = solve(problem, starts, targets, frame_options, prefer=prefer)
             if options.method in PATH_METHODS and restarts is None:
                 rows = result.coordinates if prefer is None else prefer
-                preferred = np.broadcast_to(rows, result.coordinates.shape)
+                preferred_rows = np.broadcast_to(rows, result.coordinates.shape)
                 result = with_nearest_poses(
-                    problem, result, targets, frame_options, preferred
+                    problem, result, targets, frame_options, preferred_rows
                 )
         return result, time.perf_counter() - start_time
 
     def _solver_options(
-        self, problem: Problem, *, warm: bool, restarts: int | None = None
+        self, problem: Problem, *, is_warm_started: bool, restarts: int | None = None
     ) -> IkOptions:
         """Return the solver options of a problem's frames."""
         options = self.options
@@ -426,8 +438,8 @@ class TakeSolver:
             restarts=options.restarts if restarts is None else restarts,
             seed=options.seed,
             seconds=options.seconds,
-            warm=warm,
-            near=not warm,
+            warm=is_warm_started,
+            near=not is_warm_started,
         )
 
 
@@ -441,13 +453,13 @@ def _has_bend_direction(
     chain, rig = track.chain, problem.rig
     if chain is None or chain.pole_dir is None or not track.goal.position:
         return False
-    bones, j, root_index = 0, rig.index(chain.tip), rig.index(chain.root)
+    bone_count, j, root_index = 0, rig.index(chain.tip), rig.index(chain.root)
     point_below = origins[j]
     while j >= root_index:
         if rig.names[j] in problem.joints and (origins[j] != point_below).any():
-            bones, point_below = bones + 1, origins[j]
+            bone_count, point_below = bone_count + 1, origins[j]
         j = rig.joints[j].parent
-    return bones > 1
+    return bone_count > 1
 
 
 def _distant_pole(
@@ -458,9 +470,9 @@ def _distant_pole(
     assert chain is not None
     root = rig.index(chain.root)
     origin, tip = world.positions[frame, [root, rig.index(chain.tip)]]
-    pole_distance = np.linalg.norm(tip - origin)
+    chain_length = np.linalg.norm(tip - origin)
     direction = np.array(chain.pole_dir, np.float64)
     parent = rig.joints[root].parent
     if parent >= 0:
         direction = world.linear[frame, parent] @ direction
-    return np.asarray(origin + direction * POLE_DISTANCE * pole_distance)
+    return np.asarray(origin + direction * POLE_DISTANCE * chain_length)

@@ -20,7 +20,7 @@ from animtool.ik.limbs import limb_joints
 from animtool.ik.two_bone import bend_angle
 from animtool.ik.values import (
     ArrayRows,
-    Keyed,
+    KeyedValue,
     SampleFrames,
     Span,
     Value,
@@ -76,61 +76,64 @@ class FreeEffector:
         ``(F,)``.
         """
         blended_values = values.copy()
-        rows = (weights > 0) & (weights < 1)
-        fraction = weights[rows]
+        is_fading = (weights > 0) & (weights < 1)
+        fraction = weights[is_fading]
         if not len(fraction):
             return blended_values
         if kind.is_rotation:
-            free = self.orientation()[rows]
-            blended_values[rows] = so3.slerp(free, values[rows], fraction)
+            rotations = self.orientation()[is_fading]
+            rotations = so3.slerp(rotations, values[is_fading], fraction)
+            blended_values[is_fading] = rotations
             return so3.align_signs(blended_values)
         if not kind.is_direction:
-            blended_values[rows] = self._blend_positions(values, rows, fraction)
+            positions = self._blend_positions(values, is_fading, fraction)
+            blended_values[is_fading] = positions
             return blended_values
         if kind.depends_on_rotation:
             origins = self.position()
             directions = so3.rotate(self.orientation(), np.array(self.goal.aim_axis))
         else:
             origins, directions = self._bend_directions(values)
-        offsets = values[rows] - origins[rows]
-        swung_offsets = swing_towards(directions[rows], offsets, fraction)
-        blended_values[rows] = origins[rows] + swung_offsets
+        offsets = values[is_fading] - origins[is_fading]
+        swung_offsets = swing_towards(directions[is_fading], offsets, fraction)
+        blended_values[is_fading] = origins[is_fading] + swung_offsets
         return blended_values
 
     def _blend_positions(
-        self, values: FloatArray, rows: BoolArray, fraction: FloatArray
+        self, values: FloatArray, is_fading: BoolArray, fraction: FloatArray
     ) -> FloatArray:
         """Return the blended positions of the selected rows ``(N, 3)``."""
-        start, end = self.position()[rows], values[rows]
-        straight = start + fraction[:, None] * (end - start)
+        start, end = self.position()[is_fading], values[is_fading]
+        straight_positions = start + fraction[:, None] * (end - start)
         limb = self.limb()
         if limb is None or not self._has_fixed_root(limb[0]):
-            return np.asarray(straight)
-        root, middle = (self.world.positions[rows, j] for j in limb)
+            return np.asarray(straight_positions)
+        root, middle = (self.world.positions[is_fading, j] for j in limb)
         a, b, start_distance, end_distance = (
-            np.linalg.norm(vector, axis=1)
-            for vector in (middle - root, start - middle, start - root, end - root)
+            np.linalg.norm(vectors, axis=1)
+            for vectors in (middle - root, start - middle, start - root, end - root)
         )
-        bends = bend_angle(a, b, start_distance), bend_angle(a, b, end_distance)
-        angle = bends[0] + fraction * (bends[1] - bends[0])
-        square = a**2 + b**2 + 2 * a * b * np.cos(angle)
-        limb_distance = np.sqrt(np.maximum(square, 0.0))
+        bend_angles = bend_angle(a, b, start_distance), bend_angle(a, b, end_distance)
+        angle = bend_angles[0] + fraction * (bend_angles[1] - bend_angles[0])
+        squared_distance = a**2 + b**2 + 2 * a * b * np.cos(angle)
+        limb_distance = np.sqrt(np.maximum(squared_distance, 0.0))
         limb_distance += fraction * np.maximum(end_distance - (a + b), 0.0)
         has_direction = (end_distance > MIN_DIRECTION * (a + b))[:, None]
         end_direction = np.where(has_direction, end - root, start - root)
-        vector = swing_towards(start - root, end_direction, fraction)
-        vector_length = np.maximum(np.linalg.norm(vector, axis=1), 1e-300)
-        bent_fraction = (bends[0] - STRAIGHT_ANGLE) / (BENT_ANGLE - STRAIGHT_ANGLE)
-        bend_weight = smoothstep(bent_fraction)
-        rotated = root + vector * (limb_distance / vector_length)[:, None]
-        return np.asarray(rotated + bend_weight[:, None] * (straight - rotated))
+        swung_vectors = swing_towards(start - root, end_direction, fraction)
+        swung_length = np.maximum(np.linalg.norm(swung_vectors, axis=1), 1e-300)
+        bent_angle = bend_angles[0] - STRAIGHT_ANGLE
+        bend_weight = smoothstep(bent_angle / (BENT_ANGLE - STRAIGHT_ANGLE))[:, None]
+        swung_positions = root + swung_vectors * (limb_distance / swung_length)[:, None]
+        correction = bend_weight * (straight_positions - swung_positions)
+        return np.asarray(swung_positions + correction)
 
     def limb(self) -> tuple[int, int] | None:
         """Return the root and middle joint of the limb."""
         joints = enumerate(self.rig.joints)
-        moving = {j for j, joint in joints if joint.type is not JointType.FIXED}
+        moving_joints = {j for j, joint in joints if joint.type is not JointType.FIXED}
         origins, point = self.world.positions[0], self.position()[0]
-        return limb_joints(self.rig, self.goal, moving, origins, point)
+        return limb_joints(self.rig, self.goal, moving_joints, origins, point)
 
     def _has_fixed_root(self, root: int) -> bool:
         """Return whether the goal moves no joint above the limb's root."""
@@ -152,9 +155,11 @@ class FreeEffector:
             return point, poles - point
         root, middle = (self.world.positions[:, j] for j in limb)
         limb_vectors, bone = point - root, middle - root
-        square = np.maximum((limb_vectors**2).sum(axis=1, keepdims=True), 1e-300)
+        squared_length = np.maximum(
+            (limb_vectors**2).sum(axis=1, keepdims=True), 1e-300
+        )
         product = (bone * limb_vectors).sum(axis=1, keepdims=True)
-        perpendicular = bone - product / square * limb_vectors
+        perpendicular = bone - product / squared_length * limb_vectors
         min_length = MIN_DIRECTION * np.linalg.norm(bone, axis=1)
         is_bent = np.linalg.norm(perpendicular, axis=1) > min_length
         return root, np.where(is_bent[:, None], perpendicular, poles - root)
@@ -172,16 +177,18 @@ def swing_towards(
     [[1.414214, 1.414214, 0.0]]
     """
     length = np.linalg.norm(end, axis=1, keepdims=True)
-    unit = start / np.maximum(np.linalg.norm(start, axis=1, keepdims=True), 1e-300)
-    axis = np.cross(unit, end)
+    start_length = np.linalg.norm(start, axis=1, keepdims=True)
+    unit_start = start / np.maximum(start_length, 1e-300)
+    axis = np.cross(unit_start, end)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
-    angle = np.arctan2(sine[:, 0], (unit * end).sum(axis=1))
+    angle = np.arctan2(sine[:, 0], (unit_start * end).sum(axis=1))
     # Opposite directions rotate about any perpendicular axis.
-    perpendicular_axis = np.cross(unit, np.eye(3)[np.abs(unit).argmin(axis=1)])
+    smallest_components = np.abs(unit_start).argmin(axis=1)
+    perpendicular_axis = np.cross(unit_start, np.eye(3)[smallest_components])
     axis = np.where(sine > MIN_DIRECTION * length, axis, perpendicular_axis)
     axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
     rotation = so3.from_axis_angle(axis, fraction * angle)
-    return np.asarray(length * so3.rotate(rotation, unit))
+    return np.asarray(length * so3.rotate(rotation, unit_start))
 
 
 @dataclass(frozen=True)
@@ -244,11 +251,11 @@ class TargetTracks:
             ] or [1.0]
             first = Fraction(min(mentioned_frames))
             last = Fraction(max(mentioned_frames))
-        count = int((last - first) // 1) + 1
-        if count > MAX_FRAMES:
-            message = f"the range has {count} frames; the limit is {MAX_FRAMES}"
+        frame_count = int((last - first) // 1) + 1
+        if frame_count > MAX_FRAMES:
+            message = f"the range has {frame_count} frames; the limit is {MAX_FRAMES}"
             raise OptionError(Fault("CLIP006", message, str(self.path)))
-        return Clock(self.fps or DEFAULT_RATE, first, Fraction(1), count)
+        return Clock(self.fps or DEFAULT_RATE, first, Fraction(1), frame_count)
 
     def at_clock(self, clock: Clock) -> TargetTracks:
         """Return the tracks with arrays that have no range aligned to a clock's start.
@@ -263,18 +270,20 @@ class TargetTracks:
             hint = f"remove fps, or write fps: {clock.fps} and frames at that rate"
             message += rate_label(clock.fps)
             line, column = self.rate_location
-            source = str(self.path), (line,)
-            faults.append(Fault("TGT014", message, *source, hint, column=column))
-        count = int((clock.count - 1) * clock.step // 1) + 1
+            path_and_lines = str(self.path), (line,)
+            faults.append(
+                Fault("TGT014", message, *path_and_lines, hint, column=column)
+            )
+        frame_count = int((clock.count - 1) * clock.step // 1) + 1
         for track in self.goals:
             for value in track.values.values():
                 if not isinstance(value, ArrayRows) or value.first is not None:
                     continue
                 row_count = len(value.values)
-                if row_count != count:
-                    rows = counted(row_count, "row")
-                    message = f"{value.name!r} has {rows}, but the "
-                    message += f"take has  {counted(count, 'frame')}"
+                if row_count != frame_count:
+                    row_text = counted(row_count, "row")
+                    message = f"{value.name!r} has {row_text}, but the "
+                    message += f"take has  {counted(frame_count, 'frame')}"
                     hint = "write range to tell which frames the rows are for"
                     faults.append(value.rows_fault(message, hint, str(self.path)))
         if faults:
@@ -302,8 +311,8 @@ class TargetTracks:
             clock: F frames at the rate of the file.
             world: World transforms without the goals, at which parts without a value
                 are held.
-            free: World transforms without each goal: goals with ``during`` spans fade
-                from and to these. None uses ``world``.
+            free: World transforms without each goal: goals with ``during``
+                spans fade from and to these. Empty uses ``world`` for all.
 
         Raises:
             OptionError: A frame has no row in an array (TGT015).
@@ -321,18 +330,23 @@ class TargetTracks:
                 values_by_field[kind.targets_field][..., 3] = 1.0
         weights = np.ones((*shape, len(KINDS)))
         for e, track in enumerate(self.goals):
-            source = FreeEffector(rig, track.goal, world)
-            fade_source = FreeEffector(rig, track.goal, free[e]) if free else source
-            is_active = np.ones(len(times))
+            effector = FreeEffector(rig, track.goal, world)
+            fading_effector = effector
+            if free:
+                fading_effector = FreeEffector(rig, track.goal, free[e])
+            active_weights = np.ones(len(times))
             if track.during:
-                is_active = hold_weights(times, track.during, track.ease).max(axis=0)
+                span_weights = hold_weights(times, track.during, track.ease)
+                active_weights = span_weights.max(axis=0)
             for i, kind in enumerate(KINDS):
                 if not track.goal.weights[i]:
                     continue
-                value, weight = _sample_part(track, kind, frames, source)
-                value = fade_source.blend_from_free_motion(kind, value, is_active)
+                value, weight = _sample_part(track, kind, frames, effector)
+                value = fading_effector.blend_from_free_motion(
+                    kind, value, active_weights
+                )
                 values_by_field[kind.targets_field][:, e] = value
-                weights[:, e, i] = weight * (is_active > 0)
+                weights[:, e, i] = weight * (active_weights > 0)
         return Targets(**values_by_field, weights=weights)
 
 
@@ -357,22 +371,22 @@ def _sample_part(
         )
     if not track.spans or part not in track.hold_parts:
         return curve_values, weight
-    weights_in_span = hold_weights(frames.times, track.spans, track.ease)
+    span_weights = hold_weights(frames.times, track.spans, track.ease)
     starts = np.array([first for first, _ in track.spans])
     if value is None:
         rows = np.interp(starts, frames.times, np.arange(len(frames.times)))
         hold_values = interpolate_rows(curve_values, rows)
-        weight = weight * weights_in_span.max(axis=0)
+        weight = weight * span_weights.max(axis=0)
     else:
         hold_values = value.sample(replace(frames, times=starts))
-    return blend_holds(curve_values, weights_in_span, hold_values), weight
+    return blend_holds(curve_values, span_weights, hold_values), weight
 
 
 def _mentioned_range(track: GoalTrack) -> list[float]:
     """Return the ends of all spans, key ranges and arrays of a goal [frame]."""
     mentioned_frames = [end for span in (*track.spans, *track.during) for end in span]
     for value in (*track.values.values(), *track.weights.values()):
-        if isinstance(value, Keyed):
+        if isinstance(value, KeyedValue):
             mentioned_frames += [value.channel.times[0], value.channel.times[-1]]
         elif isinstance(value, ArrayRows):
             first = 1.0 if value.first is None else float(value.first)

@@ -14,7 +14,7 @@ from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.problem import Problem
 
 # Cosine below which a pin axis is perpendicular to a bone [1].
-PERPENDICULAR = 1e-12
+PERPENDICULAR_COSINE = 1e-12
 # Lengths below this fraction of the limb's count as zero.
 ZERO_LENGTH = 1e-12
 
@@ -39,9 +39,9 @@ def _joint_obstacle(chain: Chain) -> str | None:
     """Return why the joints cannot bend and rotate the limb fully; None if they can."""
     if not _is_unlimited(chain.numbers[0]):
         return "its first joint has limits"
-    upper = chain.numbers[1, 9:12]
-    lower = chain.goal_numbers[0, :3] + chain.goal_numbers[0, 3:6]
-    if min(np.linalg.norm(upper), np.linalg.norm(lower)) < ZERO_LENGTH:
+    upper_bone = chain.numbers[1, 9:12]
+    lower_bone = chain.goal_numbers[0, :3] + chain.goal_numbers[0, 3:6]
+    if min(np.linalg.norm(upper_bone), np.linalg.norm(lower_bone)) < ZERO_LENGTH:
         return "a bone has no length"
     if chain.nodes[1, 0] == BALL:
         is_limited = not _is_unlimited(chain.numbers[1])
@@ -49,9 +49,10 @@ def _joint_obstacle(chain: Chain) -> str | None:
     axis = chain.numbers[1, :9].reshape(3, 3)[:, 2]
     bone_along_axis = chain.goal_numbers[0, 2]
     tool_along_axis = chain.goal_numbers[0, 5]
-    largest_cosine = max(abs(axis @ upper), abs(bone_along_axis), abs(tool_along_axis))
+    cosines = abs(axis @ upper_bone), abs(bone_along_axis), abs(tool_along_axis)
+    is_across = max(cosines) < PERPENDICULAR_COSINE
     is_unscaled = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
-    if chain.nodes[1, 0] == PIN and is_unscaled and largest_cosine < PERPENDICULAR:
+    if chain.nodes[1, 0] == PIN and is_unscaled and is_across:
         return None
     return "its second joint does not rotate about an axis across both bones"
 
@@ -75,15 +76,20 @@ def bend_angle(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray
     """
     clamped_distance = np.clip(distance, np.abs(a - b), a + b)
     # The half-angle form stays accurate at both ends.
-    closing = (a + b - clamped_distance) * (a + b + clamped_distance)
-    opening = (clamped_distance - (a - b)) * (clamped_distance + (a - b))
-    tangent = np.sqrt(np.maximum(closing, 0)), np.sqrt(np.maximum(opening, 0))
-    return np.asarray(2 * np.arctan2(*tangent))
+    squared_sine = (a + b - clamped_distance) * (a + b + clamped_distance)
+    squared_cosine = (clamped_distance - (a - b)) * (clamped_distance + (a - b))
+    half_angle_parts = (
+        np.sqrt(np.maximum(squared_sine, 0)),
+        np.sqrt(np.maximum(squared_cosine, 0)),
+    )
+    return np.asarray(2 * np.arctan2(*half_angle_parts))
 
 
 def perpendicular_vectors(vectors: FloatArray) -> FloatArray:
     """Return a unit vector perpendicular to each of the vectors ``(..., 3)``."""
-    smallest = np.argmin(np.abs(vectors), axis=-1)
-    normals = np.cross(vectors, np.eye(3)[smallest])
-    size = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.where(size > 0, normals / np.where(size > 0, size, 1.0), [1.0, 0.0, 0.0])
+    smallest_axes = np.argmin(np.abs(vectors), axis=-1)
+    normals = np.cross(vectors, np.eye(3)[smallest_axes])
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.where(
+        lengths > 0, normals / np.where(lengths > 0, lengths, 1.0), [1.0, 0.0, 0.0]
+    )

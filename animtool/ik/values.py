@@ -96,12 +96,13 @@ def blend_holds(
     blended_values = values.copy()
     for weight, hold_value in zip(weights, hold_values, strict=True):
         is_blending = (weight > 0) & (weight < 1)
-        fraction, free = weight[is_blending], blended_values[is_blending]
+        fraction, free_values = weight[is_blending], blended_values[is_blending]
         if values.shape[1] == 4:
-            held = np.broadcast_to(hold_value, free.shape)
-            blended_values[is_blending] = so3.slerp(free, held, fraction)
+            hold_rotations = np.broadcast_to(hold_value, free_values.shape)
+            new_values = so3.slerp(free_values, hold_rotations, fraction)
         else:
-            blended_values[is_blending] += fraction[:, None] * (hold_value - free)
+            new_values = free_values + fraction[:, None] * (hold_value - free_values)
+        blended_values[is_blending] = new_values
         blended_values[weight >= 1] = hold_value
     return so3.align_signs(blended_values) if values.shape[1] == 4 else blended_values
 
@@ -129,7 +130,7 @@ class Value(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """A constant value."""
+    """A value that is the same in every frame."""
 
     value: tuple[float, ...]
 
@@ -139,8 +140,8 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
-class Keyed:
-    """A value that a key curve gives."""
+class KeyedValue:
+    """A value sampled from a key curve, as in a clip."""
 
     channel: ClipChannel
 
@@ -152,7 +153,7 @@ class Keyed:
 
 @dataclass(frozen=True, slots=True)
 class ArrayRows:
-    """An array with a row for each frame."""
+    """A value stored as an array with a row per frame, interpolated between rows."""
 
     name: str  # array reference as the file spells it
     values: FloatArray = field(repr=False)  # array rows ``(R, 3)`` or ``(R, 4)``
@@ -196,23 +197,26 @@ def interpolate_rows(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
     nearest_row = np.round(row_numbers)
     is_on_row = np.abs(row_numbers - nearest_row) <= ROW_TOLERANCE
     row_numbers = np.where(is_on_row, nearest_row, row_numbers)
-    row_below = np.floor(row_numbers).astype(np.int64)
-    fraction = row_numbers - row_below
-    values_between = values[row_below]
+    lower_rows = np.floor(row_numbers).astype(np.int64)
+    fraction = row_numbers - lower_rows
+    interpolated_values = values[lower_rows]
     is_fractional = fraction > 0
     if is_fractional.any():
-        below, fraction = values_between[is_fractional], fraction[is_fractional]
-        above = values[row_below[is_fractional] + 1]
+        values_below = interpolated_values[is_fractional]
+        fraction = fraction[is_fractional]
+        values_above = values[lower_rows[is_fractional] + 1]
         if values.shape[1] == 4:
-            values_between[is_fractional] = so3.slerp(below, above, fraction)
+            new_values = so3.slerp(values_below, values_above, fraction)
         else:
-            values_between[is_fractional] += fraction[:, None] * (above - below)
-    return values_between
+            difference = values_above - values_below
+            new_values = values_below + fraction[:, None] * difference
+        interpolated_values[is_fractional] = new_values
+    return interpolated_values
 
 
 @dataclass(frozen=True, slots=True)
 class PrimPoint:
-    """A point in the frame of a prim."""
+    """A point that moves with a USD prim."""
 
     motion: PrimMotion  # motion of the prim
     offset: tuple[float, ...]  # the point in the prim's frame [m]
@@ -225,7 +229,7 @@ class PrimPoint:
 
 @dataclass(frozen=True, slots=True)
 class PrimRotation:
-    """A rotation relative to a prim."""
+    """A rotation that follows a USD prim."""
 
     motion: PrimMotion  # motion of the prim
     rotation: tuple[float, ...]  # quaternion relative to the prim's frame
@@ -243,14 +247,14 @@ class ValueReader:
     document: Document  # the file
     rig: Rig | None  # prims are read in its world space; None reads no prims
     units: ClipUnits  # units of the file
-    roots: Sequence[Path]  # folders that references may lead into
+    reference_roots: Sequence[Path]  # folders that references may lead into
     archives: Archives  # opens arrays while values are read
     first: Fraction | None  # frame of the first row of arrays; None without a range
-    count: int | None  # required number of rows; None without a range
+    row_count: int | None  # required number of rows; None without a range
 
     def read_curve(
         self, location: Location, model: CurveModel, key: str
-    ) -> Keyed | None:
+    ) -> KeyedValue | None:
         """Return the value or weight of a key curve; None with a fault."""
         reader = CurveReader(self.document, location, model)
         reader.check()
@@ -258,16 +262,16 @@ class ValueReader:
         target = "control/x" if kind == "control" else f"joint/x.{kind}"
         unit = self.units.unit_of(target, model.euler or "")
         channel = reader.read_channel(key, kind, unit)
-        return None if channel is None else Keyed(channel)
+        return None if channel is None else KeyedValue(channel)
 
     def read_value(
         self, location: Location, model: list[float] | str | ValueModel | None, key: str
     ) -> Value | None:
-        """Return a value; None if absent or faulty."""
+        """Return the value of a file entry of any form; None if absent or faulty."""
         if model is None or self.document.is_placeholder(location):
             return None
         if isinstance(model, str):
-            return self._read_rows(location, model, key)
+            return self._read_array(location, model, key)
         if isinstance(model, ValueModel):
             return self._read_keyed_or_prim(location, model, key)
         if key == "orientation":
@@ -296,15 +300,17 @@ class ValueReader:
                 message = "has both keys and a prim"
             self.document.add("TGT009", location, message, "write one of them")
             return None
-        names = _PRIM_KEYS if model.keys is not None else _CURVE_KEYS
-        unused_keys = [name for name in names if name in model.model_fields_set]
+        unsupported_keys = _PRIM_KEYS if model.keys is not None else _CURVE_KEYS
+        unused_keys = [
+            name for name in unsupported_keys if name in model.model_fields_set
+        ]
         if model.prim is not None and key != "orientation" and model.rotate:
             unused_keys.append("rotate")
         if key == "orientation" and model.offset:
             unused_keys.append("offset")
         for name in dict.fromkeys(unused_keys):
-            owner = "keys have" if model.keys is not None else "only a prim has here"
-            self.document.add("TGT009", (*location, name), f"{owner} no {name}")
+            subject = "keys have" if model.keys is not None else "only a prim has here"
+            self.document.add("TGT009", (*location, name), f"{subject} no {name}")
         if model.keys is not None:
             curve_options = {
                 name: getattr(model, name)
@@ -338,13 +344,15 @@ class ValueReader:
             return None
         rig = self.rig or Rig("", ())
         try:
-            stage_context = find_reader(path).prim_opener(path)
-            motion = cast(PrimMotion, stage_context(path, model.prim, rig, model.space))
+            open_prim = find_reader(path).prim_opener(path)
+            motion = cast(PrimMotion, open_prim(path, model.prim, rig, model.space))
         except AnimtoolError as error:
             for fault in error.faults:
-                key = "space" if fault.where == "space" else "prim"
+                location_key = "space" if fault.where == "space" else "prim"
                 message = f"{model.file!r}: " + fault.message
-                self.document.add("TGT011", (*location, key), message, fault.hint)
+                self.document.add(
+                    "TGT011", (*location, location_key), message, fault.hint
+                )
             return None
         return None if self.rig is None else motion
 
@@ -355,7 +363,9 @@ class ValueReader:
             self.document.add("TGT009", value_location, message, "add file: shot.usda")
             return None
         location = (*value_location, "file")
-        path = resolve_reference(self.document, location, model.file, self.roots)
+        path = resolve_reference(
+            self.document, location, model.file, self.reference_roots
+        )
         reason = None if path is None else not_a_file_reason(path)
         if reason is not None:
             hint = missing_hint(self.document, model.file)
@@ -363,27 +373,30 @@ class ValueReader:
             return None
         return path
 
-    def _read_rows(self, location: Location, text: str, key: str) -> ArrayRows | None:
+    def _read_array(self, location: Location, text: str, key: str) -> ArrayRows | None:
         """Return the rows of an array that a text such as `file.npz#name` refers to."""
-        name, array = split_reference(text, key)
-        path = resolve_reference(self.document, location, name, self.roots)
+        file_name, array_name = split_reference(text, key)
+        path = resolve_reference(
+            self.document, location, file_name, self.reference_roots
+        )
         if path is None:
             return None
         try:
-            values = np.asarray(self.archives.load_stored(path, array), np.float64)
+            values = np.asarray(self.archives.load_stored(path, array_name), np.float64)
         except ValueError as error:
             self.document.add("TGT006", location, str(error))
             return None
-        width = 4 if key == "orientation" else 3
-        count = self.count
-        if values.ndim != 2 or values.shape[1] != width or not len(values):
-            expected = "F" if count is None else count
-            message = f"{text!r} has shape {values.shape}, not ({expected}, {width})"
+        component_count = 4 if key == "orientation" else 3
+        row_count = self.row_count
+        if values.ndim != 2 or values.shape[1] != component_count or not len(values):
+            row_text = "F" if row_count is None else row_count
+            message = f"{text!r} has shape {values.shape}, "
+            message += f"not ({row_text}, {component_count})"
             self.document.add("TGT006", location, message)
             return None
-        if count is not None and len(values) != count:
+        if row_count is not None and len(values) != row_count:
             message = f"{text!r} has {counted(len(values), 'row')}, but the range has "
-            message += counted(count, "frame")
+            message += counted(row_count, "frame")
             self.document.add("TGT006", location, message, "write a row for each frame")
             return None
         return self._check_finite(location, text, values)

@@ -16,7 +16,7 @@ from animtool.core.units import unit_name
 from animtool.ik.goals import PARTS, Goal
 from animtool.ik.schema import GoalModel
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import ArrayRows, Constant, Keyed, Value
+from animtool.ik.values import ArrayRows, Constant, KeyedValue, Value
 
 DEFAULT_EASE = float(GoalModel.model_fields["ease"].default)
 
@@ -52,7 +52,7 @@ class _TargetsWriter:
     arrays: dict[str, FloatArray] = field(default_factory=dict)
 
     def file_lines(self, tracks: TargetTracks) -> Iterator[str]:
-        """Yield the lines of the file."""
+        """Yield the YAML lines of a targets file, and collect its arrays."""
         angle = "rad" if self.units.angle == 1.0 else "deg"
         yield "targets: animtool/1"
         yield f"units: {{length: {unit_name(self.units.length)}, angle: {angle}}}"
@@ -67,7 +67,7 @@ class _TargetsWriter:
             yield from _indented(self._goal_lines(track))
 
     def _goal_lines(self, track: GoalTrack) -> Iterator[str]:
-        """Yield the lines of a goal."""
+        """Yield the YAML lines of a goal that follow its effector."""
         goal, chain = track.goal, track.chain
         if goal.root is not None and (chain is None or goal.root != chain.root):
             yield f"root: {yaml_scalar(goal.root)}"
@@ -80,13 +80,13 @@ class _TargetsWriter:
             if part == "aim":
                 yield "aim:"
                 yield f"  axis: {_flow_text(goal.aim_axis)}"
-                yield from _indented(self._value_text("at", value))
+                yield from _indented(self._value_lines("at", value))
             else:
-                yield from self._value_text(part, value)
+                yield from self._value_lines(part, value)
         yield from self._weight_lines(track)
         yield from _option_lines(track, goal)
 
-    def _value_text(self, key: str, value: Value) -> Iterator[str]:
+    def _value_lines(self, key: str, value: Value) -> Iterator[str]:
         """Yield the lines of a value: a constant, an array or keys."""
         unit = 1.0 if key in {"orientation", "weight"} else self.units.length
         match value:
@@ -96,7 +96,7 @@ class _TargetsWriter:
             case ArrayRows(name, rows):
                 self.arrays[name] = _to_file_order(rows) / unit
                 yield f"{key}: {yaml_scalar(name)}"
-            case Keyed(channel):
+            case KeyedValue(channel):
                 yield f"{key}:"
                 unit = self.units.angle if channel.euler else unit
                 yield from _indented(curve_lines(channel, unit))
@@ -116,7 +116,7 @@ class _TargetsWriter:
         for part, weight in weights.items():
             if isinstance(weight, Constant):
                 yield f"  {part}: {decimal_text(weight.value[0])}"
-            elif isinstance(weight, Keyed):
+            elif isinstance(weight, KeyedValue):
                 yield f"  {part}:"
                 yield from _indented(_indented(curve_lines(weight.channel, 1.0)))
 
@@ -139,7 +139,7 @@ def _option_lines(track: GoalTrack, goal: Goal) -> Iterator[str]:
 
 
 def _indented(lines: Iterable[str]) -> Iterator[str]:
-    """Yield indented lines."""
+    """Yield lines indented by two spaces."""
     return (f"  {line}" for line in lines)
 
 

@@ -76,21 +76,21 @@ def fold_times(
     """
     clamped_times = np.clip(times, start, end)
     overshoot, cycles = np.zeros(times.shape), np.zeros(times.shape)
-    length = end - start
-    for is_before, extrapolation, edge in ((True, pre, start), (False, post, end)):
+    period = end - start
+    for is_before, extrapolation, range_end in ((True, pre, start), (False, post, end)):
         is_outside = times < start if is_before else times > end
         if extrapolation is Extrapolation.HOLD or not is_outside.any():
             continue
-        distance = np.abs(times[is_outside] - edge)
+        distance = np.abs(times[is_outside] - range_end)
         if extrapolation is Extrapolation.LINEAR:
             overshoot[is_outside] = -distance if is_before else distance
-        elif length > 0:
-            cycles_away = np.ceil(distance / length)
-            remainder = cycles_away * length - distance  # to the far edge of that cycle
+        elif period > 0:
+            cycles_away = np.ceil(distance / period)
+            remainder = cycles_away * period - distance  # to the far edge of that cycle
             is_mirrored = cycles_away % 2 == 1
             is_mirrored &= extrapolation is Extrapolation.OSCILLATE
             is_reversed = is_mirrored ^ is_before
-            from_start = np.where(is_reversed, remainder, length - remainder)
+            from_start = np.where(is_reversed, remainder, period - remainder)
             clamped_times[is_outside] = np.clip(start + from_start, start, end)
             if extrapolation is Extrapolation.CYCLE_OFFSET:
                 cycles[is_outside] = -cycles_away if is_before else cycles_away
@@ -144,7 +144,7 @@ class Curves:
         return replace(self, times=times, ins=ins, outs=outs)
 
 
-_KINDS = {Interp.STEP: SegmentKind.HOLD, Interp.LINEAR: SegmentKind.LINEAR}
+_SEGMENT_KINDS = {Interp.STEP: SegmentKind.HOLD, Interp.LINEAR: SegmentKind.LINEAR}
 
 
 def key_handles(
@@ -163,34 +163,35 @@ def key_handles(
         free_ins: Handles before the keys, where tangents are free ``(K, 1 + D)``.
         free_outs: Handles after the keys, likewise.
     """
-    key_count, width = slopes.values.shape
-    ins, outs = np.zeros((key_count, 1 + width)), np.zeros((key_count, 1 + width))
+    key_count, component_count = slopes.values.shape
+    ins = np.zeros((key_count, 1 + component_count))
+    outs = np.zeros((key_count, 1 + component_count))
     kinds = np.full(key_count, int(SegmentKind.HOLD), np.int64)
     if key_count == 1:
         return ins, outs, kinds
     thirds = np.diff(slopes.times) / 3
     for interp, segments in _indices_by_value(interps[:-1]):
-        if interp in _KINDS:
-            kinds[segments] = _KINDS[interp]
+        if interp in _SEGMENT_KINDS:
+            kinds[segments] = _SEGMENT_KINDS[interp]
             continue
         kinds[segments] = SegmentKind.CUBIC
-        third = thirds[segments]
-        outs[segments, 0], ins[segments + 1, 0] = third, -third
+        segment_thirds = thirds[segments]
+        outs[segments, 0], ins[segments + 1, 0] = segment_thirds, -segment_thirds
         if interp is Interp.CATMULL_ROM:
-            outs[segments, 1:], ins[segments + 1, 1:] = slopes.catmull_rom(
-                segments, third[:, None]
+            outs[segments, 1:], ins[segments + 1, 1:] = slopes.catmull_rom_handles(
+                segments, segment_thirds[:, None]
             )
             continue
         for side, handles, free_handles in ((1, outs, free_outs), (0, ins, free_ins)):
             side_keys = segments + 1 - side
-            signed_thirds = third if side else -third
+            signed_thirds = segment_thirds if side else -segment_thirds
             if interp is Interp.TCB:
                 slope = slopes.tcb[side][side_keys]
                 handles[side_keys, 1:] = slope * signed_thirds[:, None]
                 continue
-            for tangent, subset in _indices_by_tangent(tangents, side_keys, side):
-                keys, tangent_segments = side_keys[subset], segments[subset]
-                length = signed_thirds[subset]
+            for tangent, selection in _indices_by_tangent(tangents, side_keys, side):
+                keys, tangent_segments = side_keys[selection], segments[selection]
+                length = signed_thirds[selection]
                 if tangent is Tangent.FREE and interp is not Interp.HERMITE:
                     handles[keys] = free_handles[keys]
                     is_bezier = free_handles[keys, 0] != length
@@ -250,21 +251,23 @@ def cubic_curves(
     >>> evaluate(ease, [1.0]).tolist()
     [[0.5]]
     """
-    key_count, width = values.shape
+    key_count, component_count = values.shape
 
     def handles(offsets: FloatArray) -> FloatArray:
         """Return handles with the given value offsets and time offsets of 0."""
-        return np.stack([np.zeros(key_count * width), offsets.T.ravel()], axis=-1)
+        return np.stack(
+            [np.zeros(key_count * component_count), offsets.T.ravel()], axis=-1
+        )
 
     return Curves(
-        np.arange(width + 1) * key_count,
-        np.tile(np.asarray(times, np.float64), width),
+        np.arange(component_count + 1) * key_count,
+        np.tile(np.asarray(times, np.float64), component_count),
         np.ascontiguousarray(values.T.ravel()),
-        np.full(key_count * width, int(SegmentKind.CUBIC), np.int64),
+        np.full(key_count * component_count, int(SegmentKind.CUBIC), np.int64),
         handles(ins),
         handles(outs),
-        (Extrapolation.HOLD,) * width,
-        (Extrapolation.HOLD,) * width,
+        (Extrapolation.HOLD,) * component_count,
+        (Extrapolation.HOLD,) * component_count,
     )
 
 
@@ -346,10 +349,10 @@ def end_slopes(curves: Curves) -> FloatArray:
     """
     starts, ends = _end_keys(curves)
     is_single_key = starts == ends
-    second = np.where(is_single_key, starts, starts + 1)
-    second_last = np.where(is_single_key, ends, ends - 1)
-    first_slopes = _segment_slopes(curves, starts, second, curves.outs[starts])
-    last_slopes = _segment_slopes(curves, second_last, ends, -curves.ins[ends])
+    second_keys = np.where(is_single_key, starts, starts + 1)
+    second_last_keys = np.where(is_single_key, ends, ends - 1)
+    first_slopes = _segment_slopes(curves, starts, second_keys, curves.outs[starts])
+    last_slopes = _segment_slopes(curves, second_last_keys, ends, -curves.ins[ends])
     return np.stack([first_slopes, last_slopes], axis=-1)
 
 
@@ -404,15 +407,22 @@ def _values_in_range(
 
 def _check_curves(curves: Curves) -> None:
     """Raise if the arrays of curves have inconsistent sizes."""
-    first, count = curves.first_keys, len(curves.times)
-    if first.ndim != 1 or not len(first) or first[0] != 0 or first[-1] != count:
+    first_keys, key_count = curves.first_keys, len(curves.times)
+    if (
+        first_keys.ndim != 1
+        or not len(first_keys)
+        or first_keys[0] != 0
+        or first_keys[-1] != key_count
+    ):
         raise ValueError("first_keys must run from 0 to the number of keys")
-    if (np.diff(first) < 1).any():
+    if (np.diff(first_keys) < 1).any():
         raise ValueError("every curve needs a key")
-    if not len(curves.pre) == len(curves.post) == len(first) - 1:
+    if not len(curves.pre) == len(curves.post) == len(first_keys) - 1:
         raise ValueError("pre and post must name one extrapolation per curve")
-    shapes = {"times": (count,), "values": (count,), "kinds": (count,)}
-    for name, shape in {**shapes, "ins": (count, 2), "outs": (count, 2)}.items():
+    shapes: dict[str, tuple[int, ...]]
+    shapes = dict.fromkeys(("times", "values", "kinds"), (key_count,))
+    shapes |= dict.fromkeys(("ins", "outs"), (key_count, 2))
+    for name, shape in shapes.items():
         array = getattr(curves, name)
         if array.shape != shape:
             raise ValueError(f"{name} must have shape {shape}, not {array.shape}")

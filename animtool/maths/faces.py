@@ -18,9 +18,9 @@ def directed_edges(counts: IntArray, indices: IntArray) -> IntArray:
     >>> directed_edges(np.array([3]), np.array([5, 6, 7])).tolist()
     [[5, 6], [6, 7], [7, 5]]
     """
-    ends = np.cumsum(counts)
+    corner_ends = np.cumsum(counts)
     next_corners = np.roll(indices, -1)
-    next_corners[ends - 1] = indices[ends - counts]
+    next_corners[corner_ends - 1] = indices[corner_ends - counts]
     return np.stack([indices, next_corners], axis=1)
 
 
@@ -55,9 +55,9 @@ def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray
     >>> edge_counts(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3]))[1].tolist()
     [1, 2, 1, 1, 1]
     """
-    ends = np.sort(directed_edges(counts, indices), axis=1)
-    edges, face_counts = np.unique(ends, axis=0, return_counts=True)
-    return edges, face_counts
+    sorted_edges = np.sort(directed_edges(counts, indices), axis=1)
+    unique_edges, face_counts = np.unique(sorted_edges, axis=0, return_counts=True)
+    return unique_edges, face_counts
 
 
 def is_closed(counts: IntArray, indices: IntArray) -> bool:
@@ -70,10 +70,12 @@ def is_closed(counts: IntArray, indices: IntArray) -> bool:
     (True, False)
     """
     low, high = np.sort(directed_edges(counts, indices), axis=1).astype(np.int64).T
-    ends = np.sort(low * (high.max(initial=0) + 1) + high).reshape(-1)
-    duplicates = ends[: len(ends) // 2 * 2].reshape(-1, 2)
-    is_even = len(ends) % 2 == 0 and bool((duplicates[:, 0] == duplicates[:, 1]).all())
-    return is_even and bool((np.diff(duplicates[:, 0]) > 0).all())
+    edge_keys = np.sort(low * (high.max(initial=0) + 1) + high).reshape(-1)
+    key_pairs = edge_keys[: len(edge_keys) // 2 * 2].reshape(-1, 2)
+    is_even = len(edge_keys) % 2 == 0 and bool(
+        (key_pairs[:, 0] == key_pairs[:, 1]).all()
+    )
+    return is_even and bool((np.diff(key_pairs[:, 0]) > 0).all())
 
 
 def coincident_edges(edge_ends: IntArray) -> tuple[IntArray, IntArray]:
@@ -83,12 +85,12 @@ def coincident_edges(edge_ends: IntArray) -> tuple[IntArray, IntArray]:
     >>> one.tolist(), other.tolist()
     ([0], [2])
     """
-    ends = np.sort(edge_ends, axis=1)
-    order = np.lexsort((ends[:, 1], ends[:, 0]))
-    ends = ends[order]
+    sorted_ends = np.sort(edge_ends, axis=1)
+    order = np.lexsort((sorted_ends[:, 1], sorted_ends[:, 0]))
+    sorted_ends = sorted_ends[order]
     pairs = [np.zeros((0, 2), np.int64)]
     for gap in range(1, len(order)):
-        is_equal = (ends[gap:] == ends[:-gap]).all(axis=1)
+        is_equal = (sorted_ends[gap:] == sorted_ends[:-gap]).all(axis=1)
         if not is_equal.any():
             break
         pairs.append(np.stack([order[:-gap][is_equal], order[gap:][is_equal]], axis=1))
@@ -105,11 +107,16 @@ def triangulate(counts: IntArray, indices: IntArray) -> IntArray:
     [[5, 6, 7], [5, 7, 8]]
     """
     first_corners = np.cumsum(counts) - counts
-    sizes = np.maximum(counts - 2, 0)
-    fan_starts = np.repeat(first_corners, sizes)
-    step_in_fan = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    seconds, thirds = fan_starts + step_in_fan + 1, fan_starts + step_in_fan + 2
-    return np.stack([indices[fan_starts], indices[seconds], indices[thirds]], 1)
+    triangle_counts = np.maximum(counts - 2, 0)
+    fan_starts = np.repeat(first_corners, triangle_counts)
+    step_in_fan = np.arange(triangle_counts.sum()) - np.repeat(
+        np.cumsum(triangle_counts) - triangle_counts, triangle_counts
+    )
+    second_corners = fan_starts + step_in_fan + 1
+    third_corners = fan_starts + step_in_fan + 2
+    return np.stack(
+        [indices[fan_starts], indices[second_corners], indices[third_corners]], 1
+    )
 
 
 def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
@@ -128,8 +135,8 @@ def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     """
     a, b, c = (points[triangles[:, i]] for i in range(3))
     areas = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    corners, count = triangles.reshape(-1), len(points)
-    columns = [np.bincount(corners, areas[:, axis], count) for axis in range(3)]
+    corners, point_count = triangles.reshape(-1), len(points)
+    columns = [np.bincount(corners, areas[:, axis], point_count) for axis in range(3)]
     sums = np.stack(columns, axis=1)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     is_undefined = lengths[:, 0] <= np.finfo(np.float64).tiny
@@ -139,7 +146,7 @@ def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
 
 
 # Relative spread below which points count as collinear or coincident.
-FLAT_TOLERANCE = 1e-9
+COLLINEAR_TOLERANCE = 1e-9
 
 
 def rigid_motion(
@@ -173,9 +180,9 @@ def rigid_motion(
 def _best_rotation(covariance: FloatArray, scale: float) -> FloatArray:
     """Return the rotation that maximises the trace with a covariance (Kabsch)."""
     left, singular_values, right_t = np.linalg.svd(covariance)
-    if singular_values[0] <= FLAT_TOLERANCE**2 * scale:
+    if singular_values[0] <= COLLINEAR_TOLERANCE**2 * scale:
         return so3.IDENTITY.copy()
-    if singular_values[1] <= FLAT_TOLERANCE * singular_values[0]:
+    if singular_values[1] <= COLLINEAR_TOLERANCE * singular_values[0]:
         return _least_rotation(left[:, 0], right_t[0])
     sign = np.sign(np.linalg.det(left) * np.linalg.det(right_t))
     return so3.from_matrix(right_t.T @ np.diag([1.0, 1.0, sign]) @ left.T)

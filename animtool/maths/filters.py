@@ -22,7 +22,7 @@ NOISE_ORDER = 8
 # Range and number of cut-offs to try, as fractions of the rate.
 MIN_CUTOFF, MAX_CUTOFF, CUTOFF_COUNT = 0.005, 0.4, 24
 # A filter that leaves more than this fraction of the noise power is not applied.
-MAX_KEPT_NOISE = 0.8
+MAX_REMAINING_NOISE = 0.8
 # Median of the square of a standard normal variable [1].
 MEDIAN_SQUARE = 0.454936
 # An axis with less than this fraction of the largest noise power has no noise.
@@ -37,7 +37,7 @@ def lowpass(
     rate: float,
     *,
     order: int = 2,
-    valid: BoolArray | None = None,
+    is_valid: BoolArray | None = None,
 ) -> FloatArray:
     """Return signals low-pass filtered without lag ``(F, ...)``.
 
@@ -46,7 +46,7 @@ def lowpass(
         cutoff: Frequency at which half of the amplitude is left [Hz].
         rate: Frames a second.
         order: Order of the penalised differences; higher cuts off sharper.
-        valid: Mask of valid frames ``(F,)``, at least ``order``; others are
+        is_valid: Mask of valid frames ``(F,)``, at least ``order``; others are
             interpolated.
     """
     from scipy.linalg import solveh_banded
@@ -55,14 +55,14 @@ def lowpass(
     order = min(order, frame_count - 1)
     if order < 1 or not values.size:
         return values.copy()
-    weights = np.ones(frame_count) if valid is None else valid.astype(np.float64)
+    weights = np.ones(frame_count) if is_valid is None else is_valid.astype(np.float64)
     stiffness = (2 * math.sin(math.pi * min(cutoff / rate, 0.5))) ** (-2 * order)
     bands = stiffness * _penalty(frame_count, order)
     bands[0] += weights
-    origin = values[:1] if valid is None else values[int(np.argmax(valid))][None]
+    origin = values[:1] if is_valid is None else values[int(np.argmax(is_valid))][None]
     columns = ((values - origin).T * weights).T.reshape(frame_count, -1)
-    smoothed = solveh_banded(bands, columns, lower=True, check_finite=False)
-    return np.asarray(smoothed.reshape(values.shape) + origin)
+    filtered_columns = solveh_banded(bands, columns, lower=True, check_finite=False)
+    return np.asarray(filtered_columns.reshape(values.shape) + origin)
 
 
 def lowpass_rotations(
@@ -71,20 +71,22 @@ def lowpass_rotations(
     rate: float,
     *,
     order: int = 2,
-    valid: BoolArray | None = None,
+    is_valid: BoolArray | None = None,
 ) -> FloatArray:
     """Return low-pass filtered rotations ``(F, ..., 4)`` of continuous sign."""
-    return so3.normalize(lowpass(rotations, cutoff, rate, order=order, valid=valid))
+    return so3.normalize(
+        lowpass(rotations, cutoff, rate, order=order, is_valid=is_valid)
+    )
 
 
-def _penalty(count: int, order: int) -> FloatArray:
+def _penalty(frame_count: int, order: int) -> FloatArray:
     """Return the penalty matrix of finite differences in lower banded form."""
     coefficients = _difference_coefficients(order)
-    bands = np.zeros((order + 1, count))
-    rows = count - order
+    bands = np.zeros((order + 1, frame_count))
+    row_count = frame_count - order
     for k in range(order + 1):
         for j in range(order + 1 - k):
-            bands[k, j : j + rows] += coefficients[j] * coefficients[j + k]
+            bands[k, j : j + row_count] += coefficients[j] * coefficients[j + k]
     return bands
 
 
@@ -105,7 +107,7 @@ def noise_level(values: FloatArray) -> float:
     >>> round(noise_level(slow + 0.01 * rng.standard_normal((2000, 1))), 3)
     0.01
     """
-    return math.sqrt(_noise_variance(values, rotation=False)[0])
+    return math.sqrt(_noise_variance(values, is_rotation=False)[0])
 
 
 def rotation_noise(rotations: FloatArray) -> float:
@@ -113,33 +115,35 @@ def rotation_noise(rotations: FloatArray) -> float:
 
     It is the deviation about each noisy axis: three axes, or one for a hinge.
     """
-    return 2 * math.sqrt(_noise_variance(rotations, rotation=True)[0])
+    return 2 * math.sqrt(_noise_variance(rotations, is_rotation=True)[0])
 
 
-def _noise_variance(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
+def _noise_variance(values: FloatArray, *, is_rotation: bool) -> tuple[float, int]:
     """Return the noise variance per noisy direction, and the number of directions."""
     order = min(NOISE_ORDER, len(values) - 1)
     if order < 1:
         return 0.0, 1
     differences = np.diff(values, order, axis=0)
     variance_gain = math.comb(2 * order, order)
-    if not rotation:
+    if not is_rotation:
         # Static components have no noise.
-        dof = max(1, int((np.ptp(values, axis=0) > 0).sum()))
-        median_power_factor = dof * (1 - _WILSON_COEFFICIENT / dof) ** 3
+        direction_count = max(1, int((np.ptp(values, axis=0) > 0).sum()))
+        median_power_factor = (
+            direction_count * (1 - _WILSON_COEFFICIENT / direction_count) ** 3
+        )
         median_power = float(np.median((differences * differences).sum(axis=-1)))
-        return median_power / median_power_factor / variance_gain, dof
+        return median_power / median_power_factor / variance_gain, direction_count
     # Relative to the middle frame, noise is a rotation vector.
     inner_frames = values[order // 2 : order // 2 + len(differences)]
     differences = so3.multiply(so3.conjugate(inner_frames), differences)[:, :3]
     components = differences @ np.linalg.eigh(differences.T @ differences)[1]
     powers = np.median(components * components, axis=0) / MEDIAN_SQUARE / variance_gain
-    dof = max(1, int((powers > NOISY_AXIS_FRACTION * powers.max()).sum()))
-    return float(powers.sum()) / dof, dof
+    direction_count = max(1, int((powers > NOISY_AXIS_FRACTION * powers.max()).sum()))
+    return float(powers.sum()) / direction_count, direction_count
 
 
 def find_best_cutoff(
-    values: FloatArray, rate: float, *, rotation: bool = False
+    values: FloatArray, rate: float, *, is_rotation: bool = False
 ) -> float | None:
     """Return the cut-off with the least expected error of a noisy signal [Hz].
 
@@ -150,22 +154,24 @@ def find_best_cutoff(
     Args:
         values: ``(F, K)``.
         rate: Frames a second.
-        rotation: Whether the values are quaternions.
+        is_rotation: Whether the values are quaternions.
     """
-    variance, dof = _noise_variance(values, rotation=rotation)
-    noise = variance * dof
-    if noise == 0 or len(values) <= NOISE_ORDER:
+    variance, direction_count = _noise_variance(values, is_rotation=is_rotation)
+    noise_power = variance * direction_count
+    if noise_power == 0 or len(values) <= NOISE_ORDER:
         return None
     fractions = np.geomspace(MIN_CUTOFF, MAX_CUTOFF, CUTOFF_COUNT)
     frequencies = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
-    errors = []
+    expected_errors = []
     for fraction in fractions.tolist():
         residual = values - lowpass(values, fraction * rate, rate)
         gains = 1 / (1 + (frequencies / math.sin(math.pi * fraction)) ** 4)
         removed_power = float((residual * residual).sum()) / len(values)
-        errors.append(removed_power + (2 * float(gains.mean()) - 1) * noise)
-    best_index = int(np.argmin(errors))
-    if errors[best_index] < MAX_KEPT_NOISE * noise:
+        expected_errors.append(
+            removed_power + (2 * float(gains.mean()) - 1) * noise_power
+        )
+    best_index = int(np.argmin(expected_errors))
+    if expected_errors[best_index] < MAX_REMAINING_NOISE * noise_power:
         return float(fractions[best_index] * rate)
     return None
 

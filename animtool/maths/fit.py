@@ -37,7 +37,7 @@ def fit_keys(
     *,
     tolerance_scale: ArrayLike | None = None,
     anchors: ArrayLike = (),
-    bounds_or_none: tuple[ArrayLike, ArrayLike] | None = None,
+    bounds: tuple[ArrayLike, ArrayLike] | None = None,
     straight_frames: ArrayLike = (),
 ) -> FittedKeys:
     """Fit sparse keys whose cubic segments stay within a tolerance of the samples.
@@ -51,7 +51,7 @@ def fit_keys(
     Limits: the search is greedy, so slightly fewer keys may be possible. The tolerance
     holds at the samples. A segment passes exactly through any two inner samples, so
     pure noise needs a key at every third sample, and between samples the curve may
-    overshoot, but not beyond ``bounds_or_none``. A tolerance below 1e-13 of the values
+    overshoot, but not beyond ``bounds``. A tolerance below 1e-13 of the values
     is less than their rounding.
 
     Args:
@@ -62,7 +62,7 @@ def fit_keys(
         tolerance_scale: Factor of the tolerance at each frame ``(F,)``, > 0; None is 1.
         anchors: Inner frames that always become keys, ascending [frame]. The keys
             between two anchors, except for slopes, do not depend on other frames.
-        bounds_or_none: Lower and upper bound of each component ``(D,)``, which curves
+        bounds: Lower and upper bound of each component ``(D,)``, which curves
             respect between samples within it; infinite or None for no bound.
         straight_frames: Frames whose segment to the next frame is straight [frame].
 
@@ -80,10 +80,10 @@ def fit_keys(
     """
     samples = _check_samples(values)
     tolerance, scales = _check_tolerances(samples, tolerance, tolerance_scale)
-    bounds = bounds_or_none or (-np.inf, np.inf)
+    bound_pair = bounds or (-np.inf, np.inf)
     low, high = (
         np.ascontiguousarray(np.broadcast_to(bound, samples.shape[1:]) / tolerance)
-        for bound in bounds
+        for bound in bound_pair
     )
     key_frames, ins, outs = _kernels.fit_cubics(
         samples / tolerance,

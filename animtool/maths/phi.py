@@ -26,13 +26,13 @@ def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     >>> phi_functions(np.array([[[0.0]], [[-1e3]]]))[0][:, 0, 0].tolist()
     [1.0, 0.001]
     """
-    count = len(matrices)
-    matrices, inverse = np.unique(matrices, axis=0, return_inverse=True)
-    inverse = inverse.reshape(count)
+    matrix_count = len(matrices)
+    matrices, inverse_indices = np.unique(matrices, axis=0, return_inverse=True)
+    inverse_indices = inverse_indices.reshape(matrix_count)
     norm = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
-    halvings = max(math.ceil(math.log2(norm / _MAX_NORM)), 0) if norm > 0 else 0
-    scaled_matrices, identity = matrices / 2.0**halvings, np.eye(matrices.shape[1])
-    scaled_norm = norm / 2.0**halvings
+    halving_count = max(math.ceil(math.log2(norm / _MAX_NORM)), 0) if norm > 0 else 0
+    scaled_matrices, identity = matrices / 2.0**halving_count, np.eye(matrices.shape[1])
+    scaled_norm = norm / 2.0**halving_count
     term_count = next(
         (n for max_norm, n in _SERIES_TERMS if scaled_norm <= max_norm),
         _SERIES_TERMS[-1][1],
@@ -42,8 +42,8 @@ def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
         phi2 = scaled_matrices @ phi2 + identity / math.factorial(k + 2)
     phi1 = identity + scaled_matrices @ phi2
     exponential = identity + scaled_matrices @ phi1
-    for _ in range(halvings):
+    for _ in range(halving_count):
         phi2 = (exponential @ phi2 + phi1 + phi2) / 4
         phi1 = (exponential @ phi1 + phi1) / 2
         exponential = exponential @ exponential
-    return phi1[inverse], phi2[inverse]
+    return phi1[inverse_indices], phi2[inverse_indices]

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 
 # Smaller deviations from the surrounding motion are not pops [rad].
-MIN_ROTATION = math.radians(17.0)
+MIN_POP_ROTATION = math.radians(17.0)
 # No real motion rotates a joint this far in one frame [rad].
 FLIP_ANGLE = math.radians(120.0)
 # Roughness of a pop relative to the surrounding motion: kicks, claps and landings at 24
@@ -24,9 +24,9 @@ MIN_NEIGHBOUR_RATIO = 5.5
 # reverses its velocity in one step, which is not a pop [1].
 MIN_CHANGE_RATIO = 2.5
 # Fraction of the smallest pop that smooth interpolation must leave unexplained [1].
-MIN_UNEXPLAINED = 0.6
+MIN_UNEXPLAINED_FRACTION = 0.6
 # A step belongs to fast motion if the adjacent one has this fraction of its length [1].
-SIMILAR_SPEED = 0.4
+SIMILAR_SPEED_RATIO = 0.4
 # Window of the surrounding motion: seconds before and after, minimum number of steps.
 WINDOW_SECONDS, MIN_STEPS = 0.12, 12
 # Steps next to a pop that are excluded from the surrounding motion.
@@ -36,34 +36,36 @@ MIN_FRAMES = 8
 
 
 def find_rotation_pops(
-    rotations: FloatArray, interval: float, cuts: BoolArray
+    rotations: FloatArray, interval: float, is_cut: BoolArray
 ) -> tuple[BoolArray, FloatArray]:
     """Return a mask of rotation pops ``(S, N)``, and the deviations [rad].
 
     Args:
         rotations: Rotation vectors from each frame to the next ``(S, N, 3)`` [rad].
         interval: Time of a step [s].
-        cuts: Mask of cuts, which are ignored ``(S,)``.
+        is_cut: Mask of cuts, which are ignored ``(S,)``.
 
     Fewer than 8 frames have no pops.
     """
     if len(rotations) + 1 < MIN_FRAMES or not rotations.shape[1]:
         no_pops = np.zeros(rotations.shape[:2])
         return no_pops.astype(bool), no_pops
-    deviations = prediction_errors(rotations, cuts)
-    mask = find_outliers(
-        rotations, deviations, cuts, MIN_ROTATION, ROTATION_NOISE, interval
+    deviations = prediction_errors(rotations, is_cut)
+    is_pop = find_outliers(
+        rotations, deviations, is_cut, MIN_POP_ROTATION, ROTATION_NOISE, interval
     )
     # If every second step is a flip, none exceeds its surrounding motion.
-    flips = np.linalg.norm(rotations, axis=2) > FLIP_ANGLE
-    mask |= flips & (deviations > MIN_ROTATION + 2.0 * np.median(deviations, axis=0))
-    return mask, deviations
+    is_flip = np.linalg.norm(rotations, axis=2) > FLIP_ANGLE
+    is_pop |= is_flip & (
+        deviations > MIN_POP_ROTATION + 2.0 * np.median(deviations, axis=0)
+    )
+    return is_pop, deviations
 
 
 def find_translation_pops(
     steps: FloatArray,
     interval: float,
-    cuts: BoolArray,
+    is_cut: BoolArray,
     min_deviation: float,
     noise: float,
 ) -> tuple[BoolArray, FloatArray]:
@@ -75,15 +77,17 @@ def find_translation_pops(
     if len(steps) + 1 < MIN_FRAMES or not steps.shape[1]:
         no_pops = np.zeros(steps.shape[:2])
         return no_pops.astype(bool), no_pops
-    deviations = prediction_errors(steps, cuts)
-    mask = find_outliers(steps, deviations, cuts, min_deviation, noise, interval)
-    return mask & (deviations > MIN_CHANGE_RATIO * velocity_changes(steps)), deviations
+    deviations = prediction_errors(steps, is_cut)
+    is_pop = find_outliers(steps, deviations, is_cut, min_deviation, noise, interval)
+    return is_pop & (
+        deviations > MIN_CHANGE_RATIO * velocity_changes(steps)
+    ), deviations
 
 
 def find_outliers(
     steps: FloatArray,
     deviations: FloatArray,
-    cuts: BoolArray,
+    is_cut: BoolArray,
     min_deviation: float,
     noise: float,
     interval: float,
@@ -92,38 +96,38 @@ def find_outliers(
 
     ``steps`` ``(S, N, 3)``, ``deviations`` ``(S, N)``.
     """
-    candidates = (deviations > min_deviation).any(axis=0)
-    mask = np.zeros(deviations.shape, bool)
-    if not candidates.any():
-        return mask
-    deviations = deviations[:, candidates]
-    steps = _without_cuts(steps[:, candidates], cuts)
+    is_candidate = (deviations > min_deviation).any(axis=0)
+    is_outlier = np.zeros(deviations.shape, bool)
+    if not is_candidate.any():
+        return is_outlier
+    deviations = deviations[:, is_candidate]
+    steps = _without_cuts(steps[:, is_candidate], is_cut)
     # Overflowing steps stay unexplained.
     with np.errstate(over="ignore", invalid="ignore"):
         residuals, near_pop_residuals = _unexplained_deviations(steps, deviations)
         window_steps = max(MIN_STEPS, round(WINDOW_SECONDS / interval))
-        mean = mean_around(residuals, window_steps, NEIGHBOURHOOD_GAP)
-        typical_residual = noise + mean
-    mask[:, candidates] = (
+        mean_residual = mean_around(residuals, window_steps, NEIGHBOURHOOD_GAP)
+        typical_residual = noise + mean_residual
+    is_outlier[:, is_candidate] = (
         (deviations > min_deviation)
-        & (residuals > MIN_UNEXPLAINED * min_deviation)
+        & (residuals > MIN_UNEXPLAINED_FRACTION * min_deviation)
         & (residuals > MIN_ROUGHNESS_RATIO * typical_residual)
         & (residuals > MIN_NEIGHBOUR_RATIO * adjacent_maximum(near_pop_residuals))
     )
-    return mask
+    return is_outlier
 
 
-def prediction_errors(steps: FloatArray, cuts: BoolArray) -> FloatArray:
+def prediction_errors(steps: FloatArray, is_cut: BoolArray) -> FloatArray:
     """Return the deviation of each step from nearby steps ``(S, N)``.
 
     The prediction is the trimmed mean of the two steps before and the two after, per
     component, so that one bad step does not affect its neighbours.
 
-    ``steps`` ``(S, N, 3)``, ``cuts`` ``(S,)``.
+    ``steps`` ``(S, N, 3)``, ``is_cut`` ``(S,)``.
     """
     if len(steps) < 3:
         return np.zeros(steps.shape[:2])
-    steps = _without_cuts(steps, cuts)
+    steps = _without_cuts(steps, is_cut)
     a, b, c, d = (_shift_steps(steps, offset) for offset in (-2, -1, 1, 2))
     largest = np.maximum(np.maximum(a, b), np.maximum(c, d))
     smallest = np.minimum(np.minimum(a, b), np.minimum(c, d))
@@ -143,20 +147,20 @@ def _unexplained_deviations(
     """
     a, b, c, d, e, f = (_shift_steps(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
     residuals = deviations
-    for cubic in (
+    for cubic_prediction in (
         (4.0 * (c + d) - b - e) / 6.0,
         c - 0.3 * b + 0.5 * e - 0.2 * f,
         d - 0.3 * e + 0.5 * b - 0.2 * a,
     ):
-        residuals = np.fmin(residuals, _lengths(steps - cubic))
+        residuals = np.fmin(residuals, _lengths(steps - cubic_prediction))
     line_residuals = residuals
     squares = np.einsum("snc,snc->sn", steps, steps)
     for nearer, farther in ((c, b), (d, e)):
         line_errors = _lengths(steps - (2.0 * nearer - farther))
         nearer_squares = np.einsum("snc,snc->sn", nearer, nearer)
-        is_similar_speed = nearer_squares > SIMILAR_SPEED**2 * squares
-        smaller = np.fmin(residuals, line_errors)
-        residuals = np.where(is_similar_speed, smaller, residuals)
+        is_similar_speed = nearer_squares > SIMILAR_SPEED_RATIO**2 * squares
+        smaller_residuals = np.fmin(residuals, line_errors)
+        residuals = np.where(is_similar_speed, smaller_residuals, residuals)
         line_residuals = np.fmin(line_residuals, line_errors)
     return residuals, line_residuals
 
@@ -172,14 +176,14 @@ def _lengths(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("snc,snc->sn", vectors, vectors)))
 
 
-def _without_cuts(steps: FloatArray, cuts: BoolArray) -> FloatArray:
+def _without_cuts(steps: FloatArray, is_cut: BoolArray) -> FloatArray:
     """Replace the steps at cuts by the nearest step without a cut."""
-    if not cuts.any() or cuts.all():
+    if not is_cut.any() or is_cut.all():
         return steps
-    kept_steps = np.flatnonzero(~cuts)
-    nearest = np.searchsorted(kept_steps, np.arange(len(steps)))
-    nearest = np.minimum(nearest, len(kept_steps) - 1)
-    return np.asarray(steps[kept_steps[nearest]])
+    uncut_rows = np.flatnonzero(~is_cut)
+    nearest_indices = np.searchsorted(uncut_rows, np.arange(len(steps)))
+    nearest_indices = np.minimum(nearest_indices, len(uncut_rows) - 1)
+    return np.asarray(steps[uncut_rows[nearest_indices]])
 
 
 def mean_around(values: FloatArray, half_window: int, gap: int) -> FloatArray:
@@ -187,13 +191,15 @@ def mean_around(values: FloatArray, half_window: int, gap: int) -> FloatArray:
 
     ``values`` ``(S, N)``; rows from ``gap`` to ``half_window`` away are averaged.
     """
-    count = len(values)
-    total = np.concatenate([np.zeros((1, *values.shape[1:])), values.cumsum(axis=0)])
-    i = np.arange(count)
-    low = np.clip(np.stack([i - half_window, i + gap + 1]), 0, count)
-    high = np.maximum(np.clip(np.stack([i - gap, i + half_window + 1]), 0, count), low)
-    sums = (total[high] - total[low]).sum(axis=0)
-    return np.asarray(sums / np.maximum((high - low).sum(axis=0), 1)[:, None])
+    row_count = len(values)
+    zero_row = np.zeros((1, *values.shape[1:]))
+    cumulative_sums = np.concatenate([zero_row, values.cumsum(axis=0)])
+    i = np.arange(row_count)
+    starts = np.clip(np.stack([i - half_window, i + gap + 1]), 0, row_count)
+    ends = np.clip(np.stack([i - gap, i + half_window + 1]), 0, row_count)
+    ends = np.maximum(ends, starts)
+    sums = (cumulative_sums[ends] - cumulative_sums[starts]).sum(axis=0)
+    return np.asarray(sums / np.maximum((ends - starts).sum(axis=0), 1)[:, None])
 
 
 def adjacent_maximum(values: FloatArray) -> FloatArray:

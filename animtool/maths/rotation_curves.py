@@ -85,11 +85,13 @@ def evaluate_rotations(
     if not len(times):
         raise ValueError("a curve has at least one key")
     if (np.diff(times) <= 0).any():
-        key = int((np.diff(times) <= 0).argmax()) + 1
-        raise ValueError(f"times must ascend; that of key {key} is {times[key]}")
+        key_index = int((np.diff(times) <= 0).argmax()) + 1
+        raise ValueError(
+            f"times must ascend; that of key {key_index} is {times[key_index]}"
+        )
     is_batched = np.ndim(keys) == 3
     shape = (len(times), "C", 4) if is_batched else (len(times), 4)
-    rows = as_floats(keys, shape, "keys")
+    key_rotations = as_floats(keys, shape, "keys")
     kinds = np.asarray(kinds)
     if kinds.shape not in {(), times.shape}:
         raise ValueError(f"kinds must have shape {times.shape}, not {kinds.shape}")
@@ -99,7 +101,7 @@ def evaluate_rotations(
     folded_times = fold_times(sample_times, times[0], times[-1], pre, post)
     rotations = _kernels.evaluate_rotations(
         times,
-        rows if is_batched else rows[:, None],
+        key_rotations if is_batched else key_rotations[:, None],
         np.broadcast_to(kinds, times.shape).astype(np.int64),
         folded_times.times,
         folded_times.overshoot,

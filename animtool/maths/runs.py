@@ -15,8 +15,8 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
     >>> runs(np.array([True, False, True, True]))
     [(0, 1), (2, 4)]
     """
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
+    boundaries = np.flatnonzero(np.diff(mask, prepend=False, append=False)).tolist()
+    return list(zip(boundaries[::2], boundaries[1::2], strict=True))
 
 
 def merge_runs(spans: Iterable[tuple[int, int]], gap: int) -> list[tuple[int, int]]:

@@ -95,9 +95,9 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> FloatArray:
     [1.0, 0.0, 0.0, 0.0]
     """
     axis = np.asarray(axis, np.float64)
-    half = np.asarray(angle, np.float64)[..., None] / 2
-    vector = axis * np.sin(half)
-    w = np.broadcast_to(np.cos(half), (*vector.shape[:-1], 1))
+    half_angle = np.asarray(angle, np.float64)[..., None] / 2
+    vector = axis * np.sin(half_angle)
+    w = np.broadcast_to(np.cos(half_angle), (*vector.shape[:-1], 1))
     return np.concatenate([vector, w], axis=-1)
 
 
@@ -172,9 +172,9 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     distance = np.linalg.norm(a - b, axis=-1)
     negated_distance = np.linalg.norm(a + b, axis=-1)
-    low = np.minimum(distance, negated_distance)
-    high = np.maximum(distance, negated_distance)
-    return np.asarray(4.0 * np.arctan2(low, high))
+    shorter_distance = np.minimum(distance, negated_distance)
+    longer_distance = np.maximum(distance, negated_distance)
+    return np.asarray(4.0 * np.arctan2(shorter_distance, longer_distance))
 
 
 def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
@@ -217,8 +217,8 @@ def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
     if not len(q):
         return q.copy()
     previous = IDENTITY if previous is None else previous
-    start = np.broadcast_to(previous, q.shape[1:])
-    dots = np.sum(q * np.concatenate([start[None], q[:-1]]), axis=-1)
+    first_reference = np.broadcast_to(previous, q.shape[1:])
+    dots = np.sum(q * np.concatenate([first_reference[None], q[:-1]]), axis=-1)
     signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     return np.asarray(q * signs[..., None])
 
@@ -256,7 +256,7 @@ def from_matrix(matrix: ArrayLike) -> FloatArray:
     m = np.asarray(matrix, np.float64)
     trace = np.trace(m, axis1=-2, axis2=-1)
     diagonal = np.diagonal(m, axis1=-2, axis2=-1)
-    pivot = np.argmax(np.concatenate([diagonal, trace[..., None]], axis=-1), axis=-1)
+    pivots = np.concatenate([diagonal, trace[..., None]], axis=-1).argmax(axis=-1)
     rows = []
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -269,8 +269,9 @@ def from_matrix(matrix: ArrayLike) -> FloatArray:
     row = [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0]]
     row += [m[..., 1, 0] - m[..., 0, 1], 1 + trace]
     rows.append(np.stack(row, axis=-1))
-    table = np.stack(rows, axis=-2)
-    q = normalize(np.take_along_axis(table, pivot[..., None, None], axis=-2)[..., 0, :])
+    candidates = np.stack(rows, axis=-2)
+    chosen_rows = np.take_along_axis(candidates, pivots[..., None, None], axis=-2)
+    q = normalize(chosen_rows[..., 0, :])
     return np.where(q[..., 3:] < 0, -q, q) + 0.0
 
 

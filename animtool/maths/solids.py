@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 # Points ``(N, 3)``, corner counts of faces ``(M,)``, and corner indices face by face.
 Solid: TypeAlias = tuple[FloatArray, IntArray, IntArray]
 
-SIDES, RINGS = 24, 12
+SIDE_COUNT, RING_COUNT = 24, 12
 
 
 def box(size: float) -> Solid:
@@ -40,27 +40,28 @@ def revolve(profile: FloatArray) -> Solid:
     >>> len(revolve(np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]]))[0])
     72
     """
-    angles = np.arange(SIDES) * (2 * math.pi / SIDES)
+    angles = np.arange(SIDE_COUNT) * (2 * math.pi / SIDE_COUNT)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     rings = [
-        np.concatenate([radius * circle, np.full((SIDES, 1), height)], axis=1)
+        np.concatenate([radius * circle, np.full((SIDE_COUNT, 1), height)], axis=1)
         for radius, height in profile.tolist()
     ]
-    rows = np.arange(len(profile) - 1)[:, None] * SIDES
-    columns, next_columns = np.arange(SIDES)[None], (np.arange(SIDES) + 1)[None] % SIDES
+    rows = np.arange(len(profile) - 1)[:, None] * SIDE_COUNT
+    columns = np.arange(SIDE_COUNT)[None]
+    next_columns = (np.arange(SIDE_COUNT) + 1)[None] % SIDE_COUNT
     a, b = rows + columns, rows + next_columns
-    faces = np.stack([a, b, b + SIDES, a + SIDES], axis=-1).reshape(-1)
+    faces = np.stack([a, b, b + SIDE_COUNT, a + SIDE_COUNT], axis=-1).reshape(-1)
     return np.concatenate(rings), np.full(len(faces) // 4, 4), faces
 
 
 def sphere(radius: float) -> Solid:
-    """Return a sphere."""
+    """Return a sphere about the origin, with poles on the z axis."""
     return capsule(radius, 0.0)
 
 
 def capsule(radius: float, height: float) -> Solid:
     """Return a capsule; ``height`` is the height of its cylinder."""
-    angles = np.linspace(-math.pi / 2, math.pi / 2, RINGS + 1)
+    angles = np.linspace(-math.pi / 2, math.pi / 2, RING_COUNT + 1)
     z = radius * np.sin(angles)
     z += np.where(angles > 1e-9, height / 2, -height / 2)
     return revolve(np.stack([radius * np.cos(angles), z], axis=1))

@@ -40,8 +40,8 @@ def secant_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
     [0.5]
     """
     times, values, spans, slopes = _checked_segments(times, values)
-    inner = (values[2:] - values[:-2]) / (spans[:-1] + spans[1:])
-    return _add_ends(inner, slopes, values)
+    inner_slopes = (values[2:] - values[:-2]) / (spans[:-1] + spans[1:])
+    return _add_ends(inner_slopes, slopes, values)
 
 
 def parabola_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
@@ -52,9 +52,9 @@ def parabola_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
     """
     _, values, spans, slopes = _checked_segments(times, values)
     span_before, span_after = spans[:-1], spans[1:]
-    inner = span_after * slopes[:-1] + span_before * slopes[1:]
-    inner = inner / (span_before + span_after)
-    return _add_ends(inner, slopes, values)
+    inner_slopes = span_after * slopes[:-1] + span_before * slopes[1:]
+    inner_slopes = inner_slopes / (span_before + span_after)
+    return _add_ends(inner_slopes, slopes, values)
 
 
 def tcb(
@@ -87,8 +87,8 @@ def tcb(
     for c in (-continuity, continuity):
         from_before = (1 - tension) * (1 + c) * (1 + bias) * factor_before * slopes[:-1]
         from_after = (1 - tension) * (1 - c) * (1 - bias) * factor_after * slopes[1:]
-        inner = (from_before + from_after) / (spans[:-1] + spans[1:])
-        side_slopes.append(_add_ends(inner, slopes, values))
+        inner_slopes = (from_before + from_after) / (spans[:-1] + spans[1:])
+        side_slopes.append(_add_ends(inner_slopes, slopes, values))
     return side_slopes[0], side_slopes[1]
 
 
@@ -108,19 +108,21 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     [0.0, 0.0, 0.0, -10.5]
     """
     _, values, spans, slopes = _checked_segments(times, values)
-    clamped = parabola_slopes(times, values)
+    unclamped_slopes = parabola_slopes(times, values)
     if len(values) < 3:
-        return clamped
-    for end, end_key, inner_key in ((0, 0, 1), (-1, -1, -2)):
+        return unclamped_slopes
+    for key, end_key, inner_key in ((0, 0, 1), (-1, -1, -2)):
         weight = spans[end_key] / (spans[end_key] + spans[inner_key])
-        clamped[end] = slopes[end_key] + weight * (slopes[end_key] - slopes[inner_key])
+        unclamped_slopes[key] = slopes[end_key] + weight * (
+            slopes[end_key] - slopes[inner_key]
+        )
     secants_before = np.concatenate([slopes[:1], slopes])
     secants_after = np.concatenate([slopes, slopes[-1:]])
     is_monotone = np.sign(secants_before) == np.sign(secants_after)
     max_slope = 3 * np.minimum(np.abs(secants_before), np.abs(secants_after))
     signs = np.sign(secants_before)
-    limited = signs * np.clip(signs * clamped, 0, max_slope)
-    return np.where(is_monotone, limited, 0.0) + 0.0
+    clamped_slopes = signs * np.clip(signs * unclamped_slopes, 0, max_slope)
+    return np.where(is_monotone, clamped_slopes, 0.0) + 0.0
 
 
 def catmull_rom_controls(
@@ -161,8 +163,10 @@ def _inner_handles(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArr
     steps = np.diff(path, axis=0)
     knots = np.linalg.norm(steps, axis=1, keepdims=True) ** alpha
     a, h, b = knots[:-2], knots[1:-1], knots[2:]
-    inner = steps[1:-1]
-    return _handle(steps[:-2], a, inner, h), -_handle(steps[2:], b, inner, h)
+    inner_steps = steps[1:-1]
+    return _handle(steps[:-2], a, inner_steps, h), -_handle(
+        steps[2:], b, inner_steps, h
+    )
 
 
 def _handle(
@@ -191,14 +195,16 @@ def _checked_segments(
     return times, values, spans, np.diff(values, axis=0) / spans
 
 
-def _add_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> FloatArray:
+def _add_ends(
+    inner_slopes: FloatArray, slopes: FloatArray, values: FloatArray
+) -> FloatArray:
     """Return inner slopes extended by the first and last segment's secant slopes."""
     if len(values) < 2:
         return np.zeros(values.shape)
-    return np.concatenate([slopes[:1], inner, slopes[-1:]])
+    return np.concatenate([slopes[:1], inner_slopes, slopes[-1:]])
 
 
-_ALPHAS = {
+_KNOT_POWERS = {
     Parametrization.UNIFORM: 0.0,
     Parametrization.CENTRIPETAL: 0.5,
     Parametrization.CHORDAL: 1.0,
@@ -248,7 +254,7 @@ class KeySlopes:
         is_auto = tangent is Tangent.AUTO
         return np.asarray((self._parabola if is_auto else self._auto_clamped)[keys])
 
-    def catmull_rom(
+    def catmull_rom_handles(
         self, segments: IntArray, thirds: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return handle values ``(N, D)`` of segments, after starts and before ends.
@@ -258,5 +264,7 @@ class KeySlopes:
         if self._parametrization is Parametrization.UNIFORM:
             slopes = secant_slopes(self.times, self.values)
             return slopes[segments] * thirds, -slopes[segments + 1] * thirds
-        ins, outs = catmull_rom_controls(self.values, _ALPHAS[self._parametrization])
+        ins, outs = catmull_rom_controls(
+            self.values, _KNOT_POWERS[self._parametrization]
+        )
         return outs[segments], ins[segments + 1]

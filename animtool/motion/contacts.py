@@ -55,10 +55,10 @@ def gaussian_smooth(values: FloatArray, width: float) -> FloatArray:
     weights = np.exp(-0.5 * (offsets / width) ** 2)
     weights /= weights.sum()
     # Mirrored at the ends, so that straight lines stay straight.
-    count = len(values)
-    indices = np.arange(-half_width, count + half_width)
-    clamped_indices = np.clip(indices, 0, count - 1)
-    mirrored_indices = np.clip(2 * clamped_indices - indices, 0, count - 1)
+    frame_count = len(values)
+    indices = np.arange(-half_width, frame_count + half_width)
+    clamped_indices = np.clip(indices, 0, frame_count - 1)
+    mirrored_indices = np.clip(2 * clamped_indices - indices, 0, frame_count - 1)
     padded_values = np.where(
         (indices == clamped_indices).reshape(-1, *[1] * (values.ndim - 1)),
         values[clamped_indices],
@@ -94,13 +94,13 @@ def find_contacts(
         # A Gaussian reduces the speed of white noise by width^1.5.
         remaining_speed = jitter_speed / max(width, 1.0) ** 1.5
         width *= max(1.0, (NOISE_MARGIN * remaining_speed / max_speed) ** (2 / 3))
-    motion_of_parts = []
+    slow_masks_and_heights = []
     for point in points:
         smoothed_point = gaussian_smooth(point, width)
         speed = np.linalg.norm(np.gradient(smoothed_point, axis=0), axis=1) * fps
-        motion_of_parts.append((speed < max_speed, smoothed_point[:, up_axis]))
+        slow_masks_and_heights.append((speed < max_speed, smoothed_point[:, up_axis]))
     contact_masks = []
-    for k, (is_slow, height) in enumerate(motion_of_parts):
+    for k, (is_slow, height) in enumerate(slow_masks_and_heights):
         slow_heights = height[is_slow] if is_slow.any() else height
         ground_height = float(np.quantile(slow_heights, GROUND_QUANTILE))
         is_heel = k == 0 and toe is not None
@@ -108,7 +108,7 @@ def find_contacts(
         is_low = height < ground_height + max_height * leg_length
         contact_masks.append(remove_short_runs(is_slow & is_low, fps))
     is_planted = contact_masks[0] & contact_masks[-1]
-    height = motion_of_parts[0][1]
+    height = slow_masks_and_heights[0][1]
     ground = np.median(height[is_planted]) if is_planted.any() else height.min()
     return FootContacts(contact_masks[0], contact_masks[-1], float(ground))
 
@@ -123,15 +123,15 @@ def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
     return max(deviations) / math.sqrt(20) * fps * math.sqrt(3)
 
 
-def remove_short_runs(mask: BoolArray, fps: float) -> BoolArray:
+def remove_short_runs(is_contact: BoolArray, fps: float) -> BoolArray:
     """Fill the short gaps of a mask and remove its short runs."""
     min_frames = MIN_CONTACT_DURATION * fps
-    result = mask.copy()
-    for start, end in runs(~result):
-        if start > 0 and end < len(result) and end - start < min_frames:
-            result[start:end] = True
-    for start, end in runs(result):
+    cleaned_mask = is_contact.copy()
+    for start, end in runs(~cleaned_mask):
+        if start > 0 and end < len(cleaned_mask) and end - start < min_frames:
+            cleaned_mask[start:end] = True
+    for start, end in runs(cleaned_mask):
         # Spans cut off by the take may be longer.
-        if start > 0 and end < len(result) and end - start < min_frames:
-            result[start:end] = False
-    return result
+        if start > 0 and end < len(cleaned_mask) and end - start < min_frames:
+            cleaned_mask[start:end] = False
+    return cleaned_mask

@@ -33,7 +33,7 @@ class LargestAmount:
     amount: float = 0.0
     frame: float = 0.0
 
-    def update(self, amounts: FloatArray, times: FloatArray) -> None:
+    def keep_larger(self, amounts: FloatArray, times: FloatArray) -> None:
         """Keep the largest of the amounts ``(F,)`` or ``(1,)`` and its time."""
         if not len(times) or not len(amounts):
             return
@@ -49,7 +49,7 @@ class DriverRun:
 
     rig: Rig  # a rig with drivers
     # Whether to report source motion that drivers replace.
-    report_replaced: bool = False
+    reports_replaced: bool = False
     plan: DriverPlan = field(init=False)
     # Angle of each unlimited pin at the end of the last block [rad].
     _last_angles: dict[int, float] = field(default_factory=dict, init=False)
@@ -92,8 +92,10 @@ class DriverRun:
         values = evaluate_drivers(self.plan, read_coordinate, controls, kept_targets)
         _check_defined(rig, values, times)
         for j, excess in values.excess.items():
-            largest = self._limit_excess.setdefault(rig.names[j], LargestAmount())
-            largest.update(np.abs(excess), times)
+            largest_excess = self._limit_excess.setdefault(
+                rig.names[j], LargestAmount()
+            )
+            largest_excess.keep_larger(np.abs(excess), times)
         return replace(
             self._driven_joints(motion, values, times),
             weights=self._driven_weights(motion, values, times),
@@ -107,42 +109,45 @@ class DriverRun:
     def located_notices(self) -> list[tuple[Fault, str, float]]:
         """Return the warnings about drivers, with their targets and worst frames."""
         notices = []
-        for name, largest in self._limit_excess.items():
+        for name, largest_amount in self._limit_excess.items():
             joint = self.rig.joints[self.rig.index(name)]
-            if largest.amount > COORDINATE_ROUNDING:
+            if largest_amount.amount > COORDINATE_ROUNDING:
                 message = (
                     f"the driver of {name!r} exceeds its limits by "
-                    f"{_amount_text(joint, largest.amount)} at frame "
-                    f"{largest.frame:g}; the joint is clamped"
+                    f"{_amount_text(joint, largest_amount.amount)} at frame "
+                    f"{largest_amount.frame:g}; the joint is clamped"
                 )
                 hint = "widen the limits, or reduce the driver"
                 fault = warning("RIG103", message, hint)
-                notices.append((fault, f"joint/{name}", largest.frame))
+                notices.append((fault, f"joint/{name}", largest_amount.frame))
         for name, time in self._wrap_times.items():
             message = f"{name} crosses 180 degrees at frame {time:g}: what it drives "
             message += "jumps there"
             hint = "the limits of the joint's twist place the seam"
             fault = warning("RIG105", message, hint)
             notices.append((fault, f"joint/{split_coordinate(name)[0]}", time))
-        if self._targets_keeping_source and self.report_replaced:
+        if self._targets_keeping_source and self.reports_replaced:
             targets = self._targets_keeping_source
             names = sorted(target.partition("/")[2] for target in targets)
             message = "the take contains no controls for its drivers to read: "
             message += f"{listed(names)} keep the take's values"
             fault = Fault("RIG106", message, severity=Severity.NOTE)
             notices.append((fault, min(targets), 0.0))
-        for target, largest in self._replaced_amounts.items():
+        for target, largest_amount in self._replaced_amounts.items():
             kind, _, name = target.partition("/")
-            amount = f"{largest.amount:.4g}"
+            amount = f"{largest_amount.amount:.4g}"
             if kind == "joint":
                 joint = self.rig.joints[self.rig.index(name)]
-                amount = _amount_text(joint, largest.amount)
+                amount = _amount_text(joint, largest_amount.amount)
             message = (
-                f"{kind} {name!r} is driven, which replaces the source's motion of "
-                f"it; the largest difference is {amount}, at frame {largest.frame:g}"
+                f"{kind} {name!r} is driven, which replaces the source's motion of it; "
+                f"the largest difference is {amount}, at frame "
+                f"{largest_amount.frame:g}"
             )
             hint = "remove its `driven` from the rig to keep the source's motion"
-            notices.append((warning("RIG104", message, hint), target, largest.frame))
+            notices.append(
+                (warning("RIG104", message, hint), target, largest_amount.frame)
+            )
         return notices
 
     def unwrap_angles(self, j: int, angles: FloatArray) -> FloatArray:
@@ -159,8 +164,8 @@ class DriverRun:
             return
         steps = np.abs(np.diff(twists, prepend=self._last_twists.get(name, twists[0])))
         if (steps > HALF_REVOLUTION).any():
-            first_wrap = int(np.argmax(steps > HALF_REVOLUTION))
-            self._wrap_times.setdefault(name, float(times[first_wrap]))
+            wrap_index = int(np.argmax(steps > HALF_REVOLUTION))
+            self._wrap_times.setdefault(name, float(times[wrap_index]))
         self._last_twists[name] = float(twists[-1])
 
     def _find_targets_to_keep(self, motion: Motion) -> set[str]:
@@ -248,14 +253,16 @@ class DriverRun:
         uncombined_weights = subtract_combinations(shapes, source_weights)
         uncombined_weights |= driver_values.shapes
         new_weights = add_combinations(shapes, uncombined_weights)
-        index = {shape.name: i for i, shape in enumerate(shapes)}
+        shape_indices = {shape.name: i for i, shape in enumerate(shapes)}
         changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined_shapes])
         for name in driver_values.shapes:
             if source_weights[name].any():
                 differences = np.abs(new_weights[name] - source_weights[name])
                 target = f"shape/{name}"
                 self._record_replaced(target, differences, times, WEIGHT_ROUNDING)
-        rows = {index[name]: new_weights[name][:, None] for name in changed_shapes}
+        rows = {
+            shape_indices[name]: new_weights[name][:, None] for name in changed_shapes
+        }
         return _with_joint_rows(channel, rows)
 
     def _driven_controls(
@@ -282,9 +289,11 @@ class DriverRun:
         self, target: str, differences: FloatArray, times: FloatArray, tolerance: float
     ) -> None:
         """Record the difference between a target's source motion and driven motion."""
-        if self.report_replaced and differences.max(initial=0.0) > tolerance:
-            largest = self._replaced_amounts.setdefault(target, LargestAmount())
-            largest.update(differences, times)
+        if self.reports_replaced and differences.max(initial=0.0) > tolerance:
+            largest_difference = self._replaced_amounts.setdefault(
+                target, LargestAmount()
+            )
+            largest_difference.keep_larger(differences, times)
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,14 +303,14 @@ class _CoordinateReader:
     run: DriverRun
     motion: Motion
     times: FloatArray
-    overrides: Mapping[str, FloatArray]
+    known_coordinates: Mapping[str, FloatArray]
     # By name, as angles may be unwrapped only once a block.
     cache: dict[str, FloatArray] = field(default_factory=dict)
 
     def __call__(self, name: str) -> FloatArray:
         """Return a coordinate ``(F,)``, or ``(1,)`` of a static joint."""
-        if name in self.overrides:
-            return self.overrides[name]
+        if name in self.known_coordinates:
+            return self.known_coordinates[name]
         if name not in self.cache:
             self.cache[name] = self._read_coordinate(name)
         return self.cache[name]
@@ -326,8 +335,8 @@ class _CoordinateReader:
         angles = 2.0 * np.arctan2(sine, rotation[:, 3])
         if isinstance(joint.limits, RangeLimit):
             middle = (joint.limits.low + joint.limits.high) / 2
-            width = joint.limits.high - joint.limits.low
-            if width <= 2 * np.pi:
+            range_width = joint.limits.high - joint.limits.low
+            if range_width <= 2 * np.pi:
                 revolutions = np.round((angles - middle) / (2 * np.pi))
                 return np.asarray(angles - 2 * np.pi * revolutions)
         return self.run.unwrap_angles(j, angles)
@@ -342,9 +351,9 @@ def _check_defined(rig: Rig, driver_values: DriverValues, times: FloatArray) -> 
     }
     faults = []
     for target, values in values_by_target.items():
-        undefined_samples = np.flatnonzero(~np.isfinite(values))
-        if undefined_samples.size and len(times):
-            frame = times[undefined_samples[0] if len(values) > 1 else 0]
+        undefined_indices = np.flatnonzero(~np.isfinite(values))
+        if undefined_indices.size and len(times):
+            frame = times[undefined_indices[0] if len(values) > 1 else 0]
             message = f"the driver of {target} has no value at frame {frame:g}"
             hint = "an expression divides by zero or overflows"
             faults.append(Fault("CLIP015", message, None, (), hint))
@@ -354,9 +363,9 @@ def _check_defined(rig: Rig, driver_values: DriverValues, times: FloatArray) -> 
 
 def _joint_rows(channel: Channel, i: int) -> FloatArray:
     """Return one joint's values ``(F, K)`` of a channel, or ``(1, K)`` if static."""
-    column = int(np.searchsorted(channel.animated, i))
-    if column < len(channel.animated) and channel.animated[column] == i:
-        return np.asarray(channel.values[:, column])
+    column_index = int(np.searchsorted(channel.animated, i))
+    if column_index < len(channel.animated) and channel.animated[column_index] == i:
+        return np.asarray(channel.values[:, column_index])
     return np.asarray(channel.rest[i][None])
 
 
@@ -376,8 +385,8 @@ def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channe
     """Return a channel with values ``(F, K)``, or static ``(1, K)``, of joints set."""
     if not rows:
         return channel
-    frames = len(channel.values)
-    static_rows = [i for i, values in rows.items() if len(values) == 1 != frames]
+    frame_count = len(channel.values)
+    static_rows = [i for i, values in rows.items() if len(values) == 1 != frame_count]
     animated_rows = sorted(rows.keys() - static_rows)
     rest_values = channel.rest.copy()
     for i in static_rows:
@@ -387,7 +396,7 @@ def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channe
     result = Channel(rest_values, channel.animated[is_animated], kept_values)
     if not animated_rows:
         return result
-    shape = (frames, rest_values.shape[1])
+    shape = (frame_count, rest_values.shape[1])
     values = [np.broadcast_to(rows[i], shape) for i in animated_rows]
     return result.put(np.array(animated_rows, np.int64), np.stack(values, axis=1))
 

@@ -37,17 +37,17 @@ def drive_take(take: Take) -> Take:
     return replace(take, motion=motion, notices=(*take.notices, *new_notices))
 
 
-def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeStream:
+def drive_stream(stream: TakeStream, *, reports_replaced: bool = False) -> TakeStream:
     """Return a stream with driven joints, shapes and controls evaluated.
 
     Warnings of drivers are added to its notices once the blocks are read;
-    ``report_replaced`` adds those of source motion that drivers replace.
+    ``reports_replaced`` adds those of source motion that drivers replace.
     """
     if not stream.rig.is_driven:
         return stream
     from animtool.motion.driver_run import DriverRun
 
-    run = DriverRun(stream.rig, report_replaced)
+    run = DriverRun(stream.rig, reports_replaced)
     start, rig = float(stream.start or 1), stream.rig
 
     def blocks() -> Iterator[Motion]:
@@ -101,14 +101,15 @@ def combine_missing_weights(
     """
     from animtool.rig.shapes import combination_order
 
-    index = {shape.name: i for i, shape in enumerate(shapes)}
-    missing_set, rest = set(missing_shapes.tolist()), weights.rest.copy()
+    shape_indices = {shape.name: i for i, shape in enumerate(shapes)}
+    missing_indices, rest = set(missing_shapes.tolist()), weights.rest.copy()
     values_by_shape = {
         int(i): weights.values[:, k] for k, i in enumerate(weights.animated)
     }
     for shape in combination_order(shapes):
-        i, driver_indices = index[shape.name], [index[name] for name in shape.combine]
-        if i not in missing_set or not driver_indices:
+        i = shape_indices[shape.name]
+        driver_indices = [shape_indices[name] for name in shape.combine]
+        if i not in missing_indices or not driver_indices:
             continue
         rest[i] = np.prod([rest[k] for k in driver_indices], axis=0)
         if any(k in values_by_shape for k in driver_indices):
@@ -118,6 +119,6 @@ def combine_missing_weights(
             values_by_shape[i] = product
     if len(values_by_shape) == len(weights.animated):
         return replace(weights, rest=rest)
-    animated = sorted(values_by_shape)
-    values = np.stack([values_by_shape[i] for i in animated], axis=1)
-    return Channel(rest, np.array(animated, np.int64), values)
+    animated_shapes = sorted(values_by_shape)
+    values = np.stack([values_by_shape[i] for i in animated_shapes], axis=1)
+    return Channel(rest, np.array(animated_shapes, np.int64), values)

@@ -20,7 +20,7 @@ MIN_HAND_KEYED_STEP = 2.0
 ON_FRAME_TOLERANCE = 1e-6
 # Whole seconds are recognised by several keys that begin before the first frame, and
 # that as frames cover only this fraction of the take [1].
-MIN_KEYS, MAX_FRACTION = 3, 0.1
+MIN_KEYS, MAX_COVERED_FRACTION = 3, 0.1
 
 
 def are_in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
@@ -34,15 +34,15 @@ def are_in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
     is_on_frame = np.abs(all_times - np.round(all_times)) <= ON_FRAME_TOLERANCE
     if not len(steps) or is_on_frame.all():
         return False
-    step = float(np.median(steps))
-    if step < MAX_DENSE_STEP and len(steps) >= MIN_SAMPLES:
+    median_step = float(np.median(steps))
+    if median_step < MAX_DENSE_STEP and len(steps) >= MIN_SAMPLES:
         return True
     # Several seconds from 0, keyed by hand; even steps are samples between frames.
     is_even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME_TOLERANCE
     is_short = float(np.ptp(all_times)) < fps
     return bool(
         0 <= all_times.min() < 1
-        and step < MIN_HAND_KEYED_STEP
+        and median_step < MIN_HAND_KEYED_STEP
         and is_short
         and not is_even
     )
@@ -87,10 +87,10 @@ def are_integer_seconds(
     >>> are_integer_seconds([np.array([0.0, 1.0, 2.0])], 1, 48, 24)
     True
     """
-    all_times, count = np.concatenate(times), last - first + 1
+    all_times, frame_count = np.concatenate(times), last - first + 1
     return bool(
         max(map(len, times)) >= MIN_KEYS
         and 0 <= all_times.min() < first
-        and np.ptp(all_times) <= MAX_FRACTION * count
-        and all_times.max() * rate <= count + rate
+        and np.ptp(all_times) <= MAX_COVERED_FRACTION * frame_count
+        and all_times.max() * rate <= frame_count + rate
     )

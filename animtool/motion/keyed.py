@@ -58,22 +58,23 @@ def key_arrays(keys: KeyPairs, name: str) -> tuple[FloatArray, FloatArray]:
 
     Malformed pairs raise SCN015.
     """
-    rows = list(keys)
+    pairs = list(keys)
     try:
-        table = np.array(rows, np.float64)
+        key_table = np.array(pairs, np.float64)
     except (TypeError, ValueError):
-        table = np.zeros(0)
-    if table.ndim != 2 or table.shape[1] != 2:
+        key_table = np.zeros(0)
+    if key_table.ndim != 2 or key_table.shape[1] != 2:
         message = f"{name} must be a list of pairs such as [[1, 0], [10, 1]]"
-        raise OptionError(Fault("SCN015", f"{message}, not {rows!r:.80}"))
-    if not np.isfinite(table).all():
+        raise OptionError(Fault("SCN015", f"{message}, not {pairs!r:.80}"))
+    if not np.isfinite(key_table).all():
         raise OptionError(Fault("SCN015", f"{name} holds a number that is not finite"))
-    not_ascending = np.flatnonzero(np.diff(table[:, 0]) <= 0)
-    if len(not_ascending):
-        time, next_time = table[not_ascending[0], 0], table[not_ascending[0] + 1, 0]
+    descending_rows = np.flatnonzero(np.diff(key_table[:, 0]) <= 0)
+    if len(descending_rows):
+        time = key_table[descending_rows[0], 0]
+        next_time = key_table[descending_rows[0] + 1, 0]
         message = f"times of {name} must ascend, and {next_time:g} follows {time:g}"
         raise OptionError(Fault("SCN015", message))
-    return table[:, 0], table[:, 1]
+    return key_table[:, 0], key_table[:, 1]
 
 
 def interpolate_keys(
@@ -90,8 +91,8 @@ def interpolate_keys(
     >>> interpolate_keys(*ramp, np.array([-1.0, 1.0])).tolist()
     [0.0, 0.5]
     """
-    mode = parse_choice(KeyInterpolation, interpolation, "interpolation")
-    if mode is KeyInterpolation.LINEAR or len(times) < 2:
+    key_interpolation = parse_choice(KeyInterpolation, interpolation, "interpolation")
+    if key_interpolation is KeyInterpolation.LINEAR or len(times) < 2:
         return np.asarray(np.interp(evaluation_times, times, values))
     # Handles are at thirds of the segments around a key.
     slopes = auto_clamped(times, values[:, None])
@@ -107,30 +108,30 @@ def weights_at(
     codes: FloatArray,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     *,
-    bounded: bool = True,
+    is_bounded: bool = True,
 ) -> FloatArray:
     """Evaluate a weight or weight curve at time codes ``(F,)`` [1].
 
-    ``weight`` is a number or a list of pairs ``[time code, weight]``. If ``bounded``,
-    weights outside 0 to 1 are refused (SCN014).
+    ``weight`` is a number or a list of pairs ``[time code, weight]``. Weights outside
+    0 to 1 are refused if ``is_bounded`` (SCN014).
 
     >>> weights_at(0.5, np.arange(2.0)).tolist()
     [0.5, 0.5]
     """
     parse_choice(KeyInterpolation, interpolation, "interpolation")
     if isinstance(weight, (int, float)):
-        _check_weight(float(weight), bounded)
+        _check_weight(float(weight), is_bounded)
         return np.full(len(codes), float(weight))
     times, values = key_arrays(weight, "weight")
     for value in values.tolist():
-        _check_weight(value, bounded)
+        _check_weight(value, is_bounded)
     return interpolate_keys(times, values, codes, interpolation)
 
 
-def _check_weight(weight: float, bounded: bool) -> None:
+def _check_weight(weight: float, is_bounded: bool) -> None:
     """Raise if a weight is not finite, or outside 0 to 1 if bounded."""
     if not math.isfinite(weight):
         raise OptionError(Fault("SCN014", f"a weight is {weight}, which is not finite"))
-    if bounded and not 0 <= weight <= 1:
+    if is_bounded and not 0 <= weight <= 1:
         hint = percent_hint(weight) if 1 < weight <= 100 else None
         refuse("SCN014", f"weight {weight:g} is not between 0 and 1", hint=hint)

@@ -60,9 +60,9 @@ class Markers:
         shape = (self.clock.count, len(self.names))
         for name in _ARRAYS:
             values = getattr(self, name)
-            expected = (*shape, 3) if name == "positions" else shape
-            if values is not None and values.shape != expected:
-                message = f"{name} must have shape {expected}, not {values.shape}"
+            expected_shape = (*shape, 3) if name == "positions" else shape
+            if values is not None and values.shape != expected_shape:
+                message = f"{name} must have shape {expected_shape}, not {values.shape}"
                 raise OptionError(Fault("MKR001", message))
         if np.isinf(self.positions).any():
             frame, marker, _ = np.argwhere(np.isinf(self.positions))[0].tolist()
@@ -92,21 +92,23 @@ class Markers:
         names = tuple(self.names[i] for i in markers.tolist())
         return self._map_arrays(lambda values: values[:, markers], names)
 
-    def rearrange(self, slots: IntArray, names: tuple[str, ...]) -> Markers:
+    def rearrange(self, source_columns: IntArray, names: tuple[str, ...]) -> Markers:
         """Return markers whose columns are taken from other columns in each frame.
 
-        ``slots`` are the columns of the new markers in each frame ``(F, N)``; -1 for
-        none.
+        ``source_columns`` are the columns of the new markers in each frame ``(F, N)``,
+        -1 for none.
         """
 
-        def take(values: Any) -> Any:
+        def take_columns(values: Any) -> Any:
             """Return the values of an array in the new columns; NaN or 0 for none."""
-            indices = slots.reshape(slots.shape + (1,) * (values.ndim - 2))
+            indices = source_columns.reshape(
+                source_columns.shape + (1,) * (values.ndim - 2)
+            )
             empty = np.asarray(np.nan if values.dtype.kind == "f" else 0, values.dtype)
             taken_values = np.take_along_axis(values, np.maximum(indices, 0), 1)
             return np.where(indices < 0, empty, taken_values)
 
-        return self._map_arrays(take, names)
+        return self._map_arrays(take_columns, names)
 
     def _map_arrays(
         self, function: Callable[[Any], Any], names: tuple[str, ...]

@@ -37,9 +37,11 @@ class Channel:
         >>> Channel.from_dense(np.zeros((5, 2, 3)))
         <Channel: 5 frames, 0 of 2 move, 3 components>
         """
-        frames, _, width = self.values.shape
+        frames, _, component_count = self.values.shape
         moving_text = f"{len(self.animated)} of {len(self.rest)} move"
-        return f"<Channel: {frames} frames, {moving_text}, {width} components>"
+        return (
+            f"<Channel: {frames} frames, {moving_text}, {component_count} components>"
+        )
 
     def dense(self) -> FloatArray:
         """Return the value of every joint in every frame ``(F, J, K)``.
@@ -70,20 +72,20 @@ class Channel:
         """
         is_animated = np.zeros(len(self.rest), np.bool_)
         is_animated[self.animated] = is_animated[joints] = True
-        animated_entries = np.flatnonzero(is_animated)
-        merged_values = self.gather(animated_entries)
-        merged_values[:, np.searchsorted(animated_entries, joints)] = values
-        return Channel(self.rest, animated_entries, merged_values)
+        animated_joints = np.flatnonzero(is_animated)
+        merged_values = self.gather(animated_joints)
+        merged_values[:, np.searchsorted(animated_joints, joints)] = values
+        return Channel(self.rest, animated_joints, merged_values)
 
     def compact(self) -> Channel:
         """Return the channel; animated joints that never move become static."""
         if not len(self.values):
             return self
         is_animated = (self.values[-1] != self.values[0]).any(axis=-1)
-        columns = np.flatnonzero(~is_animated)
-        if len(columns):
-            candidates = self.values[:, columns]
-            is_animated[columns] = (candidates != candidates[:1]).any((0, 2))
+        unsure_columns = np.flatnonzero(~is_animated)
+        if len(unsure_columns):
+            candidates = self.values[:, unsure_columns]
+            is_animated[unsure_columns] = (candidates != candidates[:1]).any((0, 2))
         if is_animated.all():
             return self
         rest_values = self.rest.copy()
@@ -132,7 +134,7 @@ class Channel:
 rename_attributes(Channel, still="static")
 
 
-def _arrays(channel: Channel) -> tuple[FloatArray, IntArray, FloatArray]:
+def _kernel_arrays(channel: Channel) -> tuple[FloatArray, IntArray, FloatArray]:
     """Return the kernel arguments of a channel."""
     rest, values = (np.ascontiguousarray(a) for a in (channel.rest, channel.values))
     return rest, np.asarray(channel.animated, np.int64), values
@@ -177,12 +179,12 @@ class Motion:
 
     def __repr__(self) -> str:
         """Return the numbers of frames, joints, weights and controls."""
-        parts = [f"{self.frames} frames", f"{len(self.rotations.rest)} joints"]
+        count_texts = [f"{self.frames} frames", f"{len(self.rotations.rest)} joints"]
         for name in ("weights", "controls"):
             channel: Channel | None = getattr(self, name)
             if channel is not None:
-                parts.append(f"{len(channel.rest)} {name}")
-        return f"<Motion: {', '.join(parts)}>"
+                count_texts.append(f"{len(channel.rest)} {name}")
+        return f"<Motion: {', '.join(count_texts)}>"
 
     def dense(self) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Return translations, rotations and scales of every joint in every frame."""
@@ -195,9 +197,9 @@ class Motion:
         world = WorldTransforms(np.zeros(shape), np.zeros((*shape, 3)))
         _kernels.forward_motion(
             rig.parents,
-            *_arrays(self.translations),
-            *_arrays(self.rotations),
-            None if self.scales is None else _arrays(self.scales),
+            *_kernel_arrays(self.translations),
+            *_kernel_arrays(self.rotations),
+            None if self.scales is None else _kernel_arrays(self.scales),
             world.positions,
             world.linear,
         )

@@ -66,15 +66,15 @@ class PassthroughTracks:
 
     def _pop_track_times(self, frames: int) -> Channel:
         """Return the track times of the next frames."""
-        parts: list[Channel] = []
+        time_channels: list[Channel] = []
         while frames:
             next_times = self._pending_times.popleft()
             if len(next_times.values) > frames:
                 self._pending_times.appendleft(next_times.select(slice(frames, None)))
                 next_times = next_times.select(slice(frames))
-            parts.append(next_times)
+            time_channels.append(next_times)
             frames -= len(next_times.values)
-        return Channel.concatenate(parts)
+        return Channel.concatenate(time_channels)
 
 
 def check_tracks(
@@ -90,14 +90,14 @@ def check_tracks(
     if not stream.tracks:
         raise error
 
-    def checked(blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def checked_blocks(blocks: Iterator[Motion]) -> Iterator[Motion]:
         """Yield the blocks; raise if their track times are missing."""
         for block in blocks:
             if block.track_times is None:
                 raise error
             yield block
 
-    return replace(stream, blocks=checked(stream.blocks))
+    return replace(stream, blocks=checked_blocks(stream.blocks))
 
 
 PLUGIN_GROUP = "animtool.passes"
@@ -304,9 +304,9 @@ def find_pass(name: str) -> Pass:
     """
     if name in PASSES:
         return cast(Pass, load_object(PASSES[name]))
-    points = plugin_entry_points(PLUGIN_GROUP)
-    if name in points:
-        return load_plugin(points[name], Pass)
+    entry_points = plugin_entry_points(PLUGIN_GROUP)
+    if name in entry_points:
+        return load_plugin(entry_points[name], Pass)
     message = f"unknown pass {excerpt(name)}"
     raise OptionError(Fault("SCN010", message, hint=name_hint(name, pass_names())))
 
@@ -328,9 +328,9 @@ def listed_passes() -> list[ListedEntry]:
     >>> listed_passes()[0].name
     'blend'
     """
-    points = plugin_entry_points(PLUGIN_GROUP)
+    entry_points = plugin_entry_points(PLUGIN_GROUP)
     return listed_entries(
-        sorted(PASSES), points, find_pass, lambda p: (p.scope, p.summary), None
+        sorted(PASSES), entry_points, find_pass, lambda p: (p.scope, p.summary), None
     )
 
 
@@ -363,7 +363,7 @@ def apply_pass(
         result = drive_stream(cast(StreamRun, pass_.run)(stream, options, context))
         keeps_curves = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
         curves = stream.control_curves if keeps_curves else {}
-        curve = stream.curve if _same_channels(stream.rig, result.rig) else None
+        curve = stream.curve if _have_same_channels(stream.rig, result.rig) else None
         result = replace(
             result, control_curves=curves, curve=curve, is_altered=True, count=0
         )
@@ -374,7 +374,7 @@ def apply_pass(
     context.notices.extend(take.notices[len(changed_take.notices) :])
     linear_time = pass_.linear_time(options, source_take.clock)
     kept_curves = _valid_curves(stream, source_take, take, linear_time)
-    if not _same_channels(source_take.rig, take.rig):
+    if not _have_same_channels(source_take.rig, take.rig):
         take = replace(take, curve=None)
     result = check_tracks(TakeStream.of(take), source_take.tracks, pass_.name)
     has_no_start = stream.start is None and take.clock.start == Fraction(1)
@@ -406,7 +406,7 @@ def _valid_curves(
     return {name: curve.with_linear_time(*times) for name, curve in curves.items()}
 
 
-def _same_channels(rig: Rig, other_rig: Rig) -> bool:
+def _have_same_channels(rig: Rig, other_rig: Rig) -> bool:
     """Return whether motions of two rigs have the same joints, shapes and controls."""
     names, other_names = (
         [[part.name for part in parts] for parts in (r.joints, r.shapes, r.controls)]
@@ -417,8 +417,8 @@ def _same_channels(rig: Rig, other_rig: Rig) -> bool:
 
 def _check_points(stream: TakeStream, pass_: Pass) -> None:
     """Raise if a pass moves joints away from simulated points (SIM034)."""
-    moves_points = TakePart.POINTS in pass_.changes
-    if not stream.points or TakePart.JOINTS not in pass_.changes or moves_points:
+    changes_points = TakePart.POINTS in pass_.changes
+    if not stream.points or TakePart.JOINTS not in pass_.changes or changes_points:
         return
     names = ", ".join(sorted(stream.points))
     message = f"{pass_.name} would move joints away from what is simulated: {names}"

@@ -12,7 +12,7 @@ from animtool.motion.motion import Motion
 from animtool.rig.skeleton import Rig
 
 # With fewer rotating joints, half turns may be intended. Number of sampled frames.
-MIN_JOINTS, MAX_FRAMES = 5, 16
+MIN_ROTATING_JOINTS, MAX_SAMPLED_FRAMES = 5, 16
 # Median angles from the rest pose of a wrong and of a right order [rad].
 MIN_WRONG_ANGLE, MAX_RIGHT_ANGLE = np.radians([110.0, 50.0])
 # Static joints closer to their rest pose than this are at rest [rad].
@@ -41,17 +41,17 @@ def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
     is_rotated = so3.angle_between(rig.rest_rotations, channel.rest) > MIN_STATIC_ANGLE
     is_rotated[channel.animated] = True
     joints, frame_count = np.flatnonzero(is_rotated), len(channel.values)
-    if len(joints) < MIN_JOINTS or not frame_count:
+    if len(joints) < MIN_ROTATING_JOINTS or not frame_count:
         return None
-    count = min(frame_count, MAX_FRAMES)
-    frames = np.linspace(0, frame_count - 1, count).astype(np.int64)
+    sample_count = min(frame_count, MAX_SAMPLED_FRAMES)
+    frames = np.linspace(0, frame_count - 1, sample_count).astype(np.int64)
     rotations = channel.select(frames).gather(joints)
-    rest = rig.rest_rotations[joints]
-    angle_as_read = _median_angle(rest, rotations)
+    rest_rotations = rig.rest_rotations[joints]
+    angle_as_read = _median_angle(rest_rotations, rotations)
     if angle_as_read < MIN_WRONG_ANGLE:
         return None
     angle_swapped = min(
-        _median_angle(rest, np.roll(rotations, k, axis=2)) for k in (1, -1)
+        _median_angle(rest_rotations, np.roll(rotations, k, axis=2)) for k in (1, -1)
     )
     if angle_swapped > MAX_RIGHT_ANGLE:
         return None
@@ -59,9 +59,9 @@ def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
     return SwappedOrder(len(joints), *degrees)
 
 
-def _median_angle(rest: FloatArray, rotations: FloatArray) -> float:
+def _median_angle(rest_rotations: FloatArray, rotations: FloatArray) -> float:
     """Return the median over joints of their median angle from rest [rad]."""
-    angles = so3.angle_between(rest[None], rotations)
+    angles = so3.angle_between(rest_rotations[None], rotations)
     return float(np.median(np.median(angles, axis=0)))
 
 

@@ -102,7 +102,7 @@ def _position_roots(
     channel: Channel, roots: IntArray, placement: Placement, *, is_rotation: bool
 ) -> Channel:
     """Return a channel with its roots moved to a placement and its lengths scaled."""
-    operation = (
+    transform_values = (
         placement.transform_rotations if is_rotation else placement.transform_points
     )
     rest_values, values = channel.rest.copy(), channel.values.copy()
@@ -113,10 +113,10 @@ def _position_roots(
         rest_values[is_child] *= placement.size
         values[:, ~is_root] *= placement.size
     if placement.is_animated:
-        placed_roots = operation(channel.gather(roots))
+        placed_roots = transform_values(channel.gather(roots))
         return Channel(rest_values, channel.animated, values).put(roots, placed_roots)
-    rest_values[roots] = operation(rest_values[roots])
-    values[:, is_root] = operation(values[:, is_root])
+    rest_values[roots] = transform_values(rest_values[roots])
+    values[:, is_root] = transform_values(values[:, is_root])
     return Channel(rest_values, channel.animated, values)
 
 
@@ -137,8 +137,10 @@ def _scale_roots(
 def _transform_points(channel: Channel, placement: Placement) -> Channel:
     """Return world points with a placement applied."""
     if placement.is_animated:
-        rows = np.arange(len(channel.rest))
-        return channel.put(rows, placement.transform_points(channel.gather(rows)))
+        point_indices = np.arange(len(channel.rest))
+        return channel.put(
+            point_indices, placement.transform_points(channel.gather(point_indices))
+        )
     return replace(
         channel,
         rest=placement.transform_points(channel.rest),

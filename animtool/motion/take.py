@@ -75,17 +75,23 @@ def find_value_faults(
         if channel is None:
             continue
         for is_static, values in ((True, channel.rest), (False, channel.values)):
-            index = _first_non_finite(values)
+            fault_index = _first_non_finite(values)
             code, problem = "TAKE004", "not finite"
-            if index is None and name == "rotations":
-                index = _first_non_unit(values)
+            if fault_index is None and name == "rotations":
+                fault_index = _first_non_unit(values)
                 code, problem = "TAKE005", "not a unit quaternion (x, y, z, w)"
-            if index is not None:
-                row = index[0] if is_static else int(channel.animated[index[1]])
-                owner = _row_owner(rig, tracks, name, row)
+            if fault_index is not None:
+                channel_row = (
+                    fault_index[0]
+                    if is_static
+                    else int(channel.animated[fault_index[1]])
+                )
+                owner = _row_owner(rig, tracks, name, channel_row)
                 if not is_static:
-                    owner += f" at frame {float(clock.times[index[0]]):g}"
-                message = f"{name}: {owner} is {values[index].tolist()}, {problem}"
+                    owner += f" at frame {float(clock.times[fault_index[0]]):g}"
+                message = (
+                    f"{name}: {owner} is {values[fault_index].tolist()}, {problem}"
+                )
                 faults.append(Fault(code, message))
     return faults
 
@@ -111,8 +117,8 @@ def _row_owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
     """Return the joint, shape, control or track of a channel's row, for messages."""
     if name == "track_times":
         return f"track {tracks[index].path!r}"
-    kind = {"weights": "shapes", "controls": "controls"}.get(name, "joints")
-    return f"{kind[:-1]} {getattr(rig, kind)[index].name!r}"
+    rig_field = {"weights": "shapes", "controls": "controls"}.get(name, "joints")
+    return f"{rig_field[:-1]} {getattr(rig, rig_field)[index].name!r}"
 
 
 @dataclass(frozen=True, slots=True)

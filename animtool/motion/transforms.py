@@ -14,7 +14,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.rig.placement import Placement
+from animtool.rig.placement import Placement, placement_matrices
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +121,7 @@ class Track:
 def apply_placement(transforms: Transforms, placement: Placement) -> Transforms:
     """Apply a placement with one frame, or one per time, to transforms."""
     if transforms.matrices is not None:
-        matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
-        matrices[:, :3, :3] = so3.to_matrix(placement.rotations)
-        matrices[:, :3, :3] *= placement.sizes[:, None, None]
-        matrices[:, :3, 3] = placement.translations
-        return transform_by_matrices(transforms, matrices)
+        return transform_by_matrices(transforms, placement_matrices(placement))
     points = placement.transform_points(transforms.translations[:, None])[:, 0]
     rotations = placement.transform_rotations(transforms.rotations[:, None])[:, 0]
     scales = transforms.scales

@@ -120,7 +120,7 @@ def _driver_formulas(rig: Rig) -> list[str]:
 def _formula(driver: Driver) -> str:
     if driver.expression is not None:
         return driver.expression.text
-    kind = "smooth curve" if driver.smooth else "curve"
+    kind = "smooth curve" if driver.is_smooth else "curve"
     return f"{kind} of {driver.curve_input}"
 
 

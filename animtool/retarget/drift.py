@@ -225,8 +225,8 @@ def _stance_tracks(
     drift = lowpass(np.stack(median_tracks, axis=1), DRIFT_FREQUENCY, rate)
     position_sums /= np.maximum(contact_counts, 1)[:, None]
     is_measured = contact_counts > 0
-    position = lowpass(position_sums[:, :2], STEP_FREQUENCY, rate, valid=is_measured)
-    height = lowpass(position_sums[:, 2], DRIFT_FREQUENCY, rate, valid=is_measured)
+    position = lowpass(position_sums[:, :2], STEP_FREQUENCY, rate, is_valid=is_measured)
+    height = lowpass(position_sums[:, 2], DRIFT_FREQUENCY, rate, is_valid=is_measured)
     return _StanceTracks(
         position[:, 0] + 1j * position[:, 1],
         drift[:, 1] + 1j * drift[:, 2],

@@ -24,7 +24,7 @@ from animtool.motion.quaternion_order import order_warning
 from animtool.motion.take import TakeStream
 from animtool.retarget.root_position import root_warning
 from animtool.retarget.swapped_legs import swapped_legs_warning
-from animtool.rig.body_size import fitting_unit, unit_texts
+from animtool.rig.body_size import fitting_unit, size_warning_texts
 from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
 from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
 
@@ -415,7 +415,7 @@ def unit_warnings(rig: Rig, file_format: object) -> list[Fault]:
     better_unit = fitting_unit(rig.names, size, rig.meters_per_unit)
     if better_unit is None or file_format not in SIZED_FORMATS:
         return []
-    texts = unit_texts(size, rig.meters_per_unit, better_unit, str(file_format))
+    texts = size_warning_texts(size, rig.meters_per_unit, better_unit, str(file_format))
     return [warning("MOT213", *texts)]
 
 

@@ -25,7 +25,7 @@ from animtool.rig.parts import (
 )
 from animtool.rig.schema import AttachModel
 
-Shape = tuple[int | None, ...]
+ArrayShape = tuple[int | None, ...]
 
 # Array roles that count something and contain whole numbers.
 _INTEGER_ROLES = frozenset({"faces", "indices", "pins", "vertices"})
@@ -45,28 +45,30 @@ class ArrayReader:
     """Checks array references; records faults in the document."""
 
     document: Document  # the file
-    roots: Sequence[Path]  # folders that references may lead into
+    reference_roots: Sequence[Path]  # folders that references may lead into
     archives: Archives  # opens the files, while arrays are checked
     # Resolved paths of the file names seen so far.
-    paths: dict[str, Path] = field(default_factory=dict)
+    paths_by_name: dict[str, Path] = field(default_factory=dict)
 
     def read_array(
         self,
         location: Location,
         text: str,
         role: str,
-        shape: Shape,
-        count: int | None = None,
+        shape: ArrayShape,
+        part_count: int | None = None,
     ) -> ArraySource:
         """Return the array of an entry at a location, and record the array's faults."""
         key = _ROLE_KEYS.get(role, role)
         location = (*location, key)
-        name, array_key = split_reference(text, key)
-        path = self.paths.get(name)
-        path = path or resolve_reference(self.document, location, name, self.roots)
+        file_name, array_key = split_reference(text, key)
+        path = self.paths_by_name.get(file_name)
+        path = path or resolve_reference(
+            self.document, location, file_name, self.reference_roots
+        )
         if path is None:
             return NO_ARRAY
-        self.paths[name] = path
+        self.paths_by_name[file_name] = path
         array_reference = ArrayRef(text, path, array_key)
         try:
             message = self._header_fault(array_reference, role, shape)
@@ -74,9 +76,9 @@ class ArrayReader:
                 self.document.add("RIG019", location, f"{text!r} {message}")
                 return array_reference
             values = self.archives.load_stored(path, array_key)
-            message = _value_fault(role, values, count)
+            message = _value_fault(role, values, part_count)
             if message is not None:
-                hint = _index_hint(role, values, count)
+                hint = _index_hint(role, values, part_count)
                 self.document.add("RIG027", location, f"{text!r} {message}", hint)
         except ValueError as error:
             code = "RIG020" if "pickled" in str(error) else "RIG018"
@@ -88,29 +90,29 @@ class ArrayReader:
         location: Location,
         text: str | None,
         role: str,
-        shape: Shape,
-        count: int | None = None,
+        shape: ArrayShape,
+        part_count: int | None = None,
     ) -> ArraySource | None:
         """Read an array as `read_array` does; None if the entry has no array."""
         if text is None:
             return None
-        return self.read_array(location, text, role, shape, count)
+        return self.read_array(location, text, role, shape, part_count)
 
-    def row_count(self, ref: ArraySource) -> int | None:
+    def row_count(self, source: ArraySource) -> int | None:
         """Return the length of an array; None if it cannot be read."""
-        shape = self.array_shape(ref)
+        shape = self.array_shape(source)
         return shape[0] if shape else None
 
-    def array_shape(self, ref: ArraySource) -> tuple[int, ...] | None:
+    def array_shape(self, source: ArraySource) -> tuple[int, ...] | None:
         """Return the shape of an array; None if it cannot be read."""
-        if isinstance(ref, LoadedArray):
-            return None if ref is NO_ARRAY else ref.values.shape
+        if isinstance(source, LoadedArray):
+            return None if source is NO_ARRAY else source.values.shape
         try:
-            return self.archives.header(ref.path, ref.key).shape
+            return self.archives.header(source.path, source.key).shape
         except ValueError:
             return None
 
-    def _header_fault(self, ref: ArrayRef, role: str, shape: Shape) -> str | None:
+    def _header_fault(self, ref: ArrayRef, role: str, shape: ArrayShape) -> str | None:
         """Return what is wrong with an array's shape or type; None if it is valid."""
         header = self.archives.header(ref.path, ref.key)
         is_match = len(header.shape) == len(shape) and all(
@@ -118,8 +120,8 @@ class ArrayReader:
             for expected_size, size in zip(shape, header.shape, strict=True)
         )
         if not is_match:
-            expected = ", ".join("any" if n is None else str(n) for n in shape)
-            return f"has shape {header.shape}, not ({expected})"
+            expected_shape = ", ".join("any" if n is None else str(n) for n in shape)
+            return f"has shape {header.shape}, not ({expected_shape})"
         if role in _INTEGER_ROLES and header.kind not in "iu":
             return "contains floats, not whole numbers"
         if role in {"faces", "strands"} and not header.shape[0]:
@@ -131,22 +133,28 @@ class ArrayReader:
         return None
 
 
-def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
+def _value_fault(
+    role: str, values: npt.NDArray[Any], part_count: int | None
+) -> str | None:
     """Return what is wrong with the first invalid value of an array; None if valid."""
     if role in _INTEGER_ROLES:
         is_optional = np.zeros(values.shape, bool)
         if role == "faces":
             is_optional[:, 3:] = values[:, 3:] == MISSING_CORNER
-        is_wrong = (values < 0) if count is None else (values < 0) | (values >= count)
+        is_wrong = (
+            (values < 0)
+            if part_count is None
+            else (values < 0) | (values >= part_count)
+        )
         index = _first_index(is_wrong & ~is_optional)
         if index is None:
             return None
         message = f"contains {values[index]} at {list(index)}"
-        if count is None:
+        if part_count is None:
             return f"{message}, not 0 or more"
         owner, noun = _COUNTED_PARTS.get(role, _MESH_POINTS)
-        range_text = {0: "none", 1: "only 0"}.get(count, f"0 to {count - 1}")
-        return f"{message}, but {owner} has {counted(count, noun)}: {range_text}"
+        range_text = {0: "none", 1: "only 0"}.get(part_count, f"0 to {part_count - 1}")
+        return f"{message}, but {owner} has {counted(part_count, noun)}: {range_text}"
     index = _first_index(~np.isfinite(values))
     if index is not None:
         return f"contains {values[index]} at {list(index)}, not a finite number"
@@ -155,18 +163,20 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
     return _weight_fault(values) if role == "weights" else None
 
 
-def _index_hint(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
+def _index_hint(
+    role: str, values: npt.NDArray[Any], part_count: int | None
+) -> str | None:
     """Return how to correct indices out of range; None if they do not tell."""
-    if count is None or role not in _INTEGER_ROLES:
+    if part_count is None or role not in _INTEGER_ROLES:
         return None
     if role == "faces":
         values = values[values != MISSING_CORNER]
     lowest, highest = (int(values.min()), int(values.max())) if values.size else (0, 0)
-    if highest == count and lowest == 1:
+    if highest == part_count and lowest == 1:
         return f"{role} count from 0, but these from 1, as in an OBJ: subtract 1"
-    if highest == count and lowest > 1:
+    if highest == part_count and lowest > 1:
         return f"{role} count from 0; if these count from 1, as in an OBJ, subtract 1"
-    if highest < count:
+    if highest < part_count:
         return f"{role} count from 0"
     if role == "indices":
         hint = f"the largest is {highest}: list {highest + 1} joints in skin.joints, "
@@ -216,7 +226,7 @@ class AttachmentReader:
     """Builds attachments; records faults in the document."""
 
     document: Document  # the file
-    arrays: ArrayReader  # checks the arrays that the file refers to
+    array_reader: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh; None if unknown.
     point_counts: Mapping[str, int | None]
     check_joint: LocatedCheck  # records an unknown joint
@@ -233,11 +243,11 @@ class AttachmentReader:
             joints = (entry.joint,)
         if entry.mesh is not None:
             self.check_mesh((*location, "mesh"), entry.mesh)
-        count = self.point_counts.get(entry.mesh or "")
-        pins = self.arrays.read_optional_array(
-            location, entry.pins, "pins", (None,), count
+        point_count = self.point_counts.get(entry.mesh or "")
+        pins = self.array_reader.read_optional_array(
+            location, entry.pins, "pins", (None,), point_count
         )
-        points = self.arrays.read_optional_array(
+        points = self.array_reader.read_optional_array(
             location, entry.points, "strands", (None, None, 3)
         )
         return Attachment(
@@ -248,28 +258,28 @@ class AttachmentReader:
         """Record the missing and unsupported keys of an attachment's kind."""
         if self.document.is_placeholder((*location, "kind")):
             return
-        required, optional = _ATTACH_KEYS.get(
+        required_keys, optional_keys = _ATTACH_KEYS.get(
             entry.kind, _ATTACH_KEYS[AttachKind.SPRING_CHAIN]
         )
         all_keys = ("joints", "joint", "mesh", "pins", "points")
-        set_keys = [key for key in all_keys if getattr(entry, key) is not None]
-        hint = f"its keys are {', '.join((*required, *optional))}"
+        present_keys = [key for key in all_keys if getattr(entry, key) is not None]
+        hint = f"its keys are {', '.join((*required_keys, *optional_keys))}"
         if entry.kind not in _ATTACH_KEYS:
-            kinds = [str(kind) for kind in AttachKind]
-            hint = name_hint(entry.kind, kinds)
-            if most_similar(entry.kind, kinds, MISSPELLING_SIMILARITY):
+            known_kinds = [str(kind) for kind in AttachKind]
+            hint = name_hint(entry.kind, known_kinds)
+            if most_similar(entry.kind, known_kinds, MISSPELLING_SIMILARITY):
                 message = f"unknown kind of attachment {entry.kind!r}"
                 self.document.warn("RIG102", (*location, "kind"), message, hint)
-        for key in required:
+        for key in required_keys:
             is_certain = not self.document.is_placeholder((*location, key))
             if (
-                key not in set_keys
+                key not in present_keys
                 and is_certain
                 and "attach" not in self.document.partial_lists
             ):
                 message = f"an attachment of kind {entry.kind!r} has no {key}"
                 self.document.add("RIG031", location, message, hint)
-        for key in set_keys:
-            if key not in (*required, *optional):
+        for key in present_keys:
+            if key not in (*required_keys, *optional_keys):
                 message = f"an attachment of kind {entry.kind!r} does not use {key}"
                 self.document.add("RIG031", (*location, key), message, hint)

@@ -20,11 +20,11 @@ _FOOT_PATTERN = re.compile(
     rf"|(?<![A-Za-z])(?:{_FOOT_WORDS.upper()})"
 )
 # With fewer joints, a rig is a prop of any size.
-MIN_JOINTS = 10
+MIN_CHARACTER_JOINTS = 10
 # Plausible diagonal of the joints of rigs with feet, from a bird to a dinosaur [m].
-CHARACTER_SIZE = (0.1, 25.0)
+CHARACTER_SIZE_RANGE = (0.1, 25.0)
 # Size of people and most animals [m]; a corrected unit must give such a size.
-LIKELY_SIZE = (0.3, 5.0)
+LIKELY_SIZE_RANGE = (0.3, 5.0)
 # Ratios of units that are often confused [1].
 UNIT_RATIOS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 
@@ -35,13 +35,13 @@ def find_feet(names: tuple[str, ...] | list[str]) -> IntArray:
     >>> find_feet(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
     [1, 2, 4]
     """
-    feet = [i for i, name in enumerate(names) if _FOOT_PATTERN.search(name)]
-    return np.array(feet, np.int64)
+    foot_indices = [i for i, name in enumerate(names) if _FOOT_PATTERN.search(name)]
+    return np.array(foot_indices, np.int64)
 
 
 def is_character(names: Sequence[str]) -> bool:
     """Return whether a rig has the feet and joint count of a person or animal."""
-    return len(names) >= MIN_JOINTS and len(find_feet(list(names))) > 0
+    return len(names) >= MIN_CHARACTER_JOINTS and len(find_feet(list(names))) > 0
 
 
 def fitting_unit(names: Sequence[str], size: float, unit: float) -> float | None:
@@ -56,16 +56,16 @@ def fitting_unit(names: Sequence[str], size: float, unit: float) -> float | None
     >>> fitting_unit(body, 214.0, 1.0), fitting_unit(body, 2.14, 1.0)
     (0.01, None)
     """
-    smallest, largest = CHARACTER_SIZE
+    smallest, largest = CHARACTER_SIZE_RANGE
     if smallest <= size <= largest or not is_character(names):
         return None
     for ratio in UNIT_RATIOS:
-        if LIKELY_SIZE[0] <= size * ratio <= LIKELY_SIZE[1]:
+        if LIKELY_SIZE_RANGE[0] <= size * ratio <= LIKELY_SIZE_RANGE[1]:
             return unit * ratio
     return None
 
 
-def unit_texts(
+def size_warning_texts(
     size: float, unit: float, likely_unit: float, file_format: str = ""
 ) -> tuple[str, str]:
     """Return a message about a size that fits another unit, and a hint.
@@ -76,22 +76,22 @@ def unit_texts(
         likely_unit: Unit in which the size is likely [m].
         file_format: ``USD``, ``clip`` for the rig of a clip, or another one.
 
-    >>> unit_texts(214.2, 1.0, 0.01, "USD")[1]
+    >>> size_warning_texts(214.2, 1.0, 0.01, "USD")[1]
     'if its numbers are in cm, set metersPerUnit = 0.01 in the file'
     """
-    sizes = length_text(size, 4), length_text(size * likely_unit / unit, 4)
+    size_texts = length_text(size, 4), length_text(size * likely_unit / unit, 4)
     name, fitting_name = unit_name(unit), unit_name(likely_unit)
     condition = f"if its numbers are in {fitting_name}"
     if file_format == "USD":
-        message = f"metersPerUnit = {unit:g}: the character spans {sizes[0]}; at "
-        message += f"metersPerUnit = {likely_unit:g} it would span {sizes[1]}"
+        message = f"metersPerUnit = {unit:g}: the character spans {size_texts[0]}; at "
+        message += f"metersPerUnit = {likely_unit:g} it would span {size_texts[1]}"
         return message, f"{condition}, set metersPerUnit = {likely_unit:g} in the file"
-    message = f"the character spans {sizes[0]}, with lengths in {name}; in "
-    message += f"{fitting_name} it would span {sizes[1]}"
+    message = f"the character spans {size_texts[0]}, with lengths in {name}; in "
+    message += f"{fitting_name} it would span {size_texts[1]}"
     if fitting_name not in set(LengthUnit):
         return message, "export it again at its true size"
     if file_format == "clip":
         remedy = f"write units: {{length: {fitting_name}}} in the rig"
         return message, f"{condition}, {remedy}"
-    choice = argument("source.unit", fitting_name)
-    return message, f"{condition}, read it with {choice}"
+    unit_argument = argument("source.unit", fitting_name)
+    return message, f"{condition}, read it with {unit_argument}"

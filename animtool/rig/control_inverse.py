@@ -22,7 +22,7 @@ CONVERGED_RATIO = 1e-6
 # Replaces non-finite residuals, in tolerances; its square is finite.
 HUGE_RESIDUAL = 1e30
 # Number of angles that are tried as the reference for revolutions.
-MAX_ANCHORS = 3
+MAX_REFERENCE_ANGLES = 3
 # Frames solved at once, so that their slope arrays stay below some 20 MB.
 BATCH_FRAMES = 1024
 
@@ -95,7 +95,7 @@ def solve_controls(
     for group in _coupled_groups(controls):
         group_controls = [control for control in controls if control.name in group]
         problem = _GroupProblem(group_controls, targets, tolerances, keyed_targets)
-        start_values = {name: values[name] for name in problem.by_name}
+        start_values = {name: values[name] for name in problem.controls_by_name}
         solved_values, unsolved_names = _solve_group(problem, start_values)
         values |= solved_values
         released_names |= unsolved_names
@@ -115,43 +115,45 @@ def _solve_group(
     """Solve a group of coupled controls; return values and released controls."""
     if not problem.missed_targets(start):
         return start, set()
-    solvable = [name for name in start if name not in problem.masters]
-    values = problem.solve(start, solvable)
-    for candidate in (*problem.shifted_by_revolutions(start, solvable), problem):
+    solvable_names = [name for name in start if name not in problem.master_names]
+    values = problem.solve(start, solvable_names)
+    for candidate in (*problem.shifted_by_revolutions(start, solvable_names), problem):
         if not candidate.missed_targets(values):
             break
         is_shifted = candidate is not problem
-        names = solvable if is_shifted or not problem.masters else [*start]
-        trial = candidate.solve(start if is_shifted else values, names)
-        if not candidate.missed_targets(trial):
-            values = trial
-    released: set[str] = set()
+        names = solvable_names if is_shifted or not problem.master_names else [*start]
+        trial_values = candidate.solve(start if is_shifted else values, names)
+        if not candidate.missed_targets(trial_values):
+            values = trial_values
+    released_names: set[str] = set()
     while True:
         missed_targets = problem.missed_targets(values)
         targets = problem.targets_by_control
-        unsolved_names = {name for name in solvable if targets[name] & missed_targets}
+        unsolved_names = {
+            name for name in solvable_names if targets[name] & missed_targets
+        }
         if not unsolved_names:
-            values, released = _solve_released(problem, values, released)
-            return _reset_if_unneeded(problem, values, start), released
-        released |= unsolved_names
-        solvable = [name for name in solvable if name not in unsolved_names]
+            values, released_names = _solve_released(problem, values, released_names)
+            return _reset_if_unneeded(problem, values, start), released_names
+        released_names |= unsolved_names
+        solvable_names = [name for name in solvable_names if name not in unsolved_names]
         values |= {name: start[name] for name in unsolved_names}
-        values = problem.solve(values, solvable)
+        values = problem.solve(values, solvable_names)
 
 
 def _solve_released(
-    problem: _GroupProblem, values: dict[str, FloatArray], released: set[str]
+    problem: _GroupProblem, values: dict[str, FloatArray], released_names: set[str]
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Solve again, one by one, the controls that were released with their group."""
-    remaining = set(released)
+    unsolved_names = set(released_names)
     for control in problem.controls:
         name = control.name
-        if name in remaining:
-            trial = problem.solve(values, [name])
-            missed_targets = problem.missed_targets(trial)
+        if name in unsolved_names:
+            trial_values = problem.solve(values, [name])
+            missed_targets = problem.missed_targets(trial_values)
             if not problem.targets_by_control[name] & missed_targets:
-                values, remaining = trial, remaining - {name}
-    return values, remaining
+                values, unsolved_names = trial_values, unsolved_names - {name}
+    return values, unsolved_names
 
 
 def _reset_if_unneeded(
@@ -163,23 +165,23 @@ def _reset_if_unneeded(
     """
     missed_targets = problem.missed_targets(values)
     for name, value in start.items():
-        trial = {**values, name: value}
+        trial_values = {**values, name: value}
         is_changed = (values[name] != value).any()
-        if is_changed and problem.missed_targets(trial) <= missed_targets:
-            values = trial
+        if is_changed and problem.missed_targets(trial_values) <= missed_targets:
+            values = trial_values
     return values
 
 
 def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
     """Return groups of control names that share targets or read each other."""
-    links: dict[str, set[str]] = {}
+    linked_names: dict[str, set[str]] = {}
     for control in controls:
         affected_names = {control.name}
         for drive in control.drives:
             affected_names |= {drive.target, *drive.controls_read(control.name)}
         affected_names = {name.removeprefix("control/") for name in affected_names}
         for name in affected_names:
-            links.setdefault(name, set()).update(affected_names)
+            linked_names.setdefault(name, set()).update(affected_names)
     names = [control.name for control in controls]
     groups: list[set[str]] = []
     visited_names: set[str] = set()
@@ -191,7 +193,7 @@ def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
             name_in_group = pending_names.pop()
             if name_in_group not in group:
                 group.add(name_in_group)
-                pending_names.extend(links.get(name_in_group, ()))
+                pending_names.extend(linked_names.get(name_in_group, ()))
         visited_names |= group
         groups.append(group & set(names))
     return groups
@@ -209,14 +211,14 @@ class _GroupProblem:
     ) -> None:
         self.controls = controls
         self.keyed_targets = keyed_targets
-        self.by_name = {control.name: control for control in controls}
+        self.controls_by_name = {control.name: control for control in controls}
         direct_targets = {c.name: {d.target for d in c.drives} for c in controls}
         self.targets_by_control = _all_targets_by_control(controls, direct_targets)
         all_targets = sorted(set().union(*self.targets_by_control.values()))
         self.targets_in_order = [target for target in all_targets if target in goals]
         self.goals = goals
         self.tolerances = tolerances
-        self.masters = {
+        self.master_names = {
             name
             for name, targets in direct_targets.items()
             if targets and all(map(_is_control, targets))
@@ -226,17 +228,19 @@ class _GroupProblem:
         self, start: Mapping[str, FloatArray], free_names: Sequence[str]
     ) -> Iterator[_GroupProblem]:
         """Yield the problem with goal angles shifted by revolutions."""
-        angles = [name for name in self.targets_in_order if name.endswith(".angle")]
-        for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
-            single_target = self._with_goals({anchor: self.goals[anchor]})
-            driven_values = evaluate_controls(
-                self.controls, single_target.solve(start, free_names)
-            ).targets
+        angle_targets = [
+            name for name in self.targets_in_order if name.endswith(".angle")
+        ]
+        if len(angle_targets) < 2:
+            return
+        for reference_angle in angle_targets[:MAX_REFERENCE_ANGLES]:
+            problem = self._with_goals({reference_angle: self.goals[reference_angle]})
+            values = problem.solve(start, free_names)
+            driven_values = evaluate_controls(self.controls, values).targets
             shifted_goals = dict(self.goals)
-            for target in angles:
-                revolutions = np.round(
-                    (driven_values[target] - shifted_goals[target]) / (2 * np.pi)
-                )
+            for target in angle_targets:
+                difference = driven_values[target] - shifted_goals[target]
+                revolutions = np.round(difference / (2 * np.pi))
                 shifted_goals[target] = shifted_goals[target] + 2 * np.pi * revolutions
             yield self._with_goals(shifted_goals)
 
@@ -251,7 +255,7 @@ class _GroupProblem:
         values: Mapping[str, FloatArray],
         frames: IntArray | slice = slice(None),
         *,
-        modulo: bool = False,
+        ignores_revolutions: bool = False,
     ) -> FloatArray:
         """Return goals minus driven values, divided by the tolerances ``(F, T)``."""
         driven_values = evaluate_controls(self.controls, values).targets
@@ -259,21 +263,21 @@ class _GroupProblem:
         with np.errstate(invalid="ignore", over="ignore"):
             for target in self.targets_in_order:
                 difference = self.goals[target][frames] - driven_values[target]
-                if modulo and target.endswith(".angle"):
+                if ignores_revolutions and target.endswith(".angle"):
                     revolutions = np.round(difference / (2 * np.pi))
                     difference = difference - 2 * np.pi * revolutions
                 columns.append(difference / self.tolerances[target])
-        stacked = np.stack(np.broadcast_arrays(*columns), axis=-1)
-        clipped = stacked.clip(-HUGE_RESIDUAL, HUGE_RESIDUAL)
-        return np.asarray(np.nan_to_num(clipped, nan=HUGE_RESIDUAL))
+        residuals = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        clipped_residuals = residuals.clip(-HUGE_RESIDUAL, HUGE_RESIDUAL)
+        return np.asarray(np.nan_to_num(clipped_residuals, nan=HUGE_RESIDUAL))
 
     def missed_targets(self, values: Mapping[str, FloatArray]) -> set[str]:
         """Return the targets that are missed by more than their tolerance."""
         if not self.targets_in_order:
             return set()
-        residuals = self.residuals(values, modulo=True)
-        largest = np.abs(residuals).max(axis=0, initial=0.0)
-        pairs = zip(self.targets_in_order, largest, strict=True)
+        residuals = self.residuals(values, ignores_revolutions=True)
+        largest_residuals = np.abs(residuals).max(axis=0, initial=0.0)
+        pairs = zip(self.targets_in_order, largest_residuals, strict=True)
         missed_targets = {target for target, residual in pairs if residual > 1.0}
         return missed_targets | (self.keyed_targets & {*self.targets_in_order})
 
@@ -284,9 +288,9 @@ class _GroupProblem:
         values = {name: value.copy() for name, value in start.items()}
         for _ in range(MAX_SWEEPS if free_names else 0):
             largest_residuals = np.abs(self.residuals(values)).max(axis=1)
-            open_frames = np.flatnonzero(largest_residuals > CONVERGED_RATIO)
-            for start_index in range(0, len(open_frames), BATCH_FRAMES):
-                frames = open_frames[start_index : start_index + BATCH_FRAMES]
+            unconverged_frames = np.flatnonzero(largest_residuals > CONVERGED_RATIO)
+            for start_index in range(0, len(unconverged_frames), BATCH_FRAMES):
+                frames = unconverged_frames[start_index : start_index + BATCH_FRAMES]
                 for name in free_names:
                     values[name][frames] = self._best_value(values, name, frames)
                 self._minimize(values, free_names, frames)
@@ -299,20 +303,20 @@ class _GroupProblem:
 
         The control's effect is assumed to be linear between grid points.
         """
-        grid = _control_grid(self.by_name[name])
+        grid = _control_grid(self.controls_by_name[name])
         other_values = {
             control_name: value[frames] for control_name, value in values.items()
         }
-        is_bounded = self.by_name[name].low is not None
+        is_bounded = self.controls_by_name[name].low is not None
         residual_rows = []
         for grid_value in grid:
-            trial = {**other_values, name: np.full(len(frames), grid_value)}
-            residual_rows.append(self.residuals(trial, frames))
-        corners = np.stack(residual_rows)  # (K, F, T)
-        segments = np.diff(corners, axis=0)
+            trial_values = {**other_values, name: np.full(len(frames), grid_value)}
+            residual_rows.append(self.residuals(trial_values, frames))
+        corner_residuals = np.stack(residual_rows)  # (K, F, T)
+        segments = np.diff(corner_residuals, axis=0)
         lengths = np.einsum("kft,kft->kf", segments, segments)
         # In units of the segment, from its start.
-        fraction = -np.einsum("kft,kft->kf", corners[:-1], segments)
+        fraction = -np.einsum("kft,kft->kf", corner_residuals[:-1], segments)
         zeros = np.zeros_like(fraction)
         fraction = np.divide(fraction, lengths, out=zeros, where=lengths > 0)
         low_bounds, high_bounds = np.zeros((2, len(fraction), 1))
@@ -320,7 +324,7 @@ class _GroupProblem:
         if not is_bounded:
             low_bounds[0], high_bounds[-1] = -np.inf, np.inf
         fraction = np.clip(fraction, low_bounds, high_bounds)
-        residuals = corners[:-1] + fraction[..., None] * segments
+        residuals = corner_residuals[:-1] + fraction[..., None] * segments
         costs = np.einsum("kft,kft->kf", residuals, residuals)
         current_values = other_values[name]
         # Of equally good segments, prefer the current one.
@@ -336,10 +340,10 @@ class _GroupProblem:
         self, values: dict[str, FloatArray], free_names: Sequence[str], frames: IntArray
     ) -> None:
         """Minimize the residual over the free controls by Gauss-Newton, in place."""
-        controls = [self.by_name[name] for name in free_names]
-        low_bounds = np.array([-np.inf if c.low is None else c.low for c in controls])
-        high_bounds = np.array([np.inf if c.high is None else c.high for c in controls])
-        current = np.stack([values[name][frames] for name in free_names], axis=-1)
+        controls = [self.controls_by_name[name] for name in free_names]
+        low = np.array([-np.inf if c.low is None else c.low for c in controls])
+        high = np.array([np.inf if c.high is None else c.high for c in controls])
+        free_values = np.stack([values[name][frames] for name in free_names], axis=-1)
         other_values = {name: value[frames] for name, value in values.items()}
 
         def residual_at(point: FloatArray) -> FloatArray:
@@ -347,33 +351,34 @@ class _GroupProblem:
             values_at = dict(zip(free_names, point.T, strict=True))
             return self.residuals({**other_values, **values_at}, frames)
 
-        residual = residual_at(current)
+        residual = residual_at(free_values)
         cost = (residual**2).sum(axis=1)
         for _ in range(MAX_NEWTON_STEPS):
-            bounds = (low_bounds, high_bounds)
-            step = self._step(residual_at, current, residual, free_names, bounds)
+            step = self._newton_step(
+                residual_at, free_values, residual, free_names, (low, high)
+            )
             has_moved = False
             for fraction in (1.0, 0.5, 0.125):
-                trial = np.clip(current + fraction * step, low_bounds, high_bounds)
-                trial = np.where(
-                    (low_bounds <= current) & (current <= high_bounds), trial, current
-                )
-                residuals = residual_at(trial)
+                trial_values = np.clip(free_values + fraction * step, low, high)
+                is_inside = (low <= free_values) & (free_values <= high)
+                trial_values = np.where(is_inside, trial_values, free_values)
+                residuals = residual_at(trial_values)
                 costs = (residuals**2).sum(axis=1)
                 is_better = costs < cost
-                current[is_better], cost[is_better] = trial[is_better], costs[is_better]
+                free_values[is_better] = trial_values[is_better]
+                cost[is_better] = costs[is_better]
                 residual[is_better] = residuals[is_better]
                 has_moved = has_moved or bool(is_better.any())
                 step[is_better] = 0.0
             if not has_moved or np.abs(residual).max(initial=0.0) <= CONVERGED_RATIO:
                 break
         for i, name in enumerate(free_names):
-            values[name][frames] = current[:, i]
+            values[name][frames] = free_values[:, i]
 
-    def _step(
+    def _newton_step(
         self,
         residual_at: Callable[[FloatArray], FloatArray],
-        current: FloatArray,
+        current_values: FloatArray,
         residual: FloatArray,
         free_names: Sequence[str],
         bounds: tuple[FloatArray, FloatArray],
@@ -384,24 +389,26 @@ class _GroupProblem:
         """
         jacobian = np.zeros((*residual.shape, len(free_names)))
         for i, name in enumerate(free_names):
-            grid = _control_grid(self.by_name[name])
+            grid = _control_grid(self.controls_by_name[name])
             increment = DIFFERENCE_STEP * float(np.ptp(grid))
             # Away from the nearer end, so that the difference quotient stays on one
             # segment.
-            direction = np.where(current[:, i] > (grid[0] + grid[-1]) / 2, -1.0, 1.0)
-            displaced_values = current.copy()
+            direction = np.where(
+                current_values[:, i] > (grid[0] + grid[-1]) / 2, -1.0, 1.0
+            )
+            displaced_values = current_values.copy()
             displaced_values[:, i] += direction * increment
             change = residual_at(displaced_values) - residual
             jacobian[:, :, i] = (
-                change / (displaced_values[:, i] - current[:, i])[:, None]
+                change / (displaced_values[:, i] - current_values[:, i])[:, None]
             )
-        step = np.zeros_like(current)
+        step = np.zeros_like(current_values)
         for _ in range(1 + len(free_names)):
             inverse = np.linalg.pinv(jacobian, rcond=1e-9)
             step = -np.einsum("fct,ft->fc", inverse, residual)
             low_bounds, high_bounds = bounds
-            is_blocked = ((current <= low_bounds) & (step < 0)) | (
-                (current >= high_bounds) & (step > 0)
+            is_blocked = ((current_values <= low_bounds) & (step < 0)) | (
+                (current_values >= high_bounds) & (step > 0)
             )
             if not is_blocked.any():
                 break
@@ -445,12 +452,13 @@ def _is_control(target: str) -> bool:
 
 def _control_grid(control: Control) -> FloatArray:
     """Return grid values of a control between which its effect is nearly linear."""
-    corners = {x for drive in control.drives for x, _ in drive.curve}
+    grid_values = {x for drive in control.drives for x, _ in drive.curve}
     range_low, range_high = control.low, control.high
     if range_low is None or range_high is None:
-        corners |= {control.default - 1.0, control.default, control.default + 1.0, 0.0}
-        return np.array(sorted(corners))
+        default = control.default
+        grid_values |= {default - 1.0, default, default + 1.0, 0.0}
+        return np.array(sorted(grid_values))
     even_grid = np.linspace(range_low, range_high, GRID_POINTS).tolist()
-    corners |= {control.default, -1.0, 0.0, 1.0, *even_grid}
-    grid = sorted({float(np.clip(x, range_low, range_high)) for x in corners})
+    grid_values |= {control.default, -1.0, 0.0, 1.0, *even_grid}
+    grid = sorted({float(np.clip(x, range_low, range_high)) for x in grid_values})
     return np.array(grid if len(grid) > 1 else [range_low, range_low + 1.0])

@@ -26,18 +26,19 @@ class Drive:
     curve: tuple[tuple[float, float], ...] = ()
     # Size of a value of 1: radians or metres per unit of the file, or 1.
     unit: float = 1.0
-    smooth: bool = False  # whether a cubic joins the points, instead of straight lines
+    # Whether a cubic joins the points, instead of straight lines.
+    is_smooth: bool = False
 
     @property
     def is_length(self) -> bool:
-        """Whether the target is a length."""
+        """Whether the target is a joint's slide or translation [m]."""
         kind, _, name = self.target.partition("/")
-        slides = name.endswith(f".{SLIDE}")
-        return kind == "joint" and (slides or ".translation." in name)
+        is_slide = name.endswith(f".{SLIDE}")
+        return kind == "joint" and (is_slide or ".translation." in name)
 
     @property
     def is_angle(self) -> bool:
-        """Whether the target is an angle."""
+        """Whether the target is a joint's angle or rotation [rad]."""
         return self.target.startswith("joint/") and not self.is_length
 
     def controls_read(self, control: str) -> tuple[str, ...]:
@@ -48,7 +49,8 @@ class Drive:
         """Return the contribution, given the values of all controls."""
         if self.expression is not None:
             return self.expression.evaluate(values) * self.unit
-        return curve_values(self.curve, values[control], smooth=self.smooth) * self.unit
+        value = curve_values(self.curve, values[control], is_smooth=self.is_smooth)
+        return value * self.unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ def evaluation_order(controls: Sequence[Control]) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class DrivenValues:
+class ControlEffects:
     """Values of controls and their contributions to targets."""
 
     # Value of every control, ``(F,)``, or ``(1,)`` if constant.
@@ -89,15 +91,15 @@ class DrivenValues:
     # Contribution to each joint part or shape, by target.
     targets: dict[str, FloatArray]
     # Value of each control before clamping to its range.
-    unclamped: dict[str, FloatArray]
+    unclamped_controls: dict[str, FloatArray]
 
 
 def evaluate_controls(
     controls: Sequence[Control],
-    keyed: Mapping[str, FloatArray],
+    keyed_values: Mapping[str, FloatArray],
     *,
     clamp: bool = False,
-) -> DrivenValues:
+) -> ControlEffects:
     """Evaluate controls and their contributions to joints and shapes.
 
     A control is its keyed value ``(F,)``, else its default, plus what others add to it;
@@ -106,28 +108,30 @@ def evaluate_controls(
     caller has to check.
     """
     values = {
-        control.name: np.asarray(keyed.get(control.name, [control.default]), np.float64)
+        control.name: np.asarray(
+            keyed_values.get(control.name, [control.default]), np.float64
+        )
         for control in controls
     }
-    by_name = {control.name: control for control in controls}
+    controls_by_name = {control.name: control for control in controls}
     drives_by_target: dict[str, list[tuple[str, Drive]]] = {}
     for control in controls:
         for drive in control.drives:
             drives_by_target.setdefault(drive.target, []).append((control.name, drive))
     unclamped_values: dict[str, FloatArray] = {}
     for name in evaluation_order(controls):
-        for driver, drive in drives_by_target.pop(f"control/{name}", ()):
-            values[name] = values[name] + drive.evaluate(driver, values)
+        for driving_name, drive in drives_by_target.pop(f"control/{name}", ()):
+            values[name] = values[name] + drive.evaluate(driving_name, values)
         unclamped_values[name] = values[name]
-        range_low, range_high = by_name[name].low, by_name[name].high
+        range_low, range_high = controls_by_name[name].low, controls_by_name[name].high
         if clamp and range_low is not None and range_high is not None:
             values[name] = np.clip(values[name], range_low, range_high)
     targets: dict[str, FloatArray] = {}
     for target, drives in drives_by_target.items():
         contribution = np.zeros(1)
-        for driver, drive in drives:
-            contribution = contribution + drive.evaluate(driver, values)
+        for driving_name, drive in drives:
+            contribution = contribution + drive.evaluate(driving_name, values)
         targets[target] = contribution
-    return DrivenValues(
-        {name: values[name] for name in by_name}, targets, unclamped_values
+    return ControlEffects(
+        {name: values[name] for name in controls_by_name}, targets, unclamped_values
     )

@@ -43,7 +43,7 @@ def read_driver(
             return None
         check_no_interpolation(document, location, model.interp)
         try:
-            expression = parse_expression(model.expr, coordinates=True)
+            expression = parse_expression(model.expr, allows_coordinates=True)
         except ValueError as error:
             document.add("RIG013", (*location, "expr"), str(error))
             return None
@@ -53,8 +53,10 @@ def read_driver(
         document.add("RIG015", location, message, "write by: elbow.angle, for example")
         return None
     points = tuple((x, y) for x, y in model.curve or ())
-    inputs = [x for x, _ in points]
-    has_fault = list(record_descents(document, (*location, "curve"), inputs)) != []
+    input_values = [x for x, _ in points]
+    has_fault = (
+        list(record_descents(document, (*location, "curve"), input_values)) != []
+    )
     is_smooth = model.interp == "smooth"
     driver = Driver(None, model.by, points, is_smooth, value_unit, length, angle)
     return None if has_fault else driver
@@ -78,7 +80,7 @@ def record_descents(
 
 
 # Location of the drivers of a base rig.
-INHERITED: Location = ("from",)
+INHERITED_LOCATION: Location = ("from",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +114,10 @@ class DriverCheck:
                 if name in self.rig.drivers
             ]
             if locations:
-                local = (location for location in locations if location != INHERITED)
-                location = next(local, INHERITED)
+                file_locations = (
+                    location for location in locations if location != INHERITED_LOCATION
+                )
+                location = next(file_locations, INHERITED_LOCATION)
                 self._add_fault("RIG032", location, driver_cycle_text(error))
             return
         for target, message, hint in _motion_conflicts(self.rig, order):
@@ -123,9 +127,11 @@ class DriverCheck:
         """Return whether a driver cannot read an input; record why."""
         fault = coordinate_fault(self.rig, name)
         joint, _ = split_coordinate(name)
-        open_names = self.has_unnamed["joints" if joint else "controls"]
-        missing = joint not in self.rig.names if joint else True
-        is_known = not (joint in self.untyped_joints or (missing and open_names))
+        has_unnamed_parts = self.has_unnamed["joints" if joint else "controls"]
+        is_missing = joint not in self.rig.names if joint else True
+        is_known = not (
+            joint in self.untyped_joints or (is_missing and has_unnamed_parts)
+        )
         if fault is not None and is_known:
             self._add_fault(fault.code, location, fault.message, fault.hint)
         return fault is not None
@@ -134,7 +140,7 @@ class DriverCheck:
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
         """Record a fault; RIG023 for an inherited driver."""
-        code = "RIG023" if location == INHERITED else code
+        code = "RIG023" if location == INHERITED_LOCATION else code
         self.document.add(code, location, message, hint)
 
     def _target_location(self, target: str) -> Location:
@@ -145,7 +151,7 @@ class DriverCheck:
             if name in {entry.name, getattr(entry, "mirror", None)}:
                 is_driven = getattr(entry, "driven", None) is not None
                 return (key, i, "driven") if is_driven else (key, i)
-        return INHERITED
+        return INHERITED_LOCATION
 
 
 def _motion_conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:

@@ -41,9 +41,9 @@ def readable_parts(joint: Joint) -> list[str]:
         return [SLIDE]
     if joint.type is not JointType.BALL or not isinstance(joint.limits, BallLimit):
         return []
-    swing_exists = np.abs(joint.limits.axes[0]) < 1 - AXIS_TOLERANCE
+    has_swing = np.abs(joint.limits.axes[0]) < 1 - AXIS_TOLERANCE
     swing_parts = [
-        name for name, is_free in zip(SWING_PARTS, swing_exists, strict=True) if is_free
+        name for name, is_free in zip(SWING_PARTS, has_swing, strict=True) if is_free
     ]
     twist_parts = [] if joint.limits.twist == (0.0, 0.0) else [TWIST]
     return [*twist_parts, SWING, *swing_parts]
@@ -51,8 +51,8 @@ def readable_parts(joint: Joint) -> list[str]:
 
 def coordinate_fault(rig: Rig, name: str) -> Fault | None:
     """Return the fault of an input that drivers cannot read; None if they can."""
-    joint, part = split_coordinate(name)
-    if not joint:
+    joint_name, part = split_coordinate(name)
+    if not joint_name:
         control_names = [control.name for control in rig.controls]
         if name in control_names:
             return None
@@ -66,21 +66,21 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
             message = f"{name!r} is a shape: drivers read only joints and controls"
             hint = "read the input of the shape's driver instead"
         return Fault("RIG012", message, hint=hint)
-    if joint not in rig.names:
-        hint = _suggestion_hint(joint, rig.names)
-        return Fault("RIG008", f"unknown joint {joint!r}", hint=hint)
-    rig_joint = rig.joints[rig.index(joint)]
-    parts = readable_parts(rig_joint)
+    if joint_name not in rig.names:
+        hint = _suggestion_hint(joint_name, rig.names)
+        return Fault("RIG008", f"unknown joint {joint_name!r}", hint=hint)
+    joint = rig.joints[rig.index(joint_name)]
+    parts = readable_parts(joint)
     if part in parts:
         return None
-    message = f"the {rig_joint.type} joint {joint!r} has no coordinate {part!r}"
+    message = f"the {joint.type} joint {joint_name!r} has no coordinate {part!r}"
     hint = "drivers read pin, prismatic and ball joints"
     if parts:
         hint = f"it has {', '.join(parts)}"
-    if rig_joint.type is JointType.BALL and not isinstance(rig_joint.limits, BallLimit):
+    if joint.type is JointType.BALL and not isinstance(joint.limits, BallLimit):
         hint = "set its twist axis, along the bone: limits: {twist_axis: [1, 0, 0]}"
-    elif part == TWIST and rig_joint.type is JointType.BALL:
-        message = f"the twist of {joint!r} is locked: it is always 0"
+    elif part == TWIST and joint.type is JointType.BALL:
+        message = f"the twist of {joint_name!r} is locked: it is always 0"
     elif suggestions := most_similar(part, parts):
         hint = f"did you mean {suggestions}? {hint}"
     return Fault("RIG033", message, hint=hint)
@@ -126,7 +126,9 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
             inputs_of_target = set() if mimic is None else {f"joint/{mimic.joint}"}
         if driven_parts & inputs_of_target:
             driven_parts.add(target)
-    shapes = {shape.name for shape in rig.shapes if shape.driven is not None} | {
+    affected_names = {
+        shape.name for shape in rig.shapes if shape.driven is not None
+    } | {
         drive.target.removeprefix("shape/")
         for control in rig.controls
         for drive in control.drives
@@ -136,7 +138,7 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
             for name in drive.controls_read(control.name)
         )
     }
-    driven_shapes = [f"shape/{s.name}" for s in rig.shapes if s.name in shapes]
+    driven_shapes = [f"shape/{s.name}" for s in rig.shapes if s.name in affected_names]
     return [*(target for target in order if target in driven_parts), *driven_shapes]
 
 
@@ -205,39 +207,41 @@ class DriverPlan:
     def controls_read(self) -> set[str]:
         """Return the undriven controls that joint drivers read."""
         controls = {control.name: control for control in self.rig.controls}
-        pending = [
+        pending_names = [
             name
             for j in self.joints
             if isinstance(driver := self.driver_of(j), Driver)
             for name in driver.names
         ]
-        visited: set[str] = set()
-        while pending:
-            name = pending.pop()
-            if name not in controls or name in visited:
+        visited_names: set[str] = set()
+        while pending_names:
+            name = pending_names.pop()
+            if name not in controls or name in visited_names:
                 continue
-            visited.add(name)
+            visited_names.add(name)
             driver_of_control = controls[name].driven
-            pending += () if driver_of_control is None else driver_of_control.names
-            pending += [
+            pending_names += (
+                () if driver_of_control is None else driver_of_control.names
+            )
+            pending_names += [
                 control_name
                 for control in self.rig.controls
                 for drive in control.drives
                 if drive.target == f"control/{name}" and name in self.controls
                 for control_name in drive.controls_read(control.name)
             ]
-        return {name for name in visited if name not in self.controls}
+        return {name for name in visited_names if name not in self.controls}
 
-    def dependent_joints(self, moved_names: Collection[str]) -> list[str]:
+    def dependent_joints(self, moving_names: Collection[str]) -> list[str]:
         """Return the driven joints that depend on given joints, in the rig's order.
 
         This includes dependencies through mimic joints.
         """
-        moved_joints = {self.rig.index(name) for name in moved_names}
+        moving_joints = {self.rig.index(name) for name in moving_names}
         return [
             self.rig.names[j]
             for j in sorted(self.joints)
-            if moved_joints & {*self.sources_of(j)}
+            if moving_joints & {*self.sources_of(j)}
         ]
 
 
@@ -262,22 +266,22 @@ def plan_of(rig: Rig) -> DriverPlan:
         order = evaluation_order_of_drivers(rig)
     except DependencyCycleError as error:
         raise OptionError(Fault("RIG032", driver_cycle_text(error))) from error
-    names: dict[str, list[str]] = {"joint": [], "control": [], "shape": []}
+    names_by_kind: dict[str, list[str]] = {"joint": [], "control": [], "shape": []}
     for target in order:
         kind, _, name = target.partition("/")
-        names[kind].append(name)
-    affected_shapes = set(names["shape"])
-    combined = []
+        names_by_kind[kind].append(name)
+    affected_shapes = set(names_by_kind["shape"])
+    combined_names = []
     for shape in combination_order(rig.shapes):
         if shape.combine and affected_shapes & {shape.name, *shape.combine}:
             affected_shapes.add(shape.name)
-            combined.append(shape.name)
+            combined_names.append(shape.name)
     plan = rig.__dict__["_driver_plan"] = DriverPlan(
         rig,
-        tuple(map(rig.index, names["joint"])),
-        tuple(names["control"]),
-        tuple(names["shape"]),
-        tuple(combined),
+        tuple(map(rig.index, names_by_kind["joint"])),
+        tuple(names_by_kind["control"]),
+        tuple(names_by_kind["shape"]),
+        tuple(combined_names),
         tuple(target for target in order if not target.startswith("shape/")),
         _joints_read(rig, order),
         _targets_of_keyed_controls(rig, order),

@@ -35,7 +35,7 @@ class Driver:
     # Points (input, value), ascending, constant beyond the ends.
     curve: CurvePoints = ()
     # Whether a monotone cubic joins the points, instead of straight lines.
-    smooth: bool = False
+    is_smooth: bool = False
     # Size of a value of 1: radians or metres per unit of the file, or 1.
     unit: float = 1.0
     # Unit of the slides and of the angles that it reads [m], [rad].
@@ -58,7 +58,7 @@ class Driver:
         """Evaluate the driver [rad], [m], [1] on arrays ``(F,)`` or ``(1,)`` by name.
 
         >>> from animtool.rig.expressions import parse_expression
-        >>> half = parse_expression("wrist.twist / 2", coordinates=True)
+        >>> half = parse_expression("wrist.twist / 2", allows_coordinates=True)
         >>> Driver(half).evaluate({"wrist.twist": np.array([0.5])}).tolist()
         [0.25]
         """
@@ -69,7 +69,7 @@ class Driver:
             # A constant expression.
             return np.atleast_1d(self.expression.evaluate(values_in_units)) * self.unit
         x = values_in_units[self.curve_input]
-        return curve_values(self.curve, x, smooth=self.smooth) * self.unit
+        return curve_values(self.curve, x, is_smooth=self.is_smooth) * self.unit
 
     def mirrored(self, names: Mapping[str, str]) -> Driver:
         """Return the mirrored driver, with partner joints by name.
@@ -86,7 +86,7 @@ class Driver:
         if signs and self.expression is not None:
             text = self.expression.scaled_text(signs, 1.0)
             mirrored_driver = replace(
-                self, expression=parse_expression(text, coordinates=True)
+                self, expression=parse_expression(text, allows_coordinates=True)
             )
         elif signs:
             points = tuple((-x, y) for x, y in reversed(self.curve))
@@ -94,13 +94,13 @@ class Driver:
         return mirrored_driver.with_renamed_joints(names)
 
     def with_renamed_joints(self, names: Mapping[str, str]) -> Driver:
-        """Return the driver with joints renamed."""
-        new_name = renamed_coordinates(self.names, names)
+        """Return the driver with new joint names in its inputs; others are kept."""
+        new_names = renamed_coordinates(self.names, names)
         if self.expression is not None:
             return replace(
-                self, expression=self.expression.with_renamed_inputs(new_name)
+                self, expression=self.expression.with_renamed_inputs(new_names)
             )
-        return replace(self, curve_input=new_name[self.curve_input])
+        return replace(self, curve_input=new_names[self.curve_input])
 
 
 def split_coordinate(name: str) -> tuple[str, str]:
@@ -129,34 +129,34 @@ def renamed_coordinates(
 
 
 def curve_values(
-    points: CurvePoints, x: FloatArray, *, smooth: bool = False
+    points: CurvePoints, x: FloatArray, *, is_smooth: bool = False
 ) -> FloatArray:
     """Evaluate a curve through points at ``x`` ``(F,)``, constant beyond its ends.
 
-    Points are joined by straight lines, or if ``smooth``, by cubic Hermite segments
+    Points are joined by straight lines, or if ``is_smooth``, by cubic Hermite segments
     whose slopes are those of `animtool.maths.tangents.auto_clamped`, and 0 at the ends.
     That has a continuous slope everywhere and never overshoots a point.
 
     >>> ease = ((0.0, 0.0), (1.0, 2.0))
-    >>> curve_values(ease, np.array([-1.0, 0.25, 0.5, 3.0]), smooth=True).tolist()
+    >>> curve_values(ease, np.array([-1.0, 0.25, 0.5, 3.0]), is_smooth=True).tolist()
     [0.0, 0.3125, 1.0, 2.0]
     """
-    table = np.array(points, np.float64)
-    if not smooth or len(table) == 1:
-        return np.asarray(np.interp(x, table[:, 0], table[:, 1]))
+    point_table = np.array(points, np.float64)
+    if not is_smooth or len(point_table) == 1:
+        return np.asarray(np.interp(x, point_table[:, 0], point_table[:, 1]))
     from animtool.maths.curves import cubic_curves, evaluate
 
     # Constant beyond the ends; NaN stays NaN.
-    clamped_x = np.clip(x, table[0, 0], table[-1, 0])
+    clamped_x = np.clip(x, point_table[0, 0], point_table[-1, 0])
     is_nan = np.isnan(clamped_x)
-    thirds = np.diff(table[:, 0]) / 3
+    thirds = np.diff(point_table[:, 0]) / 3
     slopes = smooth_slopes(points)
     in_handles = -slopes * np.append(0.0, thirds)
     out_handles = slopes * np.append(thirds, 0.0)
-    cubic = cubic_curves(
-        table[:, 0], table[:, 1:], in_handles[:, None], out_handles[:, None]
+    cubic_curve = cubic_curves(
+        point_table[:, 0], point_table[:, 1:], in_handles[:, None], out_handles[:, None]
     )
-    values = evaluate(cubic, np.where(is_nan, table[0, 0], clamped_x))[0]
+    values = evaluate(cubic_curve, np.where(is_nan, point_table[0, 0], clamped_x))[0]
     return np.where(is_nan, np.nan, values)
 
 

@@ -112,13 +112,15 @@ class _NamedValues(dict[str, FloatArray]):
         computed_values: DriverValues,
     ) -> None:
         super().__init__(controls)
-        self._plan, self._read, self._computed = plan, read_coordinate, computed_values
+        self._plan = plan
+        self._read_coordinate = read_coordinate
+        self._computed_values = computed_values
 
     def __missing__(self, name: str) -> FloatArray:
         joint = self._plan.rig.index(split_coordinate(name)[0])
-        if joint in self._computed.joints:
-            return self._computed.joints[joint]
-        return self._read(name)
+        if joint in self._computed_values.joints:
+            return self._computed_values.joints[joint]
+        return self._read_coordinate(name)
 
 
 def _control_contribution(
@@ -160,10 +162,7 @@ def ball_part_values(joint: Joint, part: str, rotations: FloatArray) -> FloatArr
     return np.asarray(vector[:, SWING_PARTS.index(part)])
 
 
-def driven_coordinates(
-    plan: DriverPlan,
-    coordinates: FloatArray,
-) -> FloatArray:
+def driven_coordinates(plan: DriverPlan, coordinates: FloatArray) -> FloatArray:
     """Return coordinates ``(B, Q)`` with driven joints set by their drivers.
 
     Controls have their default values.

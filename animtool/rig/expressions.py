@@ -25,7 +25,7 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 
 MAX_EXPRESSION_LENGTH = 1000
-MAX_DEPTH = 60
+MAX_TREE_DEPTH = 60
 MAX_NESTED_BRACKETS = 90
 
 
@@ -90,7 +90,7 @@ _OPERATIONS: dict[str, tuple[Callable[..., Any], int]] = {
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A checked expression."""
+    """A parsed expression over controls and joint coordinates."""
 
     text: str  # as spelled in the file
     # Controls, and coordinates such as ``elbow.angle``, that it reads, sorted.
@@ -110,8 +110,8 @@ class Expression:
         with np.errstate(all="ignore"):
             for kind, value in self._program:
                 if kind == "call":
-                    function, count = _OPERATIONS[value]
-                    stack[-count:] = [function(*stack[-count:])]
+                    function, argument_count = _OPERATIONS[value]
+                    stack[-argument_count:] = [function(*stack[-argument_count:])]
                 else:
                     stack.append(value if kind == "number" else values[value])
         return np.asarray(stack[0], np.float64)
@@ -147,14 +147,14 @@ class Expression:
         if not any(names.get(name, name) != name for name in self.names):
             return self
         tree = _NameReplacer(names).visit(copy.deepcopy(self._tree))
-        return parse_expression(ast.unparse(tree), coordinates=True)
+        return parse_expression(ast.unparse(tree), allows_coordinates=True)
 
 
-def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
+def parse_expression(text: str, *, allows_coordinates: bool = False) -> Expression:
     """Parse an expression; `ValueError` if too long or not allowed.
 
-    With ``coordinates`` it may read those of joints: ``elbow.angle``, in quotes if the
-    joint's name is not a Python identifier: ``'rig:elbow.angle'``.
+    With ``allows_coordinates`` it may read those of joints: ``elbow.angle``, in quotes
+    if the joint's name is not a Python identifier: ``'rig:elbow.angle'``.
     """
     if len(text) > MAX_EXPRESSION_LENGTH:
         raise ValueError(
@@ -171,7 +171,7 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
     except (SyntaxError, ValueError, RecursionError) as error:
         raise ValueError(_syntax_fault(text.strip(), error)) from error
     names: set[str] = set()
-    _check_node(tree, text.strip(), names, 0, coordinates=coordinates)
+    _check_node(tree, text.strip(), names, 0, allows_coordinates=allows_coordinates)
     program = tuple(_postfix_program(tree))
     return Expression(text, tuple(sorted(names)), tree, program)
 
@@ -194,8 +194,8 @@ def _syntax_fault(text: str, error: Exception) -> str:
     if re.search(r"[\w.)]$", text_before) and re.match(r"[A-Za-z_(]", after_text):
         message = f"no operator before {excerpt(after_text)}; "
         return f"{message}write {text_before} * {after_text}"
-    if with_unit := re.match(r"[0-9.]+(mm|cm|m|in|ft|deg|rad|s)\b", after_text):
-        return f"{excerpt(with_unit[0])} has a unit: write numbers in the rig's units"
+    if unit_match := re.match(r"[0-9.]+(mm|cm|m|in|ft|deg|rad|s)\b", after_text):
+        return f"{excerpt(unit_match[0])} has a unit: write numbers in the rig's units"
     return f"the expression cannot be read from {excerpt(after_text)} on"
 
 
@@ -214,17 +214,17 @@ def _coordinate_name(node: ast.expr) -> str | None:
 
 def _name_node(name: str) -> ast.expr:
     """Return a syntax node for a control or coordinate name."""
-    words = name.split(".")
+    first, *parts = words = name.split(".")
     if not all(word.isidentifier() and not iskeyword(word) for word in words):
         return ast.Constant(name)
-    node: ast.expr = ast.Name(words[0])
-    for word in words[1:]:
-        node = ast.Attribute(node, word)
+    node: ast.expr = ast.Name(first)
+    for part in parts:
+        node = ast.Attribute(node, part)
     return node
 
 
 class _NameReplacer(ast.NodeTransformer):
-    """Renames names in an expression."""
+    """Replaces the control and coordinate names in an expression."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self.names = names
@@ -268,13 +268,13 @@ def _read_name(node: ast.AST) -> str | None:
 
 
 def _check_node(
-    node: ast.expr, text: str, names: set[str], depth: int, *, coordinates: bool
+    node: ast.expr, text: str, names: set[str], depth: int, *, allows_coordinates: bool
 ) -> None:
     """Raise if a node or its children are not allowed; add the names that they read."""
-    if depth > MAX_DEPTH:
-        raise ValueError(f"is nested deeper than {MAX_DEPTH}")
+    if depth > MAX_TREE_DEPTH:
+        raise ValueError(f"is nested deeper than {MAX_TREE_DEPTH}")
     coordinate = _coordinate_name(node)
-    if coordinate is not None and coordinates:
+    if coordinate is not None and allows_coordinates:
         names.add(coordinate)
         return
     if isinstance(node, ast.Attribute) and coordinate is not None:
@@ -283,7 +283,9 @@ def _check_node(
             "`driven` of a joint, shape or control reads joints"
         )
     for child in _allowed_children(node, text, names):
-        _check_node(child, text, names, depth + 1, coordinates=coordinates)
+        _check_node(
+            child, text, names, depth + 1, allows_coordinates=allows_coordinates
+        )
 
 
 def _allowed_children(node: ast.expr, text: str, names: set[str]) -> list[ast.expr]:

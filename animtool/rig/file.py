@@ -38,12 +38,12 @@ from animtool.rig.suspicious_shape import warn_of_shape
 from animtool.rig.suspicious_strands import warn_of_strands
 
 
-def read_bind(
+def read_bind_poses(
     document: Document,
     models: Mapping[str, PoseModel],
     file_joints: FileJoints,
     units: FileUnits,
-    inherited: Mapping[str, Pose],
+    inherited_poses: Mapping[str, Pose],
 ) -> dict[str, Pose]:
     """Return the bind poses that differ from the rest pose, and record faults.
 
@@ -51,7 +51,7 @@ def read_bind(
     states a bind pose for it.
     """
     joints = {joint.name: joint for joint in file_joints.joints}
-    bind = dict(inherited)
+    bind = dict(inherited_poses)
     for name, model in models.items():
         if name not in joints:
             message = f"unknown joint {name!r}"
@@ -64,8 +64,8 @@ def read_bind(
     return {
         name: pose
         for name, pose in bind.items()
-        if (name in inherited and name not in models)
-        or pose != _rest_pose(joints[name])
+        if (name in inherited_poses and name not in models)
+        or pose != joints[name].rest_pose
     }
 
 
@@ -82,11 +82,6 @@ def _read_pose(
     return Pose(translation, rotation, stretch)
 
 
-def _rest_pose(joint: Joint) -> Pose:
-    """Return the rest pose of a joint."""
-    return Pose(joint.translation, joint.rotation)
-
-
 def _mirrored_poses(
     joints: FileJoints, bind: Mapping[str, Pose], explicit_names: set[str]
 ) -> dict[str, Pose]:
@@ -94,21 +89,21 @@ def _mirrored_poses(
     poses: dict[str, Pose] = {}
     if not joints.mirrored_joints - explicit_names or not bind:
         return poses
-    world: list[PoseArrays] = []
+    world_transforms: list[PoseArrays] = []
     indices = {joint.name: i for i, joint in enumerate(joints.joints)}
     for joint in joints.joints:
-        parent = world[joint.parent] if joint.parent >= 0 else ORIGIN
+        parent = world_transforms[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
             joint.name in joints.mirrored_joints
             and joint.name not in explicit_names
             and joint.mirror in explicit_names
         ):
-            source = bind[joint.mirror]
+            partner_pose = bind[joint.mirror]
             poses[joint.name] = mirror_pose(
-                source, world[indices[joint.mirror]], parent
+                partner_pose, world_transforms[indices[joint.mirror]], parent
             )
-        pose = poses.get(joint.name) or bind.get(joint.name) or _rest_pose(joint)
-        world.append(world_transform_below(parent, pose))
+        pose = poses.get(joint.name) or bind.get(joint.name) or joint.rest_pose
+        world_transforms.append(world_transform_below(parent, pose))
     return poses
 
 
@@ -125,7 +120,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     """Return the rig of a document; see `load_rig`."""
     check_version(document, "rig")
     model = validate_document(document, RigModel)
-    roots = project_roots(document.path)
+    reference_roots = project_roots(document.path)
     units = FileUnits(
         LengthUnit(model.units.length).meters,
         math.radians(1.0) if model.units.angle == "deg" else 1.0,
@@ -134,34 +129,41 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     if model.source is None:
         joints = read_joints(document, model.joints, units)
     else:
-        base_rig = _load_base(document, model.source, roots, parents)
+        base_rig = _load_base(document, model.source, reference_roots, parents)
         joints = (
             _joints_without_base(document, model, units)
             if base_rig is None
             else _overlay_joints(document, model, base_rig, units)
         )
-    inherited = Rig("", ()) if base_rig is None else base_rig
-    if not (joints.joints or joints.has_unnamed or model.shapes or inherited.shapes):
+    inherited_rig = Rig("", ()) if base_rig is None else base_rig
+    if not (
+        joints.joints or joints.has_unnamed or model.shapes or inherited_rig.shapes
+    ):
         message = "the rig has no joints and no shapes"
         document.add("RIG004", ("joints",), message)
     with Archives() as archives:
-        reader = ArrayReader(document, roots, archives)
-        parts = PartReader(document, model, units, joints, reader)
-        meshes = parts.read_meshes() or inherited.meshes
-        shapes = parts.read_shapes(
-            [mesh.name for mesh in meshes], [shape.name for shape in inherited.shapes]
+        array_reader = ArrayReader(document, reference_roots, archives)
+        part_reader = PartReader(document, model, units, joints, array_reader)
+        meshes = part_reader.read_meshes() or inherited_rig.meshes
+        shapes = part_reader.read_shapes(
+            [mesh.name for mesh in meshes],
+            [shape.name for shape in inherited_rig.shapes],
         )
-        bind = read_bind(document, model.bind, joints, units, inherited.bind)
-        shapes = _merge_shapes(inherited.shapes, shapes)
-        controls = parts.read_controls(
-            [shape.name for shape in shapes], inherited.controls
+        bind = read_bind_poses(document, model.bind, joints, units, inherited_rig.bind)
+        shapes = _merge_shapes(inherited_rig.shapes, shapes)
+        controls = part_reader.read_controls(
+            [shape.name for shape in shapes], inherited_rig.controls
         )
-        chains = parts.read_chains(inherited.chains)
-        colliders = parts.read_colliders(inherited.colliders)
+        chains = part_reader.read_chains(inherited_rig.chains)
+        colliders = part_reader.read_colliders(inherited_rig.colliders)
         masses = read_masses(
-            document, model.masses, inherited.masses, units.length, parts.check_joint
+            document,
+            model.masses,
+            inherited_rig.masses,
+            units.length,
+            part_reader.check_joint,
         )
-        attachments = parts.read_attachments(meshes, inherited.attach)
+        attachments = part_reader.read_attachments(meshes, inherited_rig.attach)
     warn_of_angles(document, model.joints, model.units.angle)
     warn_of_w_last(document, model.joints)
     rig = Rig(
@@ -178,9 +180,9 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         colliders,
         units.angle,
         masses,
-        (*inherited.notices, *document.notices),
-        placement=inherited.placement,
-        has_animated_parents=inherited.has_animated_parents,
+        (*inherited_rig.notices, *document.notices),
+        placement=inherited_rig.placement,
+        has_animated_parents=inherited_rig.has_animated_parents,
     )
     if rig.is_driven:
         has_unnamed = {
@@ -198,10 +200,10 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
 
 
 def _merge_shapes(
-    inherited: tuple[Shape, ...], new_shapes: tuple[Shape, ...]
+    inherited_shapes: tuple[Shape, ...], new_shapes: tuple[Shape, ...]
 ) -> tuple[Shape, ...]:
     """Merge shapes; an entry with only a driver is added to the inherited shape."""
-    inherited_names = {shape.name for shape in inherited}
+    inherited_names = {shape.name for shape in inherited_shapes}
     drivers = {
         shape.name: shape.driven
         for shape in new_shapes
@@ -211,17 +213,20 @@ def _merge_shapes(
     return (
         *(
             replace(shape, driven=drivers.get(shape.name) or shape.driven)
-            for shape in inherited
+            for shape in inherited_shapes
         ),
         *(shape for shape in new_shapes if shape.name not in drivers),
     )
 
 
 def _load_base(
-    document: Document, name: str, roots: tuple[Path, ...], parents: tuple[Path, ...]
+    document: Document,
+    name: str,
+    reference_roots: tuple[Path, ...],
+    parents: tuple[Path, ...],
 ) -> Rig | None:
     """Load the base rig of a sidecar."""
-    path = resolve_reference(document, ("from",), name, roots)
+    path = resolve_reference(document, ("from",), name, reference_roots)
     if path is None:
         return None
     parents = (*parents, document.path.resolve())
@@ -261,11 +266,13 @@ def _joints_without_base(
 
 
 def _overlay_joints(
-    document: Document, model: RigModel, base: Rig, units: FileUnits
+    document: Document, model: RigModel, inherited_rig: Rig, units: FileUnits
 ) -> FileJoints:
     """Apply the joint types and limits of a sidecar to the joints of its base."""
-    names = {joint.source_name or joint.name: joint.name for joint in base.joints}
-    names |= {joint.name: joint.name for joint in base.joints}
+    names = {
+        joint.source_name or joint.name: joint.name for joint in inherited_rig.joints
+    }
+    names |= {joint.name: joint.name for joint in inherited_rig.joints}
     for i, entry in enumerate(model.joints):
         for key in ("name", "mirror"):
             name = getattr(entry, key)
@@ -277,15 +284,16 @@ def _overlay_joints(
             if key in entry.model_fields_set:
                 message = f"{key} is defined by {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "remove it")
-    sidecar = _sidecar_roots(document, model, units)
+    sidecar_roots = _sidecar_roots(document, model, units)
     sidecar_joints = {
-        names.get(joint.name, joint.name): joint for joint in sidecar.joints
+        names.get(joint.name, joint.name): joint for joint in sidecar_roots.joints
     }
-    mirrors = {
-        names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints
+    mirror_names = {
+        names.get(entry.name, entry.name): names.get(entry.mirror or "", "")
+        for entry in model.joints
     }
     joints = []
-    for joint in base.joints:
+    for joint in inherited_rig.joints:
         entry_joint = sidecar_joints.get(joint.name)
         if entry_joint is None:
             joints.append(joint)
@@ -299,13 +307,17 @@ def _overlay_joints(
             axis=entry_joint.axis,
             limits=entry_joint.limits,
             mimic=mimic,
-            mirror=mirrors[joint.name],
+            mirror=mirror_names[joint.name],
             driven=joint.driven
             if driver is None
             else driver.with_renamed_joints(names),
         )
         joints.append(overlaid_joint)
-    untyped = frozenset(names.get(name, name) for name in sidecar.untyped_joints)
+    untyped_names = frozenset(
+        names.get(name, name) for name in sidecar_roots.untyped_joints
+    )
     return FileJoints(
-        tuple(joints), untyped_joints=untyped, has_unnamed=sidecar.has_unnamed
+        tuple(joints),
+        untyped_joints=untyped_names,
+        has_unnamed=sidecar_roots.has_unnamed,
     )

@@ -92,7 +92,7 @@ class RigFit:
 
 
 def measure_fit(
-    take: Rig, rig: Rig, source: IntArray, *, compare_poses: bool = True
+    take: Rig, rig: Rig, source_indices: IntArray, *, compares_poses: bool = True
 ) -> RigFit:
     """Measure how well a take's rest skeleton fits a rig.
 
@@ -101,47 +101,44 @@ def measure_fit(
     >>> measure_fit(arm, arm, np.arange(2)).score
     1.0
     """
-    matched_joints = np.flatnonzero(source >= 0)
-    take_fraction = _take_fraction(take, source[matched_joints])
-    fractions = take_fraction, len(matched_joints) / max(1, len(source))
-    joints_with_parents = matched_joints[
-        (rig.parents[matched_joints] >= 0) & (take.parents[source[matched_joints]] >= 0)
+    matched_joints = np.flatnonzero(source_indices >= 0)
+    take_fraction = _take_fraction(take, source_indices[matched_joints])
+    fractions = take_fraction, len(matched_joints) / max(1, len(source_indices))
+    bone_joints = matched_joints[
+        (rig.parents[matched_joints] >= 0)
+        & (take.parents[source_indices[matched_joints]] >= 0)
     ]
-    rig_bones = rig.rest_translations[joints_with_parents]
-    take_bones = take.rest_translations[source[joints_with_parents]]
-    sizes = np.array(
+    rig_bones = rig.rest_translations[bone_joints]
+    take_bones = take.rest_translations[source_indices[bone_joints]]
+    bone_lengths = np.array(
         [np.linalg.norm(bones, axis=1) for bones in (take_bones, rig_bones)]
     )
-    totals = sizes.sum(axis=1)
-    if not (totals > 0).all():
+    total_lengths = bone_lengths.sum(axis=1)
+    if not (total_lengths > 0).all():
         # No bone to compare, as for a single joint.
         empty = np.zeros(0)
         no_joints = np.zeros(0, np.int64)
         return RigFit(*fractions, no_joints, empty, empty, empty, 1.0, 0.0)
-    relative_lengths = sizes / totals[:, None]
-    size = float(totals[0] / totals[1])
-    larger_length = relative_lengths.max(axis=0)
-    lengths = np.zeros(len(joints_with_parents))
+    relative_lengths = bone_lengths / total_lengths[:, None]
+    size = float(total_lengths[0] / total_lengths[1])
+    larger_lengths = relative_lengths.max(axis=0)
+    lengths = np.zeros(len(bone_joints))
     differences = np.abs(relative_lengths[0] - relative_lengths[1])
-    np.divide(differences, larger_length, lengths, where=larger_length > 0)
-    has_direction = (relative_lengths > MIN_BONE_LENGTH / len(joints_with_parents)).all(
-        axis=0
-    )
+    np.divide(differences, larger_lengths, lengths, where=larger_lengths > 0)
+    has_direction = (relative_lengths > MIN_BONE_LENGTH / len(bone_joints)).all(axis=0)
     angles = np.where(has_direction, _angles_between(take_bones, rig_bones), 0.0)
-    weights = relative_lengths.mean(axis=0)
+    bone_weights = relative_lengths.mean(axis=0)
     up_axis_angle = 0.0
-    if compare_poses:
-        aligned_poses = _AlignedPoses(
-            take, rig, source[joints_with_parents], joints_with_parents
-        )
-        pose_angles = np.where(
-            has_direction, _angles_between(*aligned_poses.bones), 0.0
-        )
-        if np.sqrt(weights @ pose_angles**2) < SAME_POSE_ANGLE:
+    if compares_poses:
+        take_joints = source_indices[bone_joints]
+        aligned_poses = _AlignedPoses(take, rig, take_joints, bone_joints)
+        pose_angles = _angles_between(*aligned_poses.bones)
+        pose_angles = np.where(has_direction, pose_angles, 0.0)
+        if np.sqrt(bone_weights @ pose_angles**2) < SAME_POSE_ANGLE:
             angles = np.maximum(angles, aligned_poses.rotation_angles)
             up_axis_angle = aligned_poses.up_axis_angle
     return RigFit(
-        *fractions, joints_with_parents, angles, lengths, weights, size, up_axis_angle
+        *fractions, bone_joints, angles, lengths, bone_weights, size, up_axis_angle
     )
 
 
@@ -161,15 +158,15 @@ class _AlignedPoses:
         positions = take_world.positions[0], rig_world.positions[0]
         parents = take.parents[take_joints], rig.parents[rig_joints]
         bone_ends = positions[0][take_joints], positions[1][rig_joints]
-        starts = positions[0][parents[0]], positions[1][parents[1]]
-        bones = bone_ends[1] - starts[1]
+        bone_starts = positions[0][parents[0]], positions[1][parents[1]]
+        bones = bone_ends[1] - bone_starts[1]
         alignment = so3.IDENTITY
         if not _is_straight(bones):
             alignment, _ = rigid_motion(
-                np.concatenate([starts[0], bone_ends[0]]),
-                np.concatenate([starts[1], bone_ends[1]]),
+                np.concatenate([bone_starts[0], bone_ends[0]]),
+                np.concatenate([bone_starts[1], bone_ends[1]]),
             )
-        self.bones = so3.rotate(alignment, bone_ends[0] - starts[0]), bones
+        self.bones = so3.rotate(alignment, bone_ends[0] - bone_starts[0]), bones
         self.rotation_angles = so3.angle_between(
             so3.multiply(alignment, take_world.rotations[0, take_joints]),
             rig_world.rotations[0, rig_joints],
@@ -182,6 +179,7 @@ class _AlignedPoses:
 
 def _is_straight(bones: FloatArray) -> bool:
     """Return whether all bones are collinear, so that twist is undefined."""
+    # The singular values are the spreads along the principal axes.
     spreads = np.linalg.svd(bones, compute_uv=False)
     return bool(len(spreads) < 2 or spreads[1] <= COLLINEAR_TOLERANCE * spreads[0])
 
@@ -211,21 +209,22 @@ RATIO_TOLERANCE = 0.15
 def check_fit(
     take: Rig,
     rig: Rig,
-    source: IntArray,
+    source_indices: IntArray,
     location: str,
     *,
-    forced: bool,
-    unmatched: list[Fault] | None = None,
+    is_forced: bool,
+    unmatched_faults: list[Fault] | None = None,
 ) -> tuple[RigFit, list[Fault]]:
     """Check how well a take fits a rig (RIG040); return the fit and a warning.
 
-    ``source`` is the take's joint for each of the rig ``(J,)``, -1 for none. If forced,
-    a warning replaces the error, which otherwise includes ``unmatched`` joints.
+    ``source_indices``: the take's joint for each joint of the rig ``(J,)``, -1 for
+    none. If ``is_forced``, a warning replaces the error, which otherwise includes
+    ``unmatched_faults``.
     """
-    fit = measure_fit(take, rig, source, compare_poses=take.has_rest)
+    fit = measure_fit(take, rig, source_indices, compares_poses=take.has_rest)
     if fit.score >= PERFECT_FIT:
         return fit, []
-    is_accepted = fit.score >= MIN_FIT or forced
+    is_accepted = fit.score >= MIN_FIT or is_forced
     if is_accepted:
         message = f"the take differs from the rig: score {fit.score:.2f}; "
         code, hint, severity = "RIG041", None, Severity.WARNING
@@ -243,7 +242,7 @@ def check_fit(
     if is_accepted:
         return fit, [fault]
     lacks_joints = fit.components["joints"] < MIN_FIT
-    raise FormatError([fault, *((unmatched or []) if lacks_joints else [])])
+    raise FormatError([fault, *((unmatched_faults or []) if lacks_joints else [])])
 
 
 def _score_text(fit: RigFit) -> str:

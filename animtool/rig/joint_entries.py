@@ -23,7 +23,7 @@ from animtool.rig.joint_schema import (
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.sides import ORIGIN, PoseArrays, mirror_joint, world_transform_below
-from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
+from animtool.rig.skeleton import Joint, JointType, Mimic
 from animtool.rig.suspicions import warn_of_quaternion_length
 
 # Shorter axes and quaternions are mistakes.
@@ -66,7 +66,7 @@ class _JointEntry:
     """A joint to build: a file's entry or its mirror image."""
 
     index: int
-    source: str
+    source_name: str
     parent: str | None
     is_mirrored: bool = False
     is_orphaned: bool = False
@@ -86,8 +86,7 @@ class _JointTree:
             return ORIGIN
         for next_joint in self.joints[len(self.world) : joint + 1]:
             parent = self.world[next_joint.parent] if next_joint.parent >= 0 else ORIGIN
-            rest = Pose(next_joint.translation, next_joint.rotation)
-            self.world.append(world_transform_below(parent, rest))
+            self.world.append(world_transform_below(parent, next_joint.rest_pose))
         return self.world[joint]
 
 
@@ -102,7 +101,7 @@ def read_joints(
         entry = entries[name]
         parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
         if entry.is_mirrored:
-            source = tree.indices[entry.source]
+            source = tree.indices[entry.source_name]
             parent_world = tree.world_at_rest(parent)
             joint = mirror_joint(
                 tree.joints[source], tree.world_at_rest(source), parent, parent_world
@@ -137,8 +136,8 @@ def _joint_entries(
 ) -> dict[str, _JointEntry]:
     """Return the joints to build by name; record duplicates and unknown parents."""
     entries: dict[str, _JointEntry] = {}
-    mirrors = {m.name: m.mirror for m in models if m.mirror is not None}
-    mirrors |= {mirror: name for name, mirror in mirrors.items()}
+    partner_names = {m.name: m.mirror for m in models if m.mirror is not None}
+    partner_names |= {mirror: name for name, mirror in partner_names.items()}
     for i, model in enumerate(models):
         if model.name in entries:
             message = f"duplicate joint {model.name!r}"
@@ -159,7 +158,7 @@ def _joint_entries(
             hint = "mirror creates that joint; remove the other"
         else:
             parent = model.parent
-            parent = mirrors.get(parent, parent) if parent is not None else None
+            parent = partner_names.get(parent, parent) if parent is not None else None
             entries[model.mirror] = _JointEntry(i, model.name, parent, is_mirrored=True)
             continue
         document.add("RIG010", ("joints", i, "mirror"), message, hint)
@@ -193,13 +192,14 @@ def _in_dependency_order(
 ) -> Iterator[str]:
     """Yield joint names in file order, but parents and mirror sources first."""
     yielded_names: set[str] = set()
-    for start in entries:
+    for start_name in entries:
         # An ordered set.
-        pending_names = {start: None}
+        pending_names = {start_name: None}
         while pending_names:
             name = next(reversed(pending_names))
             entry = entries[name]
-            required_names = [entry.parent, entry.source if entry.is_mirrored else None]
+            mirror_source = entry.source_name if entry.is_mirrored else None
+            required_names = (entry.parent, mirror_source)
             required_name = next(
                 (n for n in required_names if n and n not in yielded_names), None
             )
@@ -211,13 +211,13 @@ def _in_dependency_order(
                 continue
             if required_name in pending_names:
                 unfinished_names = list(pending_names)
-                first = unfinished_names.index(required_name)
-                cycle = cycle_text([required_name, *unfinished_names[first:][::-1]])
-                message = f"the joints are their own ancestors: {cycle}"
+                cycle_start = unfinished_names.index(required_name)
+                ancestors = [required_name, *unfinished_names[cycle_start:][::-1]]
+                message = f"the joints are their own ancestors: {cycle_text(ancestors)}"
                 hint = "remove the parent of the one that is the root"
                 document.add("RIG003", ("joints", entry.index), message, hint)
                 entry.parent, entry.is_orphaned = None, True
-                if entry.is_mirrored and required_name == entry.source:
+                if entry.is_mirrored and required_name == entry.source_name:
                     del pending_names[name]
                     yielded_names.add(name)
                 continue
@@ -237,7 +237,7 @@ def _warn_of_off_centre_parent(
         return
     parent = joints[joint.parent].name
     message = (
-        f"{joint.name!r} mirrors {entry.source!r} in the world's plane x = 0, but "
+        f"{joint.name!r} mirrors {entry.source_name!r} in the world's plane x = 0, but "
         f"their parent {parent!r} is {length_text(abs(distance), 4)} off that plane"
     )
     hint = f"give {parent!r} a mirror, or write both joints without one"
@@ -366,40 +366,37 @@ def _with_mimics(
 ) -> FileJoints:
     """Return the joints with their mimics, whose leaders must exist."""
     joints = list(file_joints.joints)
-    by_name = {joint.name: i for i, joint in enumerate(joints)}
+    indices_by_name = {joint.name: i for i, joint in enumerate(joints)}
     scalar_types = (JointType.PIN, JointType.PRISMATIC)
     for name, entry in entries.items():
         model = models[entry.index]
         if not isinstance(model, PinJointModel | PrismaticJointModel) or not (
-            model.mimic and name in by_name
+            model.mimic and name in indices_by_name
         ):
             continue
         mimic, location = model.mimic, ("joints", entry.index, "mimic", "joint")
-        leader = by_name.get(mimic.joint)
+        leader = indices_by_name.get(mimic.joint)
         if leader is None:
             message = f"unknown joint {mimic.joint!r}"
             if not file_joints.has_unnamed:
-                document.add(
-                    "RIG008", location, message, name_hint(mimic.joint, list(by_name))
-                )
+                hint = name_hint(mimic.joint, list(indices_by_name))
+                document.add("RIG008", location, message, hint)
             continue
         if mimic.joint in file_joints.untyped_joints:
             continue
         if joints[leader].type not in scalar_types:
             message = f"{mimic.joint!r} is a {joints[leader].type} joint"
-            document.add(
-                "RIG009", location, message, "a mimic follows a pin or prismatic"
-            )
+            hint = "a mimic follows a pin or prismatic"
+            document.add("RIG009", location, message, hint)
             continue
         leader_name = mimic.joint
         if entry.is_mirrored:
             leader_name = joints[leader].mirror or leader_name
         unit = units.unit_of(JointType(model.type))
-        leader_unit = units.unit_of(joints[leader].type)
-        mimic_of_joint = Mimic(
-            leader_name, mimic.gain * unit / leader_unit, mimic.offset * unit
-        )
-        joints[by_name[name]] = replace(joints[by_name[name]], mimic=mimic_of_joint)
+        gain = mimic.gain * unit / units.unit_of(joints[leader].type)
+        joint_mimic = Mimic(leader_name, gain, mimic.offset * unit)
+        i = indices_by_name[name]
+        joints[i] = replace(joints[i], mimic=joint_mimic)
     _check_mimic_chains(document, entries, joints)
     return replace(file_joints, joints=tuple(joints))
 

@@ -162,14 +162,16 @@ _SINGLE_PARTS = {
 
 
 def part_hint(
-    text: str, parts: Mapping[str, Sequence[JointType]], kind: JointType | None = None
+    text: str,
+    parts: Mapping[str, Sequence[JointType]],
+    joint_type: JointType | None = None,
 ) -> str:
     """Return a hint that suggests the joint part for a misspelled target.
 
     Args:
         text: The target: the joint's name, and an unknown part.
         parts: Allowed parts, and the joints that have them.
-        kind: Type of the joint; None if unknown.
+        joint_type: Type of the joint; None if unknown.
 
     >>> part_hint("elbow_l.angel", KEYED_PARTS)
     "did you mean '.angle'?"
@@ -177,7 +179,9 @@ def part_hint(
     'the part is .angle'
     """
     allowed_parts = [
-        part for part, kinds in parts.items() if kind is None or kind in kinds
+        part
+        for part, kinds in parts.items()
+        if joint_type is None or joint_type in kinds
     ]
     text_parts = text[-MAX_NAME_LENGTH:].split(".")
     suffixes = [".".join(text_parts[i:]) for i in range(1, len(text_parts))]
@@ -186,12 +190,14 @@ def part_hint(
         name_without_axis = normalized_name
         if normalized_name[-1:] in ("x", "y", "z"):
             name_without_axis = normalized_name[:-1]
-        meant_part = _PART_SYNONYMS.get(name_without_axis, name_without_axis)
+        intended_part = _PART_SYNONYMS.get(name_without_axis, name_without_axis)
         axis = normalized_name[-1] if name_without_axis != normalized_name else "x"
         single_part = (
-            _SINGLE_PARTS.get((kind, meant_part)) if kind is not None else None
+            _SINGLE_PARTS.get((joint_type, intended_part))
+            if joint_type is not None
+            else None
         )
-        for part in (single_part, meant_part, f"{meant_part}.{axis}"):
+        for part in (single_part, intended_part, f"{intended_part}.{axis}"):
             if part in allowed_parts:
                 return f"the part is .{part}"
     similar_part = next(
@@ -199,12 +205,12 @@ def part_hint(
     )
     if similar_part is not None:
         return f"did you mean '.{similar_part}'?"
-    if kind is None:
+    if joint_type is None:
         return f"write a joint's name and one of .{', .'.join(allowed_parts)}"
     allowed_text = (
         f".{', .'.join(allowed_parts)}" if allowed_parts else "nothing that moves"
     )
-    return f"a {kind} joint has {allowed_text}"
+    return f"a {joint_type} joint has {allowed_text}"
 
 
 def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Joint limits."""
+"""Joint limits: ranges of angles and slides, cones and twists of ball joints."""
 
 from __future__ import annotations
 
@@ -76,12 +76,14 @@ class BallLimit:
             divisors = np.maximum(relative_swing[is_outside], 1.0)[:, None]
             swing[is_outside] = so3.exp(swing_vector[is_outside] / divisors)
         clamped_twist = so3.from_axis_angle(self.twist_axis, twist[is_outside])
-        inside_limits = so3.multiply(swing[is_outside], clamped_twist)
-        original = rotations[is_outside]
-        is_rounding = so3.angle_between(inside_limits, original) < LIMIT_TOLERANCE
+        rotations_inside = so3.multiply(swing[is_outside], clamped_twist)
+        rotations_outside = rotations[is_outside]
+        is_rounding = (
+            so3.angle_between(rotations_inside, rotations_outside) < LIMIT_TOLERANCE
+        )
         clamped_rotations = rotations.copy()
         clamped_rotations[is_outside] = np.where(
-            is_rounding[:, None], original, inside_limits
+            is_rounding[:, None], rotations_outside, rotations_inside
         )
         return clamped_rotations
 
@@ -108,8 +110,8 @@ def swing_twist(
     sine_along_axis = q[:, :3] @ np.asarray(axis, np.float64)
     w = q[:, 3]
     is_undefined = np.hypot(sine_along_axis, w) < LIMIT_TOLERANCE
-    half = np.where(is_undefined, 0.0, np.arctan2(sine_along_axis, w))
-    twist = 2 * half
+    half_twist = np.where(is_undefined, 0.0, np.arctan2(sine_along_axis, w))
+    twist = 2 * half_twist
     twist = np.where(twist > np.pi, twist - 2 * np.pi, twist)
     twist = np.where(twist < -np.pi, twist + 2 * np.pi, twist)
     inverse_twist = so3.from_axis_angle(axis, -twist)
@@ -121,9 +123,9 @@ def swing_twist(
 def _twist_swing_axes(axis: tuple[float, float, float]) -> FloatArray:
     """Return a twist axis and two perpendicular axes, as rows ``(3, 3)``."""
     direction = np.asarray(axis, np.float64)
-    largest = int(np.argmax(np.abs(direction)))
+    largest_component = int(np.argmax(np.abs(direction)))
     basis = np.eye(3)
-    first_axis = basis[(largest + 1) % 3]
+    first_axis = basis[(largest_component + 1) % 3]
     first_axis = first_axis - (first_axis @ direction) * direction
     first_axis /= np.linalg.norm(first_axis)
     axes = np.stack([direction, first_axis, np.cross(direction, first_axis)])

@@ -16,8 +16,8 @@ INERTIA_TOLERANCE = 1e-3
 def read_masses(
     document: Document,
     entries: Sequence[MassModel],
-    inherited: Sequence[Mass],
-    length: float,
+    inherited_masses: Sequence[Mass],
+    length_unit: float,
     check_joint: Callable[[Location, str], bool],
 ) -> tuple[Mass, ...]:
     """Return the masses of a file and of its base rig, and record faults.
@@ -25,24 +25,24 @@ def read_masses(
     Args:
         document: Rig file.
         entries: Mass entries of the file.
-        inherited: Masses of the base rig.
-        length: Length unit [m].
+        inherited_masses: Masses of the base rig.
+        length_unit: Length unit [m].
         check_joint: Returns whether a joint exists, and records a fault otherwise.
     """
     listed_joints = {entry.joint for entry in entries}
-    masses = [mass for mass in inherited if mass.joint not in listed_joints]
-    indices: dict[str, int] = {}
+    masses = [mass for mass in inherited_masses if mass.joint not in listed_joints]
+    first_indices: dict[str, int] = {}
     for i, entry in enumerate(entries):
         location = ("masses", i)
         check_joint((*location, "joint"), entry.joint)
-        if entry.joint in indices:
-            line = document.position(("masses", indices[entry.joint]))[0]
+        if entry.joint in first_indices:
+            line = document.position(("masses", first_indices[entry.joint]))[0]
             message = f"joint {entry.joint!r} has a mass twice"
             document.add(
                 "RIG011", (*location, "joint"), message, f"first in line {line}"
             )
             continue
-        indices[entry.joint] = i
+        first_indices[entry.joint] = i
         inertia = None
         if entry.inertia is not None:
             a, b, c = inertia = (entry.inertia[0], entry.inertia[1], entry.inertia[2])
@@ -50,7 +50,7 @@ def read_masses(
                 message = f"no body has such an inertia: {problem}"
                 document.add("RIG047", (*location, "inertia"), message)
         axes = unit_quaternion(document, (*location, "axes"), entry.axes)
-        centre = scale_vector(entry.centre, length)
+        centre = scale_vector(entry.centre, length_unit)
         masses.append(Mass(entry.joint, entry.mass, centre, inertia, axes))
     return tuple(masses)
 

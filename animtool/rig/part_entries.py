@@ -55,7 +55,7 @@ class PartReader:
     model: RigModel  # content of the file
     units: FileUnits  # units of its numbers
     file_joints: FileJoints  # the rig's joints
-    arrays: ArrayReader  # checks the arrays that the file refers to
+    array_reader: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh, if known.
     point_counts: dict[str, int] = field(default_factory=dict)
     joints: dict[str, Joint] = field(init=False)  # the rig's joints, by name
@@ -75,12 +75,12 @@ class PartReader:
         )
 
     def read_shapes(
-        self, meshes: Iterable[str], inherited: Iterable[str]
+        self, meshes: Iterable[str], inherited_names: Iterable[str]
     ) -> tuple[Shape, ...]:
         """Return the blend shapes; check their arrays."""
         self._check_distinct("shapes", "shape")
         names = dict.fromkeys(
-            [*inherited, *(shape.name for shape in self.model.shapes)]
+            [*inherited_names, *(shape.name for shape in self.model.shapes)]
         )
         meshes = dict.fromkeys(meshes)
         shapes = []
@@ -88,44 +88,44 @@ class PartReader:
             location = ("shapes", i)
             if shape.mesh is not None:
                 self._check_known((*location, "mesh"), shape.mesh, meshes, "mesh")
-            count = self.point_counts.get(shape.mesh or "")
-            vertices = self.arrays.read_optional_array(
-                location, shape.vertices, "vertices", (None,), count
+            row_count = self.point_counts.get(shape.mesh or "")
+            vertices = self.array_reader.read_optional_array(
+                location, shape.vertices, "vertices", (None,), row_count
             )
             if vertices is not None:
-                count = self.arrays.row_count(vertices)
-            delta_shape = (count, 3)
+                row_count = self.array_reader.row_count(vertices)
+            delta_shape = (row_count, 3)
             for k, name in enumerate(shape.combine):
                 self._check_known((*location, "combine", k), name, names, "shape")
             inbetweens: list[Inbetween] = []
-            weights = [inbetween.at for inbetween in shape.inbetweens]
+            weights = [entry.at for entry in shape.inbetweens]
             predecessors = dict(
                 self.document.not_ascending((*location, "inbetweens"), weights, "at")
             )
-            for k, step in enumerate(shape.inbetweens):
+            for k, inbetween in enumerate(shape.inbetweens):
                 inbetween_location = (*location, "inbetweens", k)
-                if step.at in {0, 1} or k in predecessors:
-                    message = f"inbetween weight {step.at:g} is out of order"
+                if inbetween.at in {0, 1} or k in predecessors:
+                    message = f"inbetween weight {inbetween.at:g} is out of order"
                     hint = "weights ascend strictly between 0 (no deltas) and 1 "
                     hint += "(the main deltas)"
                     self.document.add(
                         "RIG024", (*inbetween_location, "at"), message, hint
                     )
-                deltas = self.arrays.read_array(
-                    inbetween_location, step.deltas, "deltas", delta_shape
+                deltas = self.array_reader.read_array(
+                    inbetween_location, inbetween.deltas, "deltas", delta_shape
                 )
-                normals = self.arrays.read_optional_array(
-                    inbetween_location, step.normals, "normals", delta_shape
+                normals = self.array_reader.read_optional_array(
+                    inbetween_location, inbetween.normals, "normals", delta_shape
                 )
-                inbetweens.append(Inbetween(step.at, deltas, normals))
+                inbetweens.append(Inbetween(inbetween.at, deltas, normals))
             shapes.append(
                 Shape(
                     shape.name,
                     shape.mesh or "",
-                    self.arrays.read_optional_array(
+                    self.array_reader.read_optional_array(
                         location, shape.deltas, "deltas", delta_shape
                     ),
-                    self.arrays.read_optional_array(
+                    self.array_reader.read_optional_array(
                         location, shape.normals, "normals", delta_shape
                     ),
                     tuple(inbetweens),
@@ -143,7 +143,7 @@ class PartReader:
         return tuple(shapes)
 
     def read_controls(
-        self, shapes: Iterable[str], inherited: Sequence[Control]
+        self, shapes: Iterable[str], inherited_controls: Sequence[Control]
     ) -> tuple[Control, ...]:
         """Return the controls; check their targets and dependencies."""
         self._check_distinct("controls", "control")
@@ -152,7 +152,9 @@ class PartReader:
         }
         known_shapes = dict.fromkeys(shapes)
         inherited_controls = [
-            control for control in inherited if control.name not in entry_indices
+            control
+            for control in inherited_controls
+            if control.name not in entry_indices
         ]
         self.control_names = dict.fromkeys(
             [*(control.name for control in inherited_controls), *entry_indices]
@@ -190,11 +192,11 @@ class PartReader:
                 hint = "keep the joint's type, or write a control with that name"
                 self.document.add("RIG023", ("from",), message, hint)
 
-    def read_chains(self, inherited: Sequence[IkChain]) -> tuple[IkChain, ...]:
+    def read_chains(self, inherited_chains: Sequence[IkChain]) -> tuple[IkChain, ...]:
         """Return the chains, each tip below its root."""
         self._check_distinct("ik", "chain")
         listed_names = {chain.name for chain in self.model.ik}
-        chains = [chain for chain in inherited if chain.name not in listed_names]
+        chains = [chain for chain in inherited_chains if chain.name not in listed_names]
         for i, chain in enumerate(self.model.ik):
             location = ("ik", i)
             is_known_end = [
@@ -210,36 +212,34 @@ class PartReader:
                 elif chain.tip == chain.root:
                     message = f"root and tip are both {chain.tip!r}"
                 self.document.add("RIG022", (*location, "tip"), message, hint)
-            pole = None
+            direction = None
             if chain.pole_dir is not None:
-                pole = unit_vector(
-                    self.document, (*location, "pole_dir"), chain.pole_dir
-                )
-            chains.append(
-                IkChain(
-                    chain.name, chain.root, chain.tip, chain.goal, pole, chain.stretch
-                )
-            )
+                where = (*location, "pole_dir")
+                direction = unit_vector(self.document, where, chain.pole_dir)
+            names = (chain.name, chain.root, chain.tip, chain.goal)
+            chains.append(IkChain(*names, direction, chain.stretch))
         return tuple(chains)
 
     def read_attachments(
-        self, meshes: Iterable[Mesh], inherited: Iterable[Attachment]
+        self, meshes: Iterable[Mesh], inherited_attachments: Iterable[Attachment]
     ) -> tuple[Attachment, ...]:
         """Return the attachments; check their arrays."""
         self._check_distinct("attach", "attachment")
-        counts = {mesh.name: self._point_count(mesh) for mesh in meshes}
+        point_counts = {mesh.name: self._point_count(mesh) for mesh in meshes}
         reader = AttachmentReader(
             self.document,
-            self.arrays,
-            counts,
+            self.array_reader,
+            point_counts,
             self.check_joint,
-            lambda at, name: self._check_known(at, name, counts, "mesh"),
+            lambda location, name: self._check_known(
+                location, name, point_counts, "mesh"
+            ),
         )
         listed_names = {entry.name for entry in self.model.attach}
         return (
             *(
                 entry
-                for entry in inherited
+                for entry in inherited_attachments
                 if entry.name not in listed_names
                 and not (entry.mesh and self.model.meshes)
             ),
@@ -253,42 +253,48 @@ class PartReader:
         """Return the point count of a mesh; None if it cannot be read."""
         if mesh.name in self.point_counts:
             return self.point_counts[mesh.name]
-        return self.arrays.row_count(mesh.points)
+        return self.array_reader.row_count(mesh.points)
 
-    def read_colliders(self, inherited: Sequence[Collider]) -> tuple[Collider, ...]:
+    def read_colliders(
+        self, inherited_colliders: Sequence[Collider]
+    ) -> tuple[Collider, ...]:
         """Return the colliders."""
         listed_joints = {entry.joint for entry in self.model.colliders}
         colliders = [
-            collider for collider in inherited if collider.joint not in listed_joints
+            collider
+            for collider in inherited_colliders
+            if collider.joint not in listed_joints
         ]
         for i, entry in enumerate(self.model.colliders):
             location = ("colliders", i)
             self.check_joint((*location, "joint"), entry.joint)
+            model, unit = entry.capsule, self.units.length
             axis = unit_vector(
-                self.document, (*location, "capsule", "axis"), entry.capsule.axis
+                self.document, (*location, "capsule", "axis"), model.axis
             )
-            length = self.units.length
-            form, offset = entry.capsule, scale_vector(entry.capsule.offset, length)
-            capsule = Capsule(form.radius * length, form.length * length, axis, offset)
+            offset = scale_vector(model.offset, unit)
+            capsule = Capsule(model.radius * unit, model.length * unit, axis, offset)
             colliders.append(Collider(entry.joint, capsule))
         return tuple(colliders)
 
     def _read_mesh(self, location: Location, mesh: MeshModel) -> Mesh:
         """Return a mesh; check its arrays."""
-        points = self.arrays.read_array(location, mesh.points, "points", (None, 3))
+        points = self.array_reader.read_array(
+            location, mesh.points, "points", (None, 3)
+        )
         point_count = self.point_counts.get(mesh.name)
         if point_count is None:
-            point_count = self.arrays.row_count(points)
+            point_count = self.array_reader.row_count(points)
         if point_count is not None:
             self.point_counts[mesh.name] = point_count
-        faces = self.arrays.read_array(
+        faces = self.array_reader.read_array(
             location, mesh.faces, "faces", (None, None), point_count
         )
         return Mesh(
             mesh.name,
             points,
             faces,
-            self.arrays.read_optional_array(
+            self.array_reader.read_optional_array(
                 location, mesh.normals, "normals", (point_count, 3)
             ),
             None if mesh.geom_bind is None else tuple(mesh.geom_bind),
@@ -307,13 +313,13 @@ class PartReader:
         joint_count = None
         if not self.document.is_placeholder((*location, "joints")):
             joint_count = len(skin.joints)
-        indices = self.arrays.read_array(
+        indices = self.array_reader.read_array(
             location, skin.indices, "indices", (point_count, None), joint_count
         )
-        shape = self.arrays.array_shape(indices) or ()
-        influences = shape[1] if len(shape) == 2 else None
-        weights = self.arrays.read_array(
-            location, skin.weights, "weights", (point_count, influences)
+        shape = self.array_reader.array_shape(indices) or ()
+        influence_count = shape[1] if len(shape) == 2 else None
+        weights = self.array_reader.read_array(
+            location, skin.weights, "weights", (point_count, influence_count)
         )
         return Skin(skin.method, tuple(skin.joints), indices, weights)
 
@@ -358,11 +364,11 @@ class PartReader:
         self, location: Location, model: DriveModel, shapes: Collection[str]
     ) -> Drive | None:
         """Return a control's drive; None with a fault."""
-        set_targets = [
+        target_kinds = [
             k for k in ("shape", "joint", "control") if getattr(model, k) is not None
         ]
-        if len(set_targets) != 1:
-            message = f"drives {' and '.join(set_targets) or 'nothing'}"
+        if len(target_kinds) != 1:
+            message = f"drives {' and '.join(target_kinds) or 'nothing'}"
             self.document.add(
                 "RIG015", location, message, "write one of shape, joint, control"
             )
@@ -376,7 +382,7 @@ class PartReader:
             )
             return None
         target, unit = self._read_target(
-            (*location, set_targets[0]), set_targets[0], model, shapes
+            (*location, target_kinds[0]), target_kinds[0], model, shapes
         )
         if model.expr is not None:
             check_no_interpolation(self.document, location, model.interp)
@@ -454,14 +460,14 @@ class PartReader:
 
     def _check_distinct(self, key: str, kind: str) -> None:
         """Record a fault for each entry that has the name of an earlier entry."""
-        first_index: dict[str, int] = {}
+        first_indices: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
-            if entry.name in first_index:
-                line = self.document.position((key, first_index[entry.name]))[0]
+            if entry.name in first_indices:
+                line = self.document.position((key, first_indices[entry.name]))[0]
                 message = f"duplicate {kind} {entry.name!r}"
                 hint = f"the first is on line {line}"
                 self.document.add("RIG011", (key, i, "name"), message, hint)
-            first_index.setdefault(entry.name, i)
+            first_indices.setdefault(entry.name, i)
 
     def check_joint(self, location: Location, name: str) -> bool:
         """Return whether a joint exists; record a fault otherwise."""

@@ -20,7 +20,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ArrayRef:
-    """An array in an npz file."""
+    """A reference to an array in an npz file."""
 
     text: str  # as spelled in its file, ``face.npz#smile``
     path: Path  # resolved path of the file
@@ -47,7 +47,7 @@ class LoadedArray:
     values: FloatArray  # finite values
 
     def load(self, _archives: Archives | None = None) -> FloatArray:
-        """Return the array."""
+        """Return the array in memory; open files are not needed."""
         return self.values
 
     def __eq__(self, other: object) -> bool:
@@ -85,7 +85,7 @@ class Skin:
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """A surface.
+    """A polygon mesh of a rig, with references to its arrays.
 
     Attributes:
         name: Unique name among the rig's meshes.
@@ -120,7 +120,7 @@ class Inbetween:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A blend shape.
+    """A blend shape of a rig, with references to its arrays.
 
     Attributes:
         name: Unique name among the rig's shapes.
@@ -202,7 +202,7 @@ class Capsule:
 
 @dataclass(frozen=True, slots=True)
 class Collider:
-    """A collider in the frame of a joint."""
+    """A capsule that moves with a joint and that simulations collide with."""
 
     joint: str
     capsule: Capsule

@@ -57,7 +57,7 @@ def transform_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> R
         controls=tuple(_scale_control(control, scale) for control in rig.controls),
         up=rig.up if up is None else up,
         bind={
-            name: _transform_pose(pose, placement, root=name in roots)
+            name: _transform_pose(pose, placement, is_root=name in roots)
             for name, pose in rig.bind.items()
         },
         meshes=tuple(
@@ -65,8 +65,8 @@ def transform_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> R
         ),
         chains=tuple(_rotate_chain(chain, placement, roots) for chain in rig.chains),
         attach=tuple(
-            _transform_strands(entry, placement, rig.meters_per_unit)
-            for entry in rig.attach
+            _transform_strands(attachment, placement, rig.meters_per_unit)
+            for attachment in rig.attach
         ),
         colliders=tuple(_scale_collider(collider, scale) for collider in rig.colliders),
         masses=tuple(_scale_mass(mass, scale) for mass in rig.masses),
@@ -76,10 +76,8 @@ def transform_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> R
 
 def _transform_joint(joint: Joint, placement: Placement, rig: Rig) -> Joint:
     """Return a joint with its lengths scaled; a root is also rotated and moved."""
-    if joint.parent < 0:
-        x, y, z = placement.transform_points(np.array(joint.translation)).tolist()
-        a, b, c, w = placement.transform_rotations(np.array(joint.rotation)).tolist()
-        joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))
+    pose = _transform_pose(joint.rest_pose, placement, is_root=joint.parent < 0)
+    joint = replace(joint, translation=pose.translation, rotation=pose.rotation)
     scale = placement.size
     if scale == 1.0:
         return joint
@@ -88,9 +86,6 @@ def _transform_joint(joint: Joint, placement: Placement, rig: Rig) -> Joint:
     limits, mimic = joint.limits, joint.mimic
     if isinstance(limits, RangeLimit) and is_sliding:
         limits = RangeLimit(limits.low * scale, limits.high * scale)
-    x, y, z = joint.translation
-    if joint.parent >= 0:
-        x, y, z = x * scale, y * scale, z * scale
     driver = _scale_driver(joint.driven, scale)
     if driver is not None:
         driver = replace(driver, unit=driver.unit * unit_scale)
@@ -101,7 +96,6 @@ def _transform_joint(joint: Joint, placement: Placement, rig: Rig) -> Joint:
         mimic = replace(mimic, gain=gain, offset=offset)
     return replace(
         joint,
-        translation=(x, y, z),
         tips=tuple((x * scale, y * scale, z * scale) for x, y, z in joint.tips),
         limits=limits,
         driven=driver,
@@ -109,25 +103,25 @@ def _transform_joint(joint: Joint, placement: Placement, rig: Rig) -> Joint:
     )
 
 
-def _scale_driver(driver: Driver | None, size: float) -> Driver | None:
+def _scale_driver(driver: Driver | None, scale: float) -> Driver | None:
     """Return a driver with its length unit scaled."""
     if driver is None:
         return None
-    return replace(driver, length_unit=driver.length_unit * size)
+    return replace(driver, length_unit=driver.length_unit * scale)
 
 
-def _scale_control(control: Control, size: float) -> Control:
+def _scale_control(control: Control, scale: float) -> Control:
     """Return a control with its drives of lengths scaled."""
     drives = tuple(
-        replace(drive, unit=drive.unit * size) if drive.is_length else drive
+        replace(drive, unit=drive.unit * scale) if drive.is_length else drive
         for drive in control.drives
     )
-    return replace(control, drives=drives, driven=_scale_driver(control.driven, size))
+    return replace(control, drives=drives, driven=_scale_driver(control.driven, scale))
 
 
-def _transform_pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
+def _transform_pose(pose: Pose, placement: Placement, *, is_root: bool) -> Pose:
     """Scale a bind pose; the pose of a root is also rotated and moved."""
-    if root:
+    if is_root:
         x, y, z = placement.transform_points(np.array(pose.translation)).tolist()
         a, b, c, w = placement.transform_rotations(np.array(pose.rotation)).tolist()
         return replace(pose, translation=(x, y, z), rotation=(a, b, c, w))
@@ -154,38 +148,38 @@ def _transform_mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
 
 
 def _transform_strands(
-    entry: Attachment, placement: Placement, unit: float
+    attachment: Attachment, placement: Placement, unit: float
 ) -> Attachment:
     """Return an attachment with its world-space strands placed."""
-    if entry.points is None:
-        return entry
+    if attachment.points is None:
+        return attachment
     placement_in_unit = replace(placement, translations=placement.translations / unit)
     try:
-        points = placement_in_unit.transform_points(entry.points.load())
+        points = placement_in_unit.transform_points(attachment.points.load())
     except ValueError as error:
-        raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
-    return replace(entry, points=LoadedArray(points))
+        raise FormatError(Fault("RIG018", f"{attachment.name!r}: {error}")) from error
+    return replace(attachment, points=LoadedArray(points))
 
 
-def _scale_mass(mass: Mass, size: float) -> Mass:
+def _scale_mass(mass: Mass, scale: float) -> Mass:
     """Return mass properties with lengths scaled; the mass is kept."""
-    x, y, z = (value * size for value in mass.centre)
+    x, y, z = (value * scale for value in mass.centre)
     inertia = mass.inertia
     if inertia is not None:
-        a, b, c = (value * size**2 for value in inertia)
+        a, b, c = (value * scale**2 for value in inertia)
         inertia = (a, b, c)
     return replace(mass, centre=(x, y, z), inertia=inertia)
 
 
-def _scale_collider(collider: Collider, size: float) -> Collider:
+def _scale_collider(collider: Collider, scale: float) -> Collider:
     """Return a collider with its lengths scaled."""
     capsule = collider.capsule
     x, y, z = capsule.offset
     scaled_capsule = replace(
         capsule,
-        radius=capsule.radius * size,
-        length=capsule.length * size,
-        offset=(x * size, y * size, z * size),
+        radius=capsule.radius * scale,
+        length=capsule.length * scale,
+        offset=(x * scale, y * scale, z * scale),
     )
     return replace(collider, capsule=scaled_capsule)
 

@@ -40,7 +40,7 @@ class Placement:
 
     @property
     def is_animated(self) -> bool:
-        """Whether the placement is animated."""
+        """Whether there is a transform for each frame instead of one for all."""
         return len(self.sizes) > 1
 
     @property
@@ -53,7 +53,7 @@ class Placement:
 
     @cached_property
     def is_identity(self) -> bool:
-        """Whether the placement is the identity."""
+        """Whether the placement moves nothing in any frame, up to rounding."""
         distance = np.abs(self.translations).max(initial=0.0)
         rotation_error = 1.0 - np.abs(self.rotations[:, 3]).min(initial=1.0)
         scale_error = np.abs(self.sizes - 1.0).max(initial=0.0)
@@ -86,10 +86,12 @@ class Placement:
         return sizes, self.rotations[:, None], self.translations[:, None]
 
     def inverse(self) -> Placement:
-        """Return the inverse placement."""
+        """Return the placement that undoes this one, frame by frame."""
         inverse_rotations = so3.conjugate(self.rotations)
-        shifts = so3.rotate(inverse_rotations, self.translations) / self.sizes[:, None]
-        return Placement(-shifts, inverse_rotations, 1.0 / self.sizes)
+        inverse_translations = (
+            so3.rotate(inverse_rotations, self.translations) / self.sizes[:, None]
+        )
+        return Placement(-inverse_translations, inverse_rotations, 1.0 / self.sizes)
 
     def after(self, other: Placement) -> Placement:
         """Return the composition: another placement, then this one."""
@@ -108,14 +110,15 @@ class Placement:
         """Return a placement of a single frame if all frames are equal, else itself."""
         if not self.is_animated:
             return self
-        spans = [
+        deviations = [
             np.abs(self.translations - self.translations[:1]).max(),
             np.abs(self.sizes / self.sizes[0] - 1.0).max(),
             1.0 - np.abs((self.rotations * self.rotations[:1]).sum(axis=-1)).min(),
         ]
         limits = [IDENTITY_TOLERANCE, IDENTITY_TOLERANCE, IDENTITY_TOLERANCE**2]
         is_constant = all(
-            span <= limit for span, limit in zip(spans, limits, strict=True)
+            deviation <= limit
+            for deviation, limit in zip(deviations, limits, strict=True)
         )
         return self.first() if is_constant else self
 
@@ -136,9 +139,9 @@ class Placement:
         axis = np.array(up.vector)
         local_up = so3.rotate(so3.conjugate(self.rotations[0]), axis)
         axis_index = int(np.abs(local_up).argmax())
-        nearest = np.zeros(3)
-        nearest[axis_index] = np.copysign(1.0, local_up[axis_index])
-        righting_rotation = _rotation_between(nearest, axis)
+        nearest_axis = np.zeros(3)
+        nearest_axis[axis_index] = np.copysign(1.0, local_up[axis_index])
+        righting_rotation = _rotation_between(nearest_axis, axis)
         righting_rotations = np.repeat(righting_rotation[None], len(self.sizes), axis=0)
         scale_and_righting = Placement(
             np.zeros((len(righting_rotations), 3)), righting_rotations, self.sizes

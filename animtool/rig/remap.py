@@ -82,9 +82,9 @@ class ShapeLinks:
     links: tuple[ShapeLink, ...]
     unlinked: tuple[str, ...]  # unlinked source shapes
 
-    def apply(self, weights: FloatArray, count: int) -> FloatArray:
+    def apply(self, weights: FloatArray, target_count: int) -> FloatArray:
         """Convert source weights to target weights ``(F, count)``."""
-        target_weights = np.zeros((len(weights), count))
+        target_weights = np.zeros((len(weights), target_count))
         for link in self.links:
             mapped_weights = link.gain * weights[:, link.source] + link.offset
             target_weights[:, link.target] += np.clip(
@@ -102,14 +102,14 @@ def parse_remap(document: Document) -> RemapFile:
     """Parse a remap document (duplicate entry or invalid clamp: FAC002)."""
     check_version(document, "remap")
     model = validate_document(document, RemapModel)
-    first_index: dict[tuple[str, str], int] = {}
+    first_indices: dict[tuple[str, str], int] = {}
     for i, entry in enumerate(model.shapes):
         shape_pair = (entry.source, entry.target)
-        if shape_pair in first_index:
+        if shape_pair in first_indices:
             message = f"{entry.source!r} is paired with {entry.target!r} twice"
-            hint = f"remove it here or from shapes[{first_index[shape_pair]}]"
+            hint = f"remove it here or from shapes[{first_indices[shape_pair]}]"
             document.add("FAC002", ("shapes", i), message, hint)
-        first_index.setdefault(shape_pair, i)
+        first_indices.setdefault(shape_pair, i)
         if entry.clamp is not None and entry.clamp[0] > entry.clamp[1]:
             message = f"clamp is reversed: {entry.clamp[0]:g} to {entry.clamp[1]:g}"
             document.add("FAC002", ("shapes", i, "clamp"), message, "swap them")
@@ -118,39 +118,47 @@ def parse_remap(document: Document) -> RemapFile:
 
 
 def link_shapes(
-    source: Sequence[str], target: Sequence[str], remap: RemapFile | None = None
+    source_names: Sequence[str],
+    target_names: Sequence[str],
+    remap: RemapFile | None = None,
 ) -> ShapeLinks:
     """Link source and target shapes by name or remap file.
 
     Names are equal, or spellings of the same ARKit name, such as
     ``blendShape1.eyeBlink_L``.
     """
-    source_indices, target_indices = _shapes_by_name(source), _shapes_by_name(target)
+    source_indices = _shapes_by_name(source_names)
+    target_indices = _shapes_by_name(target_names)
     links: list[ShapeLink] = []
     model = None if remap is None else remap.model
     if remap is not None and model is not None:
         document = remap.document
         for i, entry in enumerate(model.shapes):
             indices = {}
-            for side, index in (("source", source_indices), ("target", target_indices)):
+            for side, indices_by_name in (
+                ("source", source_indices),
+                ("target", target_indices),
+            ):
                 name = getattr(entry, side)
-                shape_index = _find_shape(name, index)
+                shape_index = _find_shape(name, indices_by_name)
                 if shape_index is None:
                     message = f"the {side} has no shape {name!r}"
-                    names = source if side == "source" else target
+                    names = source_names if side == "source" else target_names
                     hint = name_hint(name, names)
                     document.add("FAC001", ("shapes", i, side), message, hint)
                 else:
                     indices[side] = shape_index
             if len(indices) == 2:
                 low, high = entry.clamp or (-np.inf, np.inf)
-                numbers = (entry.gain, entry.offset, low, high)
-                links.append(ShapeLink(indices["source"], indices["target"], *numbers))
+                link_values = (entry.gain, entry.offset, low, high)
+                links.append(
+                    ShapeLink(indices["source"], indices["target"], *link_values)
+                )
         document.check()
     linked_sources = {link.source for link in links}
     linked_targets = {link.target for link in links}
     if model is None or model.others == "auto":
-        for i, name in enumerate(source):
+        for i, name in enumerate(source_names):
             shape_index = _find_shape(name, target_indices)
             if (
                 shape_index is not None
@@ -160,20 +168,22 @@ def link_shapes(
                 links.append(ShapeLink(i, shape_index))
                 linked_sources.add(i)
                 linked_targets.add(shape_index)
-    unlinked = (name for i, name in enumerate(source) if i not in linked_sources)
-    return ShapeLinks(tuple(links), tuple(unlinked))
+    unlinked_names = (
+        name for i, name in enumerate(source_names) if i not in linked_sources
+    )
+    return ShapeLinks(tuple(links), tuple(unlinked_names))
 
 
-def _find_shape(name: str, index: Mapping[str, int]) -> int | None:
+def _find_shape(name: str, indices_by_name: Mapping[str, int]) -> int | None:
     """Return the index of a shape by its name, or its ARKit name; None if unknown."""
-    return index.get(name, index.get(arkit_name(name) or name))
+    return indices_by_name.get(name, indices_by_name.get(arkit_name(name) or name))
 
 
 def _shapes_by_name(names: Sequence[str]) -> Mapping[str, int]:
     """Index shapes by all their names, exact ones first."""
-    index = {name: i for i, name in enumerate(names)}
+    indices_by_name = {name: i for i, name in enumerate(names)}
     for i, name in enumerate(names):
         standard_name = arkit_name(name)
         if standard_name is not None:
-            index.setdefault(standard_name, i)
-    return index
+            indices_by_name.setdefault(standard_name, i)
+    return indices_by_name

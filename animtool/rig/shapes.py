@@ -61,16 +61,16 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
     >>> [shape.name for shape in combination_order([both, smile])]
     ['smile', 'both']
     """
-    by_name = {shape.name: shape for shape in shapes}
+    shapes_by_name = {shape.name: shape for shape in shapes}
     dependencies = {
-        shape.name: [name for name in shape.combine if name in by_name]
+        shape.name: [name for name in shape.combine if name in shapes_by_name]
         for shape in shapes
     }
-    return [by_name[name] for name in dependency_order(dependencies)]
+    return [shapes_by_name[name] for name in dependency_order(dependencies)]
 
 
 def add_combinations(
-    shapes: Sequence[Shape], uncombined: Mapping[str, FloatArray]
+    shapes: Sequence[Shape], uncombined_weights: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Add products of combination shapes to weights [1], ``(F,)`` or ``(1,)``.
 
@@ -80,7 +80,7 @@ def add_combinations(
     >>> add_combinations(shapes, own)["both"].tolist()
     [0.25, 0.5]
     """
-    weights = {shape.name: uncombined[shape.name] for shape in shapes}
+    weights = {shape.name: uncombined_weights[shape.name] for shape in shapes}
     for shape in combination_order(shapes):
         if shape.combine:
             weights[shape.name] = weights[shape.name] + _product(shape, weights)
@@ -88,7 +88,7 @@ def add_combinations(
 
 
 def subtract_combinations(
-    shapes: Sequence[Shape], total: Mapping[str, FloatArray]
+    shapes: Sequence[Shape], total_weights: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Subtract the products of combination shapes: the inverse of `add_combinations`.
 
@@ -99,9 +99,9 @@ def subtract_combinations(
     array([0.25])
     """
     return {
-        shape.name: total[shape.name] - _product(shape, total)
+        shape.name: total_weights[shape.name] - _product(shape, total_weights)
         if shape.combine
-        else total[shape.name]
+        else total_weights[shape.name]
         for shape in shapes
     }
 

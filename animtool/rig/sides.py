@@ -24,7 +24,7 @@ SIDE_WORDS = {
     "l": "r",
     "左": "右",
 }
-_LEFT, _RIGHT = (
+_LEFT_PATTERN, _RIGHT_PATTERN = (
     rf"(?<![A-Za-z]){word}|{word.capitalize()}|(?<![A-Za-z]){word.upper()}(?![a-z])"
     for word in ("left", "right")
 )
@@ -34,14 +34,14 @@ _SIDE_LETTER = (
     r"|(?<![A-Za-z])[{0}{1}](?=[A-Z][a-z])|(?<![A-Za-z0-9]){0}(?=[A-Z])"
     r"|(?<=[a-z]){1}(?![A-Za-z0-9])"
 )
-_LOOKS_LEFT = re.compile(f"{_LEFT}|左|" + _SIDE_LETTER.format("l", "L"))
-_LOOKS_RIGHT = re.compile(f"{_RIGHT}|右|" + _SIDE_LETTER.format("r", "R"))
+_LOOKS_LEFT = re.compile(f"{_LEFT_PATTERN}|左|" + _SIDE_LETTER.format("l", "L"))
+_LOOKS_RIGHT = re.compile(f"{_RIGHT_PATTERN}|右|" + _SIDE_LETTER.format("r", "R"))
 # Patterns of left names, most reliable first. The last ones also match unrelated
 # letters, but a partner with the other name must exist anyway.
 _SIDE_PATTERNS = tuple(
     re.compile(pattern)
     for pattern in (
-        f"{_LEFT}|左",
+        f"{_LEFT_PATTERN}|左",
         _SIDE_LETTER.format("l", "L"),
         r"Left|LEFT|left|(?<![A-Za-z])[Ll](?:ft|f|t)(?![a-z])|Lft|Lf(?![a-z])",
         r"(?<![A-Za-z])[lL](?![A-Za-z])|(?<=[a-z0-9])L(?![a-z])",
@@ -59,7 +59,7 @@ class SidePairs:
     partners: IntArray
     left: tuple[int, ...]  # indices of the left ones among the pairs found by name
     # Left or right names without a partner.
-    unpaired: tuple[int, ...]
+    unpaired_indices: tuple[int, ...]
 
 
 def pair_sides(
@@ -75,20 +75,20 @@ def pair_sides(
 
     >>> pair_sides(["hips", "lfemur", "rfemur", "arm.L", "arm.R"]).partners.tolist()
     [0, 2, 1, 4, 3]
-    >>> pair_sides(["rib", "tail_l"]).unpaired
+    >>> pair_sides(["rib", "tail_l"]).unpaired_indices
     (1,)
     """
-    index = {name: i for i, name in enumerate(names)}
+    indices_by_name = {name: i for i, name in enumerate(names)}
     parent_list = [-1] * len(names) if parents is None else [int(p) for p in parents]
     partners = np.arange(len(names))
     unpaired_indices = set(range(len(names)))
-    for a, b in ((index[a], index[b]) for a, b in stated_pairs):
+    for a, b in ((indices_by_name[a], indices_by_name[b]) for a, b in stated_pairs):
         if a in unpaired_indices and b in unpaired_indices:
             partners[a], partners[b] = b, a
             unpaired_indices -= {a, b}
-    paired_left: list[int] = []
+    left_indices: list[int] = []
     for _, _, left, right in sorted(
-        _candidate_pairs(names, index, _joint_depths(parent_list))
+        _candidate_pairs(names, indices_by_name, _joint_depths(parent_list))
     ):
         parent = parent_list[left]
         partner_of_parent = int(partners[parent]) if parent >= 0 else -1
@@ -99,9 +99,9 @@ def pair_sides(
         ):
             partners[left], partners[right] = right, left
             unpaired_indices -= {left, right}
-            paired_left.append(left)
+            left_indices.append(left)
     unpaired_with_side = [i for i in sorted(unpaired_indices) if _has_side(names[i])]
-    return SidePairs(partners, tuple(sorted(paired_left)), tuple(unpaired_with_side))
+    return SidePairs(partners, tuple(sorted(left_indices)), tuple(unpaired_with_side))
 
 
 def find_likely_pairs(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
@@ -111,8 +111,9 @@ def find_likely_pairs(names: Sequence[str], pairs: SidePairs) -> list[tuple[str,
     >>> find_likely_pairs(names, pair_sides(names))
     [('armLeft', 'arm_right')]
     """
-    left_names = [names[i] for i in pairs.unpaired if _LOOKS_LEFT.search(names[i])]
-    right_names = [names[i] for i in pairs.unpaired if names[i] not in left_names]
+    unpaired_names = [names[i] for i in pairs.unpaired_indices]
+    left_names = [name for name in unpaired_names if _LOOKS_LEFT.search(name)]
+    right_names = [name for name in unpaired_names if name not in left_names]
     likely_pairs = []
     for name in left_names:
         key = _without_side(name)
@@ -143,7 +144,7 @@ def _joint_depths(parents: Sequence[int]) -> list[int]:
 
 
 def _candidate_pairs(
-    names: Sequence[str], index: dict[str, int], depths: Sequence[int]
+    names: Sequence[str], indices_by_name: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
     """Yield each possible pair: depth, rank of the naming, left and right index."""
     indices_by_fold: dict[str, list[int]] = {}
@@ -151,8 +152,8 @@ def _candidate_pairs(
         indices_by_fold.setdefault(name.casefold(), []).append(i)
     for left, name in enumerate(names):
         for rank, right_name in _partner_names(name):
-            if right_name in index:
-                yield depths[left], rank, left, index[right_name]
+            if right_name in indices_by_name:
+                yield depths[left], rank, left, indices_by_name[right_name]
             elif (
                 len(matches := indices_by_fold.get(right_name.casefold(), [])) == 1
                 and rank < 3
@@ -167,8 +168,8 @@ def _partner_names(name: str) -> Iterator[tuple[int, str]]:
         if len(side_marks) > 1:
             yield rank, pattern.sub(_right_mark, name)
         for side_mark in side_marks:
-            start, end = name[: side_mark.start()], name[side_mark.end() :]
-            yield rank, start + _right_mark(side_mark) + end
+            prefix, suffix = name[: side_mark.start()], name[side_mark.end() :]
+            yield rank, prefix + _right_mark(side_mark) + suffix
 
 
 def _right_mark(side_mark: re.Match[str]) -> str:
@@ -214,19 +215,19 @@ def world_transform_below(parent_world: PoseArrays, pose: Pose) -> PoseArrays:
 
 def mirror_pose(pose: Pose, world: PoseArrays, parent_world: PoseArrays) -> Pose:
     """Return the local pose of the partner joint, a reflection in world space."""
-    local = reflect_vector(np.array(pose.translation)) + 0.0
+    translation = reflect_vector(np.array(pose.translation)) + 0.0
     local_rotation = reflect_rotation(np.array(pose.rotation)) + 0.0
     inverse_parent = so3.conjugate(parent_world[1])
     offset = so3.rotate(inverse_parent, reflect_vector(world[0]) - parent_world[0])
     rotation = so3.multiply(inverse_parent, reflect_rotation(world[1]))
     if (
-        np.abs(offset - local).max() > POSITION_TOLERANCE
+        np.abs(offset - translation).max() > POSITION_TOLERANCE
         or so3.angle_between(rotation, local_rotation) > POSITION_TOLERANCE
     ):
         # The parents are not mirror images of each other.
-        local, local_rotation = offset + 0.0, rotation + 0.0
+        translation, local_rotation = offset + 0.0, rotation + 0.0
     a, b, c, d = local_rotation.tolist()
-    return Pose(_float_tuple(local), (a, b, c, d))
+    return Pose(_float_tuple(translation), (a, b, c, d))
 
 
 def mirror_joint(
@@ -237,7 +238,7 @@ def mirror_joint(
     A pin's axis is reflected so that equal coordinates are mirror images: both
     elbows bend by positive angles, and limits carry over.
     """
-    pose = mirror_pose(Pose(joint.translation, joint.rotation), world, parent_world)
+    pose = mirror_pose(joint.rest_pose, world, parent_world)
     limits = joint.limits
     if isinstance(limits, BallLimit):
         limits = replace(limits, twist_axis=_reflected_axis(limits.twist_axis))

@@ -141,10 +141,15 @@ class Joint:
     driven: Driver | None = None
     humanoid: str = field(default="", repr=False, compare=False)
 
+    @property
+    def rest_pose(self) -> Pose:
+        """The local transform at rest."""
+        return Pose(self.translation, self.rotation)
+
 
 @dataclass(frozen=True)
 class Rig:
-    """A skeleton.
+    """A skeleton with its meshes, blend shapes, controls and other parts.
 
     Attributes:
         name: Name of the character.
@@ -228,14 +233,14 @@ class Rig:
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0)))
         <Rig 'arm': 2 joints, in m, Y up>
         """
-        parts = [counted(len(self.joints), "joint")]
+        part_texts = [counted(len(self.joints), "joint")]
         nouns = {"meshes": "mesh", "shapes": "shape", "controls": "control"}
         for name, noun in nouns.items():
             count = len(getattr(self, name))
             if count:
-                parts.append(counted(count, noun, name))
+                part_texts.append(counted(count, noun, name))
         unit = unit_name(self.meters_per_unit)
-        return f"<Rig {self.name!r}: {', '.join(parts)}, in {unit}, {self.up} up>"
+        return f"<Rig {self.name!r}: {', '.join(part_texts)}, in {unit}, {self.up} up>"
 
     def index(self, name: str) -> int:
         """Return the index of a joint.
@@ -333,12 +338,12 @@ class Rig:
     def joint_arrays(self) -> JointArrays:
         """Types, columns of coordinates and axes of the joints."""
         type_numbers = {kind: number for number, kind in enumerate(COORDINATE_WIDTHS)}
-        widths = np.array(
+        coordinate_counts = np.array(
             [COORDINATE_WIDTHS[joint.type] for joint in self.joints], np.int64
         )
         return JointArrays(
             np.array([type_numbers[joint.type] for joint in self.joints], np.int64),
-            np.cumsum(widths) - widths,
+            np.cumsum(coordinate_counts) - coordinate_counts,
             np.array([j.axis for j in self.joints], np.float64).reshape(-1, 3),
         )
 

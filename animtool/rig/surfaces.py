@@ -29,7 +29,7 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceInbetween:
-    """Deltas of a shape at a weight between 0 and 1."""
+    """Deltas of a shape at a weight between 0 and 1, with the arrays in memory."""
 
     at: float  # weight of the shape at which the deltas apply
     deltas: FloatArray  # vertex offsets of the shape ``(N, 3)`` [m]
@@ -39,7 +39,7 @@ class SurfaceInbetween:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceShape:
-    """A blend shape of a surface."""
+    """A blend shape of a surface, with its arrays in memory."""
 
     name: str  # name in the rig
     deltas: FloatArray  # vertex offsets added at weight 1 ``(N, 3)`` [m]
@@ -52,7 +52,7 @@ class SurfaceShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSkin:
-    """Skin binding of a surface."""
+    """Skin binding of a surface, with its arrays in memory."""
 
     method: str  # ``linear`` or ``dual_quaternion``
     joints: tuple[str, ...]  # joint names that ``indices`` refer to
@@ -78,7 +78,7 @@ class Surface:
 
 
 def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
-    """Read the meshes of a rig."""
+    """Return the meshes of a rig with their arrays read from files (RIG018)."""
     try:
         with Archives() as archives:
             return tuple(_surface(rig, mesh, archives) for mesh in rig.meshes)
@@ -167,7 +167,7 @@ class Strands:
 
 
 def strands_of(rig: Rig) -> tuple[Strands, ...]:
-    """Read the strands of a rig."""
+    """Return the strands of a rig with their points read from files (RIG018)."""
     strands = []
     for entry in rig.attach:
         if entry.points is None:
@@ -184,14 +184,14 @@ StoredArrays = dict[str, npt.NDArray[np.generic]]
 
 
 def with_array_file(
-    rig: Rig, path: Path, *, copy_all: bool = False
+    rig: Rig, path: Path, *, copies_all: bool = False
 ) -> tuple[Rig, StoredArrays]:
     """Return the rig with references to an npz file for its arrays, and the arrays.
 
-    With ``copy_all``, referenced arrays are stored too, for a rig file in another
+    With ``copies_all``, referenced arrays are stored too, for a rig file in another
     folder.
     """
-    store = _ArrayStore(path, copy_all)
+    store = _ArrayStore(path, copies_all)
     meshes, shapes = [], []
     for mesh in rig.meshes:
         stored_mesh = store.with_references(mesh, mesh.name)
@@ -205,8 +205,8 @@ def with_array_file(
         )
         shapes.append(replace(stored_shape, inbetweens=inbetweens))
     attach = tuple(store.with_references(entry, entry.name) for entry in rig.attach)
-    stored = replace(rig, meshes=tuple(meshes), shapes=tuple(shapes), attach=attach)
-    return stored, store.arrays
+    stored_rig = replace(rig, meshes=tuple(meshes), shapes=tuple(shapes), attach=attach)
+    return stored_rig, store.arrays
 
 
 Part = TypeVar("Part", Mesh, Skin, Shape, Inbetween, Attachment)
@@ -227,24 +227,24 @@ class _ArrayStore:
     """Collects arrays for an npz file, and replaces them by references."""
 
     path: Path
-    copy_all: bool
+    copies_all: bool
     arrays: StoredArrays = field(default_factory=dict)
 
     def with_references(self, part: Part, name: str) -> Part:
         """Return a part of a rig whose arrays are references to files."""
         references: dict[str, Any] = {
             key: self._store_array(
-                getattr(part, key), name + suffix, integers=key in _INTEGER_FIELDS
+                getattr(part, key), name + suffix, is_integer=key in _INTEGER_FIELDS
             )
             for key, suffix in _SUFFIXES[type(part)].items()
         }
         return replace(part, **references)
 
     def _store_array(
-        self, source: ArraySource | None, name: str, *, integers: bool
+        self, source: ArraySource | None, name: str, *, is_integer: bool
     ) -> ArraySource | None:
         """Return a reference to an array; store the array if no file contains it."""
-        if source is None or (isinstance(source, ArrayRef) and not self.copy_all):
+        if source is None or (isinstance(source, ArrayRef) and not self.copies_all):
             return source
         try:
             values = source.load()
@@ -254,13 +254,13 @@ class _ArrayStore:
         number = 2
         while key in self.arrays:
             key, number = f"{identifier}_{number}", number + 1
-        self.arrays[key] = _to_32_bits(values, integers=integers)
+        self.arrays[key] = _to_32_bits(values, is_integer=is_integer)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
 
-def _to_32_bits(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
+def _to_32_bits(values: FloatArray, *, is_integer: bool) -> npt.NDArray[np.generic]:
     """Convert values to a 32-bit type if that is lossless."""
-    kind = np.int32 if integers else np.float32
+    narrow_type = np.int32 if is_integer else np.float32
     with np.errstate(over="ignore", invalid="ignore"):
-        narrowed_values = values.astype(kind)
+        narrowed_values = values.astype(narrow_type)
     return narrowed_values if (narrowed_values == values).all() else values

@@ -76,33 +76,36 @@ class AngleLimit(NamedTuple):
 
 
 def warn_of_angles(
-    document: Document, joints: Sequence[JointModel], angle: str
+    document: Document, joints: Sequence[JointModel], angle_unit: str
 ) -> None:
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
-    intended_unit, factor = OTHER_ANGLE_UNITS[angle]
-    suspects = limits_in_other_unit(_joint_limits(joints), angle)
-    if not suspects:
+    intended_unit, factor = OTHER_ANGLE_UNITS[angle_unit]
+    suspicious_limits = limits_in_other_unit(_joint_limits(joints), angle_unit)
+    if not suspicious_limits:
         return
-    largest_limit = max(suspects, key=lambda limit: limit.largest_value)
-    names = {limit.joint for limit in suspects}
+    largest_limit = max(suspicious_limits, key=lambda limit: limit.largest_value)
+    names = {limit.joint for limit in suspicious_limits}
     message = (
         f"the limits of {counted(len(names), 'joint')} look like "
         f"{ANGLE_NAMES[intended_unit]}, but "
-        f"units.angle is {angle}: {largest_limit.joint!r} has "
+        f"units.angle is {angle_unit}: {largest_limit.joint!r} has "
         f"{largest_limit.values_text()}"
     )
     hint = (
         f"write 'angle: {intended_unit}' under units, or this limit in "
-        f"{ANGLE_NAMES[angle]}: "
+        f"{ANGLE_NAMES[angle_unit]}: "
         f"{largest_limit.values_text(factor)}"
     )
     document.warn("RIG107", largest_limit.location, message, hint)
 
 
-def limits_in_other_unit(limits: Iterable[AngleLimit], angle: str) -> list[AngleLimit]:
-    """Return the limits that seem to be in the other unit than ``angle``."""
+def limits_in_other_unit(
+    limits: Iterable[AngleLimit], angle_unit: str
+) -> list[AngleLimit]:
+    """Return the limits that seem to be in the other unit than ``angle_unit``."""
     limits = [limit for limit in limits if limit.largest_value > 0]
-    return _limits_in_radians(limits) if angle == "deg" else _limits_in_degrees(limits)
+    find_limits = _limits_in_radians if angle_unit == "deg" else _limits_in_degrees
+    return find_limits(limits)
 
 
 def are_multiples(values: ArrayLike) -> BoolArray:
@@ -171,12 +174,12 @@ def _limits_in_radians(limits: list[AngleLimit]) -> list[AngleLimit]:
             )
         ]
     joints = {limit.joint for limit in limits}
-    largest = max((limit.largest_value for limit in limits), default=0.0)
+    largest_value = max((limit.largest_value for limit in limits), default=0.0)
     values = [value for limit in limits for value in limit.values]
     has_multiple = bool(are_multiples(values).any())
     has_hinge = any(HINGE_NAMES.search(limit.joint) for limit in limits)
     is_plausible = len(joints) < MIN_JOINTS and not has_multiple and not has_hinge
-    return [] if is_plausible or largest < TIGHT_LIMIT else limits
+    return [] if is_plausible or largest_value < TIGHT_LIMIT else limits
 
 
 def _limits_in_degrees(limits: list[AngleLimit]) -> list[AngleLimit]:
@@ -229,8 +232,11 @@ def _axis_angle_text(numbers: Sequence[float]) -> str | None:
         degrees = round(math.degrees(angle), 1) if is_radian else angle
         if not is_axis or not MIN_AXIS_ANGLE <= abs(degrees) <= MAX_DEGREES:
             continue
-        half = math.radians(degrees) / 2
-        wxyz = [math.cos(half), *(math.sin(half) * number for number in axis)]
+        half_angle = math.radians(degrees) / 2
+        wxyz = [
+            math.cos(half_angle),
+            *(math.sin(half_angle) * number for number in axis),
+        ]
         axis_text = ", ".join(f"{number:.4g}" for number in axis)
         text = ", ".join(f"{round(number, 4) + 0.0:g}" for number in wxyz)
         return f"for {degrees:.4g}° about [{axis_text}] write [{text}]"
@@ -264,19 +270,20 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
         for k, drive in enumerate(control.drives):
             if not drive.is_angle:
                 continue
-            largest = _max_drive_value(control, drive, default_values)
-            if not _is_in_other_unit(rig, largest, drive.target):
+            largest_value = _max_drive_value(control, drive, default_values)
+            if not _is_in_other_unit(rig, largest_value, drive.target):
                 continue
             message = (
-                f"{control.name!r} drives {drive.target!r} by {largest:.4g}, which "
-                f"looks like {ANGLE_NAMES[intended_unit]}, "
+                f"{control.name!r} drives {drive.target!r} by {largest_value:.4g}, "
+                f"which looks like {ANGLE_NAMES[intended_unit]}, "
                 f"but units.angle is {declared_unit}"
             )
             hint = f"for {ANGLE_NAMES[declared_unit]} the result is "
-            hint += f"{largest * factor:.4g}; multiply the expression by {factor:.6g}"
+            hint += f"{largest_value * factor:.4g}; "
+            hint += f"multiply the expression by {factor:.6g}"
             names = [entry.get("name") for entry in document.value["controls"]]
-            row = names.index(control.name)
-            document.warn("RIG112", ("controls", row, "drives", k), message, hint)
+            location = ("controls", names.index(control.name), "drives", k)
+            document.warn("RIG112", location, message, hint)
             return
     entries = {
         entry.get("name"): i for i, entry in enumerate(document.value.get("joints", ()))
@@ -284,17 +291,19 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
     for joint in rig.joints:
         if joint.driven is None or joint.type is not JointType.PIN:
             continue
-        largest = _max_driver_value(rig, joint.driven)
-        is_other = _is_in_other_unit(rig, largest, f"joint/{joint.name}.angle")
-        if not is_other or joint.name not in entries:
+        target = f"joint/{joint.name}.angle"
+        largest_value = _max_driver_value(rig, joint.driven)
+        if joint.name not in entries or not _is_in_other_unit(
+            rig, largest_value, target
+        ):
             continue
         message = (
-            f"{joint.name!r} is driven to {largest:.4g}, which looks like "
+            f"{joint.name!r} is driven to {largest_value:.4g}, which looks like "
             f"{ANGLE_NAMES[intended_unit]}, but units.angle is {declared_unit}"
         )
         hint = f"multiply the expression by {factor:.6g}, or declare the other unit"
-        row = entries[joint.name]
-        document.warn("RIG112", ("joints", row, "driven"), message, hint)
+        i = entries[joint.name]
+        document.warn("RIG112", ("joints", i, "driven"), message, hint)
         return
 
 
@@ -303,8 +312,8 @@ def _is_in_other_unit(rig: Rig, value: float, target: str) -> bool:
 
     In a rig in degrees, return whether it looks like radians.
     """
-    in_degrees = rig.radians_per_unit != 1.0
-    return _is_radians(value) if in_degrees else _is_degrees(value, target)
+    is_in_degrees = rig.radians_per_unit != 1.0
+    return _is_radians(value) if is_in_degrees else _is_degrees(value, target)
 
 
 def _max_driver_value(rig: Rig, driver: Driver) -> float:
@@ -312,11 +321,13 @@ def _max_driver_value(rig: Rig, driver: Driver) -> float:
 
     Return 0 if an input has no limits, or there are many inputs.
     """
-    ends = [_input_ends(rig, name) for name in driver.names]
-    if len(ends) > MAX_INPUTS or not all(ends):
+    input_ends = [_input_ends(rig, name) for name in driver.names]
+    if len(input_ends) > MAX_INPUTS or not all(input_ends):
         return 0.0
-    rows = np.array(list(itertools.product(*ends))).reshape(-1, len(ends))
-    columns = {name: rows[:, i] for i, name in enumerate(driver.names)}
+    combinations = np.array(list(itertools.product(*input_ends))).reshape(
+        -1, len(input_ends)
+    )
+    columns = {name: combinations[:, i] for i, name in enumerate(driver.names)}
     values = np.abs(driver.evaluate(columns) / driver.unit)
     return float(values.max()) if np.isfinite(values).all() else 0.0
 
@@ -349,9 +360,10 @@ def _max_drive_value(
 
 def _is_radians(value: float) -> bool:
     """Return whether a value is a multiple of 90 degrees in radians."""
-    quarter = math.radians(90)
-    count = round(value / quarter)
-    is_near = count != 0 and abs(value - count * quarter) < QUARTER_ROUNDING
+    right_angle = math.radians(90)
+    nearest_multiple = round(value / right_angle) * right_angle
+    difference = abs(value - nearest_multiple)
+    is_near = nearest_multiple != 0 and difference < QUARTER_ROUNDING
     return value <= HALF_REVOLUTION and (is_near or bool(are_multiples(value)))
 
 

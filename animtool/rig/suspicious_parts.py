@@ -25,7 +25,7 @@ RADIUS_RANGE = (0.001, 0.3)
 MAX_BODY_DENSITY = 1000.0
 _TRIGONOMETRIC = frozenset({"sin", "cos", "tan"})
 # Lengths of ranges in degrees: quarters of a revolution up to a whole one.
-_QUARTER = 90.0
+_QUARTER_REVOLUTION = 90.0
 # Ends of such ranges are multiples of this [deg].
 _DEGREE_STEP = 15.0
 
@@ -42,46 +42,48 @@ def warn_of_parts(document: Document, model: RigModel, rig: Rig) -> None:
         _warn_of_masses(document, model, rig, size)
 
 
-def _warn_of_radii(document: Document, model: RigModel, size: float) -> None:
+def _warn_of_radii(document: Document, model: RigModel, rig_size: float) -> None:
     """Warn of colliders that are larger than the body (RIG116)."""
     unit = LengthUnit(model.units.length).meters
     radii = [entry.capsule.radius for entry in model.colliders]
-    large = [i for i, radius in enumerate(radii) if radius * unit > size]
-    if not size or not large:
+    large_indices = [i for i, radius in enumerate(radii) if radius * unit > rig_size]
+    if not rig_size or not large_indices:
         return
-    radius = radii[large[0]]
+    radius = radii[large_indices[0]]
     likely_unit = next(
         (
             other
             for other in (LengthUnit.CM, LengthUnit.MM)
             if other.meters < unit
-            and RADIUS_RANGE[0] <= radius * other.meters / size <= RADIUS_RANGE[1]
+            and RADIUS_RANGE[0] <= radius * other.meters / rig_size <= RADIUS_RANGE[1]
         ),
         None,
     )
     message = (
         f"a radius of {length_text(radius * unit)} on a rig that measures "
-        f"{length_text(size)}, with lengths in {unit_name(unit)}"
+        f"{length_text(rig_size)}, with lengths in {unit_name(unit)}"
     )
-    if len(large) > 1:
-        message += f"; {len(large)} colliders are larger than the rig"
+    if len(large_indices) > 1:
+        message += f"; {len(large_indices)} colliders are larger than the rig"
     hint = "a collider is about as thick as the limb"
     if likely_unit is not None:
         number = radius * likely_unit.meters / unit
         hint = f"for {radius:.4g} {likely_unit} write {number:.4g}"
-    location = ("colliders", large[0], "capsule", "radius")
+    location = ("colliders", large_indices[0], "capsule", "radius")
     document.warn("RIG116", location, message, hint)
 
 
-def _warn_of_masses(document: Document, model: RigModel, rig: Rig, size: float) -> None:
+def _warn_of_masses(
+    document: Document, model: RigModel, rig: Rig, rig_size: float
+) -> None:
     """Warn of a body whose masses look like grams (RIG117)."""
-    total = sum(mass.mass for mass in rig.masses)
-    if not model.masses or total <= MAX_BODY_DENSITY * size**3 or not size:
+    total_mass = sum(mass.mass for mass in rig.masses)
+    if not model.masses or total_mass <= MAX_BODY_DENSITY * rig_size**3 or not rig_size:
         return
     i = max(range(len(model.masses)), key=lambda i: model.masses[i].mass)
-    largest = model.masses[i].mass
-    message = f"the rig weighs {total:.0f} kg and measures {length_text(size)}"
-    hint = f"masses are in kg: for {largest:g} g write {largest / 1000:g}"
+    largest_mass = model.masses[i].mass
+    message = f"the rig weighs {total_mass:.0f} kg and measures {length_text(rig_size)}"
+    hint = f"masses are in kg: for {largest_mass:g} g write {largest_mass / 1000:g}"
     document.warn("RIG117", ("masses", i, "mass"), message, hint)
 
 
@@ -114,9 +116,9 @@ def _expressions(document: Document, rig: Rig) -> Iterator[tuple[Location, Expre
         "joints": {joint.name: joint.driven for joint in rig.joints},
         "shapes": {shape.name: shape.driven for shape in rig.shapes},
     }
-    for key, by_name in drivers.items():
+    for key, drivers_by_name in drivers.items():
         for i, entry in enumerate(document.value.get(key, ())):
-            driver = by_name.get(entry.get("name"))
+            driver = drivers_by_name.get(entry.get("name"))
             if driver is not None and driver.expression is not None:
                 yield (key, i, "driven", "expr"), driver.expression
 
@@ -125,8 +127,8 @@ def _degrees_reason(rig: Rig, name: str) -> str | None:
     """Return why an input is likely in degrees; None if it is not."""
     joint, part = split_coordinate(name)
     if joint:
-        in_degrees = rig.radians_per_unit != 1.0 and part != SLIDE
-        return f"{name!r} is in degrees, the unit of the rig" if in_degrees else None
+        is_in_degrees = rig.radians_per_unit != 1.0 and part != SLIDE
+        return f"{name!r} is in degrees, the unit of the rig" if is_in_degrees else None
     for control in rig.controls:
         if control.name != name or control.low is None or control.high is None:
             continue
@@ -134,6 +136,6 @@ def _degrees_reason(rig: Rig, name: str) -> str | None:
         if low == -high and high > math.pi:
             return f"the range of {name!r} is ±{high:g}, as in degrees"
         is_round = all(math.fmod(end, _DEGREE_STEP) == 0 for end in (low, high))
-        if is_round and high > low and math.fmod(high - low, _QUARTER) == 0:
+        if is_round and high > low and math.fmod(high - low, _QUARTER_REVOLUTION) == 0:
             return f"the range of {name!r} is {low:g} to {high:g}, as in degrees"
     return None

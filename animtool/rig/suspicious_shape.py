@@ -79,8 +79,8 @@ def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
         return
     unit = rig.meters_per_unit
     is_body = any(map(HINGE_NAMES.search, rig.names))
-    low = MIN_BODY_SIZE if is_body else (MIN_SIZE if unit == 1.0 else unit)
-    if not size or low <= size <= MAX_RIG_SIZE:
+    min_size = MIN_BODY_SIZE if is_body else (MIN_SIZE if unit == 1.0 else unit)
+    if not size or min_size <= size <= MAX_RIG_SIZE:
         return
     location = ("units", "length") if "units" in document.value else ("joints",)
     message = f"the rig measures {length_text(size)}, with lengths in {unit_name(unit)}"
@@ -99,8 +99,8 @@ def fitting_unit_hint(size: float, unit: float, *, is_body: bool) -> str | None:
     >>> fitting_unit_hint(151.0, 1.0, is_body=True)
     "write 'units: {length: cm}': 1.51 m"
     """
-    ranges = [BODY_SIZES] if is_body else []
-    for smallest, largest in (*ranges, (MIN_BODY_SIZE, MAX_RIG_SIZE)):
+    size_ranges = [BODY_SIZES] if is_body else []
+    for smallest, largest in (*size_ranges, (MIN_BODY_SIZE, MAX_RIG_SIZE)):
         sizes = [
             (other, size / unit * other.meters)
             for other in LengthUnit
@@ -108,9 +108,9 @@ def fitting_unit_hint(size: float, unit: float, *, is_body: bool) -> str | None:
             and smallest <= size / unit * other.meters <= largest
         ]
         if sizes:
-            return ", or ".join(
-                f"{'write ' * (i == 0)}'units: {{length: {other}}}': {length_text(new)}"
-                for i, (other, new) in enumerate(sizes)
+            return "write " + ", or ".join(
+                f"'units: {{length: {other}}}': {length_text(new_size)}"
+                for other, new_size in sizes
             )
     return None
 
@@ -118,29 +118,29 @@ def fitting_unit_hint(size: float, unit: float, *, is_body: bool) -> str | None:
 def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) -> bool:
     """Warn of joints whose offsets seem to be world positions (RIG113)."""
     offsets, parents = rig.rest_translations, rig.parents
-    children = np.flatnonzero(parents >= 0)
+    child_joints = np.flatnonzero(parents >= 0)
     # Offsets from a joint at the origin are its children's positions as well.
-    children = children[offsets[parents[children]].any(axis=1)]
-    if len(children) < MIN_OFFSETS:
+    child_joints = child_joints[offsets[parents[child_joints]].any(axis=1)]
+    if len(child_joints) < MIN_OFFSETS:
         return False
-    lengths = np.linalg.norm(offsets[children], axis=1)
+    lengths = np.linalg.norm(offsets[child_joints], axis=1)
     bone_lengths = np.linalg.norm(
-        offsets[children] - offsets[parents[children]], axis=1
+        offsets[child_joints] - offsets[parents[child_joints]], axis=1
     )
-    total = float(lengths.sum())
-    has_branches = len({*parents[children].tolist()}) < len(children)
+    total_length = float(lengths.sum())
+    has_branches = len({*parents[child_joints].tolist()}) < len(child_joints)
     if (
-        bone_lengths.sum() > MAX_BODY_RATIO * total
+        bone_lengths.sum() > MAX_BODY_RATIO * total_length
         or (bone_lengths < MIN_WORLD_BONE * lengths).any()
     ):
         return False
     if not has_branches or (
-        bone_lengths.sum() > MAX_WORLD_RATIO * total
+        bone_lengths.sum() > MAX_WORLD_RATIO * total_length
         and not (_is_upright(rig, offsets) and not _is_upright(rig, positions))
     ):
         return False
-    distances = np.linalg.norm(positions[children], axis=1)
-    j = int(children[(distances - lengths).argmax()])
+    distances = np.linalg.norm(positions[child_joints], axis=1)
+    j = int(child_joints[(distances - lengths).argmax()])
     name, parent = rig.names[j], rig.names[int(parents[j])]
     bone = (offsets[j] - offsets[parents[j]]) / rig.meters_per_unit
     sizes = (
@@ -148,7 +148,7 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
         for points in (positions, offsets)
     )
     message = (
-        f"the offsets of {len(children)} joints look like world positions: the rig "
+        f"the offsets of {len(child_joints)} joints look like world positions: the rig "
         "measures {}, and {} if they are".format(*sizes)
     )
     hint = f"write positions relative to the parent; for {name!r}, from {parent!r}: "

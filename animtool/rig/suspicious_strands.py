@@ -18,7 +18,7 @@ MAX_STRANDS, CHUNK_SIZE = 16, 1_000_000
 # the first, and distance of the first relative to the strand's length [1].
 MAX_LAST_RATIO, MIN_FIRST_RATIO = 0.25, 0.1
 # Fraction of the strands that are reversed [1].
-MIN_FRACTION = 0.8
+MIN_REVERSED_FRACTION = 0.8
 
 
 def warn_of_strands(document: Document, model: RigModel, rig: Rig) -> None:
@@ -62,17 +62,17 @@ def _reversal_text(rig: Rig, attachment: Attachment, archives: Archives) -> str 
     is_reversed = last_distances < MAX_LAST_RATIO * first_distances
     is_reversed &= first_distances > MIN_FIRST_RATIO * lengths
     is_reversed &= np.isfinite(first_distances)
-    if float(is_reversed.mean()) < MIN_FRACTION:
+    if float(is_reversed.mean()) < MIN_REVERSED_FRACTION:
         return None
     # The tips of long hair may touch the shoulders.
-    carriers = _subtree_names(rig, attachment)
+    carrier_names = _subtree_names(rig, attachment)
     for i in set(nearest_meshes.tolist()):
-        strands = np.flatnonzero(nearest_meshes == i)
-        vertices_of_mesh = nearest_vertices[strands]
-        is_reversed[strands] &= _follow_joints(
-            rig.meshes[i], vertices_of_mesh, carriers, archives
+        strand_indices = np.flatnonzero(nearest_meshes == i)
+        vertices_of_mesh = nearest_vertices[strand_indices]
+        is_reversed[strand_indices] &= _follows_joints(
+            rig.meshes[i], vertices_of_mesh, carrier_names, archives
         )
-    if float(is_reversed.mean()) < MIN_FRACTION:
+    if float(is_reversed.mean()) < MIN_REVERSED_FRACTION:
         return None
     first, last = (
         length_text(float(np.median(distances)) * rig.meters_per_unit)
@@ -106,24 +106,26 @@ def _nearest_vertices(
     points: FloatArray, vertices: FloatArray
 ) -> tuple[FloatArray, IntArray]:
     """Return the distances of points ``(N, 3)`` to the nearest vertices, and these."""
-    squares = np.full(len(points), np.inf)
-    nearest = np.zeros(len(points), np.int64)
-    chunk = max(1, CHUNK_SIZE // max(1, len(points)))
-    for begin in range(0, len(vertices), chunk):
-        chunk_vertices = vertices[begin : begin + chunk]
+    squared_distances = np.full(len(points), np.inf)
+    nearest_indices = np.zeros(len(points), np.int64)
+    chunk_size = max(1, CHUNK_SIZE // max(1, len(points)))
+    for chunk_start in range(0, len(vertices), chunk_size):
+        chunk_vertices = vertices[chunk_start : chunk_start + chunk_size]
         # Without the squares of the points, which change no order.
         chunk_squares = np.einsum("vc,vc->v", chunk_vertices, chunk_vertices)
         chunk_squares = chunk_squares - 2.0 * (points @ chunk_vertices.T)
         indices = chunk_squares.argmin(axis=1)
         offsets = points - chunk_vertices[indices]
-        smallest = np.einsum("nc,nc->n", offsets, offsets)
-        nearest = np.where(smallest < squares, begin + indices, nearest)
-        squares = np.minimum(squares, smallest)
-    return np.sqrt(squares), nearest
+        smallest_squares = np.einsum("nc,nc->n", offsets, offsets)
+        nearest_indices = np.where(
+            smallest_squares < squared_distances, chunk_start + indices, nearest_indices
+        )
+        squared_distances = np.minimum(squared_distances, smallest_squares)
+    return np.sqrt(squared_distances), nearest_indices
 
 
-def _follow_joints(
-    mesh: Mesh, vertices: IntArray, carriers: frozenset[str], archives: Archives
+def _follows_joints(
+    mesh: Mesh, vertices: IntArray, carrier_names: frozenset[str], archives: Archives
 ) -> BoolArray:
     """Return a mask of the vertices that mostly follow one of the joints ``(N,)``.
 
@@ -133,6 +135,6 @@ def _follow_joints(
         return np.ones(len(vertices), bool)
     weights = mesh.skin.weights.load(archives)[vertices]
     columns = mesh.skin.indices.load(archives)[vertices].astype(np.int64)
-    largest = columns[np.arange(len(vertices)), weights.argmax(axis=1)]
-    is_carrier = np.array([name in carriers for name in mesh.skin.joints], bool)
-    return np.asarray(is_carrier[largest])
+    largest_influences = columns[np.arange(len(vertices)), weights.argmax(axis=1)]
+    is_carrier = np.array([name in carrier_names for name in mesh.skin.joints], bool)
+    return np.asarray(is_carrier[largest_influences])

@@ -39,11 +39,11 @@ def rig_text(rig: Rig) -> str:
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'
     """
-    units = _FileNumbers(rig)
+    formatter = _EntryFormatter(rig)
     text_lines = [
         "rig: animtool/1",
         f"name: {yaml_scalar(rig.name)}",
-        f"units: {{length: {units.name}, angle: {units.angle_name}}}",
+        f"units: {{length: {formatter.name}, angle: {formatter.angle_name}}}",
         f"up: {rig.up}",
         "joints:" if rig.joints else "joints: []",
     ]
@@ -53,26 +53,26 @@ def rig_text(rig: Rig) -> str:
         joint = rig_joint if mirrors_drivers else replace(rig_joint, mirror="")
         if joint.mirror not in written_names:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
-            text_lines.append(f"- {units.joint_entry(joint, parent, rig)}")
+            text_lines.append(f"- {formatter.joint_entry(joint, parent, rig)}")
             written_names.add(joint.name)
     bind = {**_poses_at_rest(rig), **_explicit_bind(rig)}
     if bind:
         text_lines.append("bind:")
         for name, pose in bind.items():
             entry = _flow_mapping(
-                translate=units.vector_text(pose.translation),
+                translate=formatter.vector_text(pose.translation),
                 rotate=_quaternion_text(pose.rotation),
                 stretch=_stretch_text(pose),
             )
             text_lines.append(f"  {yaml_scalar(name)}: {entry}")
     sections = {
         "meshes": map(_mesh_entry, rig.meshes),
-        "shapes": map(units.shape_entry, rig.shapes),
-        "controls": map(units.control_entry, rig.controls),
+        "shapes": map(formatter.shape_entry, rig.shapes),
+        "controls": map(formatter.control_entry, rig.controls),
         "ik": map(_chain_entry, rig.chains),
         "attach": map(_attachment_entry, rig.attach),
-        "colliders": map(units.collider_entry, rig.colliders),
-        "masses": map(units.mass_entry, rig.masses),
+        "colliders": map(formatter.collider_entry, rig.colliders),
+        "masses": map(formatter.mass_entry, rig.masses),
     }
     for name, section in sections.items():
         entries = [f"- {entry}" for entry in section]
@@ -80,7 +80,7 @@ def rig_text(rig: Rig) -> str:
     return "\n".join(text_lines) + "\n"
 
 
-class _FileNumbers:
+class _EntryFormatter:
     """Formats the entries of a rig file in the units of the rig."""
 
     def __init__(self, rig: Rig) -> None:
@@ -109,7 +109,7 @@ class _FileNumbers:
         return flow_list([scaled_decimal(value, unit) for value in range_pair])
 
     def joint_entry(self, joint: Joint, parent: str | None, rig: Rig) -> str:
-        """Return the entry of a joint."""
+        """Return a joint as a YAML mapping, in the file's units."""
         has_axis = joint.type in {JointType.PIN, JointType.PRISMATIC}
         is_rotated = joint.rotation != (0.0, 0.0, 0.0, 1.0)
         channels = joint.channels
@@ -130,7 +130,7 @@ class _FileNumbers:
         )
 
     def collider_entry(self, collider: Collider) -> str:
-        """Return the entry of a collider."""
+        """Return a collider as a YAML mapping, in the file's units."""
         capsule, offset = collider.capsule, collider.capsule.offset
         capsule_text = _flow_mapping(
             radius=self.length_text(capsule.radius),
@@ -141,7 +141,7 @@ class _FileNumbers:
         return _flow_mapping(joint=yaml_scalar(collider.joint), capsule=capsule_text)
 
     def mass_entry(self, mass: Mass) -> str:
-        """Return the entry of a mass."""
+        """Return a joint's mass as a YAML mapping; defaults are left out."""
         has_axes = mass.axes != (0.0, 0.0, 0.0, 1.0)
         return _flow_mapping(
             joint=yaml_scalar(mass.joint),
@@ -152,7 +152,7 @@ class _FileNumbers:
         )
 
     def limits_entry(self, joint: Joint) -> str | None:
-        """Return the limits of a joint; None without limits."""
+        """Return a joint's limits as YAML, in the file's units; None without limits."""
         limits = joint.limits
         if isinstance(limits, RangeLimit):
             is_sliding = joint.type is JointType.PRISMATIC
@@ -169,7 +169,7 @@ class _FileNumbers:
         return _flow_mapping(swing=swing, twist=twist, twist_axis=axis)
 
     def mimic_entry(self, joint: Joint, rig: Rig) -> str | None:
-        """Return the mimic of a joint; None without one."""
+        """Return a joint's mimic as a YAML mapping; None without one."""
         if joint.mimic is None:
             return None
         leader = rig.joints[rig.index(joint.mimic.joint)]
@@ -182,7 +182,7 @@ class _FileNumbers:
         return _flow_mapping(joint=yaml_scalar(leader.name), gain=gain, offset=offset)
 
     def shape_entry(self, shape: Shape) -> str:
-        """Return the entry of a shape."""
+        """Return a blend shape as a YAML mapping that refers to array files."""
         inbetweens = [
             _flow_mapping(
                 at=decimal_text(inbetween.at),
@@ -203,21 +203,21 @@ class _FileNumbers:
         )
 
     def control_entry(self, control: Control) -> str:
-        """Return the entry of a control."""
-        limits = None
+        """Return a control and its drives as a YAML mapping, in the file's units."""
+        range_text = None
         if control.low is not None and control.high is not None:
-            limits = _number_list((control.low, control.high))
+            range_text = _number_list((control.low, control.high))
         drives = [self.drive_entry(drive) for drive in control.drives]
         return _flow_mapping(
             name=yaml_scalar(control.name),
-            range=limits,
+            range=range_text,
             default=decimal_text(control.default) if control.default else None,
             drives=flow_list(drives) if drives else None,
             driven=self.driver_entry(control.driven),
         )
 
     def drive_entry(self, drive: Drive) -> str:
-        """Return the entry of a drive in the rig file, in the units of that file."""
+        """Return a control's drive as a YAML mapping, in the file's units."""
         kind, _, name = drive.target.partition("/")
         unit = (
             self.meters if drive.is_length else self.radians if drive.is_angle else 1.0
@@ -233,13 +233,13 @@ class _FileNumbers:
             **{kind: yaml_scalar(name)},
             expr=expression_text,
             curve=curve if drive.curve else None,
-            interp="smooth" if drive.smooth else None,
+            interp="smooth" if drive.is_smooth else None,
         )
 
     def driver_entry(
         self, driver: Driver | None, joint_type: JointType | None = None
     ) -> str | None:
-        """Return a driver with its numbers in the units of the text."""
+        """Return a driver as a YAML mapping, in the file's units; None without one."""
         if driver is None:
             return None
         units = {None: 1.0, JointType.PRISMATIC: self.meters}
@@ -254,7 +254,7 @@ class _FileNumbers:
         return _flow_mapping(
             by=yaml_scalar(driver.curve_input),
             curve=flow_list([str(_number_list(point)) for point in points]),
-            interp="smooth" if driver.smooth else None,
+            interp="smooth" if driver.is_smooth else None,
         )
 
     def unit_of_coordinate(self, name: str) -> float:
@@ -309,14 +309,14 @@ def _stretch_text(pose: Pose) -> str | None:
 def _poses_at_rest(rig: Rig) -> dict[str, Pose]:
     """Return the rest poses of joints whose mirrored joint alone has a bind pose."""
     return {
-        joint.name: Pose(joint.translation, joint.rotation)
+        joint.name: joint.rest_pose
         for joint in rig.joints
         if joint.mirror in rig.bind and joint.name not in rig.bind
     }
 
 
 def _chain_entry(chain: IkChain) -> str:
-    """Return the entry of an IK chain."""
+    """Return an IK chain as a YAML mapping; defaults are left out."""
     return _flow_mapping(
         name=yaml_scalar(chain.name),
         root=yaml_scalar(chain.root),
@@ -328,7 +328,7 @@ def _chain_entry(chain: IkChain) -> str:
 
 
 def _attachment_entry(entry: Attachment) -> str:
-    """Return the entry of an attachment."""
+    """Return an attachment as a YAML mapping that refers to array files."""
     joints = {"joints": _name_list(entry.joints) if entry.joints else None}
     if entry.kind == AttachKind.STRANDS:
         joints = {"joint": yaml_scalar(entry.joints[0])}
@@ -343,7 +343,7 @@ def _attachment_entry(entry: Attachment) -> str:
 
 
 def _mesh_entry(mesh: Mesh) -> str:
-    """Return the entry of a mesh."""
+    """Return a mesh as a YAML mapping that refers to array files."""
     skin = None
     if mesh.skin is not None:
         skin = _flow_mapping(
@@ -364,7 +364,7 @@ def _mesh_entry(mesh: Mesh) -> str:
 
 
 def _array_path(source: ArraySource | None) -> str | None:
-    """Return an array's path as spelled in the rig file."""
+    """Return an array reference as spelled in its file; `TypeError` without a file."""
     if isinstance(source, LoadedArray):
         message = "the array is in no file; animtool.rig.surfaces writes it to one"
         raise TypeError(message)
@@ -381,8 +381,8 @@ def _expression_text(
     text = expression.text
     if factor != 1.0 or any(name_factor != 1.0 for name_factor in factors.values()):
         text = expression.scaled_text(factors, factor)
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-    return f'"{escaped}"'
+    escaped_text = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped_text}"'
 
 
 def _flow_mapping(**texts: str | None) -> str:

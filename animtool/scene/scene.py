@@ -407,7 +407,7 @@ class Scene:
         location = self.sources[0].location
         with location.located():
             stream = join_sources(joined_sources[0], joined_sources[1:])
-            stream = drive_stream(stream, report_replaced=True)
+            stream = drive_stream(stream, reports_replaced=True)
         return replace(stream, blocks=_located_blocks(location, stream.blocks))
 
     def _open_source(

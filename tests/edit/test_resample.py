@@ -347,5 +347,5 @@ def test_frames_of_the_take_are_left_to_the_sign_of_their_quaternions() -> None:
     times = plan_samples(take.clock, Fraction(24), take.clock.start)
     ((_, found),) = sample_blocks(take, times)
     assert_array_equal(found.rotations.dense(), turns)
-    ((_, found),) = sample_blocks(take, times, smooth=True)
+    ((_, found),) = sample_blocks(take, times, is_smooth=True)
     assert (np.sum(np.diff(found.rotations.dense(), axis=0) ** 2, axis=2) < 1).all()

@@ -75,7 +75,7 @@ def test_the_cheapest_way_is_the_best_of_all() -> None:
     paths = of.poses + rng.normal(0, 0.05, (3, FRAMES, 4))
     costs = rng.uniform(0, 0.02, (3, FRAMES))
     for closed in (False, True):
-        found = best_path(of, paths, costs, fixed_end=closed)
+        found = best_path(of, paths, costs, is_end_fixed=closed)
         cost = {0: 0.0}
         for row in range(1, FRAMES):
             cost = {

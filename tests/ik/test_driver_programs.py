@@ -31,7 +31,7 @@ TIP = np.array([0.1, 0.02, 0.01])
 
 
 def expr(text: str, **units: float) -> Driver:
-    return Driver(parse_expression(text, coordinates=True), **units)
+    return Driver(parse_expression(text, allows_coordinates=True), **units)
 
 
 def limb(driver: Driver | None, **roll: object) -> Rig:
@@ -167,7 +167,9 @@ def test_methods_follow_drivers(method: IkMethod) -> None:
 
 
 def test_knuckles_curl_by_the_first_one_and_reach() -> None:
-    middle = Driver(None, "k1.angle", ((0.0, 0.0), (0.8, 0.6), (1.6, 1.7)), smooth=True)
+    middle = Driver(
+        None, "k1.angle", ((0.0, 0.0), (0.8, 0.6), (1.6, 1.7)), is_smooth=True
+    )
     joints = (
         Joint("k1", -1, PIN, axis=Z, limits=RangeLimit(0, 1.6)),
         Joint(

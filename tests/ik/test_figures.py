@@ -143,7 +143,7 @@ def test_a_take_at_its_targets(tmp_path: Path, smooth: float) -> None:
             "misses": found.misses,
             "statuses": [status.name for status in found.statuses],
             "goals": [asdict(goal) for goal in goals],
-            "notices": take_notices(found, goals, smooth=smooth > 0),
+            "notices": take_notices(found, goals, is_smoothed=smooth > 0),
         },
     )
 

@@ -43,8 +43,8 @@ from animtool.ik.nearest import (
 from animtool.ik.report import (
     GoalReport,
     MissedSpan,
-    _misses,
-    _spans,
+    _miss_statistics,
+    _missed_spans,
     _straightening_goal,
     far_target_notices,
     jump_notices,
@@ -507,7 +507,7 @@ def test_what_targets_leave_out_is_what_carries_chains_or_does_not_stretch() -> 
 
 def test_misses_and_their_spans() -> None:
     times = np.array([10.0, 11, 12, 13, 14])
-    found = _misses("aim", times, np.array([0.1, 0.5, 0.2, 0.5, 0.0]))
+    found = _miss_statistics("aim", times, np.array([0.1, 0.5, 0.2, 0.5, 0.0]))
     assert (found.frames, found.max, found.frame, found.is_length) == (
         5,
         0.5,
@@ -515,7 +515,7 @@ def test_misses_and_their_spans() -> None:
         False,
     )
     assert found.mean == pytest.approx(0.26)
-    assert _misses("position", times[:1], np.ones(1)).is_length
+    assert _miss_statistics("position", times[:1], np.ones(1)).is_length
     rows = np.zeros((5, 4))
     rows[:, 0] = [0.3, 0.1, 0, 0, 0.2]
     rows[:, 1] = [0.0, 0.5, 0, 0, 0.1]
@@ -526,7 +526,7 @@ def test_misses_and_their_spans() -> None:
         take=SimpleNamespace(clock=SimpleNamespace(times=times)),
         statuses=tuple(statuses),
     )
-    one, two = _spans(solved, rows, np.array([1, 1, 0, 0, 1], bool))
+    one, two = _missed_spans(solved, rows, np.array([1, 1, 0, 0, 1], bool))
     assert (one.first, one.last, one.frame) == (10, 11, 11)
     assert (one.distance, one.angle, one.status) == (0.3, 0.5, IkStatus.BUDGET)
     assert (two.first, two.last, two.status) == (14, 14, IkStatus.STEADIER)
@@ -782,11 +782,17 @@ def test_paths_are_neither_closed_nor_opened_unless_that_is_asked_for(
     )
     monkeypatch.setitem(names, "joint_steps", lambda _, a, b: b - a)
     own: Any = SimpleNamespace(slack=10.0, problem=SimpleNamespace(chain=None))
-    interval: Any = SimpleNamespace(reference=np.zeros((2, 3)))
+    interval: Any = SimpleNamespace(reference_poses=np.zeros((2, 3)))
     paths, costs = np.full((1, 2, 3), 2.0), np.array([[1.0, 2]])
     assert ClipPath.best_route(own, interval, paths, costs) == "best"
-    assert asked.pop() == ([[11, 12]], {"fixed_end": False, "free_start": False})
+    assert asked.pop() == ([[11, 12]], {"is_end_fixed": False, "is_start_free": False})
     ClipPath.best_route(
-        own, interval, paths, costs, fixed_end=True, free_start=True, source_weight=0.5
+        own,
+        interval,
+        paths,
+        costs,
+        is_end_fixed=True,
+        is_start_free=True,
+        source_weight=0.5,
     )
-    assert asked.pop() == ([[17, 18]], {"fixed_end": True, "free_start": True})
+    assert asked.pop() == ([[17, 18]], {"is_end_fixed": True, "is_start_free": True})

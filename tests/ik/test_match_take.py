@@ -25,7 +25,7 @@ from animtool.ik.match_take import (
     match_take,
     untracked_motion_notices,
 )
-from animtool.ik.values import ArrayRows, Constant, Keyed
+from animtool.ik.values import ArrayRows, Constant, KeyedValue
 from animtool.ik.write import targets_text
 from animtool.maths import so3
 from animtool.motion.motion import Channel
@@ -69,7 +69,7 @@ def test_frames_that_are_no_whole_ones_are_keyed(step: Fraction, count: int) -> 
     take = walk_of(legs(), count, step)
     tracks = match_take(take, take.rig.chains, OUT)
     kinds = {type(v) for goal in tracks.goals for v in goal.values.values() if v}
-    assert kinds == ({Constant} if count == 1 else {Keyed})
+    assert kinds == ({Constant} if count == 1 else {KeyedValue})
     exact = sampled(take, tracks)
     world = take.world()
     for e, chain in enumerate(take.rig.chains):
@@ -85,10 +85,10 @@ def test_many_frames_are_arrays_and_few_are_keys() -> None:
     assert isinstance(many, ArrayRows)
     assert (many.name, len(many.values)) == ("walk.targets.npz#leg_l_position", 40)
     few = match_take(walk_of(rig, 12), rig.chains, OUT).goals[0].values
-    assert isinstance(few["orientation"], Keyed)
+    assert isinstance(few["orientation"], KeyedValue)
     # A name with the mark that parts file and array cannot be referred to.
     odd = match_take(walk_of(rig, 40), rig.chains, Path("a#b.targets.yaml")).goals[0]
-    assert isinstance(odd.values["pole"], Keyed)
+    assert isinstance(odd.values["pole"], KeyedValue)
 
 
 def test_names_of_arrays_are_kept_apart() -> None:

@@ -235,7 +235,7 @@ def test_frames_on_their_own_are_counted(tmp_path: Path) -> None:
     assert (note.code, note.severity) == ("TGT105", Severity.NOTE)
     assert "40 frames" in note.message
     assert "'knee_l'" in note.message
-    (warning,) = independent_frame_notices(found, smooth=True)
+    (warning,) = independent_frame_notices(found, is_smoothed=True)
     assert warning.severity is Severity.WARNING
     assert independent_frame_notices(held(tmp_path, take, goal)) == []
 

@@ -60,7 +60,7 @@ def test_an_even_path_keeps_its_ends_and_its_goals() -> None:
     other = solve(problem, pose + 0.3, reached_by(problem, pose)).coordinates
     rows = np.concatenate([np.repeat(start, 10, axis=0), np.repeat(other, 10, axis=0)])
     poses = problem.chain.from_rig(rows)
-    even, misses = path.even_speed(poses)
+    even, misses = path.with_even_speed(poses)
     np.testing.assert_array_equal(even[[0, -1]], poses[[0, -1]])
     assert (path.max_tolerance_ratio(misses) <= 1).all()
     steps = np.linalg.norm(joint_steps(problem.chain, even[:-1], even[1:]), axis=1)
@@ -250,7 +250,7 @@ def test_blocks_of_a_long_path_join_smoothly(
     problem = redundant()
     result, targets = followed(problem, seed)
     whole = smooth(result, targets, 0.01, fps=FPS)
-    monkeypatch.setattr(ik_path, "MIN_BLOCK", 5)
+    monkeypatch.setattr(ik_path, "MIN_BLOCK_FRAMES", 5)
     blocks = smooth(result, targets, 0.01, fps=FPS)
     assert not np.array_equal(blocks.coordinates, whole.coordinates)
     assert not (result.converged & ~blocks.converged).any()

@@ -13,7 +13,7 @@ from support.targets import HEAD, legs, tracks_of
 from animtool.clip.channels import ClipUnits
 from animtool.ik.file import load_targets
 from animtool.ik.tracks import TargetTracks
-from animtool.ik.values import ArrayRows, Constant, Keyed, Value
+from animtool.ik.values import ArrayRows, Constant, KeyedValue, Value
 from animtool.ik.write import TargetsText, targets_text
 from animtool.rig.skeleton import Rig
 
@@ -69,7 +69,7 @@ def check_same(a: Value | None, b: Value | None, tolerance: float) -> None:
             assert isinstance(a, ArrayRows)
             assert isinstance(b, ArrayRows)
             assert a.first == b.first
-        case Keyed(first), Keyed(second):
+        case KeyedValue(first), KeyedValue(second):
             assert_array_equal(first.times, second.times)
             for name in ("values", "ins", "outs", "tcb"):
                 one, other = getattr(first, name), getattr(second, name)

@@ -40,7 +40,7 @@ def test_lines_stay_to_their_ends_and_gaps_are_crossed() -> None:
     known = np.ones(len(TIMES), np.bool_)
     known[[0, 5, 6, 7, 900]] = False
     holed = np.where(known[:, None], line, 77.0)
-    np.testing.assert_allclose(lowpass(holed, 5, RATE, valid=known), line, atol=1e-8)
+    np.testing.assert_allclose(lowpass(holed, 5, RATE, is_valid=known), line, atol=1e-8)
 
 
 def test_turns_turn_with_the_frame_that_they_are_seen_from() -> None:
@@ -91,7 +91,7 @@ def test_noise_of_rotations_is_that_about_each_axis(
     turns = so3.align_signs(turns)
     assert rotation_noise(turns) == pytest.approx(0.02, rel=0.05)
     # What is left of the noise at the best cut-off is that of so many axes.
-    assert find_best_cutoff(turns, RATE, rotation=True) is not None
+    assert find_best_cutoff(turns, RATE, is_rotation=True) is not None
     assert rotation_noise(turns[:1]) == 0.0
 
 

@@ -33,7 +33,7 @@ PIN, BALL = JointType.PIN, JointType.BALL
 
 
 def expr(text: str) -> Driver:
-    return Driver(parse_expression(text, coordinates=True))
+    return Driver(parse_expression(text, allows_coordinates=True))
 
 
 def rig(roll: str = "wrist.twist / 2", **own: object) -> Rig:
@@ -165,7 +165,7 @@ def test_motion_of_a_source_is_replaced_and_reported_with_the_largest_difference
     given = replace(
         take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
     )
-    stream = drive_stream(TakeStream.of(given), report_replaced=True)
+    stream = drive_stream(TakeStream.of(given), reports_replaced=True)
     done = stream.collect()
     assert rolls(done) == pytest.approx([0, 0.1, 0.2, 0.3])
     (notice,) = stream.notices
@@ -173,7 +173,7 @@ def test_motion_of_a_source_is_replaced_and_reported_with_the_largest_difference
     assert f"{np.degrees(0.5):.4g}" in notice.message
     assert "frame 3" in notice.message
     # What stands at rest in a capture says nothing about the joint.
-    quiet = drive_stream(TakeStream.of(take), report_replaced=True)
+    quiet = drive_stream(TakeStream.of(take), reports_replaced=True)
     quiet.collect()
     assert quiet.notices == []
 

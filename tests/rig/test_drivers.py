@@ -31,16 +31,20 @@ X = (1.0, 0.0, 0.0)
 
 
 def expr(text: str, unit: float = 1.0, angle: float = 1.0) -> Driver:
-    return Driver(parse_expression(text, coordinates=True), unit=unit, angle_unit=angle)
+    return Driver(
+        parse_expression(text, allows_coordinates=True), unit=unit, angle_unit=angle
+    )
 
 
 def test_a_smooth_curve_has_a_continuous_slope_and_never_overshoots() -> None:
     points = ((0.0, 0.0), (1.0, 0.0), (2.0, 9.0), (3.0, 10.0), (7.0, 4.0))
     x = np.linspace(-1, 8, 90001)
-    values = curve_values(points, x, smooth=True)
+    values = curve_values(points, x, is_smooth=True)
     corners = np.array(points)
     assert (
-        np.abs(curve_values(points, corners[:, 0], smooth=True) - corners[:, 1]).max()
+        np.abs(
+            curve_values(points, corners[:, 0], is_smooth=True) - corners[:, 1]
+        ).max()
         < 1e-12
     )
     for (a, low), (b, high) in pairwise(points):
@@ -60,14 +64,14 @@ def test_curves_are_held_at_their_ends_and_keep_what_is_no_number() -> None:
     points = ((0.0, 1.0), (1.0, 2.0))
     for smooth in (False, True):
         x = np.array([-np.inf, -5.0, 1.0, np.inf, np.nan])
-        found = curve_values(points, x, smooth=smooth)
+        found = curve_values(points, x, is_smooth=smooth)
         assert found[:4].tolist() == [1, 1, 2, 2]
         assert np.isnan(found[4])
-    assert curve_values(((2.0, 3.0),), np.array([0.0]), smooth=True).tolist() == [3]
+    assert curve_values(((2.0, 3.0),), np.array([0.0]), is_smooth=True).tolist() == [3]
 
 
 def test_a_control_drives_along_a_smooth_curve() -> None:
-    drive = Drive("shape/a", None, ((0.0, 0.0), (1.0, 1.0)), 1.0, smooth=True)
+    drive = Drive("shape/a", None, ((0.0, 0.0), (1.0, 1.0)), 1.0, is_smooth=True)
     values = {"c": np.array([0.25])}
     assert drive.evaluate("c", values)[0] == pytest.approx(0.15625)
 

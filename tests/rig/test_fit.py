@@ -32,7 +32,7 @@ BODY = Rig(
 
 def fit(take: Rig, rig: Rig = BODY, *, posed: bool = True) -> RigFit:
     source = [take.names.index(n) if n in take.names else -1 for n in rig.names]
-    return measure_fit(take, rig, np.array(source), compare_poses=posed)
+    return measure_fit(take, rig, np.array(source), compares_poses=posed)
 
 
 def kept(names: set[str]) -> Rig:

@@ -53,7 +53,7 @@ def test_a_pair(left: str, right: str) -> None:
         pairs = pair_sides(names)
         assert pairs.partners.tolist() == [2, 1, 0]
         assert names[pairs.left[0]] == left
-        assert not pairs.unpaired
+        assert not pairs.unpaired_indices
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_a_pair(left: str, right: str) -> None:
 def test_names_without_a_side(name: str) -> None:
     pairs = pair_sides([name, "hips"])
     assert pairs.partners.tolist() == [0, 1]
-    assert not pairs.unpaired
+    assert not pairs.unpaired_indices
 
 
 def test_a_bare_letter_pairs_only_under_partners() -> None:
@@ -89,11 +89,16 @@ def test_names_of_other_hierarchies_are_strays() -> None:
     names = ["hips", "arm_l", "spine", "arm_r", "hand_l", "hand_r"]
     pairs = pair_sides(names, [-1, 0, 0, 2, 1, 3])
     assert pairs.partners.tolist() == list(range(6))
-    assert [names[i] for i in pairs.unpaired] == ["arm_l", "arm_r", "hand_l", "hand_r"]
+    assert [names[i] for i in pairs.unpaired_indices] == [
+        "arm_l",
+        "arm_r",
+        "hand_l",
+        "hand_r",
+    ]
     assert find_likely_pairs(names, pairs) == [("arm_l", "arm_r"), ("hand_l", "hand_r")]
     stated = pair_sides(["a", "hand_r", "hand_l"], None, [("a", "hand_r")])
     assert stated.partners.tolist() == [1, 0, 2]
-    assert stated.unpaired == (2,)
+    assert stated.unpaired_indices == (2,)
 
 
 @given(st.lists(st.text("lrLR_.:ab1", max_size=6), unique=True, max_size=12))

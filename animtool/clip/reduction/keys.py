@@ -20,7 +20,7 @@ from animtool.rig.skeleton import Rig
 
 
 class ChannelKind(StrEnum):
-    """Kinds of keyed channels."""
+    """Kinds of keyed channels: parts of a joint's transform, or a shape's weight."""
 
     TRANSLATION = "translation"
     ROTATION = "rotation"
@@ -101,23 +101,23 @@ def fitted_channel(
     factor = (math.radians(1.0) if is_rotation else 1.0) / unit
     times = float(clock.start) + keys.frames.astype(np.float64) * float(clock.step)
     intervals = np.diff(times)[:, None]
-    count, components = keys.values.shape
-    ins, outs = np.zeros((2, count, 1 + components))
+    key_count, component_count = keys.values.shape
+    ins, outs = np.zeros((2, key_count, 1 + component_count))
     ins[1:, 0], outs[:-1, 0] = -1.0, 1.0
     ins[1:, 1:] = _round_in_unit(3 * keys.ins[1:] / intervals * factor, unit)
     outs[:-1, 1:] = _round_in_unit(3 * keys.outs[:-1] / intervals * factor, unit)
-    free = (Tangent.FREE,) * (count - 1)
-    tangents_before = Tangent.AUTO_CLAMPED, *free
-    tangents_after = *free, Tangent.AUTO_CLAMPED
+    free_tangents = (Tangent.FREE,) * (key_count - 1)
+    tangents_before = Tangent.AUTO_CLAMPED, *free_tangents
+    tangents_after = *free_tangents, Tangent.AUTO_CLAMPED
     return ClipChannel(
         target,
         times,
         _round_in_unit(keys.values * factor, unit),
-        (Interp.HERMITE,) * count,
+        (Interp.HERMITE,) * key_count,
         tuple(zip(tangents_before, tangents_after, strict=True)),
         ins,
         outs,
-        np.zeros((count, 3)),
+        np.zeros((key_count, 3)),
         euler=euler,
     )
 

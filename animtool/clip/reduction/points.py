@@ -64,19 +64,20 @@ def joint_bounds(
     return bounds
 
 
-def attached_points(rig: Rig, shell: float) -> FloatArray:
+def attached_points(rig: Rig, axis_distance: float) -> FloatArray:
     """Return points attached to each joint, in the joint's frame ``(J, P, 3)`` [m].
 
-    These are the joint's origin, one point at the distance ``shell`` along each axis,
-    and the tips of its bone. Joints with fewer tips repeat their origin.
+    These are the joint's origin, one point on each axis at a distance of
+    ``axis_distance`` [m], and the tips of its bone. Joints with fewer tips repeat their
+    origin.
 
     >>> from animtool.rig.skeleton import Joint
     >>> attached_points(Rig("r", (Joint("a", -1),)), 0.03)[0].tolist()[:2]
     [[0.0, 0.0, 0.0], [0.03, 0.0, 0.0]]
     """
-    tips = max((len(joint.tips) for joint in rig.joints), default=0)
-    points = np.zeros((len(rig.joints), 4 + tips, 3))
-    points[:, 1:4] = shell * np.eye(3)
+    max_tip_count = max((len(joint.tips) for joint in rig.joints), default=0)
+    points = np.zeros((len(rig.joints), 4 + max_tip_count, 3))
+    points[:, 1:4] = axis_distance * np.eye(3)
     for j, joint in enumerate(rig.joints):
         for i, tip in enumerate(joint.tips):
             points[j, 4 + i] = tip
@@ -89,7 +90,7 @@ def point_distances(points: FloatArray) -> FloatArray:
 
 
 def point_errors(
-    points: FloatArray, truth: WorldTransforms, reduced: WorldTransforms
+    points: FloatArray, original_world: WorldTransforms, reduced_world: WorldTransforms
 ) -> FloatArray:
     """Return the largest point error of each joint ``(F, J)`` [m].
 
@@ -97,7 +98,11 @@ def point_errors(
     transforms and by the reduced ones.
     """
     return _kernels.point_errors(
-        points, truth.positions, truth.linear, reduced.positions, reduced.linear
+        points,
+        original_world.positions,
+        original_world.linear,
+        reduced_world.positions,
+        reduced_world.linear,
     )
 
 
@@ -118,9 +123,9 @@ class TrackBudget:
 
     @staticmethod
     def from_track(track: KeyTrack, tolerance: float) -> TrackBudget:
-        """Fit initial keys to a track with a tolerance."""
+        """Return a track's budget with keys fitted to one tolerance in all frames."""
         ones = np.ones(len(track.samples))
-        keys = fit_keys(track.samples, tolerance, bounds_or_none=track.range)
+        keys = fit_keys(track.samples, tolerance, bounds=track.range)
         budget = TrackBudget(track, tolerance, ones, keys, 0 * ones, track.samples)
         budget.update_errors()
         return budget
@@ -132,49 +137,49 @@ class TrackBudget:
         self.refit()
 
     def tighten_frames(
-        self, frames: ArrayLike, factor: ArrayLike, *, move_keys: bool
+        self, frames: ArrayLike, factor: ArrayLike, *, moves_keys: bool
     ) -> None:
         """Reduce the tolerance around the given frames, and refit their segments.
 
-        ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``. If not ``move_keys``, keys are
-        only added.
+        ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``. If not ``moves_keys``, keys
+        are only added.
         """
         frame_indices = np.asarray(frames)
-        limits = np.asarray(factor) / self.tolerance
-        starts = self.keys.frames
-        segment_indices = np.searchsorted(starts, frame_indices, side="right") - 1
-        segment_indices = segment_indices.clip(0, max(0, len(starts) - 2))
-        lengths = np.diff(starts)
+        fraction_limits = np.asarray(factor) / self.tolerance
+        key_frames = self.keys.frames
+        segment_indices = np.searchsorted(key_frames, frame_indices, side="right") - 1
+        segment_indices = segment_indices.clip(0, max(0, len(key_frames) - 2))
+        lengths = np.diff(key_frames)
         if not len(lengths):
             lengths = np.array([len(self.tolerance_fractions)])
         half_widths = np.maximum(1, lengths[segment_indices] // 4)
-        columns = zip(frame_indices, limits, half_widths, strict=True)
+        columns = zip(frame_indices, fraction_limits, half_widths, strict=True)
         for frame, limit, half_width in columns:
             first = max(0, int(frame - half_width))
             fractions = self.tolerance_fractions[first : int(frame + half_width + 1)]
             np.minimum(fractions, limit, out=fractions)
-        is_kept = np.ones(len(starts), np.bool_)
+        is_kept = np.ones(len(key_frames), np.bool_)
         segments = np.unique(segment_indices)
-        if not move_keys:
+        if not moves_keys:
             segments = segments[np.isin(segments + 1, segments)]
-        is_kept[(segments + 1).clip(max=len(starts) - 1)] = False
-        self.refit(starts[1:-1][is_kept[1:-1]])
+        is_kept[(segments + 1).clip(max=len(key_frames) - 1)] = False
+        self.refit(key_frames[1:-1][is_kept[1:-1]])
 
     def straighten_segments(self, frames: IntArray) -> None:
         """Force straight segments from the given frames, and refit the keys."""
         self.straight_starts = np.union1d(self.straight_starts, frames)
         self.tighten_frames(
-            frames, self.tolerance_fractions[frames] * self.tolerance, move_keys=False
+            frames, self.tolerance_fractions[frames] * self.tolerance, moves_keys=False
         )
 
     def refit(self, anchors: ArrayLike = ()) -> None:
-        """Fit keys with the current tolerances."""
+        """Fit keys within the current tolerances; anchors are frames that stay keys."""
         self.keys = fit_keys(
             self.track.samples,
             self.tolerance,
             tolerance_scale=self.tolerance_fractions,
             anchors=anchors,
-            bounds_or_none=self.track.range,
+            bounds=self.track.range,
             straight_frames=self.straight_starts,
         )
         self.update_errors()
@@ -187,17 +192,17 @@ class TrackBudget:
 
     def displacement_per_unit(self, distance: FloatArray | float) -> FloatArray:
         """Return the displacement per unit of error at a distance from the joint."""
-        arms = np.asarray(distance, np.float64)
-        if self.track.kind is ChannelKind.TRANSLATION:
-            return np.ones_like(arms)
-        return np.radians(arms) if self.track.kind is ChannelKind.ROTATION else arms
+        kind, lever_arms = self.track.kind, np.asarray(distance, np.float64)
+        if kind is ChannelKind.TRANSLATION:
+            return np.ones_like(lever_arms)
+        return np.radians(lever_arms) if kind is ChannelKind.ROTATION else lever_arms
 
 
 def subtree_maxima(parents: IntArray, values: FloatArray) -> FloatArray:
     """Return the maximum value over each joint and its descendants ``(F, J)``."""
-    largest = np.ascontiguousarray(values.T)
-    for joint in range(len(largest) - 1, -1, -1):
+    maxima = np.ascontiguousarray(values.T)
+    for joint in range(len(maxima) - 1, -1, -1):
         if parents[joint] >= 0:
-            parent_values = largest[parents[joint]]
-            np.maximum(parent_values, largest[joint], out=parent_values)
-    return largest.T
+            parent_values = maxima[parents[joint]]
+            np.maximum(parent_values, maxima[joint], out=parent_values)
+    return maxima.T

@@ -97,10 +97,10 @@ def reduce_motion(
         each joint, in world space.
     """
     rig, motion = take.rig, take.motion
-    _check(take, base)
+    _check_takes(take, base)
     if not (np.isfinite(weight_tolerance) and weight_tolerance > 0):
         raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
-    rest_motion = _unkeyed_motion(rig, motion, additive=base is not None)
+    rest_motion = _unkeyed_motion(rig, motion, is_additive=base is not None)
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     tracks = find_tracks(rig, motion, rest_motion) if tracks is None else tracks
     weight_tracks = [t for t in tracks if t.kind is ChannelKind.WEIGHT]
@@ -110,15 +110,15 @@ def reduce_motion(
     budgets: list[TrackBudget] = []
     search_result = _SearchResult(np.zeros((motion.frames, 1)), 0.0, 0)
     if rig.joints:
-        world = _WorldErrors(rig, motion, base_motion, bounds)
+        world_errors = _WorldErrors(rig, motion, base_motion, bounds)
         if start is not None:
-            world.pose = additive_pose(rig, start, base_motion)
+            world_errors.pose = additive_pose(rig, start, base_motion)
         budgets = [
-            TrackBudget.from_track(t, world.initial_tolerance(t))
+            TrackBudget.from_track(t, world_errors.initial_tolerance(t))
             for t in joint_tracks
             if t.is_animated
         ]
-        search_result = _search_tolerances(world, budgets)
+        search_result = _search_tolerances(world_errors, budgets)
     weight_budgets = [
         TrackBudget.from_track(track, weight_tolerance)
         for track in weight_tracks
@@ -146,7 +146,7 @@ def reduce_motion(
         frame=frame,
         held=search_result.error_ratio <= 1,
         weight_error=max((float(b.errors.max()) for b in weight_budgets), default=0.0),
-        rounds=search_result.rounds,
+        rounds=search_result.round_count,
     )
 
 
@@ -156,7 +156,7 @@ class _SearchResult:
 
     errors: FloatArray
     error_ratio: float
-    rounds: int
+    round_count: int
 
 
 class _WorldErrors:
@@ -180,16 +180,16 @@ class _WorldErrors:
 
     def initial_tolerance(self, track: KeyTrack) -> float:
         """Return a channel's initial tolerance by the lever arms of its descendants."""
-        descendants = np.flatnonzero(self.is_descendant[track.index])
-        bounds = self.bounds[descendants]
+        descendant_indices = np.flatnonzero(self.is_descendant[track.index])
+        bounds = self.bounds[descendant_indices]
         if track.kind is ChannelKind.TRANSLATION:
             return float(bounds.min() / 2)
         frame_count = len(self.original_world.positions)
         frames = np.linspace(0, frame_count - 1, 8).astype(np.int64)
         positions = self.original_world.positions[frames]
-        offsets = positions[:, descendants] - positions[:, track.index, None]
-        arms = np.linalg.norm(offsets, axis=-1).max(axis=0)
-        lever_arms = arms + self.point_distances[descendants]
+        offsets = positions[:, descendant_indices] - positions[:, track.index, None]
+        joint_distances = np.linalg.norm(offsets, axis=-1).max(axis=0)
+        lever_arms = joint_distances + self.point_distances[descendant_indices]
         tolerance = float((bounds / (2 * lever_arms.clip(min=1e-9))).min())
         is_rotation = track.kind is ChannelKind.ROTATION
         return float(np.degrees(tolerance)) if is_rotation else tolerance
@@ -201,11 +201,14 @@ class _WorldErrors:
         self.reduced_world = self.pose.world_transforms(self.reduced_world)
         return point_errors(self.points, self.original_world, self.reduced_world)
 
-    def lever_arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
+    def lever_arms(
+        self, joint: int, frames: IntArray, end_joints: IntArray
+    ) -> FloatArray:
         """Return the lever arms from a joint to the points of other joints [m]."""
         positions = self.original_world.positions
-        offsets = positions[frames, ends] - positions[frames, joint]
-        return np.asarray(np.linalg.norm(offsets, axis=-1) + self.point_distances[ends])
+        offsets = positions[frames, end_joints] - positions[frames, joint]
+        distances = np.linalg.norm(offsets, axis=-1)
+        return np.asarray(distances + self.point_distances[end_joints])
 
 
 def _search_tolerances(
@@ -213,7 +216,7 @@ def _search_tolerances(
 ) -> _SearchResult:
     """Scale, then locally reduce channel tolerances until errors are within bounds."""
     errors = world.measure_errors(budgets)
-    rounds = 1
+    round_count = 1
     for _ in range(CALIBRATION_ROUNDS if budgets else 0):
         error_ratios = subtree_maxima(world.rig.parents, errors / world.bounds)
         for budget in budgets:
@@ -222,13 +225,13 @@ def _search_tolerances(
             factor = np.clip(0.9 / max(typical_ratio, 1e-9), 0.25, 4.0)
             budget.scale_tolerance(float(factor))
         errors = world.measure_errors(budgets)
-        rounds += 1
+        round_count += 1
     ratio = float((errors / world.bounds).max())
-    while rounds < MAX_ROUNDS:
+    while round_count < MAX_ROUNDS:
         changed_budgets = []
         if ratio > 1:
-            move_keys = rounds < FIRST_SPLITTING_ROUND
-            changed_budgets = _tighten(world, budgets, errors, move_keys)
+            moves_keys = round_count < FIRST_SPLITTING_ROUND
+            changed_budgets = _tighten_causes(world, budgets, errors, moves_keys)
         for budget in budgets:
             frames = _frames_beyond_limits(budget)
             if len(frames):
@@ -238,8 +241,8 @@ def _search_tolerances(
             break
         errors = world.measure_errors(changed_budgets)
         ratio = float((errors / world.bounds).max())
-        rounds += 1
-    return _SearchResult(errors, ratio, rounds)
+        round_count += 1
+    return _SearchResult(errors, ratio, round_count)
 
 
 def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
@@ -262,8 +265,11 @@ def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
     return np.setdiff1d(first_frames, budget.straight_starts)
 
 
-def _tighten(
-    world: _WorldErrors, budgets: list[TrackBudget], errors: FloatArray, move_keys: bool
+def _tighten_causes(
+    world: _WorldErrors,
+    budgets: list[TrackBudget],
+    errors: FloatArray,
+    moves_keys: bool,
 ) -> list[TrackBudget]:
     """Reduce tolerances of channels that contribute most to errors above bounds."""
     frames, joints_beyond = np.argwhere(errors > world.bounds).T.astype(np.int64)
@@ -272,19 +278,23 @@ def _tighten(
     for i, budget in enumerate(budgets):
         joint = budget.track.index
         is_affected = world.is_descendant[joint, joints_beyond]
-        arms = world.lever_arms(joint, frames[is_affected], joints_beyond[is_affected])
-        errors_in_frames = budget.errors[frames[is_affected]]
-        displacements = budget.displacement_per_unit(arms) * errors_in_frames
+        affected_frames, affected_joints = (
+            frames[is_affected],
+            joints_beyond[is_affected],
+        )
+        lever_arms = world.lever_arms(joint, affected_frames, affected_joints)
+        displacements = budget.displacement_per_unit(lever_arms)
+        displacements = displacements * budget.errors[affected_frames]
         contributions[i, is_affected] = displacements
     is_large = contributions >= 0.5 * contributions.max(axis=0, initial=0.0)
     changed_budgets = []
     for budget, is_cause in zip(budgets, is_large & (contributions > 0), strict=True):
         if is_cause.any():
-            bad_frames, inverse = np.unique(frames[is_cause], return_inverse=True)
+            bad_frames, indices = np.unique(frames[is_cause], return_inverse=True)
             largest_excess = np.zeros(len(bad_frames))
-            np.maximum.at(largest_excess, inverse, excess[is_cause])
+            np.maximum.at(largest_excess, indices, excess[is_cause])
             factors = budget.errors[bad_frames] * 0.9 / largest_excess
-            budget.tighten_frames(bad_frames, factors, move_keys=move_keys)
+            budget.tighten_frames(bad_frames, factors, moves_keys=moves_keys)
             changed_budgets.append(budget)
     return changed_budgets
 
@@ -298,19 +308,21 @@ def _descendants(rig: Rig) -> BoolArray:
     return is_descendant
 
 
-def _unkeyed_motion(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
+def _unkeyed_motion(rig: Rig, motion: Motion, *, is_additive: bool) -> Motion:
     """Return one frame with the values of channels that have no keys."""
-    joints = len(rig.joints)
+    joint_count = len(rig.joints)
     static = Channel.static
     return Motion(
-        static(np.zeros((joints, 3)) if additive else rig.rest_translations),
-        static(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
-        None if motion.scales is None else static(np.ones((joints, 3))),
+        static(np.zeros((joint_count, 3)) if is_additive else rig.rest_translations),
+        static(
+            np.tile(IDENTITY, (joint_count, 1)) if is_additive else rig.rest_rotations
+        ),
+        None if motion.scales is None else static(np.ones((joint_count, 3))),
         None if motion.weights is None else static(np.zeros_like(motion.weights.rest)),
     )
 
 
-def _check(take: Take, base: Take | None) -> None:
+def _check_takes(take: Take, base: Take | None) -> None:
     """Raise if the take is empty, or a base is invalid."""
     if not take.motion.frames:
         raise ValueError("the take has no frame")

@@ -9,13 +9,13 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 
 # A larger tolerance, as a fraction of the rig's size, loses the motion [1].
-MAX_FRACTION = 0.1
+MAX_TOLERANCE_FRACTION = 0.1
 
 
 def tolerance_notices(tolerance: float | None, rig: Rig, path: str) -> list[Fault]:
     """Return a warning about a tolerance [m] that is large for a rig (CLIP120)."""
     size = rest_size(rig)
-    if tolerance is None or not size > 0 or tolerance <= MAX_FRACTION * size:
+    if tolerance is None or not size > 0 or tolerance <= MAX_TOLERANCE_FRACTION * size:
         return []
     message = f"a tolerance of {length_text(tolerance)} is large for a rig of "
     message += f"{length_text(size)}: most of the motion is lost"

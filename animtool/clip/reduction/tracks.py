@@ -64,7 +64,7 @@ class KeyTrack:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Minimum and maximum of a scalar track."""
+        """Limits of a pin or slide in the unit of its samples; None without limits."""
         if not isinstance(self.limits, RangeLimit) or self.samples.shape[1] != 1:
             return None
         lower, upper = self.limits.low, self.limits.high
@@ -98,8 +98,8 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
     bvh_order = "".join(
         c[0].upper() for c in joint.channels or () if c.lower().endswith("rotation")
     )
-    is_order = bvh_order in euler.ORDERS
-    if is_order and _lock_cosine(rotations, bvh_order) >= MIN_LOCK_COSINE:
+    is_valid_order = bvh_order in euler.ORDERS
+    if is_valid_order and _lock_cosine(rotations, bvh_order) >= MIN_LOCK_COSINE:
         return bvh_order
     lock_cosines = {order: _lock_cosine(rotations, order) for order in euler.ORDERS}
     # Rounded, so that ties do not depend on the last digit.
@@ -171,21 +171,21 @@ class ReducedPose:
     base: ReducedPose | None = None
 
     def set_track(self, track: KeyTrack, values: FloatArray) -> None:
-        """Set the values ``(F, D)`` of a track."""
-        j, base, local = track.index, self.base, track.to_parent_space(values)
+        """Set a joint's transforms from the values ``(F, D)`` of one of its tracks."""
+        j, base, local_values = track.index, self.base, track.to_parent_space(values)
         if track.kind is ChannelKind.ROTATION:
             if base is not None:
-                local = add_rotation(base.rotations[:, j], local)
-            self.rotations[:, j] = local
+                local_values = add_rotation(base.rotations[:, j], local_values)
+            self.rotations[:, j] = local_values
         elif track.kind is ChannelKind.TRANSLATION:
             if base is not None:
-                local = add_offset(base.translations[:, j], local)
-            self.translations[:, j] = local
+                local_values = add_offset(base.translations[:, j], local_values)
+            self.translations[:, j] = local_values
         elif track.kind is ChannelKind.SCALE and self.scales is not None:
             base_scales = None if base is None else base.scales
             if base_scales is not None:
-                local = multiply_scale(base_scales[:, j], local)
-            self.scales[:, j] = local
+                local_values = multiply_scale(base_scales[:, j], local_values)
+            self.scales[:, j] = local_values
 
     def world_transforms(self, out: WorldTransforms | None = None) -> WorldTransforms:
         """Return the world transforms, in ``out`` if given."""
@@ -193,7 +193,7 @@ class ReducedPose:
         return forward_kinematics(self.rig, t, r, s, out=out)
 
     def copy(self) -> ReducedPose:
-        """Return an independent copy."""
+        """Return a pose with copied arrays, on the same base."""
         scales = None if self.scales is None else self.scales.copy()
         return ReducedPose(
             self.rig, self.translations.copy(), self.rotations.copy(), scales, self.base

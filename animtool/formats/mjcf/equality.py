@@ -72,7 +72,9 @@ class JointEqualities:
             leader = outer_leader
         if leader < 0:
             text = repr(offset)
-            self.drivers[follower] = Driver(parse_expression(text, coordinates=True))
+            self.drivers[follower] = Driver(
+                parse_expression(text, allows_coordinates=True)
+            )
         elif is_nonlinear:
             self.drivers[follower] = _polynomial_driver(
                 model, follower, leader, polynomial
@@ -115,7 +117,7 @@ def _polynomial_driver(
     for coefficient in reversed(coefficients[:-1]):
         text = f"({coefficient!r} + {x} * {text})"
     text = f"{_reference_value(model, follower)!r} + {text}"
-    return Driver(parse_expression(text, coordinates=True))
+    return Driver(parse_expression(text, allows_coordinates=True))
 
 
 def _has_cycles(

@@ -146,7 +146,7 @@ def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
     changes_folder = source.resolve().parent != output.resolve().parent
-    rig, arrays = with_array_file(rig, arrays_path, copy_all=changes_folder)
+    rig, arrays = with_array_file(rig, arrays_path, copies_all=changes_folder)
     return RigFile(rig, arrays, [arrays_path, output] if arrays else [output])
 
 

@@ -49,7 +49,7 @@ from animtool.ik.report import (
 )
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
-from animtool.ik.values import Keyed
+from animtool.ik.values import KeyedValue
 from animtool.maths.curves import Extrapolation
 from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
@@ -203,7 +203,7 @@ def _outside_targets_warning(job: IkJob, tracks: TargetTracks) -> list[Fault]:
         value.channel
         for goal in tracks.goals
         for value in goal.values.values()
-        if isinstance(value, Keyed)
+        if isinstance(value, KeyedValue)
     ]
     extrapolations = [curve.post if is_later else curve.pre for curve in curves]
     if extrapolations and Extrapolation.HOLD not in extrapolations:
@@ -281,7 +281,7 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
         *context.notices,
         *span_notices(solution),
         *(rest_notices(solution) if context.at_rest else ()),
-        *independent_frame_notices(solution, smooth=job.options.smooth > 0),
+        *independent_frame_notices(solution, is_smoothed=job.options.smooth > 0),
         *far_target_notices(solution, goals),
         *pole_notices(solution),
         *crossed_notices(solution),

@@ -206,8 +206,8 @@ def map_to_rig_file(
             rig,
             names.joints,
             str(rig_path),
-            forced=force_fit,
-            unmatched=unmatched_notices,
+            is_forced=force_fit,
+            unmatched_faults=unmatched_notices,
         )
     mapped_stream.notices += [*notices, *unmatched_notices, *differences]
     mapped_stream.details["rig"] = str(rig_path)

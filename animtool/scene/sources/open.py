@@ -398,7 +398,7 @@ def _drive_tracks(stream: TakeStream) -> TakeStream:
         return stream
     from animtool.motion.driving import drive_stream
 
-    return drive_stream(stream, report_replaced=True)
+    return drive_stream(stream, reports_replaced=True)
 
 
 def _unsupported_option_fault(name: str, path: Path) -> Fault:

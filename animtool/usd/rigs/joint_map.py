@@ -126,8 +126,8 @@ def map_joints(
             rig,
             source_joints,
             where,
-            forced=force_fit,
-            unmatched=unmatched_notices,
+            is_forced=force_fit,
+            unmatched_faults=unmatched_notices,
         )
     return RigJointMap(
         skeleton.rig,

@@ -229,7 +229,7 @@ def _expression_edits(
     """Yield the edits that rename joints in driver expressions."""
     for path_pattern in EXPRESSION_PATHS:
         for location, text in _names_at(value, tuple(path_pattern.split("/")), ()):
-            expression = parse_expression(text, coordinates=True)
+            expression = parse_expression(text, allows_coordinates=True)
             new_inputs = renamed_coordinates(expression.names, new_names)
             new_expression = expression.with_renamed_inputs(new_inputs)
             if new_expression != expression:

@@ -25,11 +25,11 @@ from animtool.retarget.root_position import (
 )
 from animtool.retarget.standing import Stance, measure_stance
 from animtool.rig.body_size import (
-    MIN_JOINTS,
+    MIN_CHARACTER_JOINTS,
     find_feet,
     fitting_unit,
     is_character,
-    unit_texts,
+    size_warning_texts,
 )
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import JointType
@@ -149,7 +149,7 @@ def mismatched_units(subject: MotionSubject) -> Iterator[Fault]:
     fitting = fitting_unit(subject.take.rig.names, size, unit)
     if fitting is None or not subject.has_units:
         return
-    message, hint = unit_texts(size, unit, fitting, subject.file_format)
+    message, hint = size_warning_texts(size, unit, fitting, subject.file_format)
     yield subject.fault("MOT213", None, None, message, hint)
 
 
@@ -228,7 +228,7 @@ def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
 def body_axis(subject: MotionSubject) -> Stance | None:
     """Return the stance of a body that is not upright along the up axis; else None."""
     rig = subject.take.rig
-    if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
+    if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_CHARACTER_JOINTS:
         return None
     digit_count = sum(map(bool, map(DIGIT_NAMES.search, rig.names)))
     if digit_count > HAND_FRACTION * len(rig.joints):

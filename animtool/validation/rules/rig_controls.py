@@ -12,7 +12,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.documents.document import Location
 from animtool.maths import so3
-from animtool.rig.controls import Control, DrivenValues, evaluate_controls
+from animtool.rig.controls import Control, ControlEffects, evaluate_controls
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Shape
@@ -38,7 +38,7 @@ class _ControlSweep:
 
     moving_controls: list[Control]  # the moving control of each frame ``(F,)``
     control_values: dict[str, FloatArray]  # values of all controls ``(F,)``
-    driven: DrivenValues  # resulting values
+    driven: ControlEffects  # resulting values
 
     def broadcast(self, values: FloatArray) -> FloatArray:
         """Broadcast values to all frames ``(F,)``."""
@@ -88,7 +88,7 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
-        values = sweep.driven.unclamped[control.name]
+        values = sweep.driven.unclamped_controls[control.name]
         width = max(control.high - control.low, LIMIT_TOLERANCE)
         excess = (values - np.clip(values, control.low, control.high)) / width
         for driving_control, frame in sweep.worst_frames(excess):

@@ -22,7 +22,7 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.ik.file import targets_of_document
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import ArrayRows, Constant, Keyed, Span, Value
+from animtool.ik.values import ArrayRows, Constant, KeyedValue, Span, Value
 from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.limits import RangeLimit
@@ -77,7 +77,7 @@ def _keys_outside(
 ) -> Iterator[tuple[str, Sequence[float], bool]]:
     """Yield the keys or spans of a goal that are outside a frame range."""
     for goal_kind, value in goal.values.items():
-        if isinstance(value, Keyed):
+        if isinstance(value, KeyedValue):
             unused_keys = keys_without_effect(value.channel, first, last)
             if len(unused_keys):
                 yield goal_kind, value.channel.times[unused_keys].tolist(), True
@@ -129,7 +129,7 @@ def _equal_values(first: Value | None, second: Value | None) -> bool:
     match first, second:
         case Constant(value=a), Constant(value=b):
             return a == b
-        case Keyed(channel=c), Keyed(channel=d):
+        case KeyedValue(channel=c), KeyedValue(channel=d):
             has_equal_times = np.array_equal(c.times, d.times)
             return has_equal_times and np.array_equal(c.values, d.values)
         case ArrayRows(values=e), ArrayRows(values=f):
@@ -145,7 +145,7 @@ def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
             match weight:
                 case Constant(value=(0.0,)):
                     pass
-                case Keyed(channel=channel) if not channel.values.any():
+                case KeyedValue(channel=channel) if not channel.values.any():
                     pass
                 case _:
                     continue
@@ -316,7 +316,7 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
         goal_indices = [
             goal_index
             for goal_index, track in enumerate(sampled_targets.tracks.goals)
-            if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
+            if isinstance(track.values["position"], Constant | KeyedValue | ArrayRows)
         ]
         points = [np.zeros((0, 3))]
         for goal_points, is_active in map(sampled_targets.points, goal_indices):
