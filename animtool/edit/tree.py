@@ -20,6 +20,7 @@ from animtool.motion.motion import Channel
 from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
 from animtool.motion.take import Take
 from animtool.rig.drivers import split_coordinate
+from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
@@ -243,7 +244,7 @@ def _referenced_joints(rig: Rig) -> set[str]:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
-                names.add(name.split(".")[0])
+                names.add(split_part(name, DRIVEN_PARTS)[0])
     drivers = (
         *(joint.driven for joint in rig.joints),
         *(shape.driven for shape in rig.shapes),

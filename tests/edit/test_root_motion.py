@@ -28,6 +28,8 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext, apply_pass
 from animtool.motion.take import Take, TakeStream
+from animtool.rig.controls import Control, Drive
+from animtool.rig.expressions import parse_expression
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Pose, Rig
 
@@ -169,6 +171,21 @@ def test_what_cannot_be_a_root() -> None:
         with pytest.raises(OptionError) as error:
             run()
         assert error.value.code == code
+
+
+def test_a_joint_that_a_control_moves_stays_whatever_its_name() -> None:
+    take = upright(UpAxis.Y)
+    hips, chest = take.rig.joints
+    drive = Drive("joint/hips.l.rotation.x", parse_expression("sway"))
+    rig = replace(
+        take.rig,
+        joints=(replace(hips, name="hips.l"), chest),
+        controls=(Control("sway", drives=(drive,)),),
+    )
+    with pytest.raises(OptionError) as error:
+        recompose_root(replace(take, rig=rig), "hips.l")
+    assert error.value.code == "SCN020"
+    assert "refer to 'hips.l'" in str(error.value)
 
 
 def test_bind_poses_follow_a_joint_that_goes() -> None:
