@@ -872,14 +872,14 @@ def test_a_camera_that_turned_is_stale_and_the_others_have_their_noise() -> None
     clock = Clock(Fraction(30), Fraction(1), Fraction(1), 40)
     seen = Observations(tuple("abcdefgh"), clock, pixels)
     found = measure_noise(seen, cameras, 5.0, 6600.0)
-    assert found.cameras_agree
+    assert found.do_cameras_agree
     assert list(found.pose_changes) == [2]
     assert found.pose_changes[2].angle == pytest.approx(0.05, rel=0.1)
     assert_allclose(found.pixels, 0.5, rtol=0.2)
     good = pixels.copy()
     good[:, 2] = project(cameras[2], points) + rng.normal(0, 0.5, (40, 8, 2))
     found = measure_noise(replace(seen, stored=good), cameras, 5.0, 6600.0)
-    assert (found.cameras_agree, found.pose_changes) == (True, {})
+    assert (found.do_cameras_agree, found.pose_changes) == (True, {})
     assert_allclose(found.pixels, 0.5, rtol=0.2)
     # All alike, they have one noise; one that is twice as noisy has its own.
     assert np.ptp(found.pixels) == 0
@@ -920,25 +920,27 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
         return found.pop(0) if found else None
 
     monkeypatch.setitem(
-        _TriangulationRun._exclude_shifted.__globals__, "find_shifted_ranges", worst
+        _TriangulationRun._exclude_shifted_cameras.__globals__,
+        "find_shifted_ranges",
+        worst,
     )
     solved: list[tuple[int, int]] = []
     run: Any = SimpleNamespace(
         observations=SimpleNamespace(clock=SimpleNamespace(rate=Fraction(25))),
-        active=np.ones((6, 3), bool),
+        is_active_camera=np.ones((6, 3), bool),
         shifts=[[], [], [PoseShift(4, 6, 0.5)]],
-        views=9,
+        view_count=9,
         tallies=SimpleNamespace(of_triangulated=0, rejected=0),
         options=TriangulateOptions(keep_moved=keep),
         _mark_kept_ranges=lambda _, ranges: ranges,
         _with_pose_change=lambda _, each: each,
         _solve_frames=lambda first, end: solved.append((first, end)),
     )
-    _TriangulationRun._exclude_shifted(run)
+    _TriangulationRun._exclude_shifted_cameras(run)
     active = np.ones((6, 3), bool)
     if not keep:
         active[2:4, 1] = active[:3, 0] = active[5, 0] = False
-    assert_array_equal(run.active, active)
+    assert_array_equal(run.is_active_camera, active)
     assert solved == ([] if keep else [(2, 4), (0, 3), (5, 6)])
     checked = np.ones((6, 3), bool)
     checked[4:, 2] = False

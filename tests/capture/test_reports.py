@@ -23,7 +23,7 @@ from animtool.capture.cameras.report import (
     ObservationCounts,
     camera_notices,
     gap_notices,
-    lost_frames,
+    lost_frame_notices,
 )
 from animtool.capture.cameras.stale import (
     CameraDisagreement as Disagreement,
@@ -86,7 +86,7 @@ def test_tallies_become_errors() -> None:
     none = own.report(1, "b", 0.7, ())
     assert (none.observed, none.outliers) == (0, 0)
     assert np.isnan([none.error_px, none.error_mm]).all()
-    assert own.errors() == pytest.approx((2, 200))
+    assert own.reprojection_errors() == pytest.approx((2, 200))
     assert (own.used[1, 0], own.of_triangulated[0, 0], own.rejected[0, 0]) == (2, 9, 1)
 
 
@@ -148,10 +148,12 @@ def test_frames_that_are_lost_and_points_that_are_gaps() -> None:
     places[4, :3] = np.nan
     places[6, :2] = np.nan
     seen[6, 2:5] = False
-    (one,) = lost_frames(places, seen, CLOCK, "p")
+    (one,) = lost_frame_notices(places, seen, CLOCK, "p")
     assert (one.code, one.path) == ("CAM112", "p")
     assert "in 1 frame: 3;" in one.message
-    assert not list(lost_frames(places[2:3], seen[2:3], replace(CLOCK, count=1), "p"))
+    assert not list(
+        lost_frame_notices(places[2:3], seen[2:3], replace(CLOCK, count=1), "p")
+    )
     places[:, 5] = np.nan
     first, second = gap_notices("abcdef", places, 57, "p")
     assert (first.code, second.code) == ("CAM104", "CAM105")
