@@ -204,7 +204,7 @@ def test_what_would_be_most_of_a_channel_is_no_spike() -> None:
     motion = replace(take.motion, translations=Channel.from_dense(shifts))
     options = CleanOptions(spikes=4, keep_noise=True)
     _, signals = clean_take(replace(take, motion=motion), options)
-    (found,) = [one.spikes for one in signals if one.spikes and not one.rotation]
+    (found,) = [one.spikes for one in signals if one.spikes and not one.is_rotation]
     assert found == tuple(np.flatnonzero(large).tolist())
 
 

@@ -25,7 +25,7 @@ MIN_IMPROVEMENT = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Convention:
-    """How a file's camera poses differ from ``x_camera = R x_world + t``."""
+    """Deviation of a file's camera poses from ``x_camera = R x_world + t``."""
 
     is_w_last: bool = False  # quaternions are [x, y, z, w]
     is_transposed: bool = False  # the rotation is from the camera to the world
@@ -53,7 +53,7 @@ class Convention:
 
     @property
     def description_and_remedy(self) -> tuple[str, str]:
-        """What differs in this convention, and how to correct the file, as text."""
+        """Text of the difference, and of how to correct the file, for messages."""
         differences, remedies = [], []
         if self.is_w_last:
             differences.append("quaternions are [x, y, z, w]")

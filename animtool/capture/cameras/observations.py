@@ -69,7 +69,7 @@ class Observations:
     notices: tuple[Fault, ...] = ()
 
     def pixels(self, first: int, end: int, step: int = 1) -> FloatArray:
-        """Return pixels of every ``step``-th frame ``(F, C, M, 2)``, NaN if hidden."""
+        """Return every ``step``-th frame's pixels ``(F, C, M, 2)``, NaN if hidden."""
         stored = self.stored[first:end:step]
         pixels: FloatArray = np.multiply(stored, self.unit, dtype=np.float64)
         if self.missing is not None:
@@ -77,7 +77,7 @@ class Observations:
         return pixels
 
     def confidences_of(self, first: int, end: int, step: int = 1) -> FloatArray | None:
-        """Return confidences of every ``step``-th frame ``(F, C, M)``; None if all 1."""
+        """Return every ``step``-th frame's confidences ``(F, C, M)``, or None."""
         if self.confidences is None:
             return None
         return np.ascontiguousarray(self.confidences[first:end:step], np.float64)

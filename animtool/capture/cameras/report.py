@@ -30,7 +30,7 @@ MAX_LOST_FRACTION = 0.5
 
 @dataclass(frozen=True, slots=True)
 class CameraReport:
-    """How well one camera agrees with the triangulated points, and where it moved.
+    """One camera's agreement with the triangulated points, and where it moved.
 
     Attributes:
         name: Name of the camera.
