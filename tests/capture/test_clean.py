@@ -224,7 +224,7 @@ def test_the_noise_of_a_rotation_is_an_angle(rate: int) -> None:
     dirty = noisy(replace(still, motion=motion, clock=clock), 0.02, 0.003)
     _, signals = clean_take(dirty, CleanOptions(keep_noise=True))
     for rotation, expected in ((True, 0.02), (False, 0.003)):
-        found = [one.noise for one in signals if one.rotation == rotation]
+        found = [one.noise for one in signals if one.is_rotation == rotation]
         assert np.mean(found) == pytest.approx(expected, rel=0.05)
 
 
