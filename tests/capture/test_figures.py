@@ -430,7 +430,7 @@ def test_what_says_that_frames_are_spikes() -> None:
         for length in (1, 3, 4):
             starts, *rest = spikes._span_deviations(path, seen, length, rough)
             found += [starts, *rest, spikes._is_one_sided(seen, starts, length)]
-            found += [spikes._local_level(starts, rest[1] * 1e6, len(path))]
+            found += [spikes._local_noise_levels(starts, rest[1] * 1e6, len(path))]
         found += [
             spikes._is_gap_artifact(path, seen, first, length, rough, noise[0] ** 2)
             for first in range(52, 80, 3)

@@ -75,7 +75,7 @@ from animtool.capture.markers.predict import (
 from animtool.capture.markers.runs import TrackletLabels, _merge_known_distances
 from animtool.capture.markers.spikes import (
     _is_one_sided,
-    _local_level,
+    _local_noise_levels,
     _noise_model,
     _span_deviations,
 )
@@ -662,7 +662,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     seen = np.ones(40, bool)
     for length in (1, 2):
         starts, off, gain, rest = _span_deviations(
-            path, seen, length, 0.01, complete=True
+            path, seen, length, 0.01, is_complete=True
         )
         assert starts.tolist() == list(range(7, 40 - 7 - length + 1))
         assert np.abs(off).max() < 1e-9
@@ -674,7 +674,9 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     seen[10:20] = False
     found = _is_one_sided(seen, np.array([0, 5, 20, 22, 33, 39]), 1).tolist()
     assert found == [True, False, True, False, False, True]
-    level = _local_level(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
+    level = _local_noise_levels(
+        np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100
+    )
     assert (level[0], level[99]) == (1, pytest.approx(10))
     assert level.min() == 1
 

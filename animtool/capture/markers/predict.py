@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 # Training window on either side of a gap [s].
 TRAINING_SECONDS = 6.0
 # Maximum number of training frames in total, and on each side next to the gap.
-MAX_TRAINING_FRAMES, DENSE_FRAMES = 180, 16
+MAX_TRAINING_FRAMES, DENSE_SIDE_FRAMES = 180, 16
 MIN_TRAINING_FRAMES = 12
 # Numbers of markers that define the frame, and the pose.
-FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
+AXES_MARKER_COUNTS, POSE_MARKER_COUNTS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 MARKER_NOISE = 0.0005
 # Minimum noise variance relative to the kernel's variance [1], so that float64 can
@@ -45,7 +45,7 @@ SKIN_KERNELS = ((0.0, 1.0), *product((0.001, 0.004), (0.1, 0.3, 1.0)))
 # marker moves linearly with the pose.
 LENGTH_SCALES = (0.0, 1.0, 3.0)
 # Number of cross-validation spans.
-VALIDATION_SPANS = 6
+VALIDATION_SPAN_COUNT = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +58,10 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class MarkerGap:
-    """A gap of a marker to predict, and the positions of the take."""
+    """A marker's gap, with the positions in the take from which to predict it."""
 
     positions: FloatArray  # ``(F, M, 3)`` [m], filled gaps included
-    visible: BoolArray  # mask of the positions to learn from ``(F, M)``
+    is_visible: BoolArray  # mask of the positions to learn from ``(F, M)``
     marker: int
     frames: slice  # frames of the gap
     # How much the distance to each marker varies ``(M,)`` [m].
@@ -71,39 +71,45 @@ class MarkerGap:
     def nearest_markers(self) -> IntArray:
         """Return the markers visible throughout the gap, the most rigid first."""
         deviations = self.distance_deviations
-        is_usable = self.visible[self.frames].all(axis=0) & np.isfinite(deviations)
+        is_usable = self.is_visible[self.frames].all(axis=0) & np.isfinite(deviations)
         is_usable[self.marker] = False
-        order = np.argsort(np.where(is_usable, deviations, np.inf), kind="stable")
-        return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
+        marker_order = np.argsort(
+            np.where(is_usable, deviations, np.inf), kind="stable"
+        )
+        return np.asarray(
+            marker_order[: min(max(POSE_MARKER_COUNTS), int(is_usable.sum()))]
+        )
 
     def training_frames(self, neighbours: IntArray) -> IntArray:
         """Return the frames to learn from: all near the gap, and some farther away."""
-        gap, visible = self.frames, self.visible
+        gap, is_visible = self.frames, self.is_visible
         window = int(TRAINING_SECONDS * self.rate)
-        first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
-        neighbours_visible = visible[first:end][:, neighbours].all(axis=1)
-        is_usable = visible[first:end, self.marker] & neighbours_visible
+        first, end = max(gap.start - window, 0), min(gap.stop + window, len(is_visible))
+        are_neighbours_visible = is_visible[first:end][:, neighbours].all(axis=1)
+        is_usable = is_visible[first:end, self.marker] & are_neighbours_visible
         frames = np.flatnonzero(is_usable) + first
         frames = frames[(frames < gap.start) | (frames >= gap.stop)]
         is_before = frames < gap.start
         distance = np.where(is_before, gap.start - frames, frames - gap.stop + 1)
-        dense_frames = frames[distance <= DENSE_FRAMES]
-        other_frames = frames[distance > DENSE_FRAMES]
+        dense_frames = frames[distance <= DENSE_SIDE_FRAMES]
+        other_frames = frames[distance > DENSE_SIDE_FRAMES]
         count = MAX_TRAINING_FRAMES - len(dense_frames)
         if len(other_frames) > count:
-            rows = np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
-            other_frames = other_frames[rows]
+            frame_indices = np.linspace(0, len(other_frames) - 1, count).astype(
+                np.int64
+            )
+            other_frames = other_frames[frame_indices]
         return np.sort(np.concatenate([dense_frames, other_frames]))
 
-    def with_gap_frames(self, training: IntArray) -> IntArray:
-        """Return training frames followed by the frames of the gap."""
+    def with_gap_frames(self, training_frames: IntArray) -> IntArray:
+        """Return the training frames, and after them the frames of the gap."""
         return np.concatenate(
-            [training, np.arange(self.frames.start, self.frames.stop)]
+            [training_frames, np.arange(self.frames.start, self.frames.stop)]
         )
 
 
 def predict_from_markers(gap: MarkerGap) -> Prediction | None:
-    """Return a marker's predicted positions in a gap; None if too few are visible.
+    """Predict a marker in a gap from other markers; None if too few are visible.
 
     The marker is expressed in the frame of those around it that are most rigid with it.
     Its motion there is learnt from the frames in which it is visible: a Gaussian
@@ -112,51 +118,62 @@ def predict_from_markers(gap: MarkerGap) -> Prediction | None:
     neighbours = gap.nearest_markers()
     if len(neighbours) < 3:
         return None
-    training = gap.training_frames(neighbours)
-    if len(training) < MIN_TRAINING_FRAMES:
+    training_frames = gap.training_frames(neighbours)
+    if len(training_frames) < MIN_TRAINING_FRAMES:
         return None
-    frames = gap.with_gap_frames(training)
+    frames = gap.with_gap_frames(training_frames)
     predictions = []
-    for count in FRAME_MARKERS:
+    for count in AXES_MARKER_COUNTS:
         if count <= len(neighbours):
-            local, pose, to_world = _in_neighbour_frame(gap, frames, neighbours, count)
-            best = _best_prediction(gap, local, pose, frames, DEVIATION_KERNELS, count)
-            predictions.append(replace(best, positions=to_world(best.positions)))
+            local_path, pose_points, to_world = _in_neighbour_axes(
+                gap, frames, neighbours, count
+            )
+            prediction = _best_prediction(
+                gap, local_path, pose_points, frames, DEVIATION_KERNELS, count
+            )
+            predictions.append(
+                replace(prediction, positions=to_world(prediction.positions))
+            )
     return min(predictions, key=lambda prediction: prediction.error)
 
 
 def _best_prediction(
     gap: MarkerGap,
-    local: FloatArray,
-    pose: FloatArray,
+    local_path: FloatArray,
+    pose_points: FloatArray,
     frames: IntArray,
     deviation_kernels: tuple[tuple[float, float], ...],
     min_markers: int = 1,
 ) -> Prediction:
     """Return the prediction with the smallest cross-validation error of all kernels.
 
-    local: Marker positions in a moving frame of reference ``(F, 3)``, visible in all
-    frames but those of the gap, which are last. pose: Other markers in that frame, the
+    local_path: Marker positions in moving axes ``(F, 3)``, visible in all frames but
+    those of the gap, which are last. pose_points: Other markers in these axes, the
     most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
     there are any.
     """
-    known = local[: len(frames) - (gap.frames.stop - gap.frames.start)]
+    known_positions = local_path[: len(frames) - (gap.frames.stop - gap.frames.start)]
     best_prediction: Prediction | None = None
-    for pose_markers in POSE_MARKERS:
-        if pose_markers > pose.shape[1]:
+    for pose_marker_count in POSE_MARKER_COUNTS:
+        if pose_marker_count > pose_points.shape[1]:
             continue
-        pose_features = pose[:, : max(pose_markers, min_markers)].reshape(
+        pose_features = pose_points[:, : max(pose_marker_count, min_markers)].reshape(
             len(frames), -1
         )
-        for length_scale, (deviation, time) in product(
+        for length_scale, (deviation, time_scale) in product(
             LENGTH_SCALES, deviation_kernels
         ):
-            if not pose_markers and length_scale != LENGTH_SCALES[0]:
+            if not pose_marker_count and length_scale != LENGTH_SCALES[0]:
                 continue
             kernel = _covariance(
-                pose_features, frames / gap.rate, length_scale, deviation, time, known
+                pose_features,
+                frames / gap.rate,
+                length_scale,
+                deviation,
+                time_scale,
+                known_positions,
             )
-            error, values = _predict_gap(known, kernel, frames, gap.frames)
+            error, values = _predict_gap(known_positions, kernel, frames, gap.frames)
             if best_prediction is None or error < best_prediction.error:
                 best_prediction = Prediction(values, error)
     assert best_prediction is not None
@@ -166,7 +183,7 @@ def _best_prediction(
 def predict_from_parent_joint(
     skeleton: SkeletonMarkers, gap: MarkerGap
 ) -> Prediction | None:
-    """Return a marker's positions in a gap, predicted from its parent joint.
+    """Predict a marker in a gap relative to the parent of its joint.
 
     None if the marker has no parent joint or too few frames to learn from. The marker
     is expressed in the frame of the parent joint, and in frames rotated towards each
@@ -175,67 +192,87 @@ def predict_from_parent_joint(
     """
     positions, marker = gap.positions, gap.marker
     neighbours = gap.nearest_markers()
-    training = gap.training_frames(neighbours)
-    if len(training) < MIN_TRAINING_FRAMES or not skeleton.has_parent(marker):
+    training_frames = gap.training_frames(neighbours)
+    if len(training_frames) < MIN_TRAINING_FRAMES or not skeleton.has_parent(marker):
         return None
-    frames, known_count = gap.with_gap_frames(training), len(training)
+    frames, known_count = gap.with_gap_frames(training_frames), len(training_frames)
     origin = skeleton.origins[frames, marker]
     parent_rotations = skeleton.parent_rotations[frames, marker]
     rotations = [parent_rotations]
-    visible_throughout = np.asarray(gap.visible[gap.frames].all(axis=0))
-    for marker_on_joint in skeleton.markers_on_joint(marker, visible_throughout):
-        if np.isin(training, np.flatnonzero(gap.visible[:, marker_on_joint])).all():
-            arms = positions[frames, marker_on_joint] - origin
-            rotations.append(_rotate_towards(parent_rotations, arms))
+    is_visible_throughout = np.asarray(gap.is_visible[gap.frames].all(axis=0))
+    for marker_on_joint in skeleton.markers_on_joint(marker, is_visible_throughout):
+        if np.isin(
+            training_frames, np.flatnonzero(gap.is_visible[:, marker_on_joint])
+        ).all():
+            directions = positions[frames, marker_on_joint] - origin
+            rotations.append(_rotate_towards(parent_rotations, directions))
     predictions = []
     for rotation in rotations:
-        local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
+        local_path = np.einsum(
+            "fji,fj->fi", rotation, positions[frames, marker] - origin
+        )
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
-        pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        best = _best_prediction(gap, local, pose, frames, LOOSE_KERNELS)
-        rotated = np.einsum("fij,fj->fi", rotation[known_count:], best.positions)
-        predictions.append(replace(best, positions=rotated + origin[known_count:]))
+        pose_points = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
+        prediction = _best_prediction(
+            gap, local_path, pose_points, frames, LOOSE_KERNELS
+        )
+        rotated_positions = np.einsum(
+            "fij,fj->fi", rotation[known_count:], prediction.positions
+        )
+        predictions.append(
+            replace(prediction, positions=rotated_positions + origin[known_count:])
+        )
     return min(predictions, key=lambda prediction: prediction.error)
 
 
-def _rotate_towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArray:
-    """Return frames ``(F, 3, 3)`` rotated by the shortest arc towards a point."""
-    local_directions = np.einsum("fji,fj->fi", parent_rotations, arms)
+def _rotate_towards(parent_rotations: FloatArray, directions: FloatArray) -> FloatArray:
+    """Turn axes ``(F, 3, 3)`` by the shortest arc so that they follow a direction.
+
+    directions: In the world ``(F, 3)``. Their mean in the axes is where they point
+    after that.
+    """
+    local_directions = np.einsum("fji,fj->fi", parent_rotations, directions)
     local_directions /= np.linalg.norm(local_directions, axis=1, keepdims=True)
     mean_direction = local_directions.mean(axis=0)
     mean_direction /= np.linalg.norm(mean_direction)
     axis = np.cross(mean_direction, local_directions)
-    frames = np.zeros((len(local_directions), 3, 3))
-    frames[:, 0, 1], frames[:, 0, 2] = -axis[:, 2], axis[:, 1]
-    frames[:, 1, 2] = -axis[:, 0]
-    frames -= frames.transpose(0, 2, 1)
+    skew_matrices = np.zeros((len(local_directions), 3, 3))
+    skew_matrices[:, 0, 1], skew_matrices[:, 0, 2] = -axis[:, 2], axis[:, 1]
+    skew_matrices[:, 1, 2] = -axis[:, 0]
+    skew_matrices -= skew_matrices.transpose(0, 2, 1)
     cosine = np.maximum(local_directions @ mean_direction, -0.99)
-    swing = np.eye(3) + frames + frames @ frames / (1.0 + cosine)[:, None, None]
+    swing = (
+        np.eye(3)
+        + skew_matrices
+        + skew_matrices @ skew_matrices / (1.0 + cosine)[:, None, None]
+    )
     return np.asarray(parent_rotations @ swing)
 
 
 def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Prediction:
-    """Return a marker's predicted positions in a gap from a skeleton.
+    """Predict a marker in a gap from its position on a solved skeleton.
 
     They are the marker's positions on the skeleton plus an offset: a Gaussian process
     over time, in the frame of its joint, that joins the ends. Amplitude and speed of
     skin motion are those with the least cross-validation error.
     """
-    marker, training = gap.marker, gap.training_frames(np.zeros(0, np.int64))
-    frames = gap.with_gap_frames(training)
+    marker, training_frames = gap.marker, gap.training_frames(np.zeros(0, np.int64))
+    frames = gap.with_gap_frames(training_frames)
     rotations, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
-    skeleton_path, known_count = points[:, marker], len(training)
+    skeleton_path, known_count = points[:, marker], len(training_frames)
     offsets = np.einsum(
         "fji,fj->fi",
         rotations[:known_count],
-        gap.positions[training, marker] - skeleton_path[:known_count],
+        gap.positions[training_frames, marker] - skeleton_path[:known_count],
     )
     correction = np.zeros((gap.frames.stop - gap.frames.start, 3))
     least_error = np.inf
     no_pose = np.zeros((len(frames), 0))
-    for deviation, time in SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ():
+    for deviation, time_scale in (
+        SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ()
+    ):
         kernel = _covariance(
-            no_pose, frames / gap.rate, LENGTH_SCALES[0], deviation, time, offsets
+            no_pose, frames / gap.rate, LENGTH_SCALES[0], deviation, time_scale, offsets
         )
         error, values = _predict_gap(offsets, kernel, frames, gap.frames)
         if error < least_error:
@@ -247,29 +284,34 @@ def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Predicti
     )
 
 
-def _in_neighbour_frame(
+def _in_neighbour_axes(
     gap: MarkerGap, frames: IntArray, neighbours: IntArray, count: int
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
-    """Return marker and pose in the frame of the nearest, and the inverse mapping."""
+    """Return the marker and its neighbours in axes that follow the nearest ones.
+
+    The last result maps positions in these axes in the gap back to the world.
+    """
     neighbour_positions = gap.positions[frames][:, neighbours]
     shape = mean_shape(neighbour_positions[:, :count])
     rotation, shift = fit_shape(neighbour_positions[:, :count], shape)
-    pose = np.einsum("fji,fkj->fki", rotation, neighbour_positions - shift[:, None])
+    pose_points = np.einsum(
+        "fji,fkj->fki", rotation, neighbour_positions - shift[:, None]
+    )
     offset = gap.positions[frames, gap.marker] - shift
-    local = np.einsum("fji,fj->fi", rotation, offset)
+    local_path = np.einsum("fji,fj->fi", rotation, offset)
 
     def to_world(values: FloatArray) -> FloatArray:
-        """Return positions of the gap in world space."""
-        rotated = np.einsum("fij,fj->fi", rotation[-len(values) :], values)
-        return np.asarray(rotated + shift[-len(values) :])
+        """Map positions in the last frames, ``(G, 3)``, to the world."""
+        rotated_positions = np.einsum("fij,fj->fi", rotation[-len(values) :], values)
+        return np.asarray(rotated_positions + shift[-len(values) :])
 
-    return local, pose, to_world
+    return local_path, pose_points, to_world
 
 
 def _predict_gap(
     known_positions: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
-    """Return cross-validation error and predicted positions of the gap.
+    """Return the cross-validation error [m] and the positions in the gap ``(G, 3)``.
 
     The error is that of known positions left out in spans as long as the gap [m].
     """
@@ -283,33 +325,35 @@ def _predict_gap(
         MIN_NOISE_RATIO * float(np.trace(kernel[:known_count])) / known_count,
     )
     cholesky_factor = cho_factor(kernel[:known_count] + variance * np.eye(known_count))
-    inverse = cho_solve(cholesky_factor, np.eye(known_count))
-    weights_of_known = inverse @ (known_positions - mean)
-    values = kernel[known_count:] @ weights_of_known + mean
+    inverse_covariance = cho_solve(cholesky_factor, np.eye(known_count))
+    known_weights = inverse_covariance @ (known_positions - mean)
+    gap_positions = kernel[known_count:] @ known_weights + mean
     length = gap.stop - gap.start
     training_frames = frames[:known_count]
     errors = []
     for begin in _validation_spans(training_frames, gap):
         is_left_out = (training_frames >= begin) & (training_frames < begin + length)
-        left_out_rows = np.flatnonzero(is_left_out)
-        if 0 < len(left_out_rows) < known_count - MIN_TRAINING_FRAMES:
-            inverse_block = inverse[np.ix_(left_out_rows, left_out_rows)]
-            residuals = np.linalg.solve(inverse_block, weights_of_known[left_out_rows])
+        left_out_indices = np.flatnonzero(is_left_out)
+        if 0 < len(left_out_indices) < known_count - MIN_TRAINING_FRAMES:
+            inverse_block = inverse_covariance[
+                np.ix_(left_out_indices, left_out_indices)
+            ]
+            residuals = np.linalg.solve(inverse_block, known_weights[left_out_indices])
             errors.append((residuals**2).sum(axis=1).mean())
-    return (float(np.sqrt(np.mean(errors))) if errors else np.inf), values
+    return (float(np.sqrt(np.mean(errors))) if errors else np.inf), gap_positions
 
 
-def _validation_spans(training: IntArray, gap: slice) -> list[int]:
-    """Return the starts of cross-validation spans on both sides of a gap."""
+def _validation_spans(training_frames: IntArray, gap: slice) -> list[int]:
+    """Return first frames of spans as long as the gap, before and after it."""
     length = gap.stop - gap.start
     starts = []
-    for k in range(VALIDATION_SPANS // 2):
+    for k in range(VALIDATION_SPAN_COUNT // 2):
         starts.append(gap.start - (k + 1) * (length + 2))
         starts.append(gap.stop + k * (length + 2) + 2)
     return [
         start
         for start in starts
-        if start + length > training[0] and start <= training[-1]
+        if start + length > training_frames[0] and start <= training_frames[-1]
     ]
 
 
@@ -318,14 +362,20 @@ def _covariance(
     times: FloatArray,
     length_scale: float,
     deviation: float,
-    deviation_time: float,
-    local: FloatArray,
+    time_scale: float,
+    known_positions: FloatArray,
 ) -> FloatArray:
-    """Return the covariance of all frames with known frames ``(F, known)`` [m^2]."""
-    known_count = len(local)
-    variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
+    """Return the covariance of all F frames with the K known ones ``(F, K)`` [m^2].
+
+    It is the sum of a kernel over the pose and a Matérn kernel over time.
+    """
+    known_count = len(known_positions)
+    variance = max(
+        float(((known_positions - known_positions.mean(axis=0)) ** 2).mean()),
+        MARKER_NOISE**2,
+    )
     distance = np.abs(times[:, None] - times[None, :known_count])
-    lag = np.sqrt(5.0) * distance / deviation_time
+    lag = np.sqrt(5.0) * distance / time_scale
     time_covariance = deviation**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)
     pose_spread = np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean())
