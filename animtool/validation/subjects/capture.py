@@ -15,7 +15,7 @@ from animtool.core.rules import Kind
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.open import open_source
-from animtool.validation.motion.subject import MotionSubject, faults_at
+from animtool.validation.motion.subject import MotionSubject, fault_factory_at
 from animtool.validation.subjects.subject import CheckedFile
 
 if TYPE_CHECKING:
@@ -74,14 +74,8 @@ def open_livelink(path: Path) -> CheckedFile:
 def open_take(path: Path) -> CheckedFile:
     """Return a take of a format without format rules; motion rules apply."""
     checked_file, stream, take = _read_take(Kind.TAKE, path)
-
-    def fault_at(
-        code: str, joint: str, frame: float | None, message: str, hint: str
-    ) -> Fault:
-        del frame
-        return Fault(code, message, str(path), (), hint, where=joint or None)
-
-    motion = MotionSubject(take, fault_at, has_units="units" in stream.details)
+    has_units = "units" in stream.details
+    motion = MotionSubject(take, fault_factory_at(path), has_units=has_units)
     return replace(checked_file, takes=(motion,))
 
 
@@ -121,7 +115,7 @@ def _layer_subject(path: Path, take: AnimationTake) -> MotionSubject:
     """Return a take of a layer; its faults are located at its prim."""
     return MotionSubject(
         take.take,
-        faults_at(path, take.path),
+        fault_factory_at(path, take.path),
         take.codes,
         take.frame_range,
         has_rest=take.has_rest,

@@ -107,7 +107,7 @@ def open_clip_document(document: Document) -> CheckedFile:
     motion = MotionSubject(
         take,
         subject.fault_at,
-        intended_cuts=subject.cuts,
+        is_intended_cut=subject.cuts,
         file_format="clip",
     )
     checked_file.subject, checked_file.takes = subject, (motion,)

@@ -35,7 +35,7 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import bind_matrices, rest_world
 from animtool.rig.parts import Skin
 from animtool.rig.skeleton import Rig
-from animtool.validation.motion.subject import MotionSubject, faults_at
+from animtool.validation.motion.subject import MotionSubject, fault_factory_at
 from animtool.validation.subjects.subject import CheckedFile
 
 # Keys with this spacing are samples [frame].
@@ -107,7 +107,7 @@ def _trim_to_keys(
         motion = take.motion.select(slice(first_frame, None))
     clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
     take = replace(take, motion=motion, clock=clock, curve=None)
-    return replace(subject, take=take, codes=codes, frame_range=frame_range)
+    return replace(subject, take=take, time_codes=codes, frame_range=frame_range)
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
@@ -117,7 +117,7 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
     ]
     return MotionSubject(
         replace(take, curve=None),
-        faults_at(path, where),
+        fault_factory_at(path, where),
         influencing_joints=_influencing_joints(rig, skins) if skins else None,
         bind_positions=_bind_positions(rig, skins),
     )
