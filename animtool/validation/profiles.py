@@ -134,19 +134,19 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
     return table
 
 
-def _parse_levels(profile: Mapping[str, Any], path: str) -> Levels:
-    for key in profile:
+def _parse_levels(table: Mapping[str, Any], path: str) -> Levels:
+    for key in table:
         if key not in _PROFILE_KEYS:
             hint = f"allowed: {', '.join(_PROFILE_KEYS)}"
             raise _profile_error(f"unknown key {key!r}", path, hint)
-    version = profile.get("profile", _VERSION)
+    version = table.get("profile", _VERSION)
     if version != _VERSION:
         raise _profile_error(f"profile is {version!r}", path, f"write {_VERSION}")
-    base = profile.get("extends", "default")
-    if not isinstance(base, str) or base not in PROFILES:
+    base_name = table.get("extends", "default")
+    if not isinstance(base_name, str) or base_name not in PROFILES:
         hint = f"allowed: {', '.join(PROFILES)}"
-        raise _profile_error(f"extends is {base!r}", path, hint)
-    severities = profile.get("severity", {})
+        raise _profile_error(f"extends is {base_name!r}", path, hint)
+    severities = table.get("severity", {})
     if not isinstance(severities, dict):
         message = f"severity is {severities!r}, not a table of codes"
         hint = "write codes and severities, such as USD25: note"
@@ -159,7 +159,7 @@ def _parse_levels(profile: Mapping[str, Any], path: str) -> Levels:
     # A prefix in the file replaces all codes of the base that it covers.
     base_levels = {
         code: level
-        for code, level in PROFILES[base].levels.items()
+        for code, level in PROFILES[base_name].levels.items()
         if not any(code.startswith(current_codes(prefix)) for prefix in levels)
     }
     return {**base_levels, **levels}

@@ -70,7 +70,7 @@ FIXES = {
     "RIG219": "animtool.validation.fixes.names:make_name_unique",
     "RIG221": "animtool.validation.fixes.names:make_names_legal",
     "RIG222": "animtool.validation.fixes.texts:rest_from_bind",
-    "VAL001": "animtool.validation.fixes.texts:remove_entry",
+    "VAL001": "animtool.validation.fixes.texts:remove_ignore_entry",
 }
 
 
@@ -89,16 +89,16 @@ class FixEdits:
 
 
 # Raises NotFixedError if the fix would not be safe.
-Fix = Callable[[CheckedFile, Fault], FixEdits]
+FixFunction = Callable[[CheckedFile, Fault], FixEdits]
 
 
-def fix_of(code: str) -> Fix | None:
+def load_fix(code: str) -> FixFunction | None:
     """Return the fix of a code; None if there is none.
 
     >>> fix_of("RIG201") is None
     True
     """
-    return cast(Fix, load_object(FIXES[code])) if code in FIXES else None
+    return cast(FixFunction, load_object(FIXES[code])) if code in FIXES else None
 
 
 def has_fix(code: str) -> bool:

@@ -32,8 +32,10 @@ def sarif_report(report: Report) -> str:
     sources = SourceLineCache()
     rule_objects = [_rule_object(rules[code]) for code in codes if code in rules]
     driver = {"name": "animtool", "version": version("animtool"), "rules": rule_objects}
-    rule_index = {rule["id"]: i for i, rule in enumerate(rule_objects)}
-    results = [_result_object(fault, rule_index, sources) for fault in report.findings]
+    index_of_rule = {rule["id"]: i for i, rule in enumerate(rule_objects)}
+    results = [
+        _result_object(fault, index_of_rule, sources) for fault in report.findings
+    ]
     _number_duplicates(results)
     file_names = dict.fromkeys(map(str, report.files))
     run = {
@@ -42,8 +44,8 @@ def sarif_report(report: Report) -> str:
         "results": results,
         "columnKind": "unicodeCodePoints",
     }
-    value = {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
-    return printable_json(value, indent=2) + "\n"
+    log = {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
+    return printable_json(log, indent=2) + "\n"
 
 
 def _rule_object(rule: Rule) -> dict[str, Any]:
@@ -60,16 +62,20 @@ def _rule_object(rule: Rule) -> dict[str, Any]:
 
 
 def _result_object(
-    fault: Fault, rule_index: dict[str, int], sources: SourceLineCache
+    fault: Fault, index_of_rule: dict[str, int], sources: SourceLineCache
 ) -> dict[str, Any]:
-    text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
+    message = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {
         "ruleId": fault.code,
-        **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
+        **(
+            {"ruleIndex": index_of_rule[fault.code]}
+            if fault.code in index_of_rule
+            else {}
+        ),
         # Its levels are error, warning and note, too.
         "level": str(fault.severity),
         # Doubled braces are not placeholders (3.11.5).
-        "message": {"text": text.replace("{", "{{").replace("}", "}}")},
+        "message": {"text": message.replace("{", "{{").replace("}", "}}")},
     }
     if fault.path is None:
         return {**result, "partialFingerprints": _fingerprint(fault, None)}

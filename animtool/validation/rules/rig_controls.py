@@ -24,9 +24,9 @@ from animtool.validation.subjects.rig import RigSubject
 # Sampled values of each control, in addition to the points of its curves.
 SWEEP_SAMPLES = 17
 # Number of sampled poses of all controls, some of which must activate a corrective.
-MAX_POSES = 2048
+POSE_SAMPLES = 2048
 # Probability that a control is at an end of its range in a sampled pose.
-END_PROBABILITY = 0.8
+RANGE_END_PROBABILITY = 0.8
 # Tolerance for degrees rounded in a file [rad], [m]; of a range [1].
 LIMIT_TOLERANCE = 1e-6
 _ZERO: FloatArray = np.zeros(1)
@@ -38,7 +38,7 @@ class _ControlSweep:
 
     moving_controls: list[Control]  # the moving control of each frame ``(F,)``
     control_values: dict[str, FloatArray]  # values of all controls ``(F,)``
-    driven: DrivenValues  # resulting values
+    driven_values: DrivenValues  # resulting values
 
     def broadcast(self, values: FloatArray) -> FloatArray:
         """Broadcast values to all frames ``(F,)``."""
@@ -69,7 +69,7 @@ def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield controls that drive a joint beyond its limits (RIG204)."""
     sweep = _sweep_controls(rig)
     for joint in rig.rig.joints:
-        excess = _limit_excess(joint, sweep.driven.targets)
+        excess = _limit_excess(joint, sweep.driven_values.targets)
         for control, frame in sweep.worst_frames(excess):
             largest_excess = abs(float(sweep.broadcast(excess)[frame]))
             excess_text = value_text(rig, joint, largest_excess)
@@ -88,9 +88,9 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
-        values = sweep.driven.unclamped[control.name]
-        width = max(control.high - control.low, LIMIT_TOLERANCE)
-        excess = (values - np.clip(values, control.low, control.high)) / width
+        values = sweep.driven_values.unclamped[control.name]
+        range_width = max(control.high - control.low, LIMIT_TOLERANCE)
+        excess = (values - np.clip(values, control.low, control.high)) / range_width
         for driving_control, frame in sweep.worst_frames(excess):
             message = (
                 f"{sweep.frame_text(frame)} drives {control.name!r} to "
@@ -105,23 +105,26 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
 def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
     """Yield drives that are undefined at a value in their control's range (RIG207)."""
     sweep = _sweep_controls(rig)
-    values = sweep.driven.controls
+    values = sweep.driven_values.controls
     for control in rig.rig.controls:
         for drive_index, drive in enumerate(control.drives):
             with np.errstate(all="ignore"):
-                contribution = drive.evaluate(control.name, values)
+                drive_values = drive.evaluate(control.name, values)
             inputs: Sequence[str] = (control.name,)
             if drive.expression is not None:
                 inputs = drive.expression.names
             # If another drive's value is undefined, that drive is at fault.
-            is_undefined = ~np.isfinite(contribution)
+            is_undefined = ~np.isfinite(drive_values)
             for input_name in inputs:
                 is_undefined = is_undefined & np.isfinite(values[input_name])
             if not is_undefined.any():
                 continue
-            moves_input = [moving.name in inputs for moving in sweep.moving_controls]
-            if (is_undefined & moves_input).any():
-                is_undefined = is_undefined & moves_input
+            is_input_moving = [
+                moving_control.name in inputs
+                for moving_control in sweep.moving_controls
+            ]
+            if (is_undefined & is_input_moving).any():
+                is_undefined = is_undefined & is_input_moving
             frame = int(sweep.broadcast(is_undefined).argmax())
             name = sweep.moving_controls[frame].name
             value = float(sweep.control_values[name][frame])
@@ -151,12 +154,11 @@ def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
         return
     weights = _shape_weights(rig, driven_shapes)
     for shape in correctives:
-        undriven = [name for name in shape.combine if name not in weights]
+        undriven_names = [name for name in shape.combine if name not in weights]
         location = (*rig.at("shapes", shape.name), "combine")
-        if undriven:
-            message = (
-                f"no control drives {undriven[0]!r}, which {shape.name!r} combines"
-            )
+        if undriven_names:
+            message = f"no control drives {undriven_names[0]!r}, "
+            message += f"which {shape.name!r} combines"
             hint = "drive it, or remove the shape"
             yield rig.fault("RIG208", location, message, hint)
         elif not _combined_weight(shape, weights).any():
@@ -195,13 +197,15 @@ def idle_controls(rig: RigSubject) -> Iterator[Fault]:
 def _sweep_controls(rig: RigSubject) -> _ControlSweep:
     """Return a sweep of each control with all other controls at their defaults."""
     controls = rig.rig.controls
-    ranges = {control.name: _sampled_values(control) for control in controls}
-    count = sum(map(len, ranges.values()))
+    samples_by_control = {
+        control.name: _sampled_values(control) for control in controls
+    }
+    frame_count = sum(map(len, samples_by_control.values()))
     keyed_values: dict[str, FloatArray] = {}
     moving_controls: list[Control] = []
     for control in controls:
-        values = np.full(count, control.default)
-        samples = ranges[control.name]
+        values = np.full(frame_count, control.default)
+        samples = samples_by_control[control.name]
         values[len(moving_controls) : len(moving_controls) + len(samples)] = samples
         moving_controls += [control] * len(samples)
         keyed_values[control.name] = values
@@ -214,9 +218,11 @@ def _sampled_values(control: Control) -> FloatArray:
     """Return the values of a control to test; none if its range is open."""
     if control.low is None or control.high is None:
         return np.zeros(0)
-    corners = [corner for drive in control.drives for corner, _ in drive.curve]
+    curve_inputs = [
+        curve_input for drive in control.drives for curve_input, _ in drive.curve
+    ]
     samples = np.linspace(control.low, control.high, SWEEP_SAMPLES)
-    values = np.concatenate([samples, np.array(corners, np.float64)])
+    values = np.concatenate([samples, np.array(curve_inputs, np.float64)])
     # `numpy.unique` would import numpy.ma.
     return np.array(sorted(set(np.clip(values, control.low, control.high).tolist())))
 
@@ -229,11 +235,11 @@ def _limit_excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
         return _ZERO if value is None else joint.limits.excess(value)
     if isinstance(joint.limits, BallLimit):
         names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
-        contributions = [targets.get(name, _ZERO) for name in names]
+        axis_angles = [targets.get(name, _ZERO) for name in names]
         is_driven = any(name in targets for name in names)
-        if not is_driven or _is_within_limits(joint.limits, contributions):
+        if not is_driven or _is_within_limits(joint.limits, axis_angles):
             return _ZERO
-        rotation = so3.exp(np.stack(np.broadcast_arrays(*contributions), axis=-1))
+        rotation = so3.exp(np.stack(np.broadcast_arrays(*axis_angles), axis=-1))
         is_finite = np.isfinite(rotation).all(axis=-1, keepdims=True)
         return joint.limits.excess(np.where(is_finite, rotation, so3.IDENTITY))
     return _ZERO
@@ -267,9 +273,9 @@ def _shape_weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatAr
     for control in rig.rig.controls:
         low = -1.0 if control.low is None else control.low
         high = 1.0 if control.high is None else control.high
-        end_values = np.where(rng.random(MAX_POSES) < 0.5, low, high)
-        inner_values = rng.uniform(low, high, MAX_POSES)
-        is_end = rng.random(MAX_POSES) < END_PROBABILITY
+        end_values = np.where(rng.random(POSE_SAMPLES) < 0.5, low, high)
+        inner_values = rng.uniform(low, high, POSE_SAMPLES)
+        is_end = rng.random(POSE_SAMPLES) < RANGE_END_PROBABILITY
         keyed_values[control.name] = np.where(is_end, end_values, inner_values)
     with np.errstate(all="ignore"):
         targets = evaluate_controls(rig.rig.controls, keyed_values).targets

@@ -16,7 +16,7 @@ from animtool.validation.subjects.rig import RigSubject
 
 # Number of sampled values of each coordinate, with the others at rest, and of samples
 # of all at once.
-INPUT_SAMPLES, MAX_POSES = 33, 512
+INPUT_SAMPLES, POSE_SAMPLES = 33, 512
 # Range of unlimited coordinates [rad], [m].
 UNLIMITED_ANGLE, UNLIMITED_LENGTH = np.pi, 1.0
 
@@ -26,18 +26,18 @@ def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     for joint in rig.rig.joints:
         if joint.driven is None or not isinstance(joint.limits, RangeLimit):
             continue
-        if joint.name in rig.mirrored:
+        if joint.name in rig.mirrored_joints:
             continue
         values = _driver_values(joint.driven, _input_samples(rig, joint.driven))
         excess = joint.limits.excess(np.where(np.isfinite(values), values, 0.0))
         worst_sample = int(np.argmax(np.abs(excess)))
         if abs(excess[worst_sample]) <= LIMIT_TOLERANCE:
             continue
-        reached = value_text(rig, joint, float(values[worst_sample]))
+        reached_text = value_text(rig, joint, float(values[worst_sample]))
         limits = range_text(rig, joint, joint.limits.low, joint.limits.high)
         message = (
-            f"the driver of {joint.name!r} reaches {reached} within the limits of its "
-            f"inputs; its limits are {limits}"
+            f"the driver of {joint.name!r} reaches {reached_text} within the limits of "
+            f"its inputs; its limits are {limits}"
         )
         location = (*rig.at("joints", joint.name), "driven")
         hint = "widen the limits, or reduce the driver"
@@ -52,7 +52,7 @@ def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
         ("controls", "control", rig.rig.controls),
     ):
         for element in elements:
-            if element.driven is None or element.name in rig.mirrored:
+            if element.driven is None or element.name in rig.mirrored_joints:
                 continue
             inputs = _input_samples(rig, element.driven)
             is_undefined = ~np.isfinite(_driver_values(element.driven, inputs))
@@ -72,8 +72,8 @@ def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
 
 def _driver_values(driver: Driver, inputs: dict[str, FloatArray]) -> FloatArray:
     """Return the value of a driver for each sample of its inputs."""
-    count = MAX_POSES + INPUT_SAMPLES * len(inputs)
-    return np.broadcast_to(driver.evaluate(inputs), count)
+    sample_count = POSE_SAMPLES + INPUT_SAMPLES * len(inputs)
+    return np.broadcast_to(driver.evaluate(inputs), sample_count)
 
 
 def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
@@ -86,7 +86,7 @@ def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
         rest_value = min(max(0.0, lower), upper)
         values = np.full((len(names), INPUT_SAMPLES), rest_value)
         values[i] = np.linspace(lower, upper, INPUT_SAMPLES)
-        random_values = rng.uniform(lower, upper, MAX_POSES)
+        random_values = rng.uniform(lower, upper, POSE_SAMPLES)
         samples[name] = np.concatenate([values.ravel(), random_values])
     return samples
 
@@ -103,9 +103,9 @@ def _input_range(rig: Rig, name: str) -> tuple[float, float]:
     if isinstance(limits, RangeLimit):
         return limits.low, limits.high
     if not isinstance(limits, BallLimit):
-        unlimited = UNLIMITED_LENGTH if coordinate == SLIDE else UNLIMITED_ANGLE
-        return -unlimited, unlimited
+        range_limit = UNLIMITED_LENGTH if coordinate == SLIDE else UNLIMITED_ANGLE
+        return -range_limit, range_limit
     if coordinate == TWIST:
         return limits.twist or (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
-    cone = max(limits.swing) if limits.swing else UNLIMITED_ANGLE
-    return (0.0, cone) if coordinate == SWING else (-cone, cone)
+    max_swing = max(limits.swing) if limits.swing else UNLIMITED_ANGLE
+    return (0.0, max_swing) if coordinate == SWING else (-max_swing, max_swing)

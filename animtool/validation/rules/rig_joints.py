@@ -30,18 +30,18 @@ def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
     for joint in rig.rig.joints:
         match joint.limits:
             case RangeLimit(lower, upper):
-                noun = "limits"
-                rest = 0.0 if joint.mimic is None else joint.mimic.offset
+                limits_noun = "limits"
+                rest_value = 0.0 if joint.mimic is None else joint.mimic.offset
             case BallLimit(twist=(lower, upper)):
-                noun, rest = "twist limits", 0.0
+                limits_noun, rest_value = "twist limits", 0.0
             case _:
                 continue
-        is_inside = lower - LIMIT_TOLERANCE <= rest <= upper + LIMIT_TOLERANCE
-        if is_inside or joint.name in rig.mirrored:
+        is_inside = lower - LIMIT_TOLERANCE <= rest_value <= upper + LIMIT_TOLERANCE
+        if is_inside or joint.name in rig.mirrored_joints:
             continue
         message = (
-            f"the {noun} of {joint.name!r} are {range_text(rig, joint, lower, upper)}, "
-            "which exclude its rest pose"
+            f"the {limits_noun} of {joint.name!r} are "
+            f"{range_text(rig, joint, lower, upper)}, which exclude its rest pose"
         )
         location = (*rig.at("joints", joint.name), "limits")
         hint = "limits are relative to the rest pose, which is 0"
@@ -58,7 +58,7 @@ def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
                 is_locked = max(*swing, upper - lower) <= LIMIT_TOLERANCE
             case _:
                 continue
-        if is_locked and joint.name not in rig.mirrored:
+        if is_locked and joint.name not in rig.mirrored_joints:
             location = (*rig.at("joints", joint.name), "limits")
             message = f"the {joint.type} joint {joint.name!r} cannot move"
             yield rig.fault("RIG202", location, message, "write type: fixed")
@@ -72,7 +72,7 @@ def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
         if not isinstance(limits, BallLimit) or limits.twist is None or bone is None:
             continue
         if abs(float(bone @ np.array(limits.twist_axis))) < PERPENDICULAR_COSINE:
-            if joint.name in rig.mirrored:
+            if joint.name in rig.mirrored_joints:
                 continue
             location = (*rig.at("joints", joint.name), "limits", "twist_axis")
             axis = _axis_text(np.array(limits.twist_axis))
@@ -90,7 +90,10 @@ def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
         source = rig.rig.joints[rig.rig.index(joint.mimic.joint)]
-        if not isinstance(source.limits, RangeLimit) or joint.name in rig.mirrored:
+        if (
+            not isinstance(source.limits, RangeLimit)
+            or joint.name in rig.mirrored_joints
+        ):
             continue
         for source_limit in (source.limits.low, source.limits.high):
             value = joint.mimic.gain * source_limit + joint.mimic.offset
@@ -167,10 +170,12 @@ def bind_without_rest(rig: RigSubject) -> Iterator[Fault]:
     bind = rig.document.value.get("bind", {})
     if "from" in rig.document.value:
         return
-    for i, entry in enumerate(rig.file_entries("joints")):
-        pose = bind.get(entry["name"], {})
-        if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
-            name, parent = entry["name"], entry.get("parent")
+    for i, joint_entry in enumerate(rig.file_entries("joints")):
+        pose = bind.get(joint_entry["name"], {})
+        if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {
+            *joint_entry
+        }:
+            name, parent = joint_entry["name"], joint_entry.get("parent")
             position = f"where {parent!r} is" if parent else "at the origin"
             message = f"{name!r} has a bind pose but no rest pose: it rests {position}"
             hint = f"translate: {pose['translate']} is its position in the bind pose"
@@ -234,25 +239,25 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
     """Return a mask of the pairs mirrored in the most common plane ``(P,)``."""
     positions, _ = rig.rest
     parents = rig.rig.parents
-    bones = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])
-    left_bones, right_bones = (
-        bones[[rig.rig.index(pair[side].name) for pair in pairs]].reshape(-1, 3)
+    bone_vectors = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])
+    left_vectors, right_vectors = (
+        bone_vectors[[rig.rig.index(pair[side].name) for pair in pairs]].reshape(-1, 3)
         for side in (0, 1)
     )
     tolerance = POSITION_TOLERANCE * max(rig.size, POSITION_TOLERANCE)
-    most_mirrored = np.zeros(len(pairs), bool)
-    most_across = -1
+    best_mirrored = np.zeros(len(pairs), bool)
+    largest_count = -1
     for axis in range(3):
         mirror_signs = np.ones(3)
         mirror_signs[axis] = -1.0
-        distances = np.linalg.norm(left_bones * mirror_signs - right_bones, axis=1)
+        distances = np.linalg.norm(left_vectors * mirror_signs - right_vectors, axis=1)
         is_mirrored = distances <= tolerance
         # Bones in the plane are equal, whichever plane it is.
-        is_across = is_mirrored & (np.abs(left_bones[:, axis]) > tolerance)
-        if int(np.count_nonzero(is_across)) > most_across:
-            most_across = int(np.count_nonzero(is_across))
-            most_mirrored = is_mirrored
-    return most_mirrored
+        is_across = is_mirrored & (np.abs(left_vectors[:, axis]) > tolerance)
+        if int(np.count_nonzero(is_across)) > largest_count:
+            largest_count = int(np.count_nonzero(is_across))
+            best_mirrored = is_mirrored
+    return best_mirrored
 
 
 def _is_symmetric(are_mirrored: BoolArray) -> bool:
@@ -267,13 +272,15 @@ def _same_limits(left: Joint, right: Joint) -> bool:
             return _same_range((low, high), (other_low, other_high))
         case BallLimit() as left_limits, BallLimit() as right_limits:
             swings = sorted(left_limits.swing or ()), sorted(right_limits.swing or ())
-            are_equal = len(swings[0]) == len(swings[1]) and np.allclose(
+            are_swings_equal = len(swings[0]) == len(swings[1]) and np.allclose(
                 *swings, rtol=0, atol=EQUAL_LIMIT_TOLERANCE
             )
             if left_limits.twist is None or right_limits.twist is None:
-                return bool(are_equal) and left_limits.twist == right_limits.twist
+                return (
+                    bool(are_swings_equal) and left_limits.twist == right_limits.twist
+                )
             is_same_twist = _same_range(left_limits.twist, right_limits.twist)
-            return bool(are_equal) and is_same_twist
+            return bool(are_swings_equal) and is_same_twist
         case left_limits, right_limits:
             return left_limits is None and right_limits is None
 

@@ -71,8 +71,8 @@ def _name_collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
     for name in names:
         usd_name = legal_usd_name(name)
         if usd_name in first_by_usd_name:
-            pair = f"{name!r} and {first_by_usd_name[usd_name]!r}"
-            yield name, f"{pair} both become {usd_name!r} in USD"
+            names_text = f"{name!r} and {first_by_usd_name[usd_name]!r}"
+            yield name, f"{names_text} both become {usd_name!r} in USD"
         first_by_usd_name.setdefault(usd_name, name)
 
 
@@ -83,13 +83,13 @@ def legal_usd_name(name: str) -> str:
 
 
 # Largest error of weight sums whose weights were rounded to a byte each [1].
-WEIGHT_TOLERANCE = 0.02
+WEIGHT_SUM_TOLERANCE = 0.02
 # Engines support four or eight joints per vertex.
 MAX_INFLUENCES = 8
 # Size ratio of a mesh and its skeleton that is rarely exceeded [1].
-SIZE_RATIO = 30.0
+MAX_SIZE_RATIO = 30.0
 # With fewer joints, a rig is a prop that may be anywhere in a large mesh.
-MIN_JOINTS = 3
+MIN_SKELETON_JOINTS = 3
 
 
 def ineffective_shapes(rig: RigSubject) -> Iterator[Fault]:
@@ -127,7 +127,7 @@ def weight_sums(rig: RigSubject) -> Iterator[Fault]:
     """Yield skins whose weights do not sum to 1 (RIG210)."""
     for mesh, weights, location in _skinned_meshes(rig):
         sum_errors = np.abs(weights.sum(axis=1) - 1.0)
-        wrong_points = np.flatnonzero(sum_errors > WEIGHT_TOLERANCE)
+        wrong_points = np.flatnonzero(sum_errors > WEIGHT_SUM_TOLERANCE)
         if not len(wrong_points):
             continue
         worst_point = int(sum_errors.argmax())
@@ -143,14 +143,14 @@ def weight_sums(rig: RigSubject) -> Iterator[Fault]:
 def many_influences(rig: RigSubject) -> Iterator[Fault]:
     """Yield skins with more influences per point than engines allow (RIG211)."""
     for mesh, weights, location in _skinned_meshes(rig):
-        counts = np.count_nonzero(weights, axis=1)
-        points_above = np.flatnonzero(counts > MAX_INFLUENCES)
+        influence_counts = np.count_nonzero(weights, axis=1)
+        points_above = np.flatnonzero(influence_counts > MAX_INFLUENCES)
         if not len(points_above):
             continue
         message = (
             f"{counted(len(points_above), 'point')} of {mesh.name!r} follow more than "
             f"{MAX_INFLUENCES} joints, point {points_above[0]} follows "
-            f"{counts[points_above[0]]}"
+            f"{influence_counts[points_above[0]]}"
         )
         hint = f"keep the {MAX_INFLUENCES} largest weights"
         yield rig.fault("RIG211", location, message, hint)
@@ -158,19 +158,22 @@ def many_influences(rig: RigSubject) -> Iterator[Fault]:
 
 def mesh_size(rig: RigSubject) -> Iterator[Fault]:
     """Yield skinned meshes whose size does not match the skeleton (RIG218)."""
-    if len(rig.rig.joints) < MIN_JOINTS or not rig.size:
+    if len(rig.rig.joints) < MIN_SKELETON_JOINTS or not rig.size:
         return
     with Archives() as archives:
-        sizes = {
-            mesh.name: _diagonal(mesh, archives) * rig.rig.meters_per_unit
+        size_of_mesh = {
+            mesh.name: _bounds_diagonal(mesh, archives) * rig.rig.meters_per_unit
             for mesh in rig.rig.meshes
             if mesh.skin is not None and mesh.geom_bind is None
         }
-    largest = max(sizes.values(), default=0.0)
-    if largest and not rig.size / SIZE_RATIO <= largest <= rig.size * SIZE_RATIO:
-        largest_name = max(sizes, key=lambda name: sizes[name])
+    largest_size = max(size_of_mesh.values(), default=0.0)
+    if (
+        largest_size
+        and not rig.size / MAX_SIZE_RATIO <= largest_size <= rig.size * MAX_SIZE_RATIO
+    ):
+        largest_name = max(size_of_mesh, key=lambda name: size_of_mesh[name])
         message = (
-            f"{largest_name!r} measures {largest:.3g} m, but the joints at rest "
+            f"{largest_name!r} measures {largest_size:.3g} m, but the joints at rest "
             f"{rig.size:.3g} m"
         )
         hint = "points use the file's unit, as joints do; or write geom_bind"
@@ -178,7 +181,7 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
         yield rig.fault("RIG218", location, message, hint)
 
 
-def _diagonal(mesh: Mesh, archives: Archives) -> float:
+def _bounds_diagonal(mesh: Mesh, archives: Archives) -> float:
     points = mesh.points.load(archives)
     if not len(points):
         return 0.0
@@ -192,7 +195,7 @@ MIN_SKIN_POINTS = 4
 MAX_SKIN_SPREADS, MAX_SKIN_DISTANCE = 2.0, 0.05
 # Skins of left and right are exchanged if both are nearer to the other side's bones
 # than this fraction of the distance to their own [1].
-MAX_OTHER_DISTANCE = 0.5
+MAX_EXCHANGED_DISTANCE = 0.5
 # A single joint may have a prop that is elsewhere.
 MIN_DISTANT_JOINTS = 2
 
@@ -208,9 +211,9 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
                 continue
             points_by_joint = _points_by_joint(rig, mesh, archives)
             location = (*rig.at("meshes", mesh.name), "skin")
-            exchanged = _exchanged_skins(rig, points_by_joint, positions)
-            if exchanged:
-                left, right = (rig.rig.names[joint] for joint in exchanged)
+            exchanged_joints = _exchanged_skins(rig, points_by_joint, positions)
+            if exchanged_joints:
+                left, right = (rig.rig.names[joint] for joint in exchanged_joints)
                 message = f"the skin of {left!r} is at {right!r}, and vice versa"
                 yield rig.fault("RIG225", location, message, "exchange the two joints")
                 continue
@@ -219,15 +222,18 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
                 centre = points.mean(axis=0)
                 spread = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
                 distance = _distance_to_joint(rig, centre, joint, positions)
-                limit = max(MAX_SKIN_SPREADS * spread, MAX_SKIN_DISTANCE * rig.size)
-                if distance > limit:
+                max_distance = max(
+                    MAX_SKIN_SPREADS * spread, MAX_SKIN_DISTANCE * rig.size
+                )
+                if distance > max_distance:
                     distances[rig.rig.names[joint]] = distance
             if len(distances) < MIN_DISTANT_JOINTS:
                 continue
-            worst = max(distances, key=lambda name: distances[name])
+            farthest_name = max(distances, key=lambda name: distances[name])
             message = (
                 f"{mesh.name!r} is not where {len(distances)} of its joints are bound: "
-                f"the skin of {worst!r} is {length_text(distances[worst])} from it"
+                f"the skin of {farthest_name!r} is "
+                f"{length_text(distances[farthest_name])} from it"
             )
             hint = "write the pose in which the mesh was made under bind"
             if rig.rig.bind:
@@ -248,7 +254,7 @@ def _exchanged_skins(
         centres = [points_by_joint[joint].mean(axis=0) for joint in (left, right)]
         if all(
             _distance_to_joint(rig, centre, other, positions)
-            < MAX_OTHER_DISTANCE * _distance_to_joint(rig, centre, joint, positions)
+            < MAX_EXCHANGED_DISTANCE * _distance_to_joint(rig, centre, joint, positions)
             for centre, joint, other in zip(
                 centres, (left, right), (right, left), strict=True
             )
@@ -275,8 +281,12 @@ def _points_by_joint(
     points = mesh.points.load(archives) * rig.rig.meters_per_unit
     main_joints = indices[np.arange(len(weights)), weights.argmax(axis=1)]
     joints = enumerate(map(rig.rig.index, skin.joints))
-    groups = {joint: points[main_joints == i] for i, joint in joints}
-    return {j: group for j, group in groups.items() if len(group) >= MIN_SKIN_POINTS}
+    point_groups = {joint: points[main_joints == i] for i, joint in joints}
+    return {
+        j: points_of_joint
+        for j, points_of_joint in point_groups.items()
+        if len(points_of_joint) >= MIN_SKIN_POINTS
+    }
 
 
 def _distance_to_bones(point: FloatArray, ends: FloatArray) -> float:
@@ -289,7 +299,7 @@ def _distance_to_bones(point: FloatArray, ends: FloatArray) -> float:
 
 
 # Joints with narrower limits do not bend noticeably [rad], [m].
-FIXED_SPAN = 1e-3
+MIN_LIMIT_SPAN = 1e-3
 # Directions this close are parallel; sin 0.6°.
 PARALLEL_SINE = 0.01
 
@@ -337,8 +347,8 @@ def straight_chains(rig: RigSubject) -> Iterator[Fault]:
                 yield rig.fault("RIG215", location, message, hint)
             continue
         parent = rig.rig.parents[joints[0]]
-        frame = so3.IDENTITY if parent < 0 else rotations[parent]
-        pole = so3.rotate(frame, np.array(chain.pole_dir))
+        parent_rotation = so3.IDENTITY if parent < 0 else rotations[parent]
+        pole = so3.rotate(parent_rotation, np.array(chain.pole_dir))
         if float(np.linalg.norm(np.cross(pole, root_to_tip / length))) < PARALLEL_SINE:
             message = f"the pole_dir of {chain.name!r} points along the chain"
             hint = "it sets the direction of the middle: across the chain"
@@ -364,8 +374,8 @@ def _can_bend(rig: RigSubject, joint_index: int, tip: int) -> bool:
             is_locked = isinstance(limits, RangeLimit) and not _allows_motion(limits)
             return not is_locked and not _is_parallel(tip_offset, np.array(joint.axis))
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
-            can_twist = twist is None or twist[1] - twist[0] > FIXED_SPAN
-            can_swing = swing is None or max(swing) > FIXED_SPAN
+            can_twist = twist is None or twist[1] - twist[0] > MIN_LIMIT_SPAN
+            can_swing = swing is None or max(swing) > MIN_LIMIT_SPAN
             can_twist = can_twist and not _is_parallel(tip_offset, np.array(axis))
             return can_swing or can_twist
         case _:
@@ -385,7 +395,7 @@ def _is_parallel(vector: FloatArray, axis: FloatArray) -> bool:
 
 
 def _allows_motion(limits: RangeLimit) -> bool:
-    return limits.high - limits.low > FIXED_SPAN
+    return limits.high - limits.low > MIN_LIMIT_SPAN
 
 
 def _no_bend_reason(joint: Joint) -> str:

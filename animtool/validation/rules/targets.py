@@ -40,7 +40,7 @@ class TargetsSubject(DocumentSubject):
 
     targets: TargetTracks  # its content, for an unknown rig
 
-    def outside(
+    def outside_range_fault(
         self, goal: int, key: Location, message: str, first: float, last: float
     ) -> Fault:
         """Return a fault of keys outside the file's range (TGT201)."""
@@ -64,12 +64,14 @@ def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
     first_frame, last_frame = float(range_first), float(range_last)
     for i, goal in enumerate(subject.targets.goals):
         for key, times, are_keys in _keys_outside(goal, first_frame, last_frame):
-            part = f"{key} of {goal.name!r}"
-            message = f"{part} from {times[0]:g} to {times[-1]:g} is never met"
+            keys_text = f"{key} of {goal.name!r}"
+            message = f"{keys_text} from {times[0]:g} to {times[-1]:g} is never met"
             if are_keys:
                 times_text = listed([f"{time:g}" for time in times])
-                message = f"keys of the {part} are never used: {times_text}"
-            yield subject.outside(i, (key,), message, first_frame, last_frame)
+                message = f"keys of the {keys_text} are never used: {times_text}"
+            yield subject.outside_range_fault(
+                i, (key,), message, first_frame, last_frame
+            )
 
 
 def _keys_outside(
@@ -90,24 +92,35 @@ def _keys_outside(
 def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield goals that constrain an effector in the same way as another (TGT202)."""
     goals = subject.targets.goals
-    by_effector: dict[tuple[object, ...], list[int]] = {}
+    goals_of_effector: dict[tuple[object, ...], list[int]] = {}
     for i, goal in enumerate(goals):
         effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-        by_effector.setdefault(effector, []).append(i)
-    pairs = [pair for group in by_effector.values() for pair in combinations(group, 2)]
+        goals_of_effector.setdefault(effector, []).append(i)
+    pairs = [
+        pair for group in goals_of_effector.values() for pair in combinations(group, 2)
+    ]
     for first_index, second_index in sorted(pairs)[:MAX_COMPARED_PAIRS]:
-        first, second = goals[first_index], goals[second_index]
-        kinds = [kind.name for kind in first.goal.kinds if kind in second.goal.kinds]
-        if not kinds or not _spans_overlap(first.during, second.during):
+        first_goal, second_goal = goals[first_index], goals[second_index]
+        shared_kinds = [
+            kind.name
+            for kind in first_goal.goal.kinds
+            if kind in second_goal.goal.kinds
+        ]
+        if not shared_kinds or not _spans_overlap(
+            first_goal.during, second_goal.during
+        ):
             continue
-        name, kinds_text = second.name, listed(kinds)
-        if all(_equal_values(first.values[k], second.values[k]) for k in kinds):
+        name, kinds_text = second_goal.name, listed(shared_kinds)
+        if all(
+            _equal_values(first_goal.values[k], second_goal.values[k])
+            for k in shared_kinds
+        ):
             message = f"targets the {kinds_text} of {name!r} a second time"
             hint = "remove one of them; weight sets how much it counts"
         else:
             message = (
                 f"targets another {kinds_text} of {name!r} than the goal on line "
-                f"{first.location[0]}: both are missed"
+                f"{first_goal.location[0]}: both are missed"
             )
             hint = "remove one, give it another priority, or other frames: during"
         location = ("goals", second_index, "effector")
@@ -150,10 +163,10 @@ def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
                 case _:
                     continue
             if getattr(goal.goal, kind_name) > 0:
-                part = f"the {kind_name}"
-                message = f"{part} of {goal.name!r} has the weight 0 throughout"
+                part_text = f"the {kind_name}"
+                message = f"{part_text} of {goal.name!r} has the weight 0 throughout"
                 location = ("goals", i, "weight", kind_name)
-                yield subject.fault("TGT203", location, message, f"remove {part}")
+                yield subject.fault("TGT203", location, message, f"remove {part_text}")
 
 
 def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
@@ -171,7 +184,7 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
 REACH_TOLERANCE = 1e-3
 # If all points are farther from the root joint than this many rig sizes, they are in
 # another unit if that puts them within LIKELY sizes [1].
-FAR_SIZES, LIKELY_SIZES = 8.0, 2.0
+MIN_FAR_SIZES, MAX_LIKELY_SIZES = 8.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,24 +331,24 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
             for goal_index, track in enumerate(sampled_targets.tracks.goals)
             if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
-        points = [np.zeros((0, 3))]
+        point_sets = [np.zeros((0, 3))]
         for goal_points, is_active in map(sampled_targets.points, goal_indices):
-            points.append(goal_points[is_active])
-        all_points = np.concatenate(points)
+            point_sets.append(goal_points[is_active])
+        all_points = np.concatenate(point_sets)
         if not len(all_points):
             continue
         root = sampled_targets.world.positions[0, rig.roots[0]]
-        if np.linalg.norm(all_points - root, axis=1).min() <= FAR_SIZES * size:
+        if np.linalg.norm(all_points - root, axis=1).min() <= MIN_FAR_SIZES * size:
             continue
         fitting_units = []
         for unit in LengthUnit:
             offsets = all_points * (unit.meters / file_unit) - root
-            if np.linalg.norm(offsets, axis=1).max() <= LIKELY_SIZES * size:
+            if np.linalg.norm(offsets, axis=1).max() <= MAX_LIKELY_SIZES * size:
                 fitting_units.append(unit)
         if fitting_units:
             message = (
                 f"the points are in {unit_name(file_unit)}, and all are farther from "
-                f"the rig than {FAR_SIZES:g} times its size"
+                f"the rig than {MIN_FAR_SIZES:g} times its size"
             )
             hint = f"units: {{length: {fitting_units[0]}}} is more plausible"
             yield sampled_targets.fault(

@@ -38,12 +38,12 @@ class TakeSubject:
 
     def fault(self, code: str, joint: str, message: str, hint: str) -> Fault:
         """Return a fault of a joint, at the line that declares it."""
-        line = self._lines.get(joint)
+        line = self._line_of_joint.get(joint)
         declared_lines = () if line is None else (line,)
         return Fault(code, message, str(self.path), declared_lines, hint, where=joint)
 
     @cached_property
-    def _lines(self) -> dict[str, int]:
+    def _line_of_joint(self) -> dict[str, int]:
         """Line that declares each joint, by name; generated names have none."""
         lines: dict[str, int] = {}
         raw_file = open_input(self.path, None)
@@ -68,18 +68,18 @@ def open_bvh(path: Path) -> CheckedFile:
 
 def open_livelink(path: Path) -> CheckedFile:
     """Return the faults of a face recording."""
-    return _read_take(Kind.LIVELINK, path)[0]
+    return _open_with_notices(Kind.LIVELINK, path)[0]
 
 
 def open_take(path: Path) -> CheckedFile:
     """Return a take of a format without format rules; motion rules apply."""
-    checked_file, stream, take = _read_take(Kind.TAKE, path)
+    checked_file, stream, take = _open_with_notices(Kind.TAKE, path)
     has_units = "units" in stream.details
     motion = MotionSubject(take, fault_factory_at(path), has_units=has_units)
     return replace(checked_file, takes=(motion,))
 
 
-def _read_take(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
+def _open_with_notices(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
     stream = open_source(path)
     take = stream.collect()
     faults = [notice.in_file(path) for notice in stream.notices]

@@ -39,7 +39,7 @@ class ClipSubject(DocumentSubject):
     units: ClipUnits  # of the numbers in the file
 
     @cached_property
-    def frames(self) -> list[float]:
+    def time_codes(self) -> list[float]:
         """Time code of each frame."""
         return [float(time_code) for time_code in self.take.clock.times]
 
@@ -63,16 +63,16 @@ class ClipSubject(DocumentSubject):
         return self.fault(code, location, message, hint)
 
     @cached_property
-    def cuts(self) -> BoolArray:
+    def cut_mask(self) -> BoolArray:
         """Mask of frame intervals that contain a stepped key ``(F - 1,)``."""
-        frames = np.array(self.frames)
-        cuts = np.zeros(len(frames) - 1, bool)
+        frames = np.array(self.time_codes)
+        is_cut = np.zeros(len(frames) - 1, bool)
         for channel in self.clip.channels:
             for k, interp in enumerate(channel.interps[:-1]):
                 if interp is Interp.STEP:
                     key_frame = channel.times[k + 1]
-                    cuts |= (frames[:-1] < key_frame) & (key_frame <= frames[1:])
-        return cuts
+                    is_cut |= (frames[:-1] < key_frame) & (key_frame <= frames[1:])
+        return is_cut
 
     def previous_key(self, channel: int, frame: float) -> Location:
         """Return the last key of a channel up to a frame, else the first key."""
@@ -107,7 +107,7 @@ def open_clip_document(document: Document) -> CheckedFile:
     motion = MotionSubject(
         take,
         subject.fault_at,
-        is_intended_cut=subject.cuts,
+        is_intended_cut=subject.cut_mask,
         file_format="clip",
     )
     checked_file.subject, checked_file.takes = subject, (motion,)

@@ -62,10 +62,10 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
         from animtool.batch.file import load_batch
 
         try:
-            values_of_scenes = scene_values(load_batch(path))
+            batch_values = scene_values(load_batch(path))
         except AnimtoolError:
             continue
-        for scene, values in values_of_scenes.items():
+        for scene, values in batch_values.items():
             values_by_scene.setdefault(scene.resolve(), values)
     return values_by_scene
 
@@ -120,18 +120,18 @@ def open_cameras(document: Document) -> CheckedFile:
     return CheckedFile(Kind.CAMERAS, list(document.notices), cameras)
 
 
-_DOCUMENTS = {kind for kind in Kind if kind in MIGRATION_STEPS}
+_DOCUMENT_KINDS = {kind for kind in Kind if kind in MIGRATION_STEPS}
 # Suffixes of the documents that are found in a folder.
 DOCUMENT_SUFFIXES = tuple(
     f".{kind}{suffix}"
-    for kind in sorted(_DOCUMENTS)
+    for kind in sorted(_DOCUMENT_KINDS)
     for suffix, reader in READERS.items()
     if reader is DOCUMENT
 )
-_KINDS_TO_SEARCH = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
+_SEARCHED_READERS = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
 INPUT_SUFFIXES = (
     # An npz, a CSV or an XML file may contain anything.
-    *(suffix for suffix, reader in READERS.items() if reader in _KINDS_TO_SEARCH),
+    *(suffix for suffix, reader in READERS.items() if reader in _SEARCHED_READERS),
     *DOCUMENT_SUFFIXES,
 )
 _OPENERS = {

@@ -27,7 +27,7 @@ from animtool.scene.systems.character_motion import motion_of
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Values that differ by less are equal [m], [1].
-EQUAL_VALUES = 1e-9
+EQUAL_VALUE_TOLERANCE = 1e-9
 # Options of an output that a bake refuses, and the corresponding codes of the command.
 REFUSED_CODE, OPTION_CODES = "SCN207", {"CLI002", "CLI004"}
 
@@ -92,7 +92,7 @@ def open_scene(
         # systems.
         from animtool.scene.systems.bake import unmoved_frames_warning  # loads USD
 
-        checked_file.faults = [*scene.notices, *_bake_errors(scene, None)]
+        checked_file.faults = [*scene.notices, *_planning_faults(scene, None)]
         for output in scene.outputs:
             checked_file.faults += unmoved_frames_warning(scene, output.bake)
         return checked_file
@@ -105,13 +105,13 @@ def open_scene(
         # checked alone.
         named_files = {None, path, *checked_file.subject.targets}
         faults = [fault for fault in notices if fault.path in named_files]
-        faults += _bake_errors(scene, checked_file.subject.take)
+        faults += _planning_faults(scene, checked_file.subject.take)
     faults = [fault.in_file(path) for fault in faults]
     checked_file.faults = [*scene.notices, *faults]
     return checked_file
 
 
-def _bake_errors(scene: Scene, take: Take | None) -> list[Fault]:
+def _planning_faults(scene: Scene, take: Take | None) -> list[Fault]:
     """Return errors of planning a bake, and warnings about initial system states."""
     from animtool.scene.bake.outline import create_outline  # loads USD
     from animtool.scene.bake.plan import planning_faults
@@ -120,10 +120,10 @@ def _bake_errors(scene: Scene, take: Take | None) -> list[Fault]:
         replace(fault, code=REFUSED_CODE) if fault.code in OPTION_CODES else fault
         for fault in planning_faults(create_outline(scene, None), take)
     ]
-    return [*refused_faults, *_system_errors(scene, take)]
+    return [*refused_faults, *_system_faults(scene, take)]
 
 
-def _system_errors(scene: Scene, take: Take | None) -> list[Fault]:
+def _system_faults(scene: Scene, take: Take | None) -> list[Fault]:
     """Return errors and warnings of initializing the systems."""
     if not scene.systems:
         return []
@@ -146,10 +146,12 @@ def _simulated_seconds(scene: Scene, take: Take | None) -> float:
         return float(take.clock.duration)
     from animtool.scene.scene import DEFAULT_FPS
 
-    frames = scene.bake.frame_range
-    if frames is None:
+    frame_range = scene.bake.frame_range
+    if frame_range is None:
         return 0.0
-    return float((frames.last - frames.first) / (scene.bake.fps or DEFAULT_FPS))
+    return float(
+        (frame_range.last - frame_range.first) / (scene.bake.fps or DEFAULT_FPS)
+    )
 
 
 def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
@@ -160,12 +162,12 @@ def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fa
         steps = scene.steps()
         take, stream = next(steps)
         for i, step in enumerate(steps):
-            result, stream = step
+            new_take, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
                 solved_takes[i] = take
-            if _is_unchanged(take, result):
+            if _is_unchanged(take, new_take):
                 idle_passes.append(i)
-            take = result
+            take = new_take
     subject = SceneSubject(
         document,
         scene,
@@ -183,15 +185,21 @@ def _is_unchanged(old_take: Take, new_take: Take) -> bool:
     """Return whether a pass left a take unchanged."""
     if old_take.clock != new_take.clock or old_take.rig.names != new_take.rig.names:
         return False
-    old, new = old_take.motion, new_take.motion
+    old_motion, new_motion = old_take.motion, new_take.motion
     channel_names = [field.name for field in fields(Motion) if field.name != "points"]
-    channel_pairs = [(getattr(old, name), getattr(new, name)) for name in channel_names]
-    point_names = {*old.points, *new.points}
-    channel_pairs += [(old.points.get(k), new.points.get(k)) for k in point_names]
+    channel_pairs = [
+        (getattr(old_motion, name), getattr(new_motion, name)) for name in channel_names
+    ]
+    point_names = {*old_motion.points, *new_motion.points}
+    channel_pairs += [
+        (old_motion.points.get(k), new_motion.points.get(k)) for k in point_names
+    ]
     return all(starmap(_is_same_channel, channel_pairs))
 
 
 def _is_same_channel(first: Channel | None, second: Channel | None) -> bool:
     if first is None or second is None:
         return first is second
-    return np.allclose(first.dense(), second.dense(), rtol=0.0, atol=EQUAL_VALUES)
+    return np.allclose(
+        first.dense(), second.dense(), rtol=0.0, atol=EQUAL_VALUE_TOLERANCE
+    )
