@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from animtool.usd.caches.info import PointPrimSummary
 
 
-FRAMES_AT_ONCE = 1024
+BLOCK_FRAMES = 1024
 # Frames at the start of a long take that are searched for a cycle.
-CYCLE_FRAMES = 6000
+MAX_CYCLE_FRAMES = 6000
 
 
 @dataclass(frozen=True, slots=True)
 class TakeDescription:
-    """Summary of a take."""
+    """Facts about a take and its file, as `animtool info` prints them."""
 
     path: str  # path of the file
     format: str  # BVH or USD
@@ -94,8 +94,8 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     take = stream.collect()
     motion, rig = take.motion, take.rig
     block_minima, block_maxima = [], []
-    for begin in range(0, motion.frames, FRAMES_AT_ONCE):
-        block = motion.select(slice(begin, begin + FRAMES_AT_ONCE))
+    for first_frame in range(0, motion.frames, BLOCK_FRAMES):
+        block = motion.select(slice(first_frame, first_frame + BLOCK_FRAMES))
         positions = block.world(rig).positions
         if not rig.joints:
             positions = np.zeros((block.frames, 1, 3))
@@ -141,7 +141,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         _recorded_shot(Path(path)),
         capture,
         None if capture is None else _find_cycle(take),
-        _all_characters(Path(path), options),
+        _describe_characters(Path(path), options),
         _describe_contents(Path(path)),
     )
 
@@ -162,7 +162,7 @@ def _find_cycle(take: Take) -> Cycle | None:
     from animtool.edit.cycle import find_cycle
     from animtool.edit.looping import MAX_GOOD_SEAM
 
-    last_frame = min(take.clock.count, CYCLE_FRAMES) - 1
+    last_frame = min(take.clock.count, MAX_CYCLE_FRAMES) - 1
     try:
         cycle = find_cycle(take, None, float(take.clock.times[last_frame]))
     except OptionError:  # nothing moves, or it is shorter than any cycle
@@ -171,7 +171,7 @@ def _find_cycle(take: Take) -> Cycle | None:
 
 
 def _recorded_shot(path: Path) -> dict[str, object] | None:
-    """Return the shot that a USD file stores."""
+    """Return the shot that a bake recorded in a USD layer; None without one."""
     if not is_usd(path):
         return None
     from animtool.usd.layers.sdf import find_layer, layer_shot
@@ -180,7 +180,7 @@ def _recorded_shot(path: Path) -> dict[str, object] | None:
 
 
 def _describe_points(path: Path) -> list[PointPrimSummary]:
-    """Return the description of a USD file's animated points."""
+    """Return a summary of each prim of a USD file with animated points."""
     if not is_usd(path):
         return []
     from animtool.usd.caches.info import animated_point_prims
@@ -188,7 +188,7 @@ def _describe_points(path: Path) -> list[PointPrimSummary]:
     return animated_point_prims(path)
 
 
-def _all_characters(
+def _describe_characters(
     path: Path, options: SourceOptions | None
 ) -> CharactersFacts | None:
     """Return a summary of several characters; None for one or a selected character."""
@@ -201,7 +201,7 @@ def _all_characters(
 
 
 def _describe_contents(path: Path) -> GltfContents | None:
-    """Return the contents of a glTF or FBX file."""
+    """Return the contents of a glTF or FBX file; None for other formats."""
     if reader_of(path) not in {FBX, GLTF}:
         return None
     from animtool.report.describe_gltf import fbx_contents, gltf_contents

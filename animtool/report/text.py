@@ -46,8 +46,8 @@ class Each:
             itself; entries of a mapping have ``key`` and ``value``.
         lines: Templates of one entry; ``{self}`` is the entry, ``{number}`` counts
             them.
-        most: Maximum number of entries to print; ``rest`` counts the others.
-        rest: Line for ``{left}`` more entries.
+        max_entries: Maximum number of entries to print; None prints all.
+        omitted: Line for ``{left}`` more entries.
     """
 
     name: str
@@ -81,14 +81,14 @@ Printers: TypeAlias = Mapping[str, Callable[..., Any]]
 
 
 # Names per line, unless all are requested.
-MAX_NAMED = 8
+MAX_LISTED_NAMES = 8
 # Durations of stages, printed with `--verbose`.
 SECONDS = Each("seconds", ("{key}: {value:.3f} s",))
 
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """Text template of a kind of record.
+    """Lines of text for the records of one class.
 
     Attributes:
         record: The class, as ``module:name``.
@@ -106,7 +106,7 @@ class Template:
 
     def text(self, record: object, *, all_names: bool = False) -> list[str]:
         """Return the lines of a record; ``all_names`` prints lists of names in full."""
-        names = _names_printer(None if all_names else MAX_NAMED)
+        names = _names_printer(None if all_names else MAX_LISTED_NAMES)
         return render(record, self.lines, {**self.printers, "names": names})
 
     def detail_lines(self, record: object) -> list[str]:
@@ -162,7 +162,7 @@ class _Renderer:
     printers: Printers
 
     def lines(self, scope: _Scope, lines: Sequence[Line]) -> Iterator[str]:
-        """Yield the lines of the innermost record in a scope."""
+        """Yield the lines of templates filled with the records in a scope."""
         for line in lines:
             if isinstance(line, str):
                 text = self.fill_template(scope, _parse_template(line))
@@ -175,16 +175,16 @@ class _Renderer:
 
     def _each(self, scope: _Scope, line: Each) -> Iterator[str]:
         entries = self._entries(scope, line.name)
-        for number, entry in enumerate(entries[: line.max_entries], 1):
-            yield from self.lines((entry, {"number": number}, *scope), line.lines)
+        for entry_number, entry in enumerate(entries[: line.max_entries], 1):
+            yield from self.lines((entry, {"number": entry_number}, *scope), line.lines)
         omitted_count = len(entries) - (line.max_entries or len(entries))
         if omitted_count > 0:
             yield from self.lines(({"left": omitted_count}, *scope), (line.omitted,))
 
     def _entries(self, scope: _Scope, name: str) -> list[Any]:
-        name, _, spec = name.partition(":")
+        name, _, printer_names = name.partition(":")
         value = _value(scope, name)
-        for printer in filter(None, spec.split(" | ")):
+        for printer in filter(None, printer_names.split(" | ")):
             value = None if value is None else self.printers[printer](value)
         if isinstance(value, Mapping):
             return [{"key": key, "value": entry} for key, entry in value.items()]
@@ -201,23 +201,34 @@ class _Renderer:
             [self.fill_template((entry, *scope), cell) or "" for cell in templates]
             for entry in self._entries(scope, table.name)
         ]
-        shown_columns = {
+        column_of_header = {
             header: i
             for i, header in enumerate(table.columns)
             if header not in table.optional or any(row[i] for row in cells)
         }
-        rows = [[header.strip() for header in shown_columns]]
-        rows += [[row[i] for i in shown_columns.values()] for row in cells]
-        return rows, {i for i, name in enumerate(shown_columns) if name in table.left}
+        rows = [[header.strip() for header in column_of_header]]
+        rows += [[row[i] for i in column_of_header.values()] for row in cells]
+        return rows, {
+            i for i, name in enumerate(column_of_header) if name in table.left
+        }
 
     def fill_template(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
         """Return the text of template nodes; None if a required field is missing."""
         texts = []
         for node in nodes:
             if isinstance(node, _Alternatives):
-                part_texts = (self.fill_template(scope, part) for part in node.parts)
+                alternative_texts = (
+                    self.fill_template(scope, alternative) for alternative in node.parts
+                )
                 texts.append(
-                    next((part for part in part_texts if part is not None), "")
+                    next(
+                        (
+                            alternative
+                            for alternative in alternative_texts
+                            if alternative is not None
+                        ),
+                        "",
+                    )
                 )
                 continue
             text = node if isinstance(node, str) else self._field_text(scope, node)
@@ -231,16 +242,18 @@ class _Renderer:
         value = _value(scope, node.name)
         if node.test:
             return "" if bool(value) is (node.test == "?") else None
-        width = ""
+        format_spec = ""
         for spec in node.spec.split(" | "):
             if value is None or (hasattr(value, "__len__") and not len(value)):
                 return None
             printer_name, *arguments = spec.split(" ")
             if printer_name not in self.printers:
                 return format(value, spec)
-            width = arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
+            format_spec = (
+                arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
+            )
             value = self.printers[printer_name](value, *arguments)
-        return format(value, width) or None
+        return format(value, format_spec) or None
 
 
 def aligned_lines(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
@@ -277,13 +290,15 @@ _TOKEN = re.compile(r"\{([?!]?)([\w.]+)(?::([^{}]*))?\}|([\[|\]])|([^{}\[|\]]+)"
 
 @cache
 def _parse_template(template: str) -> tuple[_Node, ...]:
-    return _alternatives(template, iter(_TOKEN.finditer(template)), top=True)[0]
+    return _parse_alternatives(
+        template, iter(_TOKEN.finditer(template)), is_top_level=True
+    )[0]
 
 
-def _alternatives(
-    template: str, tokens: Iterator[re.Match[str]], *, top: bool = False
+def _parse_alternatives(
+    template: str, tokens: Iterator[re.Match[str]], *, is_top_level: bool = False
 ) -> tuple[tuple[_Node, ...], ...]:
-    """Return the alternatives between brackets, separated by bars."""
+    """Parse tokens up to a closing bracket into alternatives, separated by bars."""
     alternatives: list[list[_Node]] = [[]]
     for token in tokens:
         test, name, spec, bracket, text = token.groups()
@@ -292,10 +307,12 @@ def _alternatives(
         elif text is not None:
             alternatives[-1].append(text)
         elif bracket == "[":
-            alternatives[-1].append(_Alternatives(_alternatives(template, tokens)))
-        elif bracket == "|" and not top:
+            alternatives[-1].append(
+                _Alternatives(_parse_alternatives(template, tokens))
+            )
+        elif bracket == "|" and not is_top_level:
             alternatives.append([])
-        elif bracket == "]" and not top:
+        elif bracket == "]" and not is_top_level:
             break
         else:
             alternatives[-1].append(bracket)
@@ -311,8 +328,8 @@ def _value(scope: _Scope, name: str) -> Any:
         is_mapping = isinstance(record, Mapping)
         if field_name in record if is_mapping else hasattr(record, field_name):
             return value_at_path(record, name)
-    record_types = ", ".join(type(record).__name__ for record in scope)
-    raise AttributeError(f"{record_types}: no field {field_name!r}")
+    types_text = ", ".join(type(record).__name__ for record in scope)
+    raise AttributeError(f"{types_text}: no field {field_name!r}")
 
 
 def _count_text(value: Any, *nouns: str) -> str:

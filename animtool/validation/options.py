@@ -61,7 +61,7 @@ class ValidateOptions:
     levels: Mapping[str, Severity | None] = field(default_factory=dict)
 
     def selects(self, code: str) -> bool:
-        """Return whether a code is selected.
+        """Return whether a code is selected, and not ignored or off in the profile.
 
         >>> ValidateOptions(select=("RIG",), ignore=("RIG2",)).selects("RIG201")
         False
@@ -77,7 +77,7 @@ class ValidateOptions:
         return explicit_length >= _prefix_length_of(profile_prefix)
 
     def with_severity(self, fault: Fault) -> Fault:
-        """Return a finding with its configured severity."""
+        """Return a finding with the severity of the longest prefix that has one."""
         longest_prefix = _longest_prefix(fault.code, self.severity)
         if longest_prefix is not None:
             return replace(fault, severity=self.severity[longest_prefix])
@@ -96,7 +96,10 @@ class ValidateOptions:
         return replace(self, levels=load_profile(self.profile))
 
     def with_profile(self, profile: str | None) -> ValidateOptions:
-        """Return these options with the levels of a file's profile."""
+        """Return these options with the levels of a file's own profile, if any.
+
+        A profile that is chosen by name takes precedence.
+        """
         if self.profile or profile is None:
             return self
         return replace(self, levels=PROFILES[profile].levels)
@@ -223,7 +226,7 @@ _PROJECT_SETTINGS = tuple(n for n in options_of(ValidateOptions) if n != "jobs")
 
 
 def settings_of(path: Path) -> ValidateOptions:
-    """Return the project settings of a file."""
+    """Return the options in the ``validate`` table of a file's project settings."""
     config = find_config(path)
     return _parse_options(config.validate, str(config.path))
 

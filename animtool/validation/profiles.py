@@ -25,7 +25,7 @@ _ERROR, _WARNING, _NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
 @dataclass(frozen=True, slots=True)
 class SeverityProfile:
-    """Severities of codes."""
+    """A named set of severities for a kind of delivery."""
 
     about: str  # one-line description of its purpose
     levels: Levels  # severities that replace those of the rules
@@ -100,7 +100,7 @@ PROFILES: dict[str, SeverityProfile] = {
 
 
 def load_profile(name: str, folder: Path | None = None) -> Levels:
-    """Return the levels of a profile, by its name or file."""
+    """Return the severities of a built-in profile, or of a YAML or TOML file."""
     if name in PROFILES:
         return PROFILES[name].levels
     path = Path(name) if folder is None else folder / name
@@ -121,7 +121,7 @@ def _read_document(path: Path) -> Mapping[str, Any]:
 
 
 def _read_toml(path: Path) -> Mapping[str, Any]:
-    """Return a TOML profile, or the severity part of project settings."""
+    """Read a TOML profile, or the severities in project settings (VAL008)."""
     try:
         table = parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:

@@ -93,7 +93,7 @@ LOCALLY_CAUSED_CODES = {"RIG204"}
 
 @dataclass(frozen=True, slots=True)
 class ListedFinding:
-    """A finding as it is listed in reports."""
+    """A finding in a report, with its state of repair."""
 
     fault: Fault
     fixable: bool = False  # whether `--fix` can fix it
@@ -102,7 +102,7 @@ class ListedFinding:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Result of validation."""
+    """Result of validation: the checked files and their findings."""
 
     files: tuple[Path, ...]  # the validated files, in order
     findings: tuple[Fault, ...]  # findings by file, line and column
@@ -132,7 +132,7 @@ class Report:
         return {str(kind): self.count(kind) for kind in Severity}
 
     def with_argument_names(self, namer: ArgumentNamer) -> Report:
-        """Return a copy whose texts name arguments as an interface does."""
+        """Return a copy with argument names as in an interface, such as ``--fix``."""
         return replace(
             self,
             findings=tuple(fault.with_argument_names(namer) for fault in self.findings),
@@ -280,7 +280,10 @@ def _findings_in_processes(
 def _check_file(
     path: Path, options: ValidateOptions, values: SceneValues | None
 ) -> list[Fault]:
-    """Return the reported findings of one file, with values of scene variables."""
+    """Return the selected findings of one file, with their configured severities.
+
+    values: Values of the variables of a scene, from a batch file.
+    """
     try:
         checked_file = open_file(path, values)
     except AnimtoolError as error:
@@ -321,7 +324,7 @@ def findings_in(checked_file: CheckedFile) -> list[Fault]:
 
 
 def _is_explained(fault: Fault, faults: Sequence[Fault]) -> bool:
-    """Return whether another finding states the cause of a finding."""
+    """Return whether another finding is the cause of one, by `CAUSES_BY_CODE`."""
     causes = CAUSES_BY_CODE.get(fault.code, ())
     location = (fault.where or "") if fault.code in LOCALLY_CAUSED_CODES else ""
     return any(
@@ -351,7 +354,7 @@ def _rule_subjects(rule: Rule, checked_file: CheckedFile) -> Sequence[object]:
 
 
 def _rule_findings(rule: Rule, subject: object) -> Iterator[Fault]:
-    """Yield the findings of a rule; notes stay notes."""
+    """Yield a rule's findings in a subject with the rule's severity, except notes."""
     for fault in rule.load()(subject):
         is_note = fault.severity is Severity.NOTE
         yield fault if is_note else replace(fault, severity=rule.severity)

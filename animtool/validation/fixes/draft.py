@@ -26,7 +26,7 @@ class FileDraft(Protocol):
 
     @property
     def findings(self) -> Sequence[Fault]:
-        """Findings in the content."""
+        """Findings of all rules in the current content."""
 
     def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings to fix in the next step."""
@@ -41,7 +41,7 @@ class FileDraft(Protocol):
         """Yield the findings that can be fixed one by one."""
 
     def diff_text(self) -> str:
-        """Return the changes as text."""
+        """Return the changes so far as a diff or a list of edits."""
 
     def outputs(self) -> Sequence[Path]:
         """Return the new files to write next to the repaired file."""
@@ -80,7 +80,7 @@ class NotFixedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class FixEdits:
-    """Text edits and new arrays that fix a finding."""
+    """Edits of a file's text, and new npz files, that fix one finding."""
 
     description: str  # description of the fix for the report
     edits: tuple[Edit, ...]  # edits of the file's text
@@ -93,7 +93,7 @@ FixFunction = Callable[[CheckedFile, Fault], FixEdits]
 
 
 def load_fix(code: str) -> FixFunction | None:
-    """Return the fix of a code; None if there is none.
+    """Import the function that fixes a code's findings; None if there is none.
 
     >>> fix_of("RIG201") is None
     True

@@ -37,7 +37,7 @@ class LayerDraft:
 
     @cached_property
     def findings(self) -> Sequence[Fault]:
-        """Findings in the layer."""
+        """Findings of all rules in the layer with its edits."""
         return findings_in(self.checked_file)
 
     def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
@@ -104,7 +104,10 @@ class LayerDraft:
 
 
 def _apply_fix(layer: FixTarget, fault: Fault) -> tuple[str, str]:
-    """Apply the fix of a finding; return why it failed (or ""), and the change made."""
+    """Fix a finding in a layer; return the reason if it is refused, and the change.
+
+    One of the two is empty.
+    """
     from animtool.usd.fixes.target import NotFixableError
 
     prefix = "" if fault.where in {None, "/"} else f"{fault.where}: "

@@ -135,7 +135,7 @@ _LIST_NAMES = {
 
 
 def make_names_legal(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that make every name of a list legal in USD."""
+    """Return edits that rename the illegal USD names of a list and all references."""
     rig = _complete_rig(checked_file)
     list_name = str(pointer_of(fault)[0])
     return _rename_entries(rig, list_name, _illegal_names(group_names(rig, list_name)))
@@ -146,7 +146,7 @@ def _illegal_names(names: Sequence[str]) -> list[str]:
 
 
 def make_name_unique(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that rename one of two names that are equal in USD.
+    """Return edits that rename one of two entries whose names are equal in USD.
 
     Renames the one that USD does not allow, or else the second.
     """

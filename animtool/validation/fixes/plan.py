@@ -19,7 +19,7 @@ from animtool.validation.run import Report
 
 @dataclass(slots=True)
 class FixPlan:
-    """A file and its fixed content."""
+    """Planned fixes of a file: its fixed content, and the findings that remain."""
 
     path: Path  # the file
     draft: FileDraft  # its content after the fixes
@@ -30,7 +30,7 @@ class FixPlan:
 
 
 def plan_fixes(path: Path, options: ValidateOptions) -> FixPlan:
-    """Return a file with all safe fixes applied in memory.
+    """Apply all safe fixes of a file in memory; options include the project's.
 
     A fix is kept if its finding disappears and no new one appears.
     """
@@ -60,7 +60,7 @@ def plan_fixes(path: Path, options: ValidateOptions) -> FixPlan:
 
 
 def mark_fixable(report: Report) -> Report:
-    """Return a report that marks findings with a safe fix."""
+    """Return the report with `Report.fixable`, the findings with a safe fix."""
     fixable_by_path: dict[str, list[Fault]] = {}
     for fault in report.findings:
         path = Path(fault.path or "")
@@ -130,7 +130,7 @@ def _fault_key(fault: Fault) -> _FaultKey:
 
 
 def _reason_to_reject(old_draft: FileDraft, step: FixStep) -> str:
-    """Return why a fix is rejected: findings remain or appear; "" if accepted."""
+    """Return a reason if findings remain or appear after a fix, else ""."""
     if not step.fixed_findings:
         return ""
     old_counts = Counter(fault.code for fault in old_draft.findings)

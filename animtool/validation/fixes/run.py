@@ -124,7 +124,7 @@ def fix_copy(
 
 
 def _fixable_files(report: Report, *, are_packages: bool = False) -> list[Path]:
-    """Return the files with fixable findings: either packages or other files."""
+    """Return the files with fixable findings: USD packages, or all other files."""
     named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
     fixable_files = [path for path in report.files if str(path) in named_paths]
     return [

@@ -36,7 +36,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def pointer_of(fault: Fault) -> tuple[Any, ...]:
-    """Return the keys and numbers of a finding's ``where``.
+    """Split a finding's ``where`` into keys and list indices.
 
     >>> pointer_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
     ('meshes', 2, 'skin', 'weights')
@@ -45,7 +45,7 @@ def pointer_of(fault: Fault) -> tuple[Any, ...]:
 
 
 def remove_ignore_entry(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that remove an entry, and its list if no entry remains."""
+    """Return the edit that removes an unused ``ignore`` entry, or its list if empty."""
     if checked_file.document is None:
         raise NotFixedError("the file has no text")
     ignore_entries = checked_file.document.value["ignore"]
@@ -58,7 +58,7 @@ def remove_ignore_entry(checked_file: CheckedFile, fault: Fault) -> FixEdits:
 
 
 def rest_from_bind(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that set a joint's rest pose to its bind pose."""
+    """Return edits that set a joint's missing rest pose to its bind pose."""
     rig: RigSubject = checked_file.subject
     pointer = pointer_of(fault)
     joint_entry = rig.file_entries("joints")[pointer[1]]
@@ -71,7 +71,7 @@ def rest_from_bind(checked_file: CheckedFile, fault: Fault) -> FixEdits:
 
 
 def normalize_weights(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that store normalized skin weights in a new npz file.
+    """Return a new npz file with normalized skin weights, and the edit that names it.
 
     Every reader of the file normalises the weights anyway. Other rigs may use the
     current npz, so it stays unchanged.
@@ -97,7 +97,7 @@ def normalize_weights(checked_file: CheckedFile, fault: Fault) -> FixEdits:
 
 
 def _unused_path(path: Path, key: str) -> Path:
-    """Return an unused path next to a file."""
+    """Return a path for an array that does not exist yet, next to its npz file."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
         raise NotFixedError(f"the name of the array, {excerpt(key)}, {problem}")
@@ -133,7 +133,7 @@ class TextDraft:
 
     @cached_property
     def findings(self) -> Sequence[Fault]:
-        """Findings in the text."""
+        """Findings of all rules in the current text."""
         return findings_in(self.checked_file)
 
     def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
@@ -200,7 +200,7 @@ class TextDraft:
         )
 
     def outputs(self) -> Sequence[Path]:
-        """Return the npz files written next to the text."""
+        """Return the paths of the npz files that `write` adds."""
         return tuple(self.arrays)
 
     def write(self, output: Path) -> Sequence[str]:

@@ -28,7 +28,7 @@ def format_report(
     shows_repeats: bool = False,
     namer: ArgumentNamer = python_name,
 ) -> str:
-    """Return a report in one of `FORMATS`.
+    """Format a report as text, JSON, GitHub commands, SARIF or JUnit XML.
 
     Args:
         report: The report.

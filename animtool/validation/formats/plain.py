@@ -35,7 +35,7 @@ _RepeatKey: TypeAlias = tuple[str | None, str, Severity]
 
 @dataclass(frozen=True, slots=True)
 class ShownFinding:
-    """A finding as it is printed."""
+    """A finding with its source excerpt, or with the number of omitted repeats."""
 
     fault: Fault
     repeat_count: int = 0  # number of equal findings in its file that are not shown
@@ -44,7 +44,7 @@ class ShownFinding:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """The findings to print."""
+    """Record of the template `FINDINGS`."""
 
     shown: list[ShownFinding]
 
@@ -78,7 +78,7 @@ SUMMARY = Template(
 def text_report(
     report: Report, *, shows_repeats: bool = False, namer: ArgumentNamer = python_name
 ) -> str:
-    """Return the findings, each with its source line, and a summary line."""
+    """Format findings with their source lines, and a summary in the last line."""
     report = report.with_argument_names(namer)
     lines = [
         *FINDINGS.text(
@@ -155,7 +155,7 @@ def _escape_data(text: str) -> str:
 
 
 def json_report(report: Report) -> str:
-    """Return every checked file and every finding as JSON."""
+    """Format all checked files and all findings as indented JSON."""
     return printable_json(plain_value(report), indent=2) + "\n"
 
 

@@ -135,7 +135,7 @@ MAX_STATIC_FRACTION = 0.5
 
 
 def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield steps that cover two or more frames of smooth motion (MOT205).
+    """Report steps that cover two or more frames of smooth motion (MOT205).
 
     In a file with time codes a lost frame is a gap between them.
     """
@@ -377,7 +377,7 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
 
 
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield frames in which all motion stops abruptly and then resumes (MOT206)."""
+    """Report frames in which all motion stops abruptly and then resumes (MOT206)."""
     is_repeat, is_regular = _repeated_frames(subject)
     if is_regular or not is_repeat.any():
         return

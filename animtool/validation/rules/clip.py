@@ -23,7 +23,7 @@ MIN_HALF_ROTATION = math.radians(178.0)
 
 
 def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield keys 180° from the previous key, an ambiguous rotation (CLIP202)."""
+    """Report keys 180° from the previous key, an ambiguous rotation (CLIP202)."""
     for channel_index, channel in enumerate(subject.clip.channels):
         if channel.values.shape[1] != 4:
             continue
@@ -67,7 +67,7 @@ DEGREE_SIGN = "\N{DEGREE SIGN}"
 
 
 def overshooting_keys(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield curves that exceed limits between two keys within the limits (CLIP205)."""
+    """Report curves that exceed limits between two keys within the limits (CLIP205)."""
     times = np.array(subject.time_codes)
     for channel_index, channel in enumerate(subject.clip.channels):
         excess = _excess_function(channel, subject.rig)
@@ -90,7 +90,7 @@ def overshooting_keys(subject: ClipSubject) -> Iterator[Fault]:
 def _excess_text(
     channel: ClipChannel, key: int, frames: FloatArray, excess: FloatArray
 ) -> str:
-    """Return text on the frames in which a curve segment exceeds its limits."""
+    """Return a message about a segment that exceeds limits, by how much and where."""
     largest = float(excess.max())
     amount_text = f"{largest:.3g}"
     if channel.target.endswith((".angle", ".rotation")):
@@ -106,7 +106,7 @@ def _excess_text(
 
 
 def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
-    """Return a function that computes by how much a channel exceeds its limits."""
+    """Return a function from a channel's values to their excess; None if unlimited."""
     kind, _, name = channel.target.partition("/")
     if kind == "control":
         control = next(control for control in rig.controls if control.name == name)
@@ -127,7 +127,7 @@ def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
 
 
 def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield angles that rotate a full circle from one key to the next (CLIP206)."""
+    """Report angles that rotate a full circle from one key to the next (CLIP206)."""
     for channel_index, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):
             continue
@@ -146,7 +146,7 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
 
 
 def _full_circle_text(channel: ClipChannel, key: int) -> str:
-    """Return text on an angle that rotates a full circle after a key."""
+    """Return a message about the angle that changes most between two keys."""
     first_angles = np.degrees(channel.values[key])
     second_angles = np.degrees(channel.values[key + 1])
     axis = int(np.argmax(np.abs(second_angles - first_angles)))
@@ -187,13 +187,13 @@ def _value_distance(first: FloatArray, second: FloatArray) -> float:
 
 
 def _unwrapped(reference: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return angles within half a revolution of reference angles [rad]."""
+    """Add full revolutions to angles so that they are nearest to a reference [rad]."""
     offsets = np.remainder(angles - reference + math.pi, math.tau)
     return np.asarray(reference + offsets - math.pi)
 
 
 def _flip_keys(channel: ClipChannel) -> IntArray:
-    """Return the keys of a densely sampled curve after which angles wrap."""
+    """Return indices of densely sampled keys after which angles take a detour."""
     is_sampled = np.diff(channel.times) <= MAX_SAMPLE_SPACING
     is_far = (np.abs(np.diff(channel.values, axis=0)) > MIN_FAR_ANGLE).any(axis=1)
     candidate_keys = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
@@ -210,7 +210,7 @@ def _interpolated_keys(channel: ClipChannel) -> BoolArray:
 
 
 def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
-    """Return the keys after which an angle wraps, at any key spacing.
+    """Return indices of the keys after which an angle wraps, at any key spacing.
 
     Intended rotations continue over full circles, or end on one; a spin keeps its speed
     before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
@@ -270,7 +270,7 @@ def _wraps_after(
 
 
 def _angle_limits(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
-    """Return the angle limits of a pin joint; None without limits."""
+    """Return the limits of the hinge angle that a channel animates, or None."""
     joint, _, coordinate = channel.target.removeprefix("joint/").rpartition(".")
     if coordinate != "angle":
         return None
@@ -281,7 +281,7 @@ def _angle_limits(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
 def _nearer_angles(
     channel: ClipChannel, first: FloatArray, second: FloatArray
 ) -> FloatArray | None:
-    """Return the equivalent Euler angles of a rotation if much nearer to a reference.
+    """Return the other Euler angles of a rotation if they are near ``first`` [rad].
 
     Two of three differ by half a revolution, and the middle one is mirrored; None for
     other differences.

@@ -34,14 +34,14 @@ _ZERO: FloatArray = np.zeros(1)
 
 @dataclass(frozen=True, slots=True)
 class _ControlSweep:
-    """Sweep of every control over its range, one control after the other."""
+    """Samples of a rig in which one control after another covers its range."""
 
     moving_controls: list[Control]  # the moving control of each frame ``(F,)``
     control_values: dict[str, FloatArray]  # values of all controls ``(F,)``
     driven_values: DrivenValues  # resulting values
 
     def broadcast(self, values: FloatArray) -> FloatArray:
-        """Broadcast values to all frames ``(F,)``."""
+        """Repeat values ``(1,)`` for all frames of the sweep; ``(F,)`` stay as is."""
         return np.broadcast_to(values, len(self.moving_controls))
 
     def frame_text(self, frame: int) -> str:
@@ -50,7 +50,7 @@ class _ControlSweep:
         return f"{name!r} at {float(self.control_values[name][frame]):g}"
 
     def worst_frames(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
-        """Yield each control whose frames exceed a limit, and its worst frame."""
+        """Yield each control that exceeds a limit, and the frame with most excess."""
         # Values that are not finite are a fault of the expression (RIG207).
         absolute_excess = self.broadcast(
             np.where(np.isfinite(excess), np.abs(excess), 0.0)
@@ -66,7 +66,7 @@ class _ControlSweep:
 
 
 def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield controls that drive a joint beyond its limits (RIG204)."""
+    """Report controls that drive a joint beyond its limits (RIG204)."""
     sweep = _sweep_controls(rig)
     for joint in rig.rig.joints:
         excess = _limit_excess(joint, sweep.driven_values.targets)
@@ -83,7 +83,7 @@ def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
-    """Yield controls that drive another control beyond its range (RIG206)."""
+    """Report controls that drive another control beyond its range (RIG206)."""
     sweep = _sweep_controls(rig)
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
@@ -103,7 +103,7 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drives that are undefined at a value in their control's range (RIG207)."""
+    """Report drives that are undefined at a value in their control's range (RIG207)."""
     sweep = _sweep_controls(rig)
     values = sweep.driven_values.controls
     for control in rig.rig.controls:
@@ -136,7 +136,7 @@ def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
 
 
 def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
-    """Yield correctives that no control pose activates (RIG208)."""
+    """Report correctives that no control pose activates (RIG208)."""
     # Shapes driven by joint coordinates move without controls.
     joint_driven_shapes = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
     correctives = [
@@ -168,7 +168,7 @@ def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
 
 
 def idle_controls(rig: RigSubject) -> Iterator[Fault]:
-    """Yield controls that drive nothing and that no expression reads (RIG220)."""
+    """Report controls that drive nothing and that no expression reads (RIG220)."""
     read_names = {
         name
         for control in rig.rig.controls
@@ -215,7 +215,7 @@ def _sweep_controls(rig: RigSubject) -> _ControlSweep:
 
 
 def _sampled_values(control: Control) -> FloatArray:
-    """Return the values of a control to test; none if its range is open."""
+    """Return test values over a control's range, ascending; none if it is open."""
     if control.low is None or control.high is None:
         return np.zeros(0)
     curve_inputs = [
@@ -258,7 +258,7 @@ def _is_within_limits(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
 
 
 def _affecting_drive(rig: RigSubject, control: Control, target: str) -> Location:
-    """Return the location of the drive that affects a target, else of the control."""
+    """Return the location of a control's drive with a target, else of the control."""
     location = rig.at("controls", control.name)
     for drive_index, drive in enumerate(control.drives):
         if f"{drive.target}.".startswith(target):

@@ -22,7 +22,7 @@ UNLIMITED_ANGLE, UNLIMITED_LENGTH = np.pi, 1.0
 
 
 def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drivers that move a joint beyond its limits (RIG223)."""
+    """Report drivers that move a joint beyond its limits (RIG223)."""
     for joint in rig.rig.joints:
         if joint.driven is None or not isinstance(joint.limits, RangeLimit):
             continue
@@ -45,7 +45,7 @@ def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drivers that are undefined at a sample of their inputs (RIG224)."""
+    """Report drivers that are undefined at a sample of their inputs (RIG224)."""
     for key, kind, elements in (
         ("joints", "joint", rig.rig.joints),
         ("shapes", "shape", rig.rig.shapes),
@@ -71,13 +71,13 @@ def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
 
 
 def _driver_values(driver: Driver, inputs: dict[str, FloatArray]) -> FloatArray:
-    """Return the value of a driver for each sample of its inputs."""
+    """Evaluate a driver at all samples of its inputs ``(N,)``."""
     sample_count = POSE_SAMPLES + INPUT_SAMPLES * len(inputs)
     return np.broadcast_to(driver.evaluate(inputs), sample_count)
 
 
 def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
-    """Return sampled driver inputs: each over its range, then all at random."""
+    """Sample the inputs of a driver: each alone over its range, then all at random."""
     rng = np.random.default_rng(0)
     names = driver.names
     samples = {}
@@ -92,7 +92,7 @@ def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
 
 
 def _input_range(rig: Rig, name: str) -> tuple[float, float]:
-    """Return the range of a driver input [rad], [m], [1]."""
+    """Return lowest and highest value of a coordinate or control [rad], [m], [1]."""
     joint_name, coordinate = split_coordinate(name)
     if not joint_name:
         control = next(control for control in rig.controls if control.name == name)

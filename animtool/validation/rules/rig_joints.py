@@ -26,7 +26,7 @@ PERPENDICULAR_COSINE = 0.1
 
 
 def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints whose rest pose is outside their limits (RIG201)."""
+    """Report joints whose rest pose is outside their limits (RIG201)."""
     for joint in rig.rig.joints:
         match joint.limits:
             case RangeLimit(lower, upper):
@@ -49,7 +49,7 @@ def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints whose limits allow no motion (RIG202)."""
+    """Report joints whose limits allow no motion (RIG202)."""
     for joint in rig.rig.joints:
         match joint.limits:
             case RangeLimit(lower, upper):
@@ -65,7 +65,7 @@ def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
 
 
 def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
-    """Yield ball joints whose twist axis is perpendicular to their bone (RIG203)."""
+    """Report ball joints whose twist axis is perpendicular to their bone (RIG203)."""
     for i, joint in enumerate(rig.rig.joints):
         limits = joint.limits
         bone = _bone_direction(rig, i)
@@ -85,7 +85,7 @@ def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
 
 
 def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield mimic joints that their source drives beyond their limits (RIG205)."""
+    """Report mimic joints that their source drives beyond their limits (RIG205)."""
     for joint in rig.rig.joints:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
@@ -111,12 +111,12 @@ def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def range_text(rig: RigSubject, joint: Joint, lower: float, upper: float) -> str:
-    """Return a range of a joint coordinate in the rig's unit."""
+    """Format a range of a joint's angle or slide, such as ``-60° to 60°``."""
     return f"{value_text(rig, joint, lower)} to {value_text(rig, joint, upper)}"
 
 
 def value_text(rig: RigSubject, joint: Joint, value: float) -> str:
-    """Return a joint coordinate in the rig's unit."""
+    """Format a joint's angle or slide, [rad] or [m], in the rig's unit."""
     if joint.type is JointType.PRISMATIC:
         unit = rig.rig.meters_per_unit
         return f"{value / unit:.4g} {unit_name(unit)}"
@@ -147,7 +147,7 @@ BIND_ROUNDING_ANGLE = math.radians(0.5)
 
 
 def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield bind poses that differ from the rest pose only by rounding (RIG216)."""
+    """Report bind poses that differ from the rest pose only by rounding (RIG216)."""
     for name in rig.document.value.get("bind", {}):
         if name not in rig.rig.bind or not rig.size:
             continue
@@ -166,7 +166,7 @@ def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
 
 
 def bind_without_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints that have a bind pose but no rest pose (RIG222)."""
+    """Report joints that have a bind pose but no rest pose (RIG222)."""
     bind = rig.document.value.get("bind", {})
     if "from" in rig.document.value:
         return
@@ -189,7 +189,7 @@ EQUAL_LIMIT_TOLERANCE = 1e-6
 
 
 def asymmetric_positions(rig: RigSubject) -> Iterator[Fault]:
-    """Yield paired bones that are not mirror images at rest (RIG212)."""
+    """Report paired bones that are not mirror images at rest (RIG212)."""
     pairs, are_mirrored = _mirror_pairs(rig)
     if not _is_symmetric(are_mirrored):
         return
@@ -204,7 +204,7 @@ def asymmetric_positions(rig: RigSubject) -> Iterator[Fault]:
 
 
 def asymmetric_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield paired joints with different types or limits (RIG213)."""
+    """Report paired joints with different types or limits (RIG213)."""
     pairs, are_mirrored = _mirror_pairs(rig)
     if not _is_symmetric(are_mirrored):
         return
@@ -261,7 +261,7 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
 
 
 def _is_symmetric(are_mirrored: BoolArray) -> bool:
-    """Return whether a rig is intended to be symmetric."""
+    """Return whether at least half of several pairs are mirror images."""
     mirrored_count = int(np.count_nonzero(are_mirrored))
     return len(are_mirrored) > 1 and 2 * mirrored_count >= len(are_mirrored)
 

@@ -30,7 +30,7 @@ COLLISION_HINT = "the second gets a number there; rename one"
 
 
 def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
-    """Yield names of a rig or a capture that are equal in USD (RIG219)."""
+    """Report names of a rig or a capture that are equal in USD (RIG219)."""
     if isinstance(subject, RigSubject):
         for key in NAME_GROUPS:
             for name, message in _name_collisions(group_names(subject, key)):
@@ -42,7 +42,7 @@ def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
 
 
 def names_changed_by_usd(rig: RigSubject) -> Iterator[Fault]:
-    """Yield lists with names that are changed to be legal in USD (RIG221)."""
+    """Report lists with names that are changed to be legal in USD (RIG221)."""
     if "from" in rig.document.value:
         return
     for key in NAME_GROUPS:
@@ -61,7 +61,7 @@ def names_changed_by_usd(rig: RigSubject) -> Iterator[Fault]:
 
 
 def group_names(rig: RigSubject, key: str) -> list[str]:
-    """Return the names of one of `NAME_GROUPS`."""
+    """Return the names in a list of a rig, a key of `NAME_GROUPS`, in order."""
     return [entry.name for entry in getattr(rig.rig, key)]
 
 
@@ -77,7 +77,10 @@ def _name_collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 
 def legal_usd_name(name: str) -> str:
-    """Return a name with `_` for characters illegal in a prim name."""
+    """Replace characters that are illegal in a prim name by `_`.
+
+    A name that starts with a digit gets `_` in front.
+    """
     identifier = re.sub(r"\W", "_", name)
     return f"_{identifier}" if identifier[:1].isdigit() else identifier
 
@@ -93,7 +96,7 @@ MIN_SKELETON_JOINTS = 3
 
 
 def ineffective_shapes(rig: RigSubject) -> Iterator[Fault]:
-    """Yield shapes that move no point (RIG209)."""
+    """Report shapes that move no point (RIG209)."""
     combined_names = {name for shape in rig.rig.shapes for name in shape.combine}
     with Archives() as archives:
         for shape in rig.rig.shapes:
@@ -124,7 +127,7 @@ def _skinned_meshes(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Locatio
 
 
 def weight_sums(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skins whose weights do not sum to 1 (RIG210)."""
+    """Report skins whose weights do not sum to 1 (RIG210)."""
     for mesh, weights, location in _skinned_meshes(rig):
         sum_errors = np.abs(weights.sum(axis=1) - 1.0)
         wrong_points = np.flatnonzero(sum_errors > WEIGHT_SUM_TOLERANCE)
@@ -141,7 +144,7 @@ def weight_sums(rig: RigSubject) -> Iterator[Fault]:
 
 
 def many_influences(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skins with more influences per point than engines allow (RIG211)."""
+    """Report skins with more influences per point than engines allow (RIG211)."""
     for mesh, weights, location in _skinned_meshes(rig):
         influence_counts = np.count_nonzero(weights, axis=1)
         points_above = np.flatnonzero(influence_counts > MAX_INFLUENCES)
@@ -157,7 +160,7 @@ def many_influences(rig: RigSubject) -> Iterator[Fault]:
 
 
 def mesh_size(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skinned meshes whose size does not match the skeleton (RIG218)."""
+    """Report skinned meshes whose size does not match the skeleton (RIG218)."""
     if len(rig.rig.joints) < MIN_SKELETON_JOINTS or not rig.size:
         return
     with Archives() as archives:
@@ -201,7 +204,7 @@ MIN_DISTANT_JOINTS = 2
 
 
 def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skinned meshes that are not where their joints are bound (RIG225)."""
+    """Report skinned meshes that are not where their joints are bound (RIG225)."""
     if not rig.size or not any(mesh.skin for mesh in rig.rig.meshes):
         return
     positions = rig.bind_positions
@@ -273,7 +276,10 @@ def _distance_to_joint(
 def _points_by_joint(
     rig: RigSubject, mesh: Mesh, archives: Archives
 ) -> dict[int, FloatArray]:
-    """Return the points ``(N, 3)`` [m] that follow each joint most."""
+    """Group a mesh's points ``(N, 3)`` [m] by the joint with the largest weight.
+
+    Joints with fewer than `MIN_SKIN_POINTS` are omitted.
+    """
     skin = mesh.skin
     if skin is None or not skin.joints:
         return {}
@@ -305,7 +311,7 @@ PARALLEL_SINE = 0.01
 
 
 def unbendable_chains(rig: RigSubject) -> Iterator[Fault]:
-    """Yield chains in which only the root can move the tip (RIG214)."""
+    """Report chains in which only the root can move the tip (RIG214)."""
     for chain in rig.rig.chains:
         joints = _chain_joints(rig, chain)
         inner_joints = joints[1:-1]
@@ -322,7 +328,7 @@ def unbendable_chains(rig: RigSubject) -> Iterator[Fault]:
 
 
 def straight_chains(rig: RigSubject) -> Iterator[Fault]:
-    """Yield chains that are straight at rest and can bend in any direction (RIG215)."""
+    """Report chains that are straight at rest and can bend to any side (RIG215)."""
     positions, rotations = rig.rest
     for chain in rig.rig.chains:
         joints = _chain_joints(rig, chain)

@@ -24,7 +24,7 @@ from animtool.validation.subjects.scene import SceneSubject
 
 
 def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that would overwrite inputs (OUT003)."""
+    """Report outputs that would overwrite inputs (OUT003)."""
     scene = subject.scene
     read_files = {*subject.read_files, *scene.inputs, scene.path}
     for location, output in subject.outputs:
@@ -44,7 +44,7 @@ def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that another scene in the folder writes too (SCN204).
+    """Report outputs that another scene in the folder writes too (SCN204).
 
     Several takes of one library are no conflict.
     """
@@ -67,7 +67,7 @@ def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _library_take(scene: Path, bake: BakeOptions) -> str:
-    """Return the name of the library take that is written; "" for a complete file."""
+    """Return the name of the take that a bake adds to a library, else ""."""
     return take_name(bake, scene) if bake.form == "library" else ""
 
 
@@ -96,14 +96,14 @@ def _scene_outputs(
 
 
 def _take_options(output_entry: dict[str, Any]) -> BakeOptions:
-    """Return bake options with the take key and name of an output entry."""
+    """Return bake options with only the library form and take name of an output."""
     form = "library" if output_entry.get("as") == "library" else None
     take = output_entry.get("take")
     return BakeOptions(form=form, take=take if isinstance(take, str) else None)
 
 
 def outputs_without_folder(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs whose folder does not exist (SCN212)."""
+    """Report outputs whose folder does not exist (SCN212)."""
     for location, output in subject.outputs:
         folder = None if output.path is None else output.path.parent
         if folder is None or folder.is_dir():
@@ -115,7 +115,7 @@ def outputs_without_folder(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def unknown_tolerance_joints(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield tolerances of unknown joints (SCN207)."""
+    """Report tolerances of unknown joints (SCN207)."""
     for location, output in subject.outputs:
         tolerance_by_joint = dict(output.bake.reduce_at)
         try:
@@ -131,7 +131,7 @@ def unknown_tolerance_joints(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def missing_curves(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield curves to keep that do not exist (SCN208)."""
+    """Report curves to keep that do not exist (SCN208)."""
     for location, output in subject.outputs:
         if output.bake.keep_curves and not subject.has_control_curves:
             message = "there is no control whose curve could be kept"
@@ -152,7 +152,7 @@ _POSE_KEEPING_PASSES = frozenset({"root_motion"})
 
 
 def idle_passes(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield passes that leave the take unchanged (SCN201)."""
+    """Report passes that leave the take unchanged (SCN201)."""
     for i in subject.idle_passes:
         name = subject.scene.passes[i].pass_.name
         if name in _RESULT_PASSES:
@@ -163,14 +163,14 @@ def idle_passes(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def range_outside_take(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a range that extends beyond the take (SCN202)."""
+    """Report a range that extends beyond the take (SCN202)."""
     yield from _range_faults(
         subject, "SCN202", "extends beyond the take", is_fully_outside=False
     )
 
 
 def range_without_frames(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a frame range in which there is no frame to write (SCN211)."""
+    """Report a frame range in which there is no frame to write (SCN211)."""
     yield from _range_faults(
         subject, "SCN211", "contains no frame of the take", is_fully_outside=True
     )
@@ -213,7 +213,7 @@ def _output_start(subject: SceneSubject) -> Fraction | None:
 
 
 def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a rate slightly different from the take's (SCN205)."""
+    """Report a rate slightly different from the take's (SCN205)."""
     output_rate, source_rate = subject.scene.bake.fps, subject.take.clock.rate
     if output_rate is None or output_rate == source_rate:
         return
@@ -226,7 +226,7 @@ def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield passes that change poses after an `ik` pass reached its goals (SCN210)."""
+    """Report passes that change poses after an `ik` pass reached its goals (SCN210)."""
     ik_pass = ""
     for i, pass_entry in enumerate(subject.scene.passes):
         if i in subject.ik_input_takes:
@@ -252,7 +252,7 @@ def _changes_poses(pass_: Pass) -> bool:
 
 
 def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield props whose files have no frame of the take (SCN213)."""
+    """Report props whose files have no frame of the take (SCN213)."""
     take = subject.take
     if take.motion.track_times is None:
         return
@@ -273,7 +273,7 @@ def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def unused_variables(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield unused variables (SCN209)."""
+    """Report unused variables (SCN209)."""
     for name in sorted(subject.scene.idle_variables):
         message = f"no text of the scene uses ${{{name}}}"
         yield subject.fault("SCN209", ("variables", name), message, "remove it")

@@ -36,7 +36,7 @@ MAX_COMPARED_PAIRS = 1000
 
 @dataclass(frozen=True, eq=False)
 class TargetsSubject(DocumentSubject):
-    """A targets file and its rig."""
+    """A targets file that was read without a rig."""
 
     targets: TargetTracks  # its content, for an unknown rig
 
@@ -50,14 +50,14 @@ class TargetsSubject(DocumentSubject):
 
 
 def open_targets(document: Document) -> CheckedFile:
-    """Return the subject of a targets file."""
+    """Read a targets file for the rules; it is checked without a rig."""
     targets = targets_of_document(document, None)
     subject = TargetsSubject(document, targets)
     return CheckedFile(Kind.TARGETS, list(targets.notices), subject)
 
 
 def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield keys and spans outside the range of the file (TGT201)."""
+    """Report keys and spans outside the range of the file (TGT201)."""
     range_first, range_last = subject.targets.first, subject.targets.last
     if range_first is None or range_last is None:
         return
@@ -77,7 +77,7 @@ def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
 def _keys_outside(
     goal: GoalTrack, first: float, last: float
 ) -> Iterator[tuple[str, Sequence[float], bool]]:
-    """Yield the keys or spans of a goal that are outside a frame range."""
+    """Yield key name, times, and whether they are keys, outside a frame range."""
     for goal_kind, value in goal.values.items():
         if isinstance(value, Keyed):
             unused_keys = keys_without_effect(value.channel, first, last)
@@ -90,7 +90,7 @@ def _keys_outside(
 
 
 def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield goals that constrain an effector in the same way as another (TGT202)."""
+    """Report goals that constrain an effector in the same way as another (TGT202)."""
     goals = subject.targets.goals
     goals_of_effector: dict[tuple[object, ...], list[int]] = {}
     for i, goal in enumerate(goals):
@@ -152,7 +152,7 @@ def _equal_values(first: Value | None, second: Value | None) -> bool:
 
 
 def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield goal parts whose weight is 0 in all frames (TGT203)."""
+    """Report goal parts whose weight is 0 in all frames (TGT203)."""
     for i, goal in enumerate(subject.targets.goals):
         for kind_name, weight in goal.weights.items():
             match weight:
@@ -170,7 +170,7 @@ def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
 
 
 def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield hold spans without an active goal (TGT204)."""
+    """Report hold spans without an active goal (TGT204)."""
     for i, goal in enumerate(subject.targets.goals):
         for span in goal.spans:
             if not _spans_overlap([span], goal.during):
@@ -198,7 +198,7 @@ class _SampledTargets:
     targets: Targets  # sampled targets of the goals
 
     def points(self, goal_index: int) -> tuple[FloatArray, BoolArray]:
-        """Return a goal's target points ``(F, 3)``, and its active frames."""
+        """Return a goal's target points ``(F, 3)`` [m] and a mask of active frames."""
         weights = np.asarray(self.targets.weights)[:, goal_index, 0]
         is_active = (weights > 0) & (self.tracks.goals[goal_index].goal.position > 0)
         return np.asarray(self.targets.positions)[:, goal_index], np.asarray(is_active)
@@ -228,7 +228,7 @@ def _sampled_targets(subject: SceneSubject) -> tuple[_SampledTargets, ...]:
 
 
 def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield goals beyond the reach of the fully extended chain (TGT205)."""
+    """Report goals beyond the reach of the fully extended chain (TGT205)."""
     for sampled_targets in _sampled_targets(subject):
         rig, times = sampled_targets.take.rig, sampled_targets.take.clock.times
         goal_joints = _goal_joints(rig, sampled_targets.tracks.goals)
@@ -262,7 +262,7 @@ def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _goal_joints(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
-    """Return the joints that at least one goal may move."""
+    """Return the indices of joints, fixed ones excluded, that a goal may move."""
     goal_joints: set[int] = set()
     for track in goals:
         joint = rig.index(track.goal.joint)
@@ -321,7 +321,7 @@ def _chain_reach(
 
 
 def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield targets whose points would fit the rig in another length unit (TGT206)."""
+    """Report targets whose points would fit the rig in another length unit (TGT206)."""
     for sampled_targets in _sampled_targets(subject):
         rig, file_unit = sampled_targets.take.rig, sampled_targets.unit
         size = rest_size(rig)
@@ -357,7 +357,7 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield targets in frames outside the take (TGT207)."""
+    """Report targets in frames outside the take (TGT207)."""
     for sampled_targets in _sampled_targets(subject):
         times = sampled_targets.take.clock.times
         first_time, last_time = float(times[0]), float(times[-1])

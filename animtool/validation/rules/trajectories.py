@@ -35,7 +35,7 @@ BLOCK_FRAMES = 64
 
 @dataclass(frozen=True, eq=False)
 class MarkersSubject:
-    """Markers and their file."""
+    """Subject of the marker rules: the markers of a file."""
 
     path: Path  # the file
     markers: Markers  # all markers
@@ -43,12 +43,12 @@ class MarkersSubject:
     def fault(
         self, code: str, message: str, hint: str | None = None, where: str | None = None
     ) -> Fault:
-        """Return a fault of the file, or of a marker."""
+        """Return a fault of the file, or of the marker named by ``where``."""
         return Fault(code, message, str(self.path), (), hint, where=where)
 
 
 def open_trajectories(path: Path) -> CheckedFile:
-    """Return the subject of a C3D, TRC or npz marker file, with every frame read."""
+    """Read all frames of a C3D, TRC or npz marker file for the rules."""
     from animtool.formats.marker_files import open_markers
 
     markers = open_markers(path)
@@ -67,7 +67,7 @@ def open_coordinates(path: Path) -> CheckedFile:
 
 
 def missing_markers(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield labelled markers that are missing from a large part of frames (MKR201)."""
+    """Report labelled markers that are missing from a large part of frames (MKR201)."""
     markers = subject.markers
     missing_fractions = (1.0 - markers.visible.mean(axis=0)).tolist()
     missing_texts = [
@@ -86,7 +86,7 @@ def missing_markers(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield markers with spikes of a few frames (MKR202)."""
+    """Report markers with spikes of a few frames (MKR202)."""
     spikes = find_spikes(subject.markers)
     if spikes:
         largest = max(spikes, key=lambda spike: spike.size)
@@ -130,7 +130,7 @@ def implausible_extent(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def _frame_extents(positions: FloatArray, is_visible: BoolArray) -> FloatArray:
-    """Return the bounds diagonals of frames with three points or more."""
+    """Return the bounds diagonals of frames with three or more points ``(N,)`` [m]."""
     has_extent = is_visible.sum(axis=1) >= 3
     if not has_extent.any():
         return np.zeros(0)
@@ -142,7 +142,7 @@ def _frame_extents(positions: FloatArray, is_visible: BoolArray) -> FloatArray:
 
 
 def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield markers at equal positions in most frames (MKR205)."""
+    """Report markers at equal positions in most frames (MKR205)."""
     markers = subject.markers
     labelled_indices = [
         i for i, name in enumerate(markers.names) if not name.startswith("*")
@@ -174,7 +174,7 @@ def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def invisible_markers(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield markers without any frame (MKR206)."""
+    """Report markers without any frame (MKR206)."""
     markers = subject.markers
     visible_counts = markers.visible.sum(axis=0).tolist()
     never_visible = [

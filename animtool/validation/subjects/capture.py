@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TakeSubject:
-    """A take and its file."""
+    """Subject of capture rules: a BVH take, with the lines of its joints."""
 
     path: Path  # the file
     take: Take  # the full take
@@ -58,7 +58,7 @@ class TakeSubject:
 
 
 def open_bvh(path: Path) -> CheckedFile:
-    """Return the subject of a BVH file, with every row read."""
+    """Read a BVH file with all its rows, for BVH rules and motion rules."""
     take = open_source(path).collect()
     faults = [notice.in_file(path) for notice in take.notices]
     subject = TakeSubject(path, take)
@@ -67,12 +67,12 @@ def open_bvh(path: Path) -> CheckedFile:
 
 
 def open_livelink(path: Path) -> CheckedFile:
-    """Return the faults of a face recording."""
+    """Read a Live Link Face recording; only its reader reports faults."""
     return _open_with_notices(Kind.LIVELINK, path)[0]
 
 
 def open_take(path: Path) -> CheckedFile:
-    """Return a take of a format without format rules; motion rules apply."""
+    """Read a take in a format that has no rules of its own, for motion rules."""
     checked_file, stream, take = _open_with_notices(Kind.TAKE, path)
     has_units = "units" in stream.details
     motion = MotionSubject(take, fault_factory_at(path), has_units=has_units)
@@ -87,12 +87,12 @@ def _open_with_notices(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream,
 
 
 def open_urdf(path: Path) -> CheckedFile:
-    """Return the faults of a URDF file."""
+    """Read a URDF robot; only its reader reports faults."""
     return _read_robot(Kind.URDF, path)
 
 
 def open_mjcf(path: Path) -> CheckedFile:
-    """Return the faults of an MJCF file."""
+    """Read an MJCF robot; only its reader reports faults."""
     return _read_robot(Kind.MJCF, path)
 
 
@@ -102,7 +102,7 @@ def _read_robot(kind: Kind, path: Path) -> CheckedFile:
 
 
 def open_usd(path: Path) -> CheckedFile:
-    """Return the faults of a USD layer and its dependencies, and its takes."""
+    """Inspect a USD layer and its dependencies; motion rules check its takes."""
     from animtool.usd.checks import inspect_layer
 
     layer = inspect_layer(path)
@@ -112,7 +112,7 @@ def open_usd(path: Path) -> CheckedFile:
 
 
 def _layer_subject(path: Path, take: AnimationTake) -> MotionSubject:
-    """Return a take of a layer; its faults are located at its prim."""
+    """Return a layer's take for motion rules, with faults located at its prim."""
     return MotionSubject(
         take.take,
         fault_factory_at(path, take.path),

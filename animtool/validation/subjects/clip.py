@@ -31,7 +31,7 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 @dataclass(frozen=True, eq=False)
 class ClipSubject(DocumentSubject):
-    """A clip, its rig, and its file."""
+    """Subject of clip rules: a clip on its rig, and as a sampled take."""
 
     clip: Clip  # the clip of the file
     rig: Rig  # the rig it animates
@@ -40,7 +40,7 @@ class ClipSubject(DocumentSubject):
 
     @cached_property
     def time_codes(self) -> list[float]:
-        """Time code of each frame."""
+        """Time codes of the sampled take's frames."""
         return [float(time_code) for time_code in self.take.clock.times]
 
     def key_location(self, joint: str, frame: float) -> Location:
@@ -82,7 +82,7 @@ class ClipSubject(DocumentSubject):
 
 
 def open_clip_document(document: Document) -> CheckedFile:
-    """Return the subject of a clip file, on the rig that it names.
+    """Read a clip file and sample it on the rig that it names.
 
     Without a rig, everything that does not need one is checked, and a note says so.
     """

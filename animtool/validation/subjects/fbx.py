@@ -23,7 +23,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def open_fbx(path: Path) -> CheckedFile:
-    """Return the faults of an FBX file, and the takes of its characters."""
+    """Read an FBX file; motion rules check each take of each character."""
     record_input(path)
     scene = open_scene(path)
     faults: list[Fault] = []

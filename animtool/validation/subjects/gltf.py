@@ -43,7 +43,7 @@ SAMPLE_SPACING_TOLERANCE = 0.25
 
 
 def open_gltf(path: Path) -> CheckedFile:
-    """Return the faults of a glTF file, and the clips of its characters."""
+    """Read a glTF file; motion rules check each clip of each character."""
     record_input(path)
     gltf = open_document(path)
     faults: list[Fault] = []
@@ -114,7 +114,7 @@ def _trim_to_keys(
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
-    """Return a clip as a motion subject; faults are located at the clip."""
+    """Return a clip for motion rules, with faults located at ``where`` in the file."""
     skins = [
         mesh.skin for mesh in rig.meshes if mesh.skin and len(mesh.skin.joints) > 1
     ]

@@ -20,12 +20,12 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 @dataclass(frozen=True, eq=False)
 class RigSubject(DocumentSubject):
-    """A rig and its file."""
+    """Subject of rig rules: a rig, and the locations of its entries in the file."""
 
     rig: Rig  # the rig of the file
 
     def file_entries(self, key: str) -> list[Any]:
-        """Return a list of the file as written; empty if it is missing."""
+        """Return the entries of a list in the file as written; [] if it is missing."""
         entries = self.document.value.get(key)
         return entries if isinstance(entries, list) else []
 
@@ -97,7 +97,7 @@ class RigSubject(DocumentSubject):
 
 
 def open_rig(document: Document) -> CheckedFile:
-    """Return the subject of a rig file."""
+    """Read a rig file for the rules, with the notices of its reader."""
     from animtool.rig.file import parse_rig  # loads the models of a rig
 
     rig = parse_rig(document)

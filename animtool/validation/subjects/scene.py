@@ -34,7 +34,7 @@ REFUSED_CODE, OPTION_CODES = "SCN207", {"CLI002", "CLI004"}
 
 @dataclass(frozen=True, eq=False)
 class SceneSubject(DocumentSubject):
-    """A scene with its source and the result of its passes."""
+    """Subject of scene rules: a scene, and its take after all passes."""
 
     scene: Scene  # the scene of the file
     take: Take  # its source with all passes applied
@@ -79,7 +79,7 @@ class SceneSubject(DocumentSubject):
 def open_scene(
     document: Document, batch_values: SceneValues | None = None
 ) -> CheckedFile:
-    """Return the subject of a scene file; reads its source and runs its passes.
+    """Read a scene file and its source, run its passes, and plan its bake.
 
     ``batch_values``: values of its variables from a batch.
     """
@@ -124,7 +124,7 @@ def _planning_faults(scene: Scene, take: Take | None) -> list[Fault]:
 
 
 def _system_faults(scene: Scene, take: Take | None) -> list[Fault]:
-    """Return errors and warnings of initializing the systems."""
+    """Return errors and warnings of building the systems, without simulating them."""
     if not scene.systems:
         return []
     from animtool.scene.systems.run import SystemRun  # loads USD
@@ -141,7 +141,7 @@ def _system_faults(scene: Scene, take: Take | None) -> list[Fault]:
 
 
 def _simulated_seconds(scene: Scene, take: Take | None) -> float:
-    """Return the duration of the simulation [s]."""
+    """Return the duration of the take, or else of the frame range [s]; 0 if unknown."""
     if take is not None:
         return float(take.clock.duration)
     from animtool.scene.scene import DEFAULT_FPS
