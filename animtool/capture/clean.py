@@ -159,10 +159,8 @@ def bridge_gaps(
         rotations[is_known] = so3.align_signs(signal[is_known], signal[is_known][0])
         signal = rotations
     lowpass_filter = lowpass_rotations if is_rotation else lowpass
-    filtered_signal = lowpass_filter(
-        signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known
-    )
-    return np.where(is_known[:, None], signal, filtered_signal)
+    bridge_signal = lowpass_filter(signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known)
+    return np.where(is_known[:, None], signal, bridge_signal)
 
 
 def _find_spikes(
@@ -191,40 +189,23 @@ def _find_spikes(
 def _run_deviations(
     signal: FloatArray, max_length: int, *, is_rotation: bool
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Yield each run length, and the deviations of its runs from frame 2 on.
-
-    The deviation is the least of those from the frames before, the frames after, and
-    the line between them.
-    """
+    """Yield each run length, and the least deviations of its runs from frame 2 on."""
     for length in range(max_length, 0, -1):
-        run_count = len(signal) - length - 3
-        if run_count < 1:
+        count = len(signal) - length - 3
+        if count < 1:
             continue
-        shifted_signals = [signal[k : k + run_count] for k in range(length + 4)]
+        windows = [signal[k : k + count] for k in range(length + 4)]
         if is_rotation:  # sign flips after a spike are not rotation
-            aligned_pairs = (
-                (length + 2, 1),
-                (length + 3, length + 2),
-                (2, 1),
-                (length + 1, length + 2),
-            )
-            for k, reference in aligned_pairs:
-                shifted_signals[k] = so3.align_to(
-                    shifted_signals[k], shifted_signals[reference]
-                )
-        before, after = shifted_signals[1], shifted_signals[length + 2]
-        forward, backward = (
-            2 * before - shifted_signals[0],
-            2 * after - shifted_signals[length + 3],
-        )
+            last = length + 2
+            for k, reference in (last, 1), (last + 1, last), (2, 1), (last - 1, last):
+                windows[k] = so3.align_to(windows[k], windows[reference])
+        before, after = windows[1], windows[length + 2]
+        forward, backward = 2 * before - windows[0], 2 * after - windows[length + 3]
         step = (after - before) / (length + 1)
         sizes = []
         for difference, deviation in (
-            (shifted_signals[2] - forward, shifted_signals[2] - before - step),
-            (
-                shifted_signals[length + 1] - backward,
-                shifted_signals[length + 1] - after + step,
-            ),
+            (windows[2] - forward, windows[2] - before - step),
+            (windows[length + 1] - backward, windows[length + 1] - after + step),
         ):
             distance = np.linalg.norm(deviation, axis=-1)
             divisor = np.where(distance > 0, distance, 1)
@@ -239,14 +220,10 @@ def _roughness(signal: FloatArray) -> FloatArray:
         return np.zeros(len(signal))
     second_differences = np.linalg.norm(np.diff(signal, 2, axis=0), axis=-1)
     width = min(2 * ROUGHNESS_FRAMES + 1, len(second_differences))
-    difference_windows = np.lib.stride_tricks.sliding_window_view(
-        second_differences, width
-    )
+    windows = np.lib.stride_tricks.sliding_window_view(second_differences, width)
     window_indices = np.arange(len(signal)) - 1 - width // 2
     return np.asarray(
-        np.median(difference_windows, axis=-1)[
-            np.clip(window_indices, 0, len(difference_windows) - 1)
-        ]
+        np.median(windows, axis=-1)[np.clip(window_indices, 0, len(windows) - 1)]
     )
 
 
@@ -290,10 +267,10 @@ def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSig
     min_shift = MIN_SPIKE_SHIFT * rest_size(take.rig)
     translations = cleaner.clean_channel(motion.translations, min_shift)
     rotations = cleaner.clean_channel(motion.rotations, MIN_SPIKE_ROTATION)
-    continuous_rotations = so3.align_signs(
+    rotation_values = so3.align_signs(
         rotations.values, rotations.rest[rotations.animated]
     )
-    rotations = replace(rotations, values=continuous_rotations)
+    rotations = replace(rotations, values=rotation_values)
     motion = replace(motion, translations=translations, rotations=rotations)
     return replace(take, motion=motion), cleaner.signals
 
@@ -351,9 +328,8 @@ def _most_changed_signal(signals: list[CleanedSignal]) -> CleanedSignal | None:
     signals = [s for s in signals if s.is_rotation] or signals
     changed_signals = [s for s in signals if s.change > MOTION_NOISE_RATIO * s.noise]
     removed_power = sum(s.change**2 for s in changed_signals)
-    if not changed_signals or removed_power <= MAX_REMOVED_POWER * sum(
-        s.motion**2 for s in signals
-    ):
+    total_power = sum(s.motion**2 for s in signals)
+    if not changed_signals or removed_power <= MAX_REMOVED_POWER * total_power:
         return None
     return max(changed_signals, key=lambda s: s.max_change)
 
@@ -383,7 +359,7 @@ def noise_scores(frame_count: int, signals: list[CleanedSignal]) -> PassScores:
     )
     spike_frames = len({frame for s in signals for frame in s.spikes})
     rotation_noises = (s.noise for s in signals if s.is_rotation)
-    position_noises = (s.noise for s in signals if not s.is_rotation)
+    shift_noises = (s.noise for s in signals if not s.is_rotation)
     names = {
         "filtered": tuple(
             f"{s.name} at {s.cutoff:.3g} Hz, noise {s.text(s.noise)}"
@@ -394,10 +370,7 @@ def noise_scores(frame_count: int, signals: list[CleanedSignal]) -> PassScores:
     return PassScores(
         (
             Score(
-                "position noise",
-                max(position_noises, default=0.0),
-                ScoreUnit.LENGTH,
-                1e-3,
+                "position noise", max(shift_noises, default=0.0), ScoreUnit.LENGTH, 1e-3
             ),
             Score(
                 "rotation noise",

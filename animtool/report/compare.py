@@ -47,7 +47,7 @@ class ShapeDifference:
 
 
 def compare_weights(
-    first: Take, second: Take, frame_count: int
+    first: Take, second: Take, count: int
 ) -> tuple[ShapeDifference, int, list[str]]:
     """Compare the shape weights of two takes of equal rate; match shapes by name.
 
@@ -70,8 +70,7 @@ def compare_weights(
     mismatches = unmatched_texts("shape", *unmatched_names)
     first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
     difference = np.abs(
-        first_weights[:frame_count, first_columns]
-        - second_weights[:frame_count, second_columns]
+        first_weights[:count, first_columns] - second_weights[:count, second_columns]
     )
     if not difference.size:
         return ShapeDifference(), 0, mismatches
@@ -92,10 +91,8 @@ def unmatched_texts(
     for names, other_label in ((only_first, "second"), (only_second, "first")):
         if names:
             verb = "is" if len(names) == 1 else "are"
-            count_text = counted(len(names), noun)
-            texts.append(
-                f"{count_text} {verb} not in the {other_label}: {listed(names)}"
-            )
+            count = counted(len(names), noun)
+            texts.append(f"{count} {verb} not in the {other_label}: {listed(names)}")
     return texts
 
 
@@ -228,10 +225,8 @@ def _stream_difference(first: TakeStream, second: TakeStream) -> TakeDifference:
     units = first.rig.meters_per_unit, second.rig.meters_per_unit
     difference.notes.extend(space_notes((first.rig.up, second.rig.up), units))
     if None not in {first.start, second.start} and first.start != second.start:
-        codes_text = (
-            f"{float(first.start or 0):g} instead of {float(second.start or 0):g}"
-        )
-        difference.notes.append(f"first time code {codes_text}; compared from there")
+        codes = f"{float(first.start or 0):g} instead of {float(second.start or 0):g}"
+        difference.notes.append(f"first time code {codes}; compared from there")
     return difference
 
 
@@ -301,15 +296,11 @@ def _merged_difference(
     )
 
 
-def space_notes(
-    up_axes: tuple[UpAxis, UpAxis], units: tuple[float, float]
-) -> list[str]:
+def space_notes(ups: tuple[UpAxis, UpAxis], units: tuple[float, float]) -> list[str]:
     """Return a note if up axes or units [m] of two files differ."""
     notes = []
-    if up_axes[0] is not up_axes[1]:
-        notes.append(
-            f"{up_axes[0]} up instead of {up_axes[1]} up; compared with {up_axes[0]} up"
-        )
+    if ups[0] is not ups[1]:
+        notes.append(f"{ups[0]} up instead of {ups[1]} up; compared with {ups[0]} up")
     if not math.isclose(*units, rel_tol=1e-6):
         first, second = map(unit_name, units)
         notes.append(f"lengths in {first} instead of {second}; compared in metres")
@@ -326,9 +317,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     first_joints, second_joints = ([pair[side] for pair in pairs] for side in (0, 1))
     time_codes = first.clock.times
 
-    weight_difference, shape_count, missing_shapes = compare_weights(
-        first, second, frame_count
-    )
+    weight, shape_count, missing_shapes = compare_weights(first, second, frame_count)
 
     def find_largest(values: FloatArray) -> Difference:
         if not values.size:
@@ -356,7 +345,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         find_largest(np.linalg.norm(translation_offsets, axis=-1)),
         find_largest(np.degrees(rotation_angles)),
         find_largest(np.abs(scale_differences).max(axis=-1)),
-        weight_difference,
+        weight,
         frame_count,
         len(pairs),
         shape_count,

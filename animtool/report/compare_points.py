@@ -88,9 +88,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         [name for name in source_b.names if name not in source_a.names],
     )
     common_names = [name for name in source_a.names if name in source_b.names]
-    largest_differences = dict.fromkeys(
-        ("points", "orientations", "scales"), PointDifference()
-    )
+    largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
     sample_count, size = 0, 0.0
     for name in common_names:
         time_codes = source_a.codes(name), source_b.codes(name)
@@ -109,23 +107,15 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
                 break
             for quantity, (values, ids) in _distances(*samples).items():
                 worst_index = int(np.argmax(values)) if len(values) else 0
-                if (
-                    len(values)
-                    and values[worst_index] > largest_differences[quantity].value
-                ):
-                    difference, point = (
-                        float(values[worst_index]),
-                        int(ids[worst_index]),
-                    )
-                    largest_differences[quantity] = PointDifference(
-                        difference, name, point, code
-                    )
+                if len(values) and values[worst_index] > largest[quantity].value:
+                    worst, point = (float(values[worst_index]), int(ids[worst_index]))
+                    largest[quantity] = PointDifference(worst, name, point, code)
     if source_a.fps != source_b.fps:
         rates_text = f"{source_a.fps} time codes per second instead of {source_b.fps}"
         mismatches.append(rates_text)
     return PointsDifference(
         "points",
-        **largest_differences,
+        **largest,
         prims=len(common_names),
         samples=sample_count,
         mismatches=mismatches,
@@ -236,10 +226,8 @@ def _start_notes(
     source_a: PointSource, source_b: PointSource, names: list[str]
 ) -> list[str]:
     """Return a note if the samples of any prim start at different time codes."""
-    first_codes = [
-        (source_a.codes(name)[:1], source_b.codes(name)[:1]) for name in names
-    ]
-    for first_start, second_start in first_codes:
+    starts = [(source_a.codes(name)[:1], source_b.codes(name)[:1]) for name in names]
+    for first_start, second_start in starts:
         if first_start and second_start and first_start != second_start:
             codes_text = f"{first_start[0]:g} instead of {second_start[0]:g}"
             return [f"first time code {codes_text}; compared from there"]

@@ -92,19 +92,14 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
 
 
 def _describe_mesh(surface: Surface) -> MeshDescription:
-    name, point_count, face_count = (
-        surface.name,
-        len(surface.points),
-        len(surface.counts),
-    )
     method, joint_count, max_influences = None, 0, 0
     if surface.skin is not None:
         method, joint_count = surface.skin.method, len(surface.skin.joints)
         max_influences = int((surface.skin.weights > 0).sum(axis=1).max(initial=0))
-    shape_count = len(surface.shapes)
     return MeshDescription(
-        name, point_count, face_count, method, joint_count, max_influences, shape_count
-    )
+        surface.name, len(surface.points), len(surface.counts),
+        method, joint_count, max_influences, len(surface.shapes),
+    )  # fmt: skip
 
 
 def _driver_formulas(rig: Rig) -> list[str]:
@@ -159,12 +154,10 @@ def describe_targets(path: Path) -> TargetsDescription:
     """
     tracks = load_targets(path)
     clock = tracks.clock
-    goal_kinds = [
-        tuple(kind.name for kind in track.goal.kinds) for track in tracks.goals
-    ]
+    kinds = [tuple(kind.name for kind in track.goal.kinds) for track in tracks.goals]
     goals = tuple(
         GoalDescription(track.name, names, track.spans)
-        for track, names in zip(tracks.goals, goal_kinds, strict=True)
+        for track, names in zip(tracks.goals, kinds, strict=True)
     )
     return TargetsDescription(
         path,

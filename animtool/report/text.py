@@ -201,34 +201,23 @@ class _Renderer:
             [self.fill_template((entry, *scope), cell) or "" for cell in templates]
             for entry in self._entries(scope, table.name)
         ]
-        column_of_header = {
+        shown_columns = {
             header: i
             for i, header in enumerate(table.columns)
             if header not in table.optional or any(row[i] for row in cells)
         }
-        rows = [[header.strip() for header in column_of_header]]
-        rows += [[row[i] for i in column_of_header.values()] for row in cells]
-        return rows, {
-            i for i, name in enumerate(column_of_header) if name in table.left
-        }
+        rows = [[header.strip() for header in shown_columns]]
+        rows += [[row[i] for i in shown_columns.values()] for row in cells]
+        return rows, {i for i, name in enumerate(shown_columns) if name in table.left}
 
     def fill_template(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
         """Return the text of template nodes; None if a required field is missing."""
         texts = []
         for node in nodes:
             if isinstance(node, _Alternatives):
-                alternative_texts = (
-                    self.fill_template(scope, alternative) for alternative in node.parts
-                )
+                part_texts = (self.fill_template(scope, part) for part in node.parts)
                 texts.append(
-                    next(
-                        (
-                            alternative
-                            for alternative in alternative_texts
-                            if alternative is not None
-                        ),
-                        "",
-                    )
+                    next((part for part in part_texts if part is not None), "")
                 )
                 continue
             text = node if isinstance(node, str) else self._field_text(scope, node)
@@ -242,18 +231,16 @@ class _Renderer:
         value = _value(scope, node.name)
         if node.test:
             return "" if bool(value) is (node.test == "?") else None
-        format_spec = ""
+        width = ""
         for spec in node.spec.split(" | "):
             if value is None or (hasattr(value, "__len__") and not len(value)):
                 return None
             printer_name, *arguments = spec.split(" ")
             if printer_name not in self.printers:
                 return format(value, spec)
-            format_spec = (
-                arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
-            )
+            width = arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
             value = self.printers[printer_name](value, *arguments)
-        return format(value, format_spec) or None
+        return format(value, width) or None
 
 
 def aligned_lines(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
@@ -290,13 +277,13 @@ _TOKEN = re.compile(r"\{([?!]?)([\w.]+)(?::([^{}]*))?\}|([\[|\]])|([^{}\[|\]]+)"
 
 @cache
 def _parse_template(template: str) -> tuple[_Node, ...]:
-    return _parse_alternatives(
-        template, iter(_TOKEN.finditer(template)), is_top_level=True
-    )[0]
+    return _parse_alternatives(template, iter(_TOKEN.finditer(template)), is_top=True)[
+        0
+    ]
 
 
 def _parse_alternatives(
-    template: str, tokens: Iterator[re.Match[str]], *, is_top_level: bool = False
+    template: str, tokens: Iterator[re.Match[str]], *, is_top: bool = False
 ) -> tuple[tuple[_Node, ...], ...]:
     """Parse tokens up to a closing bracket into alternatives, separated by bars."""
     alternatives: list[list[_Node]] = [[]]
@@ -310,9 +297,9 @@ def _parse_alternatives(
             alternatives[-1].append(
                 _Alternatives(_parse_alternatives(template, tokens))
             )
-        elif bracket == "|" and not is_top_level:
+        elif bracket == "|" and not is_top:
             alternatives.append([])
-        elif bracket == "]" and not is_top_level:
+        elif bracket == "]" and not is_top:
             break
         else:
             alternatives[-1].append(bracket)

@@ -29,19 +29,15 @@ def length_warnings(tolerance: float, largest: float, size: float) -> list[Fault
     if not LENGTH_TOLERANCE < largest <= tolerance:
         return []
     setting = f"{argument('tolerance')} {length_text(tolerance)}"
-    explanation = f"all that is compared measures {length_text(size)}"
+    reason = f"all that is compared measures {length_text(size)}"
     hint = f"a number alone is in metres: for millimetres write {tolerance:g}mm"
-    return [
-        _hidden_difference_warning(setting, length_text(largest), explanation, hint)
-    ]
+    return [_hiding_warning(setting, length_text(largest), reason, hint)]
 
 
-def _hidden_difference_warning(
-    setting: str, largest: str, explanation: str, hint: str
-) -> Fault:
+def _hiding_warning(setting: str, largest: str, reason: str, hint: str) -> Fault:
     """Return a warning about a tolerance that hides every difference (CLI107)."""
     message = (
-        f"{setting} hides every difference: the largest is {largest}, and {explanation}"
+        f"{setting} hides every difference: the largest is {largest}, and {reason}"
     )
     return warning("CLI107", message, hint)
 
@@ -52,8 +48,8 @@ def angle_warnings(tolerance: float, largest: float) -> list[Fault]:
         return []
     setting = f"{argument('angle_tolerance')} {tolerance:g}"
     hint = "use a smaller angle, or inf to ignore rotations"
-    explanation = "no rotation differs by more than 180°"
-    return [_hidden_difference_warning(setting, f"{largest:.3g}°", explanation, hint)]
+    reason = "no rotation differs by more than 180°"
+    return [_hiding_warning(setting, f"{largest:.3g}°", reason, hint)]
 
 
 def weight_warnings(tolerance: float, largest: float) -> list[Fault]:
@@ -64,8 +60,4 @@ def weight_warnings(tolerance: float, largest: float) -> list[Fault]:
         return []
     setting = f"{argument('weight_tolerance')} {tolerance:g}"
     hint = f"{percent_hint(tolerance)}, or inf to ignore weights"
-    return [
-        _hidden_difference_warning(
-            setting, f"{largest:.3g}", "weights are from 0 to 1", hint
-        )
-    ]
+    return [_hiding_warning(setting, f"{largest:.3g}", "weights are from 0 to 1", hint)]

@@ -196,27 +196,21 @@ def validate_files(
     options = (options or ValidateOptions()).with_profile_levels()
     check_codes(options)
     files = tuple(dict.fromkeys(files))
-    sample_by_folder = {path.parent: path for path in files}
-    options_by_folder = {
-        folder: settings_of(path) for folder, path in sample_by_folder.items()
-    }
-    options_by_file = [
-        options.merged_over(options_by_folder[path.parent]) for path in files
-    ]
+    samples = {path.parent: path for path in files}
+    folder_options = {folder: settings_of(path) for folder, path in samples.items()}
+    file_options = [options.merged_over(folder_options[path.parent]) for path in files]
     _, failed_rules = all_rules()
     values_by_scene = values_of_batches(files)
-    values_by_file = [
+    file_values = [
         values_by_scene.get(path.resolve()) if values_by_scene else None
         for path in files
     ]
     faults_by_file = _findings_of_files(
-        files, options_by_file, values_by_file, _process_count(options.jobs, len(files))
+        files, file_options, file_values, _process_count(options.jobs, len(files))
     )
-    name_by_path = {path.resolve(): str(path) for path in files}
+    names = {path.resolve(): str(path) for path in files}
     findings = {
-        _with_file_name(fault, name_by_path)
-        for faults in faults_by_file
-        for fault in faults
+        _with_file_name(fault, names) for faults in faults_by_file for fault in faults
     }
     return Report(files, tuple(sorted(findings, key=_sort_key)), failed_rules)
 
@@ -229,27 +223,23 @@ def _process_count(jobs: int | None, file_count: int) -> int:
 
 def _findings_of_files(
     files: Sequence[Path],
-    options_by_file: Sequence[ValidateOptions],
-    values_by_file: Sequence[SceneValues | None],
+    file_options: Sequence[ValidateOptions],
+    file_values: Sequence[SceneValues | None],
     process_count: int,
 ) -> Iterator[list[Fault]]:
-    faults_by_file = None
+    faults = None
     # Which file crashed before is known only in this process.
     if process_count > 1 and not has_crashed():
-        faults_by_file = _findings_in_processes(
-            files, options_by_file, values_by_file, process_count
-        )
+        faults = _findings_in_processes(files, file_options, file_values, process_count)
     yield from (
-        map(_check_file, files, options_by_file, values_by_file)
-        if faults_by_file is None
-        else faults_by_file
+        map(_check_file, files, file_options, file_values) if faults is None else faults
     )
 
 
 def _findings_in_processes(
     files: Sequence[Path],
-    options_by_file: Sequence[ValidateOptions],
-    values_by_file: Sequence[SceneValues | None],
+    file_options: Sequence[ValidateOptions],
+    file_values: Sequence[SceneValues | None],
     process_count: int,
 ) -> list[list[Fault]] | None:
     """Validate files in several processes; return the reported findings of each file.
@@ -268,8 +258,8 @@ def _findings_in_processes(
                 faults_by_file = pool.map(
                     _check_file,
                     files,
-                    options_by_file,
-                    values_by_file,
+                    file_options,
+                    file_values,
                     chunksize=FILES_PER_CHUNK,
                 )
             return list(faults_by_file)
@@ -377,9 +367,9 @@ def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
         return [Fault("VAL003", message, path, (), hint)]
 
 
-def _with_file_name(fault: Fault, name_by_path: dict[Path, str]) -> Fault:
+def _with_file_name(fault: Fault, names: dict[Path, str]) -> Fault:
     """Return a finding with its path spelled as the user did, or relative."""
-    if fault.path is None or fault.path in name_by_path.values():
+    if fault.path is None or fault.path in names.values():
         return fault
     try:
         path = Path(fault.path).resolve()
@@ -389,7 +379,7 @@ def _with_file_name(fault: Fault, name_by_path: dict[Path, str]) -> Fault:
     shown_path = path
     if path.is_relative_to(working_folder):
         shown_path = path.relative_to(working_folder)
-    return replace(fault, path=name_by_path.get(path, str(shown_path)))
+    return replace(fault, path=names.get(path, str(shown_path)))
 
 
 def _sort_key(fault: Fault) -> tuple[object, ...]:

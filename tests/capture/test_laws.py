@@ -75,7 +75,7 @@ from animtool.capture.markers.predict import (
 from animtool.capture.markers.runs import TrackletLabels, _merge_known_distances
 from animtool.capture.markers.spikes import (
     _is_one_sided,
-    _local_noise_levels,
+    _local_noise,
     _noise_model,
     _span_deviations,
 )
@@ -562,7 +562,7 @@ def test_runs_are_named_by_distances_and_ghosts_are_not(
     positions = np.concatenate([body, ghost], axis=1)
     own = TrackletLabels(positions, runs, 100.0, np.array([*given, -1]), rest)
     own.name_runs()
-    assert own.marker_of_run.tolist() == [*wanted, 5]
+    assert own.run_markers.tolist() == [*wanted, 5]
     assert_array_equal(own.marker_paths()[:, :6], body)
 
 
@@ -674,7 +674,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     seen[10:20] = False
     found = _is_one_sided(seen, np.array([0, 5, 20, 22, 33, 39]), 1).tolist()
     assert found == [True, False, True, False, False, True]
-    level = _local_noise_levels(
+    level = _local_noise(
         np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100
     )
     assert (level[0], level[99]) == (1, pytest.approx(10))
@@ -929,10 +929,10 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
     solved: list[tuple[int, int]] = []
     run: Any = SimpleNamespace(
         observations=SimpleNamespace(clock=SimpleNamespace(rate=Fraction(25))),
-        is_active_camera=np.ones((6, 3), bool),
+        is_active=np.ones((6, 3), bool),
         shifts=[[], [], [PoseShift(4, 6, 0.5)]],
         view_count=9,
-        tallies=SimpleNamespace(of_triangulated=0, rejected=0),
+        counts=SimpleNamespace(tested=0, rejected=0),
         options=TriangulateOptions(keep_moved=keep),
         _mark_kept_ranges=lambda _, ranges: ranges,
         _with_pose_change=lambda _, each: each,
@@ -942,7 +942,7 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
     active = np.ones((6, 3), bool)
     if not keep:
         active[2:4, 1] = active[:3, 0] = active[5, 0] = False
-    assert_array_equal(run.is_active_camera, active)
+    assert_array_equal(run.is_active, active)
     assert solved == ([] if keep else [(2, 4), (0, 3), (5, 6)])
     checked = np.ones((6, 3), bool)
     checked[4:, 2] = False

@@ -50,7 +50,7 @@ from animtool.capture.face.poses import interpolate_poses
 from animtool.capture.face.solve import (
     _check_landmarks,
     _notices,
-    _select_solved_shapes,
+    _merge_shapes,
 )
 from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
 from animtool.capture.options import FillOptions, SolveOptions, TriangulateOptions
@@ -87,7 +87,7 @@ def test_tallies_become_errors() -> None:
     assert (none.observed, none.outliers) == (0, 0)
     assert np.isnan([none.error_px, none.error_mm]).all()
     assert own.reprojection_errors() == pytest.approx((2, 200))
-    assert (own.used[1, 0], own.of_triangulated[0, 0], own.rejected[0, 0]) == (2, 9, 1)
+    assert (own.used[1, 0], own.tested[0, 0], own.rejected[0, 0]) == (2, 9, 1)
 
 
 @pytest.mark.parametrize(
@@ -330,7 +330,7 @@ def test_faces_of_other_sizes_and_numbers_are_refused() -> None:
         with pytest.raises(OptionError) as error:
             _check_landmarks(own, observed, camera)
         assert error.value.code == code
-    kept, share = _select_solved_shapes(own, own.shapes_with_motion())
+    kept, share = _merge_shapes(own, own.shapes_with_motion())
     assert (kept.tolist(), share.tolist()) == ([True, False, True], [0, 0, 2])
     three = FaceModel(tuple("abc"), ("X",), POINTS[:3], np.ones((1, 3, 3)))
     with pytest.raises(OptionError):

@@ -29,9 +29,7 @@ class Convention:
 
     is_w_last: bool = False  # quaternions are [x, y, z, w]
     is_transposed: bool = False  # the rotation is from the camera to the world
-    is_camera_position: bool = (
-        False  # the translation is the camera's position in the world
-    )
+    is_camera_position: bool = False  # the translation is the camera's position
     has_opengl_axes: bool = False  # the camera looks along -z with y up
 
     def convert(self, camera: Camera) -> Camera:
@@ -54,34 +52,30 @@ class Convention:
     @property
     def description_and_remedy(self) -> tuple[str, str]:
         """Text of the difference, and of how to correct the file, for messages."""
-        differences, remedies = [], []
+        problems, remedies = [], []
         if self.is_w_last:
-            differences.append("quaternions are [x, y, z, w]")
+            problems.append("quaternions are [x, y, z, w]")
             remedies.append("write [w, x, y, z]")
         if self.is_transposed and self.is_camera_position:
-            differences.append("poses place the camera in the world")
+            problems.append("poses place the camera in the world")
             remedies.append("invert the poses")
         elif self.is_transposed:
-            differences.append("rotations are from the camera to the world")
+            problems.append("rotations are from the camera to the world")
             remedies.append("transpose the rotations")
         elif self.is_camera_position:
-            differences.append("translations are positions of the cameras")
+            problems.append("translations are positions of the cameras")
             remedies.append("write -R * position as translation")
         if self.has_opengl_axes:
-            differences.append(
-                "cameras look along -z with y up, as in Blender and OpenGL"
-            )
+            problems.append("cameras look along -z with y up, as in Blender and OpenGL")
             remedies.append("negate the y and z axes of the cameras")
-        return " and ".join(differences), ", ".join(remedies)
+        return " and ".join(problems), ", ".join(remedies)
 
 
 # The simplest first.
-CONVENTIONS = sorted(
-    (Convention(*flags) for flags in itertools.product((False, True), repeat=4)),
-    key=lambda c: (
-        c.is_w_last + c.is_transposed + c.is_camera_position + c.has_opengl_axes
-    ),
-)[1:]
+CONVENTIONS = [
+    Convention(*flags)
+    for flags in sorted(itertools.product((False, True), repeat=4), key=sum)
+][1:]
 
 
 def better_convention(

@@ -24,7 +24,7 @@ from animtool.core.record import dataclass
 # Points for the noise estimate: enough for a few percent.
 NOISE_SAMPLE_POINTS = 1500
 # Points at which all pairs of cameras are compared.
-PAIRWISE_SAMPLE_POINTS = 400
+PAIRWISE_POINTS = 400
 # Median length of a vector of two normal numbers of deviation 1: sqrt(2 ln 2).
 MEDIAN_LENGTH_2D = 1.1774100225154747
 # Expected least median of residuals over pairs of rays, relative to the noise, by the
@@ -38,7 +38,7 @@ SIMILAR_NOISE = 1.5
 _MAX_NOISE_RATIO = 3.0
 # A camera whose noise is this many times that of all may be stale.
 _SUSPECT_NOISE_RATIO = 1.1
-_MAX_SUSPECT_CAMERAS = 4
+_MAX_SUSPECTS = 4
 # Minimum fraction of triangulated points for cameras to agree [1].
 MIN_TRIANGULATED = 0.5
 _NOISE_ROUNDS = 2
@@ -74,16 +74,14 @@ def measure_noise(
     confidences = observations.confidences_of(0, frame_count, frame_step)
     kernel_cameras = camera_parameters(cameras)
     noise = np.full(view_count, initial_noise(pixels, kernel_cameras))
-    is_active_camera = np.ones(pixels.shape[:2], bool)
+    is_active = np.ones(pixels.shape[:2], bool)
     pose_changes: dict[int, PoseChange] = {}
-    gate_and_condition = (gate, max_condition)
+    limits = (gate, max_condition)
     triangulate = partial(
         _kernels.triangulate_points, pixels, confidences, kernel_cameras
     )
     for round_ in range(_NOISE_ROUNDS + view_count):
-        *_, residuals, states = triangulate(
-            is_active_camera, noise, *gate_and_condition, detailed=True
-        )
+        *_, residuals, states = triangulate(is_active, noise, *limits, detailed=True)
         residual_lengths = _residual_lengths(residuals)
         if confidences is not None:
             residual_lengths = residual_lengths * np.sqrt(np.maximum(confidences, 0))
@@ -94,43 +92,31 @@ def measure_noise(
         median_noise = (
             np.nanmedian(camera_noises) if np.isfinite(camera_noises).any() else 1.0
         )
-        noise_ratios = np.nan_to_num(camera_noises / median_noise, nan=1.0)
-        noise = np.maximum(pooled_noise * _noise_factors(noise_ratios), MIN_NOISE)
+        ratios = np.nan_to_num(camera_noises / median_noise, nan=1.0)
+        noise = np.maximum(pooled_noise * _noise_factors(ratios), MIN_NOISE)
         stale_fit = _find_stale_camera(
-            cameras,
-            pixels,
-            confidences,
-            noise,
-            is_active_camera,
-            noise_ratios,
-            gate_and_condition,
+            cameras, pixels, confidences, noise, is_active, ratios, limits
         )
         if stale_fit is not None:
             stale_camera, pose_changes[stale_camera] = stale_fit
-            is_active_camera[:, stale_camera] = False
-            is_active = is_active_camera[0]
-            noise[:] = initial_noise(pixels[:, is_active], kernel_cameras[is_active])
+            is_active[:, stale_camera] = False
+            is_kept = is_active[0]
+            noise[:] = initial_noise(pixels[:, is_kept], kernel_cameras[is_kept])
         elif round_ >= _NOISE_ROUNDS - 1:
             break
-    points, *_ = triangulate(
-        is_active_camera, noise, *gate_and_condition, detailed=False
-    )
-    view_counts = (np.isfinite(pixels).all(axis=-1) & is_active_camera[..., None]).sum(
-        axis=1
-    )
+    points, *_ = triangulate(is_active, noise, *limits, detailed=False)
+    view_counts = (np.isfinite(pixels).all(axis=-1) & is_active[..., None]).sum(axis=1)
     triangulated_count = int(np.isfinite(points[..., 0]).sum())
     if triangulated_count < MIN_TRIANGULATED * (view_counts > 1).sum():
         # If no two cameras agree, or any two do, all are pooled.
-        pose_changes, is_active_camera = {}, np.ones_like(is_active_camera)
+        pose_changes, is_active = {}, np.ones_like(is_active)
         *_, residuals, states = triangulate(
-            is_active_camera, noise, _UNLIMITED_GATE, max_condition, detailed=True
+            is_active, noise, _UNLIMITED_GATE, max_condition, detailed=True
         )
-        overall_noise = _pooled_noise(
-            _residual_lengths(residuals), states == USED_STATE
-        )
-        noise[:] = noise if overall_noise is None else max(overall_noise, MIN_NOISE)
+        total_noise = _pooled_noise(_residual_lengths(residuals), states == USED_STATE)
+        noise[:] = noise if total_noise is None else max(total_noise, MIN_NOISE)
         return ObservationNoise(noise, pose_changes, do_cameras_agree=False)
-    noise[list(pose_changes)] = np.median(noise[is_active_camera[0]])
+    noise[list(pose_changes)] = np.median(noise[is_active[0]])
     return ObservationNoise(noise, pose_changes)
 
 
@@ -161,37 +147,32 @@ def _find_stale_camera(
     pixels: FloatArray,
     confidences: FloatArray | None,
     noise: FloatArray,
-    is_active_camera: BoolArray,
-    noise_ratios: FloatArray,
-    gate_and_condition: tuple[float, float],
+    is_active: BoolArray,
+    ratios: FloatArray,
+    limits: tuple[float, float],
 ) -> tuple[int, PoseChange] | None:
     """Return the index of the likeliest stale camera and its pose change, or None.
 
     It is the one without which the others agree best. Only one is returned, since a
     stale camera makes others look worse.
     """
-    if is_active_camera[0].sum() < 3:
+    if is_active[0].sum() < 3:
         return None
-    suspect_cameras = np.argsort(-noise_ratios, kind="stable")
+    suspect_cameras = np.argsort(-ratios, kind="stable")
     stale_fits: list[tuple[float, int, PoseChange]] = []
-    for camera in suspect_cameras[:_MAX_SUSPECT_CAMERAS].tolist():
-        if (
-            not is_active_camera[0, camera]
-            or noise_ratios[camera] < _SUSPECT_NOISE_RATIO
-        ):
+    for camera in suspect_cameras[:_MAX_SUSPECTS].tolist():
+        if not is_active[0, camera] or ratios[camera] < _SUSPECT_NOISE_RATIO:
             continue
-        is_other_camera = is_active_camera.copy()
+        is_other_camera = is_active.copy()
         is_other_camera[:, camera] = False
-        points, point_errors, *_ = _kernels.triangulate_points(
+        points, errors, *_ = _kernels.triangulate_points(
             pixels, confidences, camera_parameters(cameras), is_other_camera, noise,
-            *gate_and_condition, detailed=False,
+            *limits, detailed=False,
         )  # fmt: skip
         others = [*cameras[:camera], *cameras[camera + 1 :]]
         change = fit_pose_change(cameras[camera], points, pixels[:, camera], others)
         if change is not None:
-            stale_fits.append(
-                (float(np.nanmedian(point_errors[..., 0])), camera, change)
-            )
+            stale_fits.append((float(np.nanmedian(errors[..., 0])), camera, change))
     if not stale_fits:
         return None
     _, camera, change = min(stale_fits, key=lambda camera_change: camera_change[:2])
@@ -200,9 +181,7 @@ def _find_stale_camera(
 
 def initial_noise(pixels: FloatArray, kernel_cameras: FloatArray) -> float:
     """Estimate the noise by least median of squares over camera pairs [px]."""
-    pixels = pixels[
-        :: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_SAMPLE_POINTS)
-    ]
+    pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_POINTS)]
     view_counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
     pixels = np.ascontiguousarray(pixels)
     least_medians = _kernels.least_median_residuals(pixels, kernel_cameras)

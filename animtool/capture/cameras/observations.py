@@ -28,12 +28,12 @@ from animtool.documents.arrays import Archives
 # points.
 _PIXEL_ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
 # Hint for a file that has no observations.
-NPZ_LAYOUT_HINT = (
+LAYOUT_HINT = (
     "write uv (frames, cameras, markers, 2) in pixels, fs and marker_names with "
     f"numpy.savez, then: animtool mocap triangulate take.npz {flag('cameras')} "
     "stage.cameras.yaml -o markers.npz"
 )
-_POSITIONS_MESSAGE = "holds positions of markers"
+_POSITIONS_TEXT = "holds positions of markers"
 # Bytes read to identify another file type.
 SIGNATURE_BYTES = 4096
 # Valid rates of a capture [Hz].
@@ -138,33 +138,27 @@ def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
         return "the file is empty", "export or copy it again"
     if first_bytes[:2] == b"PK":
         is_damaged = message.startswith("is incomplete")
-        hint = (
-            _solve_hint(path)
-            if message.startswith(_POSITIONS_MESSAGE)
-            else NPZ_LAYOUT_HINT
-        )
+        hint = _solve_hint(path) if message.startswith(_POSITIONS_TEXT) else LAYOUT_HINT
         return message, None if is_damaged else hint
     signature = signature_of(first_bytes)
     if signature is not None and signature.suffixes[:1] in {(".c3d",), (".trc",)}:
         return f"is {signature.format_name}, not pixels of cameras", _solve_hint(path)
     text = first_bytes.lstrip(b"\xef\xbb\xbf \r\n\t")
     if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
-        return "is not an npz file of pixels", NPZ_LAYOUT_HINT
-    description = (
-        "is a JSON file; observations are an npz file of pixels, or a folder of "
-    )
-    description += "OpenPose keypoints"
+        return "is not an npz file of pixels", LAYOUT_HINT
+    problem = "is a JSON file; observations are an npz file of pixels, or a folder of "
+    problem += "OpenPose keypoints"
     if b'"people"' in text:
         hint = "pass the folder that contains one folder of such files per camera: "
         hint += (
             f"animtool mocap triangulate pose/ {flag('cameras', 'calib.toml')} "
             f"{flag('fps', '60')} "
         )
-        return description, hint + "-o people.npz"
+        return problem, hint + "-o people.npz"
     if any(key in text for key in (b'"cameras"', b'"camera_matrix"', b'"K"')):
-        description = "holds cameras, not observations; pass it as "
-        description += f"{argument('cameras', path.name)}"
-    return description, NPZ_LAYOUT_HINT
+        problem = "holds cameras, not observations; pass it as "
+        problem += f"{argument('cameras', path.name)}"
+    return problem, LAYOUT_HINT
 
 
 def _read_arrays(
@@ -174,24 +168,22 @@ def _read_arrays(
     array_names = archives.names(path)
     key = next((name for name in _PIXEL_ARRAYS if name in array_names), None)
     if key is None:
-        arrays_text = listed(array_names) or "nothing"
+        arrays = listed(array_names) or "nothing"
         if any(re.match(r"markers(_|$)", name) for name in array_names):
-            raise ValueError(
-                f"{_POSITIONS_MESSAGE}, not pixels; its arrays are {arrays_text}"
-            )
+            raise ValueError(f"{_POSITIONS_TEXT}, not pixels; its arrays are {arrays}")
         message = "has no array 'uv' or 'uv8' of pixels; its arrays are "
-        raise ValueError(f"{message}{arrays_text}")
+        raise ValueError(f"{message}{arrays}")
     unit, missing = _PIXEL_ARRAYS[key]
     header = archives.header(path, key)
     if len(header.shape) != 4 or header.shape[3] != 2:
         message = f"{key!r} has shape {header.shape}, not (frames, cameras, markers, 2)"
         raise ValueError(message)
-    frame_count, camera_count, marker_count, _ = header.shape
-    if not (frame_count and camera_count and marker_count):
+    frame_count, view_count, marker_count, _ = header.shape
+    if not (frame_count and view_count and marker_count):
         raise ValueError(f"{key!r} has shape {header.shape}: it is empty")
-    if camera_count > MAX_CAMERAS:
+    if view_count > MAX_CAMERAS:
         raise ValueError(
-            f"{key!r} has {camera_count} cameras; the limit is {MAX_CAMERAS}"
+            f"{key!r} has {view_count} cameras; the limit is {MAX_CAMERAS}"
         )
     if (header.kind == "f") != (key == "uv"):
         dtype_text = "floats" if key == "uv" else "whole numbers"
@@ -207,7 +199,7 @@ def _read_arrays(
     cameras = texts["camera_names"]
     name_counts = (
         ("marker_names", len(names), marker_count),
-        ("camera_names", len(cameras), camera_count),
+        ("camera_names", len(cameras), view_count),
     )
     for label, name_count, expected_count in name_counts:
         if name_count not in {expected_count, 0}:
@@ -217,10 +209,10 @@ def _read_arrays(
     confidences = None
     if "confidence" in array_names:
         confidences = archives.load(path, "confidence")
-        if confidences.shape != (frame_count, camera_count, marker_count):
+        if confidences.shape != (frame_count, view_count, marker_count):
             message = f"'confidence' has shape {confidences.shape}"
             raise ValueError(
-                f"{message}, not {(frame_count, camera_count, marker_count)}"
+                f"{message}, not {(frame_count, view_count, marker_count)}"
             )
     clock = Clock(rate, Fraction(1), Fraction(1), frame_count)
     return Observations(

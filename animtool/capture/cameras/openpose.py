@@ -84,13 +84,13 @@ def track_people(
     max_lost_frames = max(1, round(MAX_LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
         live_tracks = [t for t in tracks if frame - t.last_frame <= max_lost_frames]
-        unassigned_detections = {
+        free_detections = {
             (camera, i)
             for camera, camera_people in enumerate(people)
             for i in range(len(camera_people))
         }
-        groups = _continue_tracks(live_tracks, people, cameras, unassigned_detections)
-        new_groups = _group_detections(people, cameras, sorted(unassigned_detections))
+        groups = _continue_tracks(live_tracks, people, cameras, free_detections)
+        new_groups = _group_detections(people, cameras, sorted(free_detections))
         for known_track, group in [*groups, *((None, group) for group in new_groups)]:
             points = _solve_person(group, people, cameras, keypoint_count)
             if points is None:
@@ -129,11 +129,11 @@ def _continue_tracks(
     live_tracks: list[_PersonTrack],
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
-    unassigned_detections: set[tuple[int, int]],
+    free_detections: set[tuple[int, int]],
 ) -> list[tuple[_PersonTrack | None, dict[int, int]]]:
     """Match tracks to detections by reprojection; return each with camera → detection.
 
-    Matched detections are removed from ``unassigned_detections``.
+    Matched detections are removed from ``free_detections``.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -153,33 +153,32 @@ def _continue_tracks(
         for t, i in zip(*linear_sum_assignment(costs), strict=True):
             if costs[t, i] < _MAX_SHIFT:
                 groups[t][c] = int(i)
-                unassigned_detections.discard((c, int(i)))
+                free_detections.discard((c, int(i)))
     return list(zip(live_tracks, groups, strict=True))
 
 
 def _group_detections(
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
-    unassigned_detections: Sequence[tuple[int, int]],
+    free_detections: Sequence[tuple[int, int]],
 ) -> list[dict[int, int]]:
     """Group detections of different cameras whose rays meet; return camera → detection.
 
     Groups of one camera are omitted.
     """
     rays = {
-        (c, i): _keypoint_rays(cameras[c], people[c][i])
-        for c, i in unassigned_detections
+        (c, i): _keypoint_rays(cameras[c], people[c][i]) for c, i in free_detections
     }
-    sizes = {(c, i): _person_size(people[c][i]) for c, i in unassigned_detections}
+    sizes = {(c, i): _person_size(people[c][i]) for c, i in free_detections}
     pair_costs = {}
-    for a, b in itertools.combinations(unassigned_detections, 2):
+    for a, b in itertools.combinations(free_detections, 2):
         if a[0] != b[0]:
             cost = _ray_distance(
                 cameras[a[0]], rays[a], cameras[b[0]], rays[b], sizes[a], sizes[b]
             )
             if cost < _MAX_RAY_GAP:
                 pair_costs[a, b] = cost
-    group_of = {(c, i): {c: i} for c, i in unassigned_detections}
+    group_of = {(c, i): {c: i} for c, i in free_detections}
     for _, a, b in sorted((cost, *pair) for pair, cost in pair_costs.items()):
         first, second = group_of[a], group_of[b]
         if first is second or set(first) & set(second):
@@ -243,12 +242,12 @@ def _solve_person(
     if len(group) < 2:
         return None
     cameras_of_person = sorted(group)
-    keypoints_by_camera = np.stack([people[c][group[c]] for c in cameras_of_person])
+    camera_keypoints = np.stack([people[c][group[c]] for c in cameras_of_person])
     noise = np.array(
-        [_DETECTOR_NOISE * _person_size(view) for view in keypoints_by_camera]
+        [_DETECTOR_NOISE * _person_size(view) for view in camera_keypoints]
     )
     points: FloatArray = _kernels.triangulate_points(
-        np.ascontiguousarray(keypoints_by_camera[None, :, :, :2]), None,
+        np.ascontiguousarray(camera_keypoints[None, :, :, :2]), None,
         camera_parameters([cameras[c] for c in cameras_of_person]),
         np.ones((1, len(cameras_of_person)), bool), noise,
         _OUTLIER_GATE, _MAX_CONDITION, detailed=False,
@@ -328,9 +327,7 @@ def read_keypoints(
         [_read_people(files[f]) if f in files else [] for files in files_by_frame]
         for f in range(first, last + 1)
     ]
-    keypoint_counts = {
-        len(p) for frame in detections for camera_people in frame for p in camera_people
-    }
+    keypoint_counts = {len(p) for frame in detections for group in frame for p in group}
     if len(keypoint_counts) != 1:
         message = f"people have {listed(sorted(keypoint_counts)) or 'no'} keypoints"
         hint = "all files must use one body model"

@@ -10,11 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.capture.cameras.camera import Camera
-from animtool.capture.cameras.stale import (
-    MIN_FRAME_OBSERVATIONS,
-    CameraDisagreement,
-    PoseShift,
-)
+from animtool.capture.cameras.stale import MIN_VIEWS, CameraDisagreement, PoseShift
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted, listed, percent_text
@@ -113,7 +109,7 @@ class ObservationCounts:
         return self.tallies[..., 1]
 
     @property
-    def of_triangulated(self) -> FloatArray:
+    def tested(self) -> FloatArray:
         """Number of observations of points that have a position ``(F, C)``."""
         return self.tallies[..., 2]
 
@@ -126,10 +122,8 @@ class ObservationCounts:
         self, camera: int, name: str, noise: float, shifts: tuple[PoseShift, ...]
     ) -> CameraReport:
         """Return a camera's report: sums of its counts, and root mean square errors."""
-        camera_sums = self.tallies[:, camera].sum(axis=0)
-        observed, used, tested, rejected, no_ray, squared_px, squared_m, outside = (
-            camera_sums
-        )
+        sums = self.tallies[:, camera].sum(axis=0)
+        observed, used, tested, rejected, no_ray, squared_px, squared_m, outside = sums
         return CameraReport(
             name,
             int(observed),
@@ -160,56 +154,54 @@ def camera_notices(
     is_kept: Whether the camera is used even where its pose shifted.
     """
 
-    def warning(code: str, message: str, hint: str | None = None) -> Fault:
+    def warning(code: str, text: str, hint: str | None = None) -> Fault:
         """Return a warning located in the observations file."""
-        return Fault(code, message, path or None, (), hint, Severity.WARNING)
+        return Fault(code, text, path or None, (), hint, Severity.WARNING)
 
     for shift in report.shifts:
         is_every_frame = shift.first == 0 and shift.end == clock.count
-        message = f"camera {report.name!r} moved in frames {shift.number} to "
-        message += f"{shift.end}"
+        text = f"camera {report.name!r} moved in frames {shift.number} to "
+        text += f"{shift.end}"
         if is_every_frame:
-            message = (
-                f"camera {report.name!r} does not match its calibration in any frame"
-            )
-        message += f": {percent_text(shift.outliers)} of its points are outliers"
+            text = f"camera {report.name!r} does not match its calibration in any frame"
+        text += f": {percent_text(shift.outliers)} of its points are outliers"
         hint = "calibrate it again"
         if shift.change is not None and shift.change.matching:
             matching_name = repr(shift.change.matching)
-            message += f", and the calibration of {matching_name} fits them"
+            text += f", and the calibration of {matching_name} fits them"
             hint = f"exchange the points or the calibrations of {report.name!r} and "
             hint += matching_name
         elif shift.change is not None:
-            message += f", and {shift.change} would explain it"
+            text += f", and {shift.change} would explain it"
         if shift.kept:
-            message += "; it is kept: without it, the others do not agree better"
+            text += "; it is kept: without it, the others do not agree better"
         else:
-            message += "; it is kept" if is_kept else "; it is excluded there"
-        yield warning("CAM101", message, hint)
+            text += "; it is kept" if is_kept else "; it is excluded there"
+        yield warning("CAM101", text, hint)
     if report.disagrees:
         worst = max(report.disagrees, key=lambda disagreement: disagreement.outliers)
         frames_text = frame_spans([frame.number for frame in report.disagrees])
-        message = f"camera {report.name!r} disagrees with the others in "
-        message += f"{counted(len(report.disagrees), 'frame')}: {frames_text}"
+        text = f"camera {report.name!r} disagrees with the others in "
+        text += f"{counted(len(report.disagrees), 'frame')}: {frames_text}"
         if worst.outliers > 0:
-            message += f" ({percent_text(worst.outliers)} outliers in {worst.number})"
+            text += f" ({percent_text(worst.outliers)} outliers in {worst.number})"
         hint = "was it bumped or out of sync there? its outliers are excluded"
-        yield warning("CAM111", message, hint)
+        yield warning("CAM111", text, hint)
     if report.outliers > MAX_CAMERA_OUTLIERS and not report.shifts:
-        message = f"{percent_text(report.outliers)} of the points of camera "
-        message += f"{report.name!r} are "
-        yield warning("CAM102", f"{message}outliers", "check its labels and its clock")
+        text = f"{percent_text(report.outliers)} of the points of camera "
+        text += f"{report.name!r} are "
+        yield warning("CAM102", f"{text}outliers", "check its labels and its clock")
     if not report.observed:
         yield warning("CAM103", f"camera {report.name!r} sees nothing")
     if report.no_ray:
-        message = f"{counted(report.no_ray, 'pixel')} of camera {report.name!r} are "
-        message += "outside "
-        yield warning("CAM106", f"{message}the range of its lens model")
+        text = f"{counted(report.no_ray, 'pixel')} of camera {report.name!r} are "
+        text += "outside "
+        yield warning("CAM106", f"{text}the range of its lens model")
     if report.outside and camera.size is not None:
-        message = f"{counted(report.outside, 'pixel')} of camera {report.name!r} are "
-        message += f"outside its image of {camera.size[0]} x {camera.size[1]}"
+        text = f"{counted(report.outside, 'pixel')} of camera {report.name!r} are "
+        text += f"outside its image of {camera.size[0]} x {camera.size[1]}"
         hint = "do calibration and observations have the same image size?"
-        yield warning("CAM107", message, hint)
+        yield warning("CAM107", text, hint)
 
 
 def lost_frame_notices(
@@ -223,7 +215,7 @@ def lost_frame_notices(
     lost_counts = (is_visible & np.isnan(positions[..., 0])).sum(axis=1)
     lost_frames = np.flatnonzero(
         (lost_counts > MAX_LOST_FRACTION * is_visible.sum(axis=1))
-        & (lost_counts >= MIN_FRAME_OBSERVATIONS)
+        & (lost_counts >= MIN_VIEWS)
     )
     if not len(lost_frames) or len(lost_frames) == clock.count:
         return
@@ -245,12 +237,10 @@ def gap_notices(
         names[i] for i in np.flatnonzero(~is_triangulated.any(axis=0)).tolist()
     ]
     if missing_names:
-        message = f"no two cameras agree on {listed(missing_names)} in any frame"
-        yield Fault("CAM104", message, path or None, severity=Severity.WARNING)
+        text = f"no two cameras agree on {listed(missing_names)} in any frame"
+        yield Fault("CAM104", text, path or None, severity=Severity.WARNING)
     lost_count = visible_count - int(is_triangulated.sum())
     if lost_count > 0:
-        message = (
-            f"{counted(lost_count, 'point')} that two or more cameras see are gaps: "
-        )
-        message += "no two agree, or their rays are too close to parallel"
-        yield Fault("CAM105", message, path or None, severity=Severity.NOTE)
+        text = f"{counted(lost_count, 'point')} that two or more cameras see are gaps: "
+        text += "no two agree, or their rays are too close to parallel"
+        yield Fault("CAM105", text, path or None, severity=Severity.NOTE)

@@ -22,7 +22,7 @@ MIN_OBSERVATIONS = 20
 _GAUSS_NEWTON_STEPS = 8
 # Minimum observations for testing a camera in a frame; how far the other observations
 # deviate, over the noise; and by how many standard errors.
-MIN_FRAME_OBSERVATIONS, MAX_DEVIATION_RATIO, MAX_STANDARD_ERRORS = 3, 2.0, 6.0
+MIN_VIEWS, MAX_DEVIATION_RATIO, MAX_STANDARD_ERRORS = 3, 2.0, 6.0
 
 # Error of another camera that fits, over the camera's own error; neighbours reach .28.
 MATCH_ERROR_RATIO = 0.05
@@ -84,10 +84,7 @@ class CameraDisagreement:
 
 
 def find_shifted_ranges(
-    triangulated_counts: FloatArray,
-    rejected_counts: FloatArray,
-    is_active_camera: BoolArray,
-    rate: float,
+    tested_counts: FloatArray, rejections: FloatArray, is_active: BoolArray, rate: float
 ) -> tuple[int, list[PoseShift]] | None:
     """Return the camera with most outliers and its misfit ranges; None if all fit.
 
@@ -95,27 +92,26 @@ def find_shifted_ranges(
     cameras are ``(F, C)``. A camera is skipped if fewer than two would remain without
     it.
     """
-    window = max(1, min(len(triangulated_counts), round(MIN_SHIFT_SECONDS * rate)))
+    window = max(1, min(len(tested_counts), round(MIN_SHIFT_SECONDS * rate)))
     worst_fit: tuple[int, list[PoseShift]] | None = None
     most_rejections = 0
-    for camera in range(triangulated_counts.shape[1]):
-        is_active = is_active_camera[:, camera] & (is_active_camera.sum(axis=1) > 2)
-        window_observations, window_rejections = (
-            _window_sums(np.where(is_active, counts[:, camera], 0), window)
-            for counts in (triangulated_counts, rejected_counts)
+    for camera in range(tested_counts.shape[1]):
+        is_tested = is_active[:, camera] & (is_active.sum(axis=1) > 2)
+        window_counts, window_rejections = (
+            _window_sums(np.where(is_tested, counts[:, camera], 0), window)
+            for counts in (tested_counts, rejections)
         )
         is_misfit = (
-            is_active
-            & (window_rejections > MISFIT_FRACTION * window_observations)
-            & (window_observations >= MIN_OBSERVATIONS)
+            is_tested
+            & (window_rejections > MISFIT_FRACTION * window_counts)
+            & (window_counts >= MIN_OBSERVATIONS)
         )
-        rejections = np.where(is_active[:, None], rejected_counts, 0.0)
+        active_rejections = np.where(is_tested[:, None], rejections, 0.0)
         ranges = _exact_ranges(
-            triangulated_counts, rejections, camera, is_misfit, window
+            tested_counts, active_rejections, camera, is_misfit, window
         )
         rejection_total = sum(
-            int(rejected_counts[shift.first : shift.end, camera].sum())
-            for shift in ranges
+            int(rejections[shift.first : shift.end, camera].sum()) for shift in ranges
         )
         if rejection_total > most_rejections:
             worst_fit, most_rejections = (camera, ranges), rejection_total
@@ -123,27 +119,20 @@ def find_shifted_ranges(
 
 
 def find_stale_ranges(
-    triangulated_counts: FloatArray,
-    rejected_counts: FloatArray,
-    camera: int,
-    rate: float,
+    tested_counts: FloatArray, rejections: FloatArray, camera: int, rate: float
 ) -> list[PoseShift]:
     """Return ranges in which an unused camera does not fit; the full take by default.
 
     Arguments are those of `find_shifted_ranges`.
     """
-    window = max(1, min(len(triangulated_counts), round(MIN_SHIFT_SECONDS * rate)))
-    window_observations = _window_sums(triangulated_counts[:, camera], window)
-    window_rejections = _window_sums(rejected_counts[:, camera], window)
-    is_observed = window_observations >= MIN_OBSERVATIONS
-    is_misfit = (
-        window_rejections > MISFIT_FRACTION * window_observations
-    ) | ~is_observed
+    window = max(1, min(len(tested_counts), round(MIN_SHIFT_SECONDS * rate)))
+    window_counts = _window_sums(tested_counts[:, camera], window)
+    window_rejections = _window_sums(rejections[:, camera], window)
+    is_observed = window_counts >= MIN_OBSERVATIONS
+    is_misfit = (window_rejections > MISFIT_FRACTION * window_counts) | ~is_observed
     if not (is_misfit & is_observed).any():
         is_misfit[:] = True
-    return _exact_ranges(
-        triangulated_counts, rejected_counts, camera, is_misfit, window
-    )
+    return _exact_ranges(tested_counts, rejections, camera, is_misfit, window)
 
 
 def find_disagreements(
@@ -154,22 +143,20 @@ def find_disagreements(
     ``tallies`` are tallies of the kernel ``(F, C, 8)``; the noise is the standard
     deviation of an axis of the camera's observations [px].
     """
-    _, used_counts, triangulated_counts, rejected_counts, _, squared_px, *_ = tallies[
-        :, camera
-    ].T
+    _, used_counts, tested_counts, rejections, _, squared_px, *_ = tallies[:, camera].T
     with np.errstate(invalid="ignore", divide="ignore"):
         noise_ratios = squared_px / used_counts / (2 * noise**2)
         max_ratios = 1 + MAX_STANDARD_ERRORS / np.sqrt(used_counts)
-    is_mostly_rejected = rejected_counts > MISFIT_FRACTION * triangulated_counts
-    is_noisy = (used_counts >= MIN_FRAME_OBSERVATIONS) & (
+    is_mostly_rejected = rejections > MISFIT_FRACTION * tested_counts
+    is_noisy = (used_counts >= MIN_VIEWS) & (
         noise_ratios > np.maximum(MAX_DEVIATION_RATIO**2, max_ratios)
     )
-    is_active = is_active & (triangulated_counts >= MIN_FRAME_OBSERVATIONS)
+    is_active = is_active & (tested_counts >= MIN_VIEWS)
     frame_indices = np.flatnonzero(is_active & (is_mostly_rejected | is_noisy))
     return [
         CameraDisagreement(
             f,
-            float(rejected_counts[f] / triangulated_counts[f]),
+            float(rejections[f] / tested_counts[f]),
             float(np.sqrt(squared_px[f] / used_counts[f]))
             if used_counts[f]
             else float("nan"),
@@ -194,44 +181,35 @@ def truncated_error(
     """
     squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
     squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
-    camera_counts = is_visible.sum(axis=1)
+    counts = is_visible.sum(axis=1)
     # A point takes 3 of the 2n residuals of all n cameras that see it.
-    degrees_of_freedom = 2 * camera_counts - 3 * camera_counts / np.maximum(
-        camera_counts + has_extra_camera, 1
-    )
-    return float(
-        squares[is_visible].sum() / max(float(degrees_of_freedom.sum()), 1e-12)
-    )
+    degrees = 2 * counts - 3 * counts / np.maximum(counts + has_extra_camera, 1)
+    return float(squares[is_visible].sum() / max(float(degrees.sum()), 1e-12))
 
 
 def _exact_ranges(
-    triangulated_counts: FloatArray,
-    rejected_counts: FloatArray,
+    tested_counts: FloatArray,
+    rejections: FloatArray,
     camera: int,
     is_misfit: BoolArray,
     window: int,
 ) -> list[PoseShift]:
     """Return the misfit runs of windows, extended to the frames with most outliers."""
     is_frame_rejected = np.append(
-        rejected_counts[:, camera] > MISFIT_FRACTION * triangulated_counts[:, camera],
-        False,
+        rejections[:, camera] > MISFIT_FRACTION * tested_counts[:, camera], False
     )
     # A shift that lasts a window shows for at least half of one around it.
     min_frames = max(1, window // 2)
     ranges = []
-    for run_start, run_end in merge_runs(runs(is_misfit), window):
-        if run_end - run_start < min_frames:
+    for start, end in merge_runs(runs(is_misfit), window):
+        if end - start < min_frames:
             continue
-        first = (
-            run_start - int(np.argmin(is_frame_rejected[:run_start][::-1]))
-            if run_start
-            else 0
-        )
-        if run_start and is_frame_rejected[:run_start].all():
+        first = start - int(np.argmin(is_frame_rejected[:start][::-1])) if start else 0
+        if start and is_frame_rejected[:start].all():
             first = 0
-        last = run_end + int(np.argmin(is_frame_rejected[run_end:]))
-        observation_count = max(1, triangulated_counts[first:last, camera].sum())
-        outliers = float(rejected_counts[first:last, camera].sum() / observation_count)
+        last = end + int(np.argmin(is_frame_rejected[end:]))
+        observation_count = max(1, tested_counts[first:last, camera].sum())
+        outliers = float(rejections[first:last, camera].sum() / observation_count)
         ranges.append(PoseShift(first, last, outliers))
     return ranges
 
@@ -250,7 +228,7 @@ def fit_pose_change(
     camera: Camera,
     points: FloatArray,
     pixels: FloatArray,
-    other_cameras: Iterable[Camera] = (),
+    others: Iterable[Camera] = (),
 ) -> PoseChange | None:
     """Return the pose change that fits a camera's pixels best; None if none fits.
 
@@ -276,22 +254,18 @@ def fit_pose_change(
         jacobian = _pixel_derivatives(refined_camera, points)
         is_usable &= np.isfinite(jacobian).all(axis=(1, 2))
         root_weights = np.sqrt(weights[is_usable])[:, None]
-        weighted_jacobian = (jacobian[is_usable] * root_weights[..., None]).reshape(
-            -1, 6
-        )
+        design_matrix = (jacobian[is_usable] * root_weights[..., None]).reshape(-1, 6)
         weighted_residuals = (residual_vectors[is_usable] * root_weights).ravel()
-        step = np.linalg.lstsq(weighted_jacobian, -weighted_residuals, rcond=None)[0]
+        step = np.linalg.lstsq(design_matrix, -weighted_residuals, rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
     refined_error = _median_error(refined_camera, points, pixels)
     initial_error = _median_error(camera, points, pixels)
     if not refined_error < 0.5 * initial_error:
         return None
-    other_errors = {
-        other.name: _median_error(other, points, pixels) for other in other_cameras
-    }
-    best_name = min(other_errors, key=other_errors.__getitem__, default="")
-    is_match = other_errors.get(best_name, np.inf) < MATCH_ERROR_RATIO * initial_error
+    errors = {other.name: _median_error(other, points, pixels) for other in others}
+    best_name = min(errors, key=errors.__getitem__, default="")
+    is_match = errors.get(best_name, np.inf) < MATCH_ERROR_RATIO * initial_error
     rotation_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
     return PoseChange(
         float(np.linalg.norm(rotation_vector)),
@@ -311,7 +285,7 @@ def _pixel_derivatives(camera: Camera, points: FloatArray) -> FloatArray:
     """Return the Jacobian of pixels with respect to the camera's pose ``(N, 2, 6)``."""
     projected_points = project(camera, points)
     increment = 1e-6
-    derivatives = []
+    slopes = []
     for axis in range(6):
         rotation = to_matrix(exp(increment * np.eye(6)[axis][:3]))
         shift = increment * np.eye(6)[axis][3:]
@@ -320,7 +294,5 @@ def _pixel_derivatives(camera: Camera, points: FloatArray) -> FloatArray:
             rotation=rotation @ camera.rotation,
             translation=rotation @ camera.translation + shift,
         )
-        derivatives.append(
-            (project(shifted_camera, points) - projected_points) / increment
-        )
-    return np.stack(derivatives, axis=-1)
+        slopes.append((project(shifted_camera, points) - projected_points) / increment)
+    return np.stack(slopes, axis=-1)

@@ -123,17 +123,14 @@ class _TriangulationRun:
     ) -> None:
         self.observations, self.cameras, self.options = observations, cameras, options
         self.progress = progress
-        self.frame_count, self.view_count, self.marker_count = (
-            observations.stored.shape[:3]
-        )
+        shape = observations.stored.shape
+        self.frame_count, self.view_count, self.marker_count = shape[:3]
         self.kernel_cameras = camera_parameters(cameras.cameras)
-        self.is_active_camera = np.ones((self.frame_count, self.view_count), bool)
+        self.is_active = np.ones((self.frame_count, self.view_count), bool)
         self.noise = np.ones(self.view_count)
         self.positions = np.full((self.frame_count, self.marker_count, 3), np.nan)
-        self.point_statistics = np.full(
-            (self.frame_count, self.marker_count, 5), np.nan
-        )
-        self.tallies = ObservationCounts(
+        self.statistics = np.full((self.frame_count, self.marker_count, 5), np.nan)
+        self.counts = ObservationCounts(
             np.zeros((self.frame_count, self.view_count, 8))
         )
         self.notices = [*cameras.notices, *observations.notices]
@@ -156,7 +153,7 @@ class _TriangulationRun:
         gate, cameras = self.options.gate, self.cameras.cameras
         noise = measure_noise(self.observations, cameras, gate, self._max_condition)
         if not self.options.keep_moved:
-            self.is_active_camera[:, list(noise.pose_changes)] = False
+            self.is_active[:, list(noise.pose_changes)] = False
         self.noise = noise.deviations_px
         median_noise = float(np.median(self.noise))
         widths = [c.size[0] if c.size else 2 * c.centre[0] for c in cameras]
@@ -221,15 +218,10 @@ class _TriangulationRun:
         block_size = max(1, BLOCK_VALUES // (self.view_count * self.marker_count))
         for block_first in range(first, end, block_size):
             block = slice(block_first, min(block_first + block_size, end))
-            block_observations = self._observations_of(block_first, block.stop)
-            (
-                self.positions[block],
-                self.point_statistics[block],
-                self.tallies.tallies[block],
-                *_,
-            ) = self._triangulate(
-                block_observations, self.is_active_camera[block], has_residuals=False
-            )
+            views = self._observations_of(block_first, block.stop)
+            results = self._triangulate(views, self.is_active[block], is_detailed=False)
+            self.positions[block], self.statistics[block] = results[:2]
+            self.counts.tallies[block] = results[2]
             if self.progress is not None:
                 self.progress(block.stop / self.frame_count)
 
@@ -241,22 +233,22 @@ class _TriangulationRun:
     def _triangulate(
         self,
         pixels_and_confidences: tuple[FloatArray, FloatArray | None],
-        is_active_camera: BoolArray,
+        is_active: BoolArray,
         *,
-        has_residuals: bool,
+        is_detailed: bool,
     ) -> Any:
         """Return the kernel's results for pixels and confidences with active cameras.
 
-        Residuals and states of observations are empty unless ``has_residuals``.
+        Residuals and states of observations are empty unless ``is_detailed``.
         """
         return _kernels.triangulate_points(
             *pixels_and_confidences,
             self.kernel_cameras,
-            np.ascontiguousarray(is_active_camera),
+            np.ascontiguousarray(is_active),
             self.noise,
             self.options.gate,
             self._max_condition,
-            detailed=has_residuals,
+            detailed=is_detailed,
         )
 
     def _exclude_stale_cameras(self, pose_changes: dict[int, PoseChange]) -> None:
@@ -267,22 +259,17 @@ class _TriangulationRun:
         """
         rate = float(self.observations.clock.rate)
         for camera, change in pose_changes.items():
-            triangulated_counts, rejected_counts = (
-                self.tallies.of_triangulated,
-                self.tallies.rejected,
-            )
-            ranges = find_stale_ranges(
-                triangulated_counts, rejected_counts, camera, rate
-            )
-            was_active = self.is_active_camera[:, camera].copy()
+            counts = self.counts
+            ranges = find_stale_ranges(counts.tested, counts.rejected, camera, rate)
+            was_active = self.is_active[:, camera].copy()
             self.shifts[camera] += self._mark_kept_ranges(
                 camera, [replace(shift, change=change) for shift in ranges]
             )
             if not self.options.keep_moved:
-                self.is_active_camera[:, camera] = True
+                self.is_active[:, camera] = True
                 for shift in self.shifts[camera]:
-                    self.is_active_camera[shift.first : shift.end, camera] = shift.kept
-                for first, end in runs(self.is_active_camera[:, camera] != was_active):
+                    self.is_active[shift.first : shift.end, camera] = shift.kept
+                for first, end in runs(self.is_active[:, camera] != was_active):
                     self._solve_frames(first, end)
 
     def _mark_kept_ranges(
@@ -303,17 +290,17 @@ class _TriangulationRun:
         """Return whether excluding a camera in a range does not worsen the others."""
         step = max(1, (shift.end - shift.first) // _POSE_CHANGE_FRAMES)
         frames = slice(shift.first, shift.end, step)
-        range_observations = self._observations_of(shift.first, shift.end, step)
-        is_visible = np.isfinite(range_observations[0]).all(axis=-1)
-        is_compared = is_visible & self.is_active_camera[frames][..., None]
+        views = self._observations_of(shift.first, shift.end, step)
+        is_visible = np.isfinite(views[0]).all(axis=-1)
+        is_compared = is_visible & self.is_active[frames][..., None]
         is_compared[:, camera] = False
         is_compared &= (is_compared.sum(axis=1) > 1)[:, None]
         other_errors = []
         for is_kept in (True, False):
-            is_active_camera = self.is_active_camera[frames].copy()
-            is_active_camera[:, camera] = is_kept
+            is_active = self.is_active[frames].copy()
+            is_active[:, camera] = is_kept
             *_, residuals, states = self._triangulate(
-                range_observations, is_active_camera, has_residuals=True
+                views, is_active, is_detailed=True
             )
             is_used = states[:, camera] == USED_STATE
             residuals = residuals.astype(np.float64)
@@ -326,18 +313,13 @@ class _TriangulationRun:
     def _exclude_shifted_cameras(self) -> None:
         """Exclude cameras in frame ranges in which they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
-        is_active = self.is_active_camera.copy()
+        is_active = self.is_active.copy()
         for camera, shifts in enumerate(self.shifts):
             for shift in shifts:
                 is_active[shift.first : shift.end, camera] = False
         for _ in range(self.view_count):
-            triangulated_counts, rejected_counts = (
-                self.tallies.of_triangulated,
-                self.tallies.rejected,
-            )
-            worst_fit = find_shifted_ranges(
-                triangulated_counts, rejected_counts, is_active, rate
-            )
+            tested_counts, rejections = self.counts.tested, self.counts.rejected
+            worst_fit = find_shifted_ranges(tested_counts, rejections, is_active, rate)
             if worst_fit is None:
                 break
             camera, ranges = worst_fit
@@ -348,16 +330,16 @@ class _TriangulationRun:
             for shift in ranges:
                 is_active[shift.first : shift.end, camera] = False
                 if not (self.options.keep_moved or shift.kept):
-                    self.is_active_camera[shift.first : shift.end, camera] = False
+                    self.is_active[shift.first : shift.end, camera] = False
                     self._solve_frames(shift.first, shift.end)
 
     def _find_disagreements(self, camera: int) -> tuple[CameraDisagreement, ...]:
         """Return single frames in which a camera disagrees with the others."""
-        is_active = self.is_active_camera[:, camera].copy()
+        is_active = self.is_active[:, camera].copy()
         for shift in self.shifts[camera]:
             is_active[shift.first : shift.end] = False
         noise = float(self.noise[camera])
-        return tuple(find_disagreements(self.tallies.tallies, camera, noise, is_active))
+        return tuple(find_disagreements(self.counts.tallies, camera, noise, is_active))
 
     def _with_pose_change(self, camera: int, shift: PoseShift) -> PoseShift:
         """Return the range with `PoseShift.change`: the pose that fits there best."""
@@ -401,14 +383,14 @@ class _TriangulationRun:
     @property
     def _visible_count(self) -> int:
         """Number of points visible to two or more cameras."""
-        return int((self.point_statistics[..., 4] > 1).sum())
+        return int((self.statistics[..., 4] > 1).sum())
 
     def _build_result(self) -> Triangulation:
         """Return the triangulation, with a report of each camera and all warnings."""
         observations, cameras = self.observations, self.cameras.cameras
         reports = tuple(
             replace(
-                self.tallies.report(
+                self.counts.report(
                     c, cameras[c].name, float(self.noise[c]), tuple(shifts)
                 ),
                 disagrees=self._find_disagreements(c),
@@ -429,7 +411,7 @@ class _TriangulationRun:
                 if report.name not in delays or notice.code not in POSE_CODES
             ]
         notices += delays.values()
-        is_visible = self.point_statistics[..., 4] > 1
+        is_visible = self.statistics[..., 4] > 1
         notices += lost_frame_notices(self.positions, is_visible, clock, path)
         notices += gap_notices(
             observations.names, self.positions, self._visible_count, path
@@ -439,8 +421,8 @@ class _TriangulationRun:
             clock,
             self.positions,
             self.cameras.up,
-            self.point_statistics[..., 3].astype(np.int64),
-            self.point_statistics[..., 1].copy(),
+            self.statistics[..., 3].astype(np.int64),
+            self.statistics[..., 1].copy(),
             notices=tuple(notices),
         )
         # The markers are as wrong as the cameras.
@@ -452,9 +434,9 @@ class _TriangulationRun:
         ]
         return Triangulation(
             markers,
-            self.point_statistics[..., 2].copy(),
+            self.statistics[..., 2].copy(),
             reports,
-            *self.tallies.reprojection_errors(),
+            *self.counts.reprojection_errors(),
             self._visible_count,
             int(markers.visible.sum()),
             tuple(notices),

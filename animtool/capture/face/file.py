@@ -117,11 +117,9 @@ def parse_landmarks(document: Document) -> LandmarksFile:
             hint = "write vertex: 12, or vertices: [12, 13, 14]"
             document.add("FAC008", location, message, hint)
         if point.weights is not None:
-            vertex_count = len(point.vertices or ())
-            if len(point.weights) != vertex_count:
-                message = (
-                    f"has {len(point.weights)} weights for {vertex_count} vertices"
-                )
+            count = len(point.vertices or ())
+            if len(point.weights) != count:
+                message = f"has {len(point.weights)} weights for {count} vertices"
                 document.add("FAC008", (*location, "weights"), message)
             elif abs(sum(point.weights) - 1) > WEIGHT_SUM_TOLERANCE:
                 message = f"the weights have a sum of {sum(point.weights):g}, not 1"
@@ -147,7 +145,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
             for mesh, vertices, weights in anchors
         ]
     )
-    displaced_shapes: list[SurfaceShape] = []
+    shapes: list[SurfaceShape] = []
     deltas: list[FloatArray] = []
     solved_indices: list[int] = []
     is_nonlinear = False
@@ -156,9 +154,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         if displacement is None:
             continue
         offsets, inbetweens = displacement
-        displaced_shapes.append(
-            SurfaceShape(shape.name, offsets, inbetweens=inbetweens)
-        )
+        shapes.append(SurfaceShape(shape.name, offsets, inbetweens=inbetweens))
         is_nonlinear = is_nonlinear or bool(shape.combine or inbetweens)
         if not shape.combine:
             solved_indices.append(i)
@@ -168,7 +164,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         # A combined shape may combine others that move no landmark: keep all.
         nonlinear_shapes = NonlinearShapes(
             tuple(rig.shapes),
-            prepare_shapes(displaced_shapes, neutral),
+            prepare_shapes(shapes, neutral),
             tuple(solved_indices),
         )
     return FaceModel(

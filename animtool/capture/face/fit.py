@@ -88,11 +88,8 @@ class FaceFit:
         is_inlier = is_visible & (self.shares >= MISPLACED_FRACTION)
         squares = np.where(is_inlier, self.residuals, 0.0) ** 2
         rms = np.sqrt(squares.sum(axis=0) / np.maximum(is_inlier.sum(axis=0), 1))
-        count_columns = is_visible.sum(axis=0), (is_visible & ~is_inlier).sum(axis=0)
-        columns = (
-            rms.tolist(),
-            *(count_column.tolist() for count_column in count_columns),
-        )
+        counts = is_visible.sum(axis=0), (is_visible & ~is_inlier).sum(axis=0)
+        columns = (rms.tolist(), *(column.tolist() for column in counts))
         return [
             LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
         ]
@@ -100,8 +97,5 @@ class FaceFit:
     @property
     def peaks(self) -> list[ShapePeak]:
         """Largest weight of each shape over all frames; 0 if it is never positive."""
-        largest_weights = self.weights.max(axis=0, initial=0.0).tolist()
-        return [
-            ShapePeak(*row)
-            for row in zip(self.model.shapes, largest_weights, strict=True)
-        ]
+        maxima = self.weights.max(axis=0, initial=0.0).tolist()
+        return [ShapePeak(*row) for row in zip(self.model.shapes, maxima, strict=True)]

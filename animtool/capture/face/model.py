@@ -92,17 +92,14 @@ class FaceModel:
             lengths.max(axis=1, initial=0) > MIN_LANDMARK_MOTION * self.size
         )
 
-    def select(self, is_selected: BoolArray) -> FaceModel:
+    def select(self, is_kept: BoolArray) -> FaceModel:
         """Return the model with only the shapes in a mask ``(S,)``."""
-        names = tuple(compress(self.shapes, is_selected))
+        names = tuple(compress(self.shapes, is_kept))
         nonlinear = self.nonlinear_shapes
         if nonlinear is not None:
-            nonlinear = nonlinear.select(is_selected)
+            nonlinear = nonlinear.select(is_kept)
         return replace(
-            self,
-            shapes=names,
-            deltas=self.deltas[is_selected],
-            nonlinear_shapes=nonlinear,
+            self, shapes=names, deltas=self.deltas[is_kept], nonlinear_shapes=nonlinear
         )
 
     def similar_shapes(self) -> list[tuple[int, int]]:
@@ -137,23 +134,19 @@ class FaceModel:
             )
         return notices
 
-    def with_proportions(self, captured_landmarks: FloatArray) -> FaceModel:
+    def with_proportions(self, landmarks: FloatArray) -> FaceModel:
         """Return the model with the proportions of a captured neutral face.
 
         The captured landmarks ``(N, 3)`` [m] are NaN where not visible and keep their
         model position there. Deltas scale with the sizes of the two faces.
         """
-        is_visible = np.isfinite(captured_landmarks).all(axis=1)
-        scale = rms_spread(captured_landmarks[is_visible]) / rms_spread(
-            self.neutral[is_visible]
-        )
+        is_visible = np.isfinite(landmarks).all(axis=1)
+        scale = rms_spread(landmarks[is_visible]) / rms_spread(self.neutral[is_visible])
         rotation, shift = rigid_motion(
-            self.neutral[is_visible] * scale, captured_landmarks[is_visible]
+            self.neutral[is_visible] * scale, landmarks[is_visible]
         )
         neutral = self.neutral * scale
-        neutral[is_visible] = rotate(
-            conjugate(rotation), captured_landmarks[is_visible] - shift
-        )
+        neutral[is_visible] = rotate(conjugate(rotation), landmarks[is_visible] - shift)
         return replace(
             self, neutral=neutral, deltas=self.deltas * scale, nonlinear_shapes=None
         )
@@ -178,10 +171,10 @@ class NonlinearShapes:
             np.stack([all_weights[n] for n in self.prepared_shapes.names], axis=-1),
         )
 
-    def select(self, is_selected: BoolArray) -> NonlinearShapes:
+    def select(self, is_kept: BoolArray) -> NonlinearShapes:
         """Return a copy in which only shapes in a mask ``(S,)`` are solved for."""
         return replace(
-            self, solved_indices=tuple(compress(self.solved_indices, is_selected))
+            self, solved_indices=tuple(compress(self.solved_indices, is_kept))
         )
 
 

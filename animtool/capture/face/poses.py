@@ -12,18 +12,16 @@ ROBUST_ROUNDS = 4
 PERSPECTIVE_ROUNDS = 30
 
 
-def estimate_head_poses(
-    neutral: FloatArray, observed_landmarks: FloatArray
-) -> FloatArray:
+def estimate_head_poses(neutral: FloatArray, landmarks: FloatArray) -> FloatArray:
     """Return a head pose per frame, quaternion (x, y, z, w) and translation ``(F, 7)``.
 
     Landmarks ``(F, N, 3)`` are NaN where missing. Those that move most have the least
     weight; frames with fewer than three repeat the last known pose.
     """
-    is_visible: BoolArray = np.asarray(np.isfinite(observed_landmarks).all(axis=-1))
-    points = np.where(is_visible[..., None], observed_landmarks, 0.0)
+    is_visible: BoolArray = np.asarray(np.isfinite(landmarks).all(axis=-1))
+    points = np.where(is_visible[..., None], landmarks, 0.0)
     robust_weights: FloatArray = is_visible.astype(np.float64)
-    poses = np.zeros((len(observed_landmarks), 7))
+    poses = np.zeros((len(landmarks), 7))
     poses[:, 3] = 1.0
     for _ in range(ROBUST_ROUNDS):
         poses = _kabsch_poses(neutral, points, robust_weights)
@@ -81,10 +79,8 @@ def estimate_camera_pose(
     is_visible: BoolArray = np.asarray(np.isfinite(pixels).all(axis=1))
     if is_visible.sum() < 4:
         return None
-    points, image_points = (
-        neutral[is_visible],
-        (pixels[is_visible] - camera[2:]) / camera[:2],
-    )
+    points = neutral[is_visible]
+    image_points = (pixels[is_visible] - camera[2:]) / camera[:2]
     centre = points.mean(axis=0)
     inverse = np.linalg.pinv(np.c_[points - centre, np.ones(len(points))])
     depth = np.ones(len(points))
@@ -114,16 +110,11 @@ def interpolate_poses(
     rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
     if is_usable.all():
         return rotations, shifts
-    usable_frames, frames = np.flatnonzero(is_usable), np.arange(len(is_usable))
-    rotations[usable_frames] = align_signs(rotations[usable_frames])
-    next_index = np.minimum(
-        np.searchsorted(usable_frames, frames), len(usable_frames) - 1
-    )
-    previous_index = np.maximum(np.searchsorted(usable_frames, frames, "right") - 1, 0)
-    previous_frame, next_frame = (
-        usable_frames[previous_index],
-        usable_frames[next_index],
-    )
+    good_frames, frames = np.flatnonzero(is_usable), np.arange(len(is_usable))
+    rotations[good_frames] = align_signs(rotations[good_frames])
+    next_index = np.minimum(np.searchsorted(good_frames, frames), len(good_frames) - 1)
+    previous_index = np.maximum(np.searchsorted(good_frames, frames, "right") - 1, 0)
+    previous_frame, next_frame = (good_frames[previous_index], good_frames[next_index])
     gap_length = np.maximum(next_frame - previous_frame, 1)
     fraction = np.clip((frames - previous_frame) / gap_length, 0.0, 1.0)
     is_gap = ~is_usable

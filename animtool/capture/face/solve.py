@@ -122,21 +122,17 @@ def fit_face(
         raise OptionError(Fault("FAC007", message, hint=hint))
     # Shapes with similar displacements are solved as one, and split evenly. Shapes with
     # in-betweens or correctives are solved separately.
-    is_solved, representative_of_shape = _select_solved_shapes(model, is_moving)
-    solved_face = model.select(is_solved)
+    is_solved, representative_of_shape = _merge_shapes(model, is_moving)
+    face = model.select(is_solved)
     representatives = representative_of_shape[is_moving]
     merged_counts = np.bincount(representatives, minlength=len(model.shapes))[is_solved]
-    solved_face = replace(
-        solved_face, deltas=solved_face.deltas * merged_counts[:, None, None]
-    )
+    face = replace(face, deltas=face.deltas * merged_counts[:, None, None])
     usable_landmarks = np.where(is_usable[:, None, None], observed, np.nan)
-    solver = _FaceSolver(solved_face, usable_landmarks, fps, smooth, camera)
+    solver = _FaceSolver(face, usable_landmarks, fps, smooth, camera)
     weights, poses, residuals, robust_weights, rounds, change = solver.solve(progress)
     all_weights = np.zeros((len(observed), len(model.shapes)))
-    solved_columns = np.cumsum(is_solved) - 1
-    all_weights[:, is_moving] = weights[
-        :, solved_columns[representative_of_shape[is_moving]]
-    ]
+    columns = np.cumsum(is_solved) - 1
+    all_weights[:, is_moving] = weights[:, columns[representative_of_shape[is_moving]]]
     rotations, translations = interpolate_poses(poses, is_usable)
     misplaced_counts = (robust_weights < MISPLACED_FRACTION).sum(axis=1)
     matching_counts = (robust_weights >= MISPLACED_FRACTION).sum(axis=1)
@@ -144,12 +140,12 @@ def fit_face(
     is_poor &= matching_counts < 0.5 * is_visible.sum(axis=1)
     status = np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED)
     status = np.where(is_usable, status, "gap")
-    local_points = None
+    head_points = None
     if camera is None:
         offsets = observed - translations[:, None]
-        local_points = so3.rotate(so3.conjugate(rotations)[:, None], offsets)
+        head_points = so3.rotate(so3.conjugate(rotations)[:, None], offsets)
     notices = _notices(
-        model, is_visible, is_usable, is_poor, robust_weights, local_points
+        model, is_visible, is_usable, is_poor, robust_weights, head_points
     )
     return FaceFit(
         model,
@@ -166,9 +162,7 @@ def fit_face(
     )
 
 
-def _select_solved_shapes(
-    model: FaceModel, is_moving: BoolArray
-) -> tuple[BoolArray, IntArray]:
+def _merge_shapes(model: FaceModel, is_moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Return a mask of solved shapes, and each shape's solved representative."""
     is_solved, representative_of_shape = is_moving.copy(), np.arange(len(is_moving))
     for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
@@ -183,13 +177,11 @@ def _check_landmarks(
     model: FaceModel, observed: FloatArray, camera: FloatArray | None
 ) -> None:
     """Raise if landmarks do not match the face model in number, size or unit."""
-    dimensions = 3 if camera is None else 2
-    shape = (len(model.names), dimensions)
+    width = 3 if camera is None else 2
+    shape = (len(model.names), width)
     if observed.ndim != 3 or observed.shape[1:] != shape or not len(observed):
         message = f"landmarks have shape {observed.shape}, but the face has "
-        message += (
-            f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {dimensions})"
-        )
+        message += f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {width})"
         raise OptionError(Fault("FAC004", message))
     if len(model.names) < MIN_LANDMARKS:
         message = f"the face has {counted(len(model.names), 'landmark')}"
@@ -200,16 +192,14 @@ def _check_landmarks(
     is_visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     sampled_frames = np.flatnonzero(is_visible.sum(axis=1) >= MIN_LANDMARKS)
     sampled_frames = sampled_frames[:: max(1, len(is_visible) // 50)]
-    size_ratios = [
+    ratios = [
         rms_spread(observed[f, is_visible[f]])
         / max(rms_spread(model.neutral[is_visible[f]]), 1e-300)
         for f in sampled_frames.tolist()
     ]
-    size_ratio = float(np.median(size_ratios)) if size_ratios else 1.0
-    if not 1 / MAX_SIZE_RATIO <= size_ratio <= MAX_SIZE_RATIO:
-        message = (
-            f"the captured face is {plain_number(size_ratio)} times the size of the "
-        )
+    ratio = float(np.median(ratios)) if ratios else 1.0
+    if not 1 / MAX_SIZE_RATIO <= ratio <= MAX_SIZE_RATIO:
+        message = f"the captured face is {plain_number(ratio)} times the size of the "
         message += "rig's"
         hint = f"set the unit of the landmarks with {argument('source.unit')}"
         raise OptionError(Fault("FAC006", message, hint=hint))
@@ -290,53 +280,40 @@ class _FaceSolver:
         """Estimate landmark noise in one direction, [m] or [px], from single frames."""
         visible_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
         rows = np.linspace(0, len(visible_frames) - 1, NOISE_FRAMES).astype(int)
-        sampled_frames = np.unique(visible_frames[rows])
+        frames = np.unique(visible_frames[rows])
         min_noise = MIN_NOISE * self.face.size * self.pixels_per_unit
         self.rest_penalty = (min_noise * 10 / TYPICAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.pixels_per_unit
         noise = min_noise
         for _ in range(3):
-            weights, _, residuals, *_ = self._run_kernel(
-                sampled_frames, threshold, 0.0, 6
-            )
+            weights, _, residuals, *_ = self._run_kernel(frames, threshold, 0.0, 6)
             is_visible = np.isfinite(residuals)
-            dimensions = self.observed.shape[-1]
-            residual_count = dimensions * is_visible.sum()
+            width = self.observed.shape[-1]
+            residual_count = width * is_visible.sum()
             # Each pose, and each weight inside its bounds, takes one residual.
-            parameter_count = (
-                6 * len(sampled_frames) + ((weights > 0) & (weights < 1)).sum()
-            )
-            residual_fraction = max(
-                1.0 - parameter_count / max(residual_count, 1), 0.05
-            )
-            unit_median = MEDIAN_LENGTH_3D if dimensions == 3 else MEDIAN_LENGTH_2D
+            parameter_count = 6 * len(frames) + ((weights > 0) & (weights < 1)).sum()
+            free_fraction = max(1.0 - parameter_count / max(residual_count, 1), 0.05)
+            unit_median = MEDIAN_LENGTH_3D if width == 3 else MEDIAN_LENGTH_2D
             typical_residual = float(np.median(residuals[is_visible])) / unit_median
-            noise = max(typical_residual / np.sqrt(residual_fraction), min_noise)
+            noise = max(typical_residual / np.sqrt(free_fraction), min_noise)
             threshold = ROBUST_DEVIATIONS * noise
         return noise
 
     def solve(self, progress: Callable[[float], None] | None) -> _FitResult:
         """Solve the take in overlapping windows, and join their middle frames."""
         frame_count, landmark_count = self.observed.shape[:2]
-        column_counts = (len(self.face.shapes), 7, landmark_count, landmark_count)
-        outputs = [
-            np.zeros((frame_count, column_count)) for column_count in column_counts
-        ]
+        widths = (len(self.face.shapes), 7, landmark_count, landmark_count)
+        outputs = [np.zeros((frame_count, width)) for width in widths]
         rounds, change = 0, 0.0
         for first in range(0, frame_count, WINDOW_FRAMES):
-            begin, end = (
-                max(0, first - OVERLAP_FRAMES),
-                min(frame_count, first + WINDOW_FRAMES + OVERLAP_FRAMES),
-            )
-            window_result = self._solve_window(slice(begin, end))
+            begin = max(0, first - OVERLAP_FRAMES)
+            end = min(frame_count, first + WINDOW_FRAMES + OVERLAP_FRAMES)
+            result = self._solve_window(slice(begin, end))
             output_frames = slice(first, min(frame_count, first + WINDOW_FRAMES))
             window_rows = slice(first - begin, output_frames.stop - begin)
-            for output, values in zip(outputs, window_result[:4], strict=True):
+            for output, values in zip(outputs, result[:4], strict=True):
                 output[output_frames] = values[window_rows]
-            rounds, change = (
-                max(rounds, window_result[4]),
-                max(change, window_result[5]),
-            )
+            rounds, change = max(rounds, result[4]), max(change, result[5])
             if progress is not None:
                 progress(output_frames.stop / frame_count)
         weights, poses, residuals, robust_weights = outputs
@@ -365,23 +342,21 @@ def _notices(
     is_usable: BoolArray,
     is_poor: BoolArray,
     robust_weights: FloatArray,
-    local_points: FloatArray | None,
+    head_points: FloatArray | None,
 ) -> list[Fault]:
     """Return warnings about gaps, poor frames and misplaced landmarks (FAC103-105).
 
-    ``local_points`` ``(F, N, 3)``: The observed landmarks in the frame of the head.
+    ``head_points`` ``(F, N, 3)``: The observed landmarks in the frame of the head.
     """
     notices = []
     for is_affected, code, problem in (
         (~is_usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
         (is_poor, "FAC104", "landmarks that are mostly outliers"),
     ):
-        affected_frames = np.flatnonzero(is_affected).tolist()
-        if affected_frames:
-            message = (
-                f"{counted(len(affected_frames), 'frame')} with {problem}; from the "
-            )
-            message += f"first, frames {listed(affected_frames, MAX_LISTED_FRAMES)}"
+        frames = np.flatnonzero(is_affected).tolist()
+        if frames:
+            message = f"{counted(len(frames), 'frame')} with {problem}; from the "
+            message += f"first, frames {listed(frames, MAX_LISTED_FRAMES)}"
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = is_visible & is_usable[:, None]
     visible_counts = is_used.sum(axis=0)
@@ -400,22 +375,22 @@ def _notices(
             message = f"{counted(len(names), 'landmark')} {verb} {problem}: "
             fault = names_fault("FAC105", message, names, severity=Severity.WARNING)
             notices.append(fault)
-    if local_points is not None and is_misplaced.any():
-        hint = _exchange_hint(model, local_points[is_usable], is_misplaced)
+    if head_points is not None and is_misplaced.any():
+        hint = _exchange_hint(model, head_points[is_usable], is_misplaced)
         notices[-1] = replace(notices[-1], hint=hint)
     return notices
 
 
 def _exchange_hint(
-    model: FaceModel, local_points: FloatArray, is_misplaced: BoolArray
+    model: FaceModel, head_points: FloatArray, is_misplaced: BoolArray
 ) -> str | None:
     """Return a hint to exchange misplaced landmarks that are at each other's position.
 
-    ``local_points`` ``(F, N, 3)`` are the observed landmarks in the frame of the head.
+    ``head_points`` ``(F, N, 3)`` are the observed landmarks in the frame of the head.
     """
     misplaced_landmarks = np.flatnonzero(is_misplaced)
     neutral = model.neutral[misplaced_landmarks]
-    median_points = np.nanmedian(local_points[:, misplaced_landmarks], axis=0)
+    median_points = np.nanmedian(head_points[:, misplaced_landmarks], axis=0)
     distances = np.linalg.norm(median_points[:, None] - neutral[None], axis=-1)
     nearest = distances.argmin(axis=1)
     spacing = np.linalg.norm(neutral[:, None] - neutral[None], axis=-1)

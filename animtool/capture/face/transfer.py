@@ -111,12 +111,10 @@ def _target_landmarks(
     ]
     if len(shared_names) < 4:
         refuse("FAC004", f"the faces share {len(shared_names)} landmarks; 4 are needed")
-    column_of_shape = {name: i for i, name in enumerate(source)}
+    columns = {name: i for i, name in enumerate(source)}
     source_weights = np.stack(
         [
-            weights[:, column_of_shape[name]]
-            if name in column_of_shape
-            else np.zeros(len(weights))
+            weights[:, columns[name]] if name in columns else np.zeros(len(weights))
             for name in source_face.shapes
         ],
         axis=-1,

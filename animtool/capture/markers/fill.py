@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # Longest gap that is filled by a curve through the surrounding frames [s].
 MAX_CURVE_SECONDS = 0.05
 # Frames on either side for fitting the curve, and the minimum on one side.
-CURVE_SIDE_FRAMES, MIN_SIDE_FRAMES = 6, 3
+CURVE_FRAMES, MIN_SIDE_FRAMES = 6, 3
 CURVE_DEGREE = 5
 # A prediction with an error below this is not compared with others [m]; and the
 # fraction of a gap in which another marker must be visible to support the joint.
@@ -190,10 +190,8 @@ def _fill_gaps(
                 measured_gap = replace(marker_gap, is_visible=is_measured)
                 prediction = predict_from_skeleton(skeleton, measured_gap)
                 method = "skeleton"
-                is_mostly_visible = (
-                    is_measured[gap].mean(axis=0) >= MIN_SUPPORT_VISIBILITY
-                )
-                drift = skeleton.drift_speed(marker, is_mostly_visible) * length / rate
+                is_supporting = is_measured[gap].mean(axis=0) >= MIN_SUPPORT_VISIBILITY
+                drift = skeleton.drift_speed(marker, is_supporting) * length / rate
                 if drift and max(drift, prediction.error) > MAX_ACCEPTED_ERROR:
                     prediction = replace(prediction, error=max(drift, prediction.error))
                     prediction, method = _most_accurate_prediction(
@@ -214,12 +212,10 @@ def _fill_gaps(
         if path is not None:
             positions[gap, marker] = path
             is_known[gap, marker] = True
-        marker_name = markers.names[marker]
+        name = markers.names[marker]
         last = first + length - 1
-        filled_gaps.append(
-            FilledGap(marker_name, first, last, "" if path is None else method)
-        )
-    marker_order = {marker_name: i for i, marker_name in enumerate(markers.names)}
+        filled_gaps.append(FilledGap(name, first, last, "" if path is None else method))
+    marker_order = {name: i for i, name in enumerate(markers.names)}
     filled_gaps.sort(key=lambda gap: (marker_order[gap.marker], gap.first))
     return positions, filled_gaps
 
@@ -279,11 +275,7 @@ def _visible_frames_near(is_known: BoolArray, start: int, step: int) -> list[int
     """Return the visible frames next to a gap, from ``start`` on, up to a limit."""
     frames: list[int] = []
     frame = start
-    while (
-        0 <= frame < len(is_known)
-        and is_known[frame]
-        and len(frames) < CURVE_SIDE_FRAMES
-    ):
+    while 0 <= frame < len(is_known) and is_known[frame] and len(frames) < CURVE_FRAMES:
         frames.append(frame)
         frame += step
     return frames

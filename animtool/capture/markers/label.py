@@ -18,11 +18,7 @@ from animtool.capture.markers.naming import PointNaming, search_names
 from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.runs import TrackletLabels
 from animtool.capture.markers.tracklets import Tracklets, track_points
-from animtool.capture.markers.twins import (
-    DoubtfulExchange,
-    distinguish_twins,
-    is_exchanged,
-)
+from animtool.capture.markers.twins import NameExchange, distinguish_twins, is_exchanged
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, OptionError, warning
@@ -46,34 +42,29 @@ CHAIN_ROUNDS = 2
 
 
 def identify_runs(
-    points: FloatArray, rest_positions: FloatArray, rest_distances: FloatArray
+    points: FloatArray, rest_shape: FloatArray, rest_lengths: FloatArray
 ) -> IntArray | None:
     """Return the marker of each run of points ``(F, R, 3)``; None if nothing fits."""
     chain_of_run = np.arange(points.shape[1])
     for _ in range(CHAIN_ROUNDS):
         distances = marker_distances(points)
         is_visible = np.isfinite(points[..., 0]).astype(np.float64)
-        chain_of_point = chain_runs(distances, is_visible.T @ is_visible)
+        next_chain = chain_runs(distances, is_visible.T @ is_visible)
         points, chain_of_run = (
-            merge_chains(points, chain_of_point),
-            chain_of_point[chain_of_run],
+            merge_chains(points, next_chain),
+            next_chain[chain_of_run],
         )
     distances = marker_distances(points)
     is_visible = np.isfinite(points[..., 0]).astype(np.float64)
     groups = _rigid_groups(distances)
     seeds = _find_seeds(
-        points, groups, distances, rest_positions, rest_distances, SEED_TOLERANCE
+        points, groups, distances, rest_shape, rest_lengths, SEED_TOLERANCE
     )
     if not seeds:
         seeds = _find_seeds(
-            points,
-            groups,
-            distances,
-            rest_positions,
-            rest_distances,
-            LOOSE_SEED_TOLERANCE,
+            points, groups, distances, rest_shape, rest_lengths, LOOSE_SEED_TOLERANCE
         )
-    initial_naming = PointNaming(distances, is_visible.T @ is_visible, rest_distances)
+    initial_naming = PointNaming(distances, is_visible.T @ is_visible, rest_lengths)
     merged_seed = _merge_seeds(seeds, initial_naming.are_concurrent)
     namings = []
     for seed in filter(None, [merged_seed, *seeds[:MAX_SEEDS]]):
@@ -86,48 +77,45 @@ def identify_runs(
         return None
     best_naming = max(namings, key=PointNaming.total_evidence)
     return search_names(
-        best_naming, rest_distances, seeds[:MAX_RESTART_SEEDS]
-    ).marker_of_point[chain_of_run]
+        best_naming, rest_lengths, seeds[:MAX_RESTART_SEEDS]
+    ).point_markers[chain_of_run]
 
 
 def _merge_seeds(
     seeds: list[dict[int, int]], are_concurrent: BoolArray
 ) -> dict[int, int]:
     """Merge seeds, point → marker, unless they contradict a better one before them."""
-    marker_of_point: dict[int, int] = {}
+    merged_seed: dict[int, int] = {}
     for seed in seeds:
-        if any(
-            marker_of_point.get(point, marker) != marker
-            for point, marker in seed.items()
-        ):
+        if any(merged_seed.get(p, m) != m for p, m in seed.items()):
             continue
-        combined_markers = marker_of_point | seed
-        points = np.array(list(combined_markers))
-        markers = np.array(list(combined_markers.values()))
+        extended_seed = merged_seed | seed
+        points = np.array(list(extended_seed))
+        markers = np.array(list(extended_seed.values()))
         is_clash = are_concurrent[np.ix_(points, points)] & (
             markers[:, None] == markers
         )
         np.fill_diagonal(is_clash, False)
         if not is_clash.any():
-            marker_of_point = combined_markers
-    return marker_of_point
+            merged_seed = extended_seed
+    return merged_seed
 
 
 def _find_seeds(
     points: FloatArray,
     groups: list[tuple[int, ...]],
     distances: MarkerDistances,
-    rest_positions: FloatArray,
-    rest_distances: FloatArray,
+    rest_shape: FloatArray,
+    rest_lengths: FloatArray,
     tolerance: float,
 ) -> list[dict[int, int]]:
     """Return rigid groups as point → marker, by the error of their shape at rest."""
     seeds = []
     for group in groups:
         for markers in _matching_markers(
-            group, distances.mean, rest_distances, tolerance
+            group, distances.mean, rest_lengths, tolerance
         ):
-            shape_error = _shape_error(points[:, group], rest_positions[list(markers)])
+            shape_error = _shape_error(points[:, group], rest_shape[list(markers)])
             if shape_error < MAX_SEED_ERROR:
                 seeds.append((shape_error, dict(zip(group, markers, strict=True))))
     seeds.sort(key=lambda entry: entry[0])
@@ -158,20 +146,18 @@ def _rigid_groups(distances: MarkerDistances) -> list[tuple[int, ...]]:
 def _matching_markers(
     group: tuple[int, ...],
     run_distances: FloatArray,
-    rest_distances: FloatArray,
+    rest_lengths: FloatArray,
     tolerance: float,
 ) -> list[tuple[int, ...]]:
     """Return all marker tuples whose rest distances match those of a group of runs."""
-    first_marker, second_marker = np.nonzero(
-        np.abs(rest_distances - run_distances[group[1], group[0]]) < tolerance
+    first, second = np.nonzero(
+        np.abs(rest_lengths - run_distances[group[1], group[0]]) < tolerance
     )
-    partial_matches = np.stack([first_marker, second_marker], axis=1)
-    partial_matches = partial_matches[first_marker != second_marker]
+    partial_matches = np.stack([first, second], axis=1)
+    partial_matches = partial_matches[first != second]
     for k in range(2, len(group)):
         group_lengths = run_distances[group[k], group[:k]]
-        deviation = np.abs(
-            rest_distances[partial_matches] - group_lengths[None, :, None]
-        )
+        deviation = np.abs(rest_lengths[partial_matches] - group_lengths[None, :, None])
         is_match: BoolArray = np.asarray((deviation < tolerance).all(axis=1))
         is_match[np.arange(len(partial_matches))[:, None], partial_matches] = False
         match_indices, next_marker = np.nonzero(is_match)
@@ -219,9 +205,8 @@ class LabelReport:
     runs: int  # number of gapless runs
     missing: list[str]  # names without a point in any frame
     coverage: dict[str, float]  # fraction of frames in which each name has a point
-    doubts: list[
-        AmbiguousNames
-    ]  # markers that neither distances nor shapes distinguish
+    # Markers that neither distances nor shapes distinguish.
+    doubts: list[AmbiguousNames]
     notices: list[Fault] = field(default_factory=list)  # warnings
 
     @property
@@ -242,75 +227,62 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
         cloud: Points in any order, which may change from frame to frame.
         static: The subject's labelled static trial; its frames are averaged.
     """
-    names, rest_positions = _static_template(static)
+    names, rest_shape = _static_template(static)
     rate = float(cloud.clock.rate)
     tracklets = track_points(cloud.positions, rate)
-    marker_of_first_run = _name_first_runs(cloud, tracklets, rest_positions)
+    marker_of_first_run = _name_first_runs(cloud, tracklets, rest_shape)
     if marker_of_first_run is None:
         message = "no group of points moves like a segment of the trial"
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
-    rest_distances = np.linalg.norm(
-        rest_positions[:, None] - rest_positions[None], axis=-1
-    )
+    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     tracklet_labels = TrackletLabels(
-        cloud.positions, tracklets, rate, marker_of_first_run, rest_distances
+        cloud.positions, tracklets, rate, marker_of_first_run, rest_lengths
     )
-    new_marker_of, exchanges, similar_pairs = distinguish_twins(
-        tracklet_labels.marker_paths(), rest_positions
+    new_marker_of, exchanges, pairs = distinguish_twins(
+        tracklet_labels.marker_paths(), rest_shape
     )
-    is_named = tracklet_labels.marker_of_run >= 0
-    tracklet_labels.marker_of_run = np.where(
-        is_named, new_marker_of[tracklet_labels.marker_of_run], -1
+    is_named = tracklet_labels.run_markers >= 0
+    tracklet_labels.run_markers = np.where(
+        is_named, new_marker_of[tracklet_labels.run_markers], -1
     )
-    for similar_pair in similar_pairs:
-        _exchange_where_better(tracklet_labels, rest_positions, similar_pair)
+    for pair in pairs:
+        _exchange_where_better(tracklet_labels, rest_shape, pair)
     tracklet_labels.name_runs()
-    return _apply_names(
-        cloud, names, tracklets, tracklet_labels.marker_of_run, exchanges
-    )
+    return _apply_names(cloud, names, tracklets, tracklet_labels.run_markers, exchanges)
 
 
 def _static_template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and median positions ``(M, 3)`` of a static trial's markers."""
-    visible_markers = np.flatnonzero(static.visible.any(axis=0)).tolist()
-    labelled_markers = [
-        i for i in visible_markers if not static.names[i].startswith("*")
-    ]
-    if len(labelled_markers) < 4:
-        message = (
-            f"the trial has {len(labelled_markers)} labelled markers; labelling needs 4"
-        )
+    visible_columns = np.flatnonzero(static.visible.any(axis=0)).tolist()
+    columns = [i for i in visible_columns if not static.names[i].startswith("*")]
+    if len(columns) < 4:
+        message = f"the trial has {len(columns)} labelled markers; labelling needs 4"
         raise OptionError(Fault("MKR020", message))
-    rest_positions = np.nanmedian(static.positions[:, labelled_markers], axis=0)
-    return tuple(static.names[i] for i in labelled_markers), rest_positions
+    rest_shape = np.nanmedian(static.positions[:, columns], axis=0)
+    return tuple(static.names[i] for i in columns), rest_shape
 
 
 def _apply_names(
     cloud: Markers,
     names: tuple[str, ...],
     tracklets: Tracklets,
-    marker_of_run: IntArray,
-    exchanges: list[DoubtfulExchange],
+    run_markers: IntArray,
+    exchanges: list[NameExchange],
 ) -> tuple[Markers, LabelReport]:
     """Return the cloud with a named marker for each name, and the report."""
     frame_count = len(cloud)
-    point_of_marker = np.full((frame_count, len(names)), -1)
+    point_indices = np.full((frame_count, len(names)), -1)
     ids = tracklets.ids
-    marker_of_point = np.where(ids >= 0, marker_of_run[ids], -1)
+    marker_of_point = np.where(ids >= 0, run_markers[ids], -1)
     frame_indices, points = np.nonzero(marker_of_point >= 0)
-    point_of_marker[frame_indices, marker_of_point[frame_indices, points]] = points
+    point_indices[frame_indices, marker_of_point[frame_indices, points]] = points
 
-    labelled_cloud = cloud.rearrange(point_of_marker, names)
-    coverages = (point_of_marker >= 0).mean(axis=0)
-    point_count, labelled_count = (
-        int((ids >= 0).sum()),
-        int((point_of_marker >= 0).sum()),
-    )
-    coverage_of_name = dict(zip(names, coverages.tolist(), strict=True))
-    missing_names = [
-        name for name, fraction in coverage_of_name.items() if not fraction
-    ]
+    labelled_cloud = cloud.rearrange(point_indices, names)
+    fractions = (point_indices >= 0).mean(axis=0)
+    point_count, labelled_count = int((ids >= 0).sum()), int((point_indices >= 0).sum())
+    coverage = dict(zip(names, fractions.tolist(), strict=True))
+    missing_names = [name for name, fraction in coverage.items() if not fraction]
     notices = plausibility_warnings(cloud)
     if missing_names:
         message = f"no points were found for {', '.join(missing_names)}"
@@ -321,13 +293,13 @@ def _apply_names(
     report = LabelReport(
         frame_count, len(names), point_count, labelled_count,
         point_count - labelled_count, len(tracklets.first), missing_names,
-        coverage_of_name, doubts, notices,
+        coverage, doubts, notices,
     )  # fmt: skip
     return labelled_cloud, report
 
 
 def _exchange_doubts(
-    labelled_cloud: Markers, exchanges: list[DoubtfulExchange]
+    labelled_cloud: Markers, exchanges: list[NameExchange]
 ) -> list[AmbiguousNames]:
     """Return doubtful exchanges as names, with the first and last frame of all."""
     doubts = []
@@ -360,27 +332,25 @@ def _doubt_warning(doubts: list[AmbiguousNames], cloud: Markers) -> Fault:
 
 
 def _name_first_runs(
-    cloud: Markers, tracklets: Tracklets, rest_positions: FloatArray
+    cloud: Markers, tracklets: Tracklets, rest_shape: FloatArray
 ) -> IntArray | None:
     """Name the long runs of the span with most of them ``(T,)``; -1 for the others.
 
     Return None if no group of runs fits the markers at rest.
     """
     frames, long_runs = _find_first_span(tracklets, len(cloud), float(cloud.clock.rate))
-    rest_distances = np.linalg.norm(
-        rest_positions[:, None] - rest_positions[None], axis=-1
-    )
+    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     column_of_run = np.full(len(tracklets.first) + 1, -1)
     column_of_run[long_runs] = np.arange(len(long_runs))
     points = positions_by_column(
         cloud.positions[frames], tracklets.ids[frames], column_of_run, len(long_runs)
     )
-    markers = identify_runs(points, rest_positions, rest_distances)
+    markers = identify_runs(points, rest_shape, rest_lengths)
     if markers is None:
         return None
-    marker_of_run = np.full(len(tracklets.first), -1)
-    marker_of_run[long_runs] = markers
-    return marker_of_run
+    run_markers = np.full(len(tracklets.first), -1)
+    run_markers[long_runs] = markers
+    return run_markers
 
 
 def _find_first_span(
@@ -404,13 +374,13 @@ def _find_first_span(
 
 
 def _exchange_where_better(
-    tracklet_labels: TrackletLabels, rest_positions: FloatArray, pair: tuple[int, int]
+    tracklet_labels: TrackletLabels, rest_shape: FloatArray, pair: tuple[int, int]
 ) -> None:
     """Exchange two markers' runs where the rest shape fits better exchanged.
 
     Runs are tested in groups that end at a gap of both markers.
     """
-    pair_runs = np.flatnonzero(np.isin(tracklet_labels.marker_of_run, pair))
+    pair_runs = np.flatnonzero(np.isin(tracklet_labels.run_markers, pair))
     first, last = tracklet_labels.tracklets.first, tracklet_labels.tracklets.last
     pair_runs = pair_runs[np.argsort(first[pair_runs], kind="stable")]
     latest_frames = np.maximum.accumulate(last[pair_runs])
@@ -423,6 +393,6 @@ def _exchange_where_better(
     for run_group in run_groups:
         end = int(last[run_group].max()) + 1
         frames = slice(int(first[run_group].min()), end)
-        if is_exchanged(marker_positions[frames], rest_positions, pair):
-            markers = tracklet_labels.marker_of_run[run_group]
-            tracklet_labels.marker_of_run[run_group] = sum(pair) - markers
+        if is_exchanged(marker_positions[frames], rest_shape, pair):
+            markers = tracklet_labels.run_markers[run_group]
+            tracklet_labels.run_markers[run_group] = sum(pair) - markers

@@ -22,12 +22,8 @@ MAX_RENAME_TRIALS, MIN_EVIDENCE_GAIN = 40, 0.05
 # points visible for longer than that fraction, have the names around them reassigned:
 # number of restarts, radius [m], random bias [nat], and probability of restarting from
 # scratch.
-MIN_NAMED_FRACTION, LONG_VISIBLE_FRACTION, RESTART_COUNT = 0.5, 0.3, 60
-RESTART_RADIUS_RANGE, RANDOM_BIAS_RANGE, SCRATCH_PROBABILITY = (
-    (0.3, 1.2),
-    (0.5, 6.0),
-    0.4,
-)
+MIN_NAMED_FRACTION, LONG_FRACTION, RESTART_COUNT = 0.5, 0.3, 60
+RESTART_RADIUS, RANDOM_BIAS, SCRATCH_PROBABILITY = (0.3, 1.2), (0.5, 6.0), 0.4
 # Radius around a doubtful marker [m].
 DOUBT_RADIUS = 0.3
 # Markers this near at rest are exchanged in triples and double pairs [m].
@@ -41,18 +37,18 @@ class PointNaming:
     """An assignment of markers to points, and the evidence for every other one.
 
     Attributes:
-        marker_of_point: Marker of each point ``(R,)``; -1 for none.
+        point_markers: Marker of each point ``(R,)``; -1 for none.
     """
 
     def __init__(
         self,
-        point_distances: MarkerDistances,
+        distances: MarkerDistances,
         overlap: FloatArray,
         rest_distances: FloatArray,
     ) -> None:
         """Start without names.
 
-        point_distances: Between the points. overlap: Number of frames in which pairs
+        distances: Between the points. overlap: Number of frames in which pairs
         are visible ``(R, R)``. rest_distances: Between the markers ``(M, M)`` [m].
         """
         point_count, marker_count = len(overlap), len(rest_distances)
@@ -62,17 +58,17 @@ class PointNaming:
         self.visible_fraction = np.diag(overlap_fraction).copy()
         np.fill_diagonal(overlap_fraction, 0.0)
         self.pair_scores = compute_pair_evidence(
-            point_distances, overlap_fraction, rest_distances
+            distances, overlap_fraction, rest_distances
         )
         # Points never visible together that share a name should be one marker.
         pair_weights = np.minimum(self.visible_fraction[:, None], self.visible_fraction)
         pair_weights = pair_weights * ~self.are_concurrent
-        chain_evidence = pair_weights * chain_likelihoods(point_distances, overlap)
+        chain_evidence = pair_weights * chain_likelihoods(distances, overlap)
         for marker in range(marker_count):
             self.pair_scores[:, :, marker, marker] += chain_evidence.astype(np.float32)
         # Pairs of points that stay rigid, few for each point.
-        is_measured = (overlap_fraction > 0) & np.isfinite(point_distances.spread)
-        spread = np.where(is_measured, point_distances.spread, np.inf)
+        is_measured = (overlap_fraction > 0) & np.isfinite(distances.spread)
+        spread = np.where(is_measured, distances.spread, np.inf)
         rigid_partners = np.argsort(spread, axis=1, kind="stable")[:, :RIGID_PARTNERS]
         rigid_pairs = {
             (min(point, other), max(point, other))
@@ -83,7 +79,7 @@ class PointNaming:
         pair_array = np.array(sorted(rigid_pairs), np.int64).reshape(-1, 2)
         self.rigid_pairs = pair_array[:, 0], pair_array[:, 1]
         self.exchanges = find_exchanges(rest_distances)
-        self.marker_of_point = np.full(point_count, -1)
+        self.point_markers = np.full(point_count, -1)
         self.scores = np.zeros((point_count, marker_count))
         self.blocked_counts = np.zeros((point_count, marker_count), np.int64)
 
@@ -91,25 +87,25 @@ class PointNaming:
         """Return a naming that can be changed; constant tables are shared."""
         naming = object.__new__(PointNaming)
         naming.__dict__.update(self.__dict__)
-        for name in ("marker_of_point", "scores", "blocked_counts"):
+        for name in ("point_markers", "scores", "blocked_counts"):
             setattr(naming, name, getattr(self, name).copy())
         return naming
 
     def total_evidence(self) -> float:
         """Return the evidence of all distances between named points [nat]."""
-        named_points = np.flatnonzero(self.marker_of_point >= 0)
+        named_points = np.flatnonzero(self.point_markers >= 0)
         return 0.5 * float(
-            self.scores[named_points, self.marker_of_point[named_points]].sum()
+            self.scores[named_points, self.point_markers[named_points]].sum()
         )
 
     def assign(self, point: int, marker: int) -> None:
         """Assign a marker's name to a point; marker -1 removes the point's name."""
-        previous_marker = int(self.marker_of_point[point])
+        previous_marker = int(self.point_markers[point])
         for changed_marker, sign in ((previous_marker, -1), (marker, 1)):
             if changed_marker >= 0:
                 self.scores += sign * self.pair_scores[point, :, changed_marker]
                 self.blocked_counts[self.are_concurrent[point], changed_marker] += sign
-        self.marker_of_point[point] = marker
+        self.point_markers[point] = marker
 
     def assign_greedily(self, bias: FloatArray | float = 0.0) -> None:
         """Name unnamed points one by one, or in rigid pairs, the clearest first.
@@ -118,10 +114,10 @@ class PointNaming:
 
         bias: Additional evidence for names ``(R, M)`` [nat].
         """
-        rows = np.arange(len(self.marker_of_point))
+        rows = np.arange(len(self.point_markers))
         while True:
             score = np.where(self.blocked_counts > 0, -np.inf, self.scores + bias)
-            score[self.marker_of_point >= 0] = -np.inf
+            score[self.point_markers >= 0] = -np.inf
             pair = self._clearest_pair(score)
             marker = score.argmax(axis=1)
             best_score = score[rows, marker]
@@ -143,7 +139,7 @@ class PointNaming:
     def _clearest_pair(self, score: FloatArray) -> Any:
         """Return the clearest rigid pair: evidence margin [nat], points and names."""
         first, second = self.rigid_pairs
-        is_free = (self.marker_of_point[first] < 0) & (self.marker_of_point[second] < 0)
+        is_free = (self.point_markers[first] < 0) & (self.point_markers[second] < 0)
         first, second = first[is_free], second[is_free]
         if not len(first):
             return None
@@ -181,16 +177,16 @@ class PointNaming:
                 if not has_changed:
                     return
                 continue
-            for point in np.flatnonzero(self.marker_of_point >= 0).tolist():
-                new_marker = int(new_markers[self.marker_of_point[point]])
-                if new_marker != self.marker_of_point[point]:
+            for point in np.flatnonzero(self.point_markers >= 0).tolist():
+                new_marker = int(new_markers[self.point_markers[point]])
+                if new_marker != self.point_markers[point]:
                     self.assign(point, new_marker)
 
     def _improve_names(self) -> bool:
         """Give points a free name that fits better; return whether any name changed."""
         has_changed = False
-        for point in range(len(self.marker_of_point)):
-            current_marker = int(self.marker_of_point[point])
+        for point in range(len(self.point_markers)):
+            current_marker = int(self.point_markers[point])
             blocked_counts = self.blocked_counts[point].copy()
             current_score = 0.0
             if current_marker >= 0:
@@ -215,21 +211,21 @@ class PointNaming:
 
         All pairs of markers are tried, and triples and double pairs of near ones.
         """
-        named_points = np.flatnonzero(self.marker_of_point >= 0)
+        named_points = np.flatnonzero(self.point_markers >= 0)
         named_markers, first = np.unique(
-            self.marker_of_point[named_points], return_index=True
+            self.point_markers[named_points], return_index=True
         )
         marker_count = self.scores.shape[1]
         rows = self.pair_scores[named_points[first]]
         later_points = np.setdiff1d(np.arange(len(named_points)), first)
         for point in named_points[later_points].tolist():
-            rows[np.searchsorted(named_markers, self.marker_of_point[point])] += (
+            rows[np.searchsorted(named_markers, self.point_markers[point])] += (
                 self.pair_scores[point]
             )
         pair_scores: FloatArray = np.zeros((marker_count,) * 4, self.pair_scores.dtype)
         pair_scores[np.ix_(named_markers, named_markers)] = rows[:, named_points[first]]
         for point in named_points[later_points].tolist():
-            pair_scores[named_markers, self.marker_of_point[point]] += rows[:, point]
+            pair_scores[named_markers, self.point_markers[point]] += rows[:, point]
         pair_scores[np.arange(marker_count), np.arange(marker_count)] = 0.0
         new_markers = np.arange(marker_count)
         for _ in range(MAX_EXCHANGES):
@@ -255,13 +251,11 @@ class PointNaming:
         self, tried_moves: set[tuple[int, int]]
     ) -> tuple[int, int] | None:
         """Return the point and new marker with most gain, or None if none has [nat]."""
-        rows = np.arange(len(self.marker_of_point))
-        is_named = self.marker_of_point >= 0
-        current_scores = np.where(
-            is_named, self.scores[rows, self.marker_of_point], 0.0
-        )
+        rows = np.arange(len(self.point_markers))
+        is_named = self.point_markers >= 0
+        current_scores = np.where(is_named, self.scores[rows, self.point_markers], 0.0)
         rename_gains = self.scores - current_scores[:, None]
-        rename_gains[rows[is_named], self.marker_of_point[is_named]] = -np.inf
+        rename_gains[rows[is_named], self.point_markers[is_named]] = -np.inf
         for point, marker in tried_moves:
             rename_gains[point, marker] = -np.inf
         point, marker = divmod(int(rename_gains.argmax()), rename_gains.shape[1])
@@ -272,10 +266,8 @@ class PointNaming:
 
         is_reassigned: Mask of further markers whose names are reassigned ``(M,)``.
         """
-        is_conflicting = self.are_concurrent[point] & (self.marker_of_point == marker)
-        is_conflicting |= (self.marker_of_point >= 0) & is_reassigned[
-            self.marker_of_point
-        ]
+        is_conflicting = self.are_concurrent[point] & (self.point_markers == marker)
+        is_conflicting |= (self.point_markers >= 0) & is_reassigned[self.point_markers]
         for other in np.flatnonzero(is_conflicting).tolist():
             self.assign(other, -1)
         self.assign(point, marker)
@@ -286,26 +278,24 @@ class PointNaming:
 
         Return all markers if none is scarce but an unnamed point is visible for long.
         """
-        visible_lengths = np.zeros(self.scores.shape[1])
-        is_named = self.marker_of_point >= 0
+        durations = np.zeros(self.scores.shape[1])
+        is_named = self.point_markers >= 0
         np.add.at(
-            visible_lengths,
-            self.marker_of_point[is_named],
-            self.visible_fraction[is_named],
+            durations, self.point_markers[is_named], self.visible_fraction[is_named]
         )
-        scarce_markers = np.flatnonzero(visible_lengths < MIN_NAMED_FRACTION)
+        scarce_markers = np.flatnonzero(durations < MIN_NAMED_FRACTION)
         if (
             not len(scarce_markers)
-            and (self.visible_fraction[~is_named] > LONG_VISIBLE_FRACTION).any()
+            and (self.visible_fraction[~is_named] > LONG_FRACTION).any()
         ):
-            return np.arange(len(visible_lengths))
+            return np.arange(len(durations))
         return scarce_markers
 
     def restart(
         self, is_reassigned: BoolArray, seed: dict[int, int], bias: FloatArray
     ) -> None:
         """Remove the names in a mask ``(M,)``, and assign them again from a seed."""
-        is_removed = (self.marker_of_point >= 0) & is_reassigned[self.marker_of_point]
+        is_removed = (self.point_markers >= 0) & is_reassigned[self.point_markers]
         for point in np.flatnonzero(is_removed).tolist():
             self.assign(point, -1)
         for point, marker in seed.items():
@@ -330,10 +320,10 @@ def search_names(
         if not len(scarce_markers):
             break
         centre_marker = int(rng.choice(scarce_markers))
-        is_near = rest_distances[centre_marker] < rng.uniform(*RESTART_RADIUS_RANGE)
+        is_near = rest_distances[centre_marker] < rng.uniform(*RESTART_RADIUS)
         if len(scarce_markers) < len(rest_distances) and rng.random() < 0.5:
             is_near |= (rest_distances[scarce_markers] < DOUBT_RADIUS).any(axis=0)
-        bias_scale = rng.uniform(*RANDOM_BIAS_RANGE) * best.visible_fraction[:, None]
+        bias_scale = rng.uniform(*RANDOM_BIAS) * best.visible_fraction[:, None]
         bias = rng.normal(0.0, 1.0, best.scores.shape) * bias_scale
         candidate = best.copy()
         # Sometimes restart from scratch with another group.
@@ -360,8 +350,8 @@ def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNamin
         tried_moves.add(move)
         point, marker = move
         is_nearby = rest_distances[marker] < DOUBT_RADIUS
-        if best.marker_of_point[point] >= 0:
-            is_nearby |= rest_distances[best.marker_of_point[point]] < DOUBT_RADIUS
+        if best.point_markers[point] >= 0:
+            is_nearby |= rest_distances[best.point_markers[point]] < DOUBT_RADIUS
         for is_reassigned in (np.zeros(len(rest_distances), bool), is_nearby):
             candidate = best.copy()
             candidate.force_name(point, marker, is_reassigned)

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 # Training window on either side of a gap [s].
 TRAINING_SECONDS = 6.0
 # Maximum number of training frames in total, and on each side next to the gap.
-MAX_TRAINING_FRAMES, DENSE_SIDE_FRAMES = 180, 16
+MAX_TRAINING_FRAMES, DENSE_FRAMES = 180, 16
 MIN_TRAINING_FRAMES = 12
 # Numbers of markers that define the frame, and the pose.
-AXES_MARKER_COUNTS, POSE_MARKER_COUNTS = (3, 4), (0, 5, 9)
+AXES_COUNTS, POSE_COUNTS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 MARKER_NOISE = 0.0005
 # Minimum noise variance relative to the kernel's variance [1], so that float64 can
@@ -73,12 +73,8 @@ class MarkerGap:
         deviations = self.distance_deviations
         is_usable = self.is_visible[self.frames].all(axis=0) & np.isfinite(deviations)
         is_usable[self.marker] = False
-        marker_order = np.argsort(
-            np.where(is_usable, deviations, np.inf), kind="stable"
-        )
-        return np.asarray(
-            marker_order[: min(max(POSE_MARKER_COUNTS), int(is_usable.sum()))]
-        )
+        order = np.argsort(np.where(is_usable, deviations, np.inf), kind="stable")
+        return np.asarray(order[: min(max(POSE_COUNTS), int(is_usable.sum()))])
 
     def training_frames(self, neighbours: IntArray) -> IntArray:
         """Return the frames to learn from: all near the gap, and some farther away."""
@@ -91,20 +87,18 @@ class MarkerGap:
         frames = frames[(frames < gap.start) | (frames >= gap.stop)]
         is_before = frames < gap.start
         distance = np.where(is_before, gap.start - frames, frames - gap.stop + 1)
-        dense_frames = frames[distance <= DENSE_SIDE_FRAMES]
-        other_frames = frames[distance > DENSE_SIDE_FRAMES]
+        dense_frames = frames[distance <= DENSE_FRAMES]
+        other_frames = frames[distance > DENSE_FRAMES]
         count = MAX_TRAINING_FRAMES - len(dense_frames)
         if len(other_frames) > count:
-            frame_indices = np.linspace(0, len(other_frames) - 1, count).astype(
-                np.int64
-            )
-            other_frames = other_frames[frame_indices]
+            rows = np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
+            other_frames = other_frames[rows]
         return np.sort(np.concatenate([dense_frames, other_frames]))
 
-    def with_gap_frames(self, training_frames: IntArray) -> IntArray:
+    def with_gap_frames(self, training: IntArray) -> IntArray:
         """Return the training frames, and after them the frames of the gap."""
         return np.concatenate(
-            [training_frames, np.arange(self.frames.start, self.frames.stop)]
+            [training, np.arange(self.frames.start, self.frames.stop)]
         )
 
 
@@ -118,62 +112,51 @@ def predict_from_markers(gap: MarkerGap) -> Prediction | None:
     neighbours = gap.nearest_markers()
     if len(neighbours) < 3:
         return None
-    training_frames = gap.training_frames(neighbours)
-    if len(training_frames) < MIN_TRAINING_FRAMES:
+    training = gap.training_frames(neighbours)
+    if len(training) < MIN_TRAINING_FRAMES:
         return None
-    frames = gap.with_gap_frames(training_frames)
+    frames = gap.with_gap_frames(training)
     predictions = []
-    for count in AXES_MARKER_COUNTS:
+    for count in AXES_COUNTS:
         if count <= len(neighbours):
-            local_path, pose_points, to_world = _in_neighbour_axes(
-                gap, frames, neighbours, count
-            )
-            prediction = _best_prediction(
-                gap, local_path, pose_points, frames, DEVIATION_KERNELS, count
-            )
-            predictions.append(
-                replace(prediction, positions=to_world(prediction.positions))
-            )
-    return min(predictions, key=lambda prediction: prediction.error)
+            local, pose, to_world = _in_neighbour_axes(gap, frames, neighbours, count)
+            best = _best_prediction(gap, local, pose, frames, DEVIATION_KERNELS, count)
+            predictions.append(replace(best, positions=to_world(best.positions)))
+    return min(predictions, key=lambda best: best.error)
 
 
 def _best_prediction(
     gap: MarkerGap,
-    local_path: FloatArray,
-    pose_points: FloatArray,
+    local: FloatArray,
+    pose: FloatArray,
     frames: IntArray,
     deviation_kernels: tuple[tuple[float, float], ...],
     min_markers: int = 1,
 ) -> Prediction:
     """Return the prediction with the smallest cross-validation error of all kernels.
 
-    local_path: Marker positions in moving axes ``(F, 3)``, visible in all frames but
+    local: Marker positions in moving axes ``(F, 3)``, visible in all frames but
     those of the gap, which are last. pose_points: Other markers in these axes, the
     most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
     there are any.
     """
-    known_positions = local_path[: len(frames) - (gap.frames.stop - gap.frames.start)]
+    known = local[: len(frames) - (gap.frames.stop - gap.frames.start)]
     best_prediction: Prediction | None = None
-    for pose_marker_count in POSE_MARKER_COUNTS:
-        if pose_marker_count > pose_points.shape[1]:
+    for pose_marker_count in POSE_COUNTS:
+        if pose_marker_count > pose.shape[1]:
             continue
-        pose_features = pose_points[:, : max(pose_marker_count, min_markers)].reshape(
+        pose_features = pose[:, : max(pose_marker_count, min_markers)].reshape(
             len(frames), -1
         )
-        for length_scale, (deviation, time_scale) in product(
+        for length_scale, (deviation, time) in product(
             LENGTH_SCALES, deviation_kernels
         ):
             if not pose_marker_count and length_scale != LENGTH_SCALES[0]:
                 continue
             kernel = _covariance(
-                pose_features,
-                frames / gap.rate,
-                length_scale,
-                deviation,
-                time_scale,
-                known_positions,
+                pose_features, frames / gap.rate, length_scale, deviation, time, known
             )
-            error, values = _predict_gap(known_positions, kernel, frames, gap.frames)
+            error, values = _predict_gap(known, kernel, frames, gap.frames)
             if best_prediction is None or error < best_prediction.error:
                 best_prediction = Prediction(values, error)
     assert best_prediction is not None
@@ -192,37 +175,27 @@ def predict_from_parent_joint(
     """
     positions, marker = gap.positions, gap.marker
     neighbours = gap.nearest_markers()
-    training_frames = gap.training_frames(neighbours)
-    if len(training_frames) < MIN_TRAINING_FRAMES or not skeleton.has_parent(marker):
+    training = gap.training_frames(neighbours)
+    if len(training) < MIN_TRAINING_FRAMES or not skeleton.has_parent(marker):
         return None
-    frames, known_count = gap.with_gap_frames(training_frames), len(training_frames)
+    frames, known_count = gap.with_gap_frames(training), len(training)
     origin = skeleton.origins[frames, marker]
     parent_rotations = skeleton.parent_rotations[frames, marker]
     rotations = [parent_rotations]
-    is_visible_throughout = np.asarray(gap.is_visible[gap.frames].all(axis=0))
-    for marker_on_joint in skeleton.markers_on_joint(marker, is_visible_throughout):
-        if np.isin(
-            training_frames, np.flatnonzero(gap.is_visible[:, marker_on_joint])
-        ).all():
+    is_always_visible = np.asarray(gap.is_visible[gap.frames].all(axis=0))
+    for marker_on_joint in skeleton.markers_on_joint(marker, is_always_visible):
+        if np.isin(training, np.flatnonzero(gap.is_visible[:, marker_on_joint])).all():
             directions = positions[frames, marker_on_joint] - origin
             rotations.append(_rotate_towards(parent_rotations, directions))
     predictions = []
     for rotation in rotations:
-        local_path = np.einsum(
-            "fji,fj->fi", rotation, positions[frames, marker] - origin
-        )
+        local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
-        pose_points = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        prediction = _best_prediction(
-            gap, local_path, pose_points, frames, LOOSE_KERNELS
-        )
-        rotated_positions = np.einsum(
-            "fij,fj->fi", rotation[known_count:], prediction.positions
-        )
-        predictions.append(
-            replace(prediction, positions=rotated_positions + origin[known_count:])
-        )
-    return min(predictions, key=lambda prediction: prediction.error)
+        pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
+        best = _best_prediction(gap, local, pose, frames, LOOSE_KERNELS)
+        path = np.einsum("fij,fj->fi", rotation[known_count:], best.positions)
+        predictions.append(replace(best, positions=path + origin[known_count:]))
+    return min(predictions, key=lambda best: best.error)
 
 
 def _rotate_towards(parent_rotations: FloatArray, directions: FloatArray) -> FloatArray:
@@ -236,16 +209,12 @@ def _rotate_towards(parent_rotations: FloatArray, directions: FloatArray) -> Flo
     mean_direction = local_directions.mean(axis=0)
     mean_direction /= np.linalg.norm(mean_direction)
     axis = np.cross(mean_direction, local_directions)
-    skew_matrices = np.zeros((len(local_directions), 3, 3))
-    skew_matrices[:, 0, 1], skew_matrices[:, 0, 2] = -axis[:, 2], axis[:, 1]
-    skew_matrices[:, 1, 2] = -axis[:, 0]
-    skew_matrices -= skew_matrices.transpose(0, 2, 1)
+    skew = np.zeros((len(local_directions), 3, 3))
+    skew[:, 0, 1], skew[:, 0, 2] = -axis[:, 2], axis[:, 1]
+    skew[:, 1, 2] = -axis[:, 0]
+    skew -= skew.transpose(0, 2, 1)
     cosine = np.maximum(local_directions @ mean_direction, -0.99)
-    swing = (
-        np.eye(3)
-        + skew_matrices
-        + skew_matrices @ skew_matrices / (1.0 + cosine)[:, None, None]
-    )
+    swing = np.eye(3) + skew + skew @ skew / (1.0 + cosine)[:, None, None]
     return np.asarray(parent_rotations @ swing)
 
 
@@ -256,23 +225,21 @@ def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Predicti
     over time, in the frame of its joint, that joins the ends. Amplitude and speed of
     skin motion are those with the least cross-validation error.
     """
-    marker, training_frames = gap.marker, gap.training_frames(np.zeros(0, np.int64))
-    frames = gap.with_gap_frames(training_frames)
+    marker, training = gap.marker, gap.training_frames(np.zeros(0, np.int64))
+    frames = gap.with_gap_frames(training)
     rotations, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
-    skeleton_path, known_count = points[:, marker], len(training_frames)
+    skeleton_path, known_count = points[:, marker], len(training)
     offsets = np.einsum(
         "fji,fj->fi",
         rotations[:known_count],
-        gap.positions[training_frames, marker] - skeleton_path[:known_count],
+        gap.positions[training, marker] - skeleton_path[:known_count],
     )
     correction = np.zeros((gap.frames.stop - gap.frames.start, 3))
     least_error = np.inf
     no_pose = np.zeros((len(frames), 0))
-    for deviation, time_scale in (
-        SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ()
-    ):
+    for deviation, time in SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ():
         kernel = _covariance(
-            no_pose, frames / gap.rate, LENGTH_SCALES[0], deviation, time_scale, offsets
+            no_pose, frames / gap.rate, LENGTH_SCALES[0], deviation, time, offsets
         )
         error, values = _predict_gap(offsets, kernel, frames, gap.frames)
         if error < least_error:
@@ -294,22 +261,20 @@ def _in_neighbour_axes(
     neighbour_positions = gap.positions[frames][:, neighbours]
     shape = mean_shape(neighbour_positions[:, :count])
     rotation, shift = fit_shape(neighbour_positions[:, :count], shape)
-    pose_points = np.einsum(
-        "fji,fkj->fki", rotation, neighbour_positions - shift[:, None]
-    )
+    pose = np.einsum("fji,fkj->fki", rotation, neighbour_positions - shift[:, None])
     offset = gap.positions[frames, gap.marker] - shift
-    local_path = np.einsum("fji,fj->fi", rotation, offset)
+    local = np.einsum("fji,fj->fi", rotation, offset)
 
     def to_world(values: FloatArray) -> FloatArray:
         """Map positions in the last frames, ``(G, 3)``, to the world."""
-        rotated_positions = np.einsum("fij,fj->fi", rotation[-len(values) :], values)
-        return np.asarray(rotated_positions + shift[-len(values) :])
+        path = np.einsum("fij,fj->fi", rotation[-len(values) :], values)
+        return np.asarray(path + shift[-len(values) :])
 
-    return local_path, pose_points, to_world
+    return local, pose, to_world
 
 
 def _predict_gap(
-    known_positions: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
+    known: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
     """Return the cross-validation error [m] and the positions in the gap ``(G, 3)``.
 
@@ -317,33 +282,31 @@ def _predict_gap(
     """
     from scipy.linalg import cho_factor, cho_solve
 
-    known_count = len(known_positions)
-    mean = known_positions.mean(axis=0)
+    known_count = len(known)
+    mean = known.mean(axis=0)
     # Rounding of outlying samples exceeds the noise.
     variance = max(
         MARKER_NOISE**2,
         MIN_NOISE_RATIO * float(np.trace(kernel[:known_count])) / known_count,
     )
     cholesky_factor = cho_factor(kernel[:known_count] + variance * np.eye(known_count))
-    inverse_covariance = cho_solve(cholesky_factor, np.eye(known_count))
-    known_weights = inverse_covariance @ (known_positions - mean)
+    inverse = cho_solve(cholesky_factor, np.eye(known_count))
+    known_weights = inverse @ (known - mean)
     gap_positions = kernel[known_count:] @ known_weights + mean
     length = gap.stop - gap.start
-    training_frames = frames[:known_count]
+    training = frames[:known_count]
     errors = []
-    for begin in _validation_spans(training_frames, gap):
-        is_left_out = (training_frames >= begin) & (training_frames < begin + length)
-        left_out_indices = np.flatnonzero(is_left_out)
-        if 0 < len(left_out_indices) < known_count - MIN_TRAINING_FRAMES:
-            inverse_block = inverse_covariance[
-                np.ix_(left_out_indices, left_out_indices)
-            ]
-            residuals = np.linalg.solve(inverse_block, known_weights[left_out_indices])
+    for begin in _validation_spans(training, gap):
+        is_left_out = (training >= begin) & (training < begin + length)
+        left_out = np.flatnonzero(is_left_out)
+        if 0 < len(left_out) < known_count - MIN_TRAINING_FRAMES:
+            inverse_block = inverse[np.ix_(left_out, left_out)]
+            residuals = np.linalg.solve(inverse_block, known_weights[left_out])
             errors.append((residuals**2).sum(axis=1).mean())
     return (float(np.sqrt(np.mean(errors))) if errors else np.inf), gap_positions
 
 
-def _validation_spans(training_frames: IntArray, gap: slice) -> list[int]:
+def _validation_spans(training: IntArray, gap: slice) -> list[int]:
     """Return first frames of spans as long as the gap, before and after it."""
     length = gap.stop - gap.start
     starts = []
@@ -353,7 +316,7 @@ def _validation_spans(training_frames: IntArray, gap: slice) -> list[int]:
     return [
         start
         for start in starts
-        if start + length > training_frames[0] and start <= training_frames[-1]
+        if start + length > training[0] and start <= training[-1]
     ]
 
 
@@ -362,20 +325,17 @@ def _covariance(
     times: FloatArray,
     length_scale: float,
     deviation: float,
-    time_scale: float,
-    known_positions: FloatArray,
+    time: float,
+    known: FloatArray,
 ) -> FloatArray:
     """Return the covariance of all F frames with the K known ones ``(F, K)`` [m^2].
 
     It is the sum of a kernel over the pose and a Matérn kernel over time.
     """
-    known_count = len(known_positions)
-    variance = max(
-        float(((known_positions - known_positions.mean(axis=0)) ** 2).mean()),
-        MARKER_NOISE**2,
-    )
+    known_count = len(known)
+    variance = max(float(((known - known.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
     distance = np.abs(times[:, None] - times[None, :known_count])
-    lag = np.sqrt(5.0) * distance / time_scale
+    lag = np.sqrt(5.0) * distance / time
     time_covariance = deviation**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)
     pose_spread = np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean())

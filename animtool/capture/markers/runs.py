@@ -15,7 +15,7 @@ from animtool.core.array_types import FloatArray, IntArray
 # Tolerance of a distance: noise, and skin over bone [m].
 DISTANCE_TOLERANCE = 0.006
 # Tolerance of markers on different segments, in standard deviations of their distance.
-SPREAD_TOLERANCE_RATIO = 1.5
+SPREAD_FACTOR = 1.5
 # Largest cost of a pair, so that a single wrong pair does not decide.
 MAX_PAIR_COST = 9.0
 # Spread of a distance at which its weight is halved [m].
@@ -25,23 +25,23 @@ SAMPLED_FRAME_COUNT = 24
 # Mean cost above which a run is no marker: ghosts exceed 5.5, markers stay below 2.
 MAX_MARKER_COST = 4.0
 # Minimum margin over the second best name for an early assignment.
-MIN_COST_MARGIN = 1.5
+MIN_MARGIN = 1.5
 # Longest gap for comparing a run with those before and after it [s].
 BRIDGE_SECONDS = 0.3
 # Iterations of learning distances.
 LEARNING_ROUNDS = 2
 # Motion of a marker over a gap: noise [m], acceleration [m/s^2] and speed error [m/s];
 # and its largest cost.
-GAP_NOISE, GAP_ACCELERATION, GAP_SPEED_ERROR, MAX_GAP_COST = 0.004, 60.0, 0.3, 2.0
+GAP_NOISE, ACCELERATION, SPEED_ERROR, MAX_GAP_COST = 0.004, 60.0, 0.3, 2.0
 # Assumed relative spread of markers never visible together.
-UNKNOWN_SPREAD_RATIO = 0.25
+UNKNOWN_SPREAD = 0.25
 
 
 class TrackletLabels:
     """Assignment of a point cloud's runs to markers, improved by distances and motion.
 
     Attributes:
-        marker_of_run: Marker of each run ``(T,)``; -1 for none.
+        run_markers: Marker of each run ``(T,)``; -1 for none.
         marker_positions: Positions of the markers ``(F, M, 3)`` from named runs.
     """
 
@@ -50,7 +50,7 @@ class TrackletLabels:
         positions: FloatArray,
         tracklets: Tracklets,
         rate: float,
-        marker_of_run: IntArray,
+        run_markers: IntArray,
         rest_distances: FloatArray,
     ) -> None:
         """Start from runs and the names that are already known.
@@ -60,13 +60,13 @@ class TrackletLabels:
         self.positions, self.tracklets, self.rate = positions, tracklets, rate
         self.rest_distances = rest_distances
         self.run_count = len(tracklets.first)
-        self.marker_of_run = marker_of_run.copy()
+        self.run_markers = run_markers.copy()
         self.marker_positions = self.marker_paths()
 
     def marker_paths(self) -> FloatArray:
         """Return each marker's positions from its runs ``(F, M, 3)``, NaN in gaps."""
         ids, count = self.tracklets.ids, len(self.rest_distances)
-        return positions_by_column(self.positions, ids, self.marker_of_run, count)
+        return positions_by_column(self.positions, ids, self.run_markers, count)
 
     def name_runs(self) -> None:
         """Name the remaining runs, the clearest first."""
@@ -90,12 +90,12 @@ class TrackletLabels:
 
     def _reject_outliers(self) -> None:
         """Remove the names of runs that fit another marker, or none, clearly better."""
-        for run in np.flatnonzero(self.marker_of_run >= 0).tolist():
-            marker = int(self.marker_of_run[run])
+        for run in np.flatnonzero(self.run_markers >= 0).tolist():
+            marker = int(self.run_markers[run])
             begin, end, path = self._run_positions(run)
             costs = self._shape_costs(path, begin, end)
-            if costs[marker] > min(MAX_MARKER_COST, costs.min() + MIN_COST_MARGIN):
-                self.marker_of_run[run] = -1
+            if costs[marker] > min(MAX_MARKER_COST, costs.min() + MIN_MARGIN):
+                self.run_markers[run] = -1
                 self.marker_positions[begin:end, marker] = np.nan
 
     def _name_clear_runs(self, *, is_forced: bool) -> bool:
@@ -103,20 +103,18 @@ class TrackletLabels:
 
         is_forced: Whether the best marker also counts without a margin to the second.
         """
-        for run in np.flatnonzero(self.is_stale & (self.marker_of_run < 0)).tolist():
+        for run in np.flatnonzero(self.is_stale & (self.run_markers < 0)).tolist():
             self.costs[run] = self._marker_costs(run)
         self.is_stale[:] = False
-        unnamed_runs = np.flatnonzero(self.marker_of_run < 0)
+        unnamed_runs = np.flatnonzero(self.run_markers < 0)
         if not len(unnamed_runs):
             return False
         smallest_costs = np.partition(self.costs[unnamed_runs], 1, axis=1)
         best_cost, rival_cost = smallest_costs[:, 0], smallest_costs[:, 1]
         is_clear = best_cost < MAX_MARKER_COST
         if not is_forced:
-            is_clear &= (
-                rival_cost > np.where(is_clear, best_cost, 0.0) + MIN_COST_MARGIN
-            )
-        affected_spans = np.zeros((0, 2), np.int64)
+            is_clear &= rival_cost > np.where(is_clear, best_cost, 0.0) + MIN_MARGIN
+        named_spans = np.zeros((0, 2), np.int64)
         first, last = self.tracklets.first, self.tracklets.last
         max_gap = int(BRIDGE_SECONDS * self.rate)
         for candidate_index in np.argsort(best_cost, kind="stable").tolist():
@@ -124,19 +122,17 @@ class TrackletLabels:
                 continue
             run = int(unnamed_runs[candidate_index])
             marker = int(self.costs[run].argmin())
-            begins, ends = affected_spans[:, 0], affected_spans[:, 1]
+            begins, ends = named_spans[:, 0], named_spans[:, 1]
             is_overlapped = (begins <= last[run]) & (ends >= first[run])
             if is_overlapped.any() if is_forced else not self._is_free(run, marker):
                 continue
-            self.marker_of_run[run] = marker
+            self.run_markers[run] = marker
             begin, end, path = self._run_positions(run)
             self.marker_positions[begin:end, marker] = path
-            affected_spans = np.vstack(
-                [affected_spans, (begin - max_gap, end + max_gap)]
-            )
-        for begin, end in affected_spans.tolist():
+            named_spans = np.vstack([named_spans, (begin - max_gap, end + max_gap)])
+        for begin, end in named_spans.tolist():
             self.is_stale |= (first <= end) & (last >= begin)
-        return len(affected_spans) > 0
+        return len(named_spans) > 0
 
     def _is_free(self, run: int, marker: int) -> bool:
         """Return whether a marker has no position in the frames of a run."""
@@ -157,10 +153,8 @@ class TrackletLabels:
 
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
         """Return each marker's cost of a run's distances to named markers ``(M,)``."""
-        sample_rows = np.linspace(0, end - begin - 1, SAMPLED_FRAME_COUNT).astype(
-            np.int64
-        )
-        sampled_rows = np.unique(sample_rows)
+        rows = np.linspace(0, end - begin - 1, SAMPLED_FRAME_COUNT).astype(np.int64)
+        sampled_rows = np.unique(rows)
         marker_positions = self.marker_positions[begin + sampled_rows]
         offsets = marker_positions - path[sampled_rows][:, None]
         lengths = np.linalg.norm(offsets, axis=-1)  # (S, M)
@@ -169,7 +163,7 @@ class TrackletLabels:
         spread = self.distances.spread
         weight = np.nan_to_num(1.0 / (1.0 + (spread / HALF_WEIGHT_SPREAD) ** 2))
         np.fill_diagonal(weight, 0.0)
-        tolerance = DISTANCE_TOLERANCE + SPREAD_TOLERANCE_RATIO * spread
+        tolerance = DISTANCE_TOLERANCE + SPREAD_FACTOR * spread
         deviation = np.nan_to_num(lengths)[:, None] - self.distances.mean[None]
         deviation = deviation / tolerance[None]
         pair_costs = np.minimum(np.nan_to_num(deviation) ** 2, MAX_PAIR_COST)
@@ -187,18 +181,14 @@ class TrackletLabels:
         for window, point in ((positions_before, path[0]), (positions_after, path[-1])):
             is_visible = np.isfinite(window[..., 0])
             for marker in np.flatnonzero(is_visible.any(axis=0)).tolist():
-                gap_length = int(is_visible[:, marker].argmax())
-                position, velocity = window[gap_length, marker], np.zeros(3)
-                if gap_length + 3 < len(window) and is_visible[gap_length + 3, marker]:
-                    velocity = (position - window[gap_length + 3, marker]) / 3.0
-                distance = np.linalg.norm(
-                    point - position - velocity * (gap_length + 1)
-                )
-                time = (gap_length + 1) / self.rate
+                gap = int(is_visible[:, marker].argmax())
+                position, velocity = window[gap, marker], np.zeros(3)
+                if gap + 3 < len(window) and is_visible[gap + 3, marker]:
+                    velocity = (position - window[gap + 3, marker]) / 3.0
+                distance = np.linalg.norm(point - position - velocity * (gap + 1))
+                time = (gap + 1) / self.rate
                 tolerance = (
-                    GAP_NOISE
-                    + 0.5 * GAP_ACCELERATION * time**2
-                    + GAP_SPEED_ERROR * time
+                    GAP_NOISE + 0.5 * ACCELERATION * time**2 + SPEED_ERROR * time
                 )
                 costs[marker] += (distance / tolerance) ** 2
         return np.minimum(costs, MAX_GAP_COST)
@@ -211,8 +201,5 @@ def _merge_known_distances(
     is_known = np.isfinite(take_distances.mean)
     mean = np.where(is_known, take_distances.mean, rest_distances)
     return MarkerDistances(
-        mean,
-        np.where(
-            is_known, take_distances.spread, UNKNOWN_SPREAD_RATIO * rest_distances
-        ),
+        mean, np.where(is_known, take_distances.spread, UNKNOWN_SPREAD * rest_distances)
     )

@@ -62,10 +62,7 @@ class SkeletonMarkers:
         return joint >= 0 and int(self.parent_of_joint[joint]) >= 0
 
     def markers_on_joint(self, marker: int, is_visible: BoolArray) -> list[int]:
-        """Return the other visible markers on a marker's joint.
-
-        is_visible: ``(M,)``.
-        """
+        """Return the other markers of a mask ``(M,)`` on the same joint as a marker."""
         is_on_joint = (self.joints == self.joints[marker]) & is_visible
         is_on_joint[marker] = False
         return [int(other_marker) for other_marker in np.flatnonzero(is_on_joint)]
@@ -77,19 +74,16 @@ class SkeletonMarkers:
         a hinge. With fewer, more of its pose is guessed.
         """
         joint = int(self.joints[marker])
-        joint_marker_count = len(self.markers_on_joint(marker, is_visible))
+        same_count = len(self.markers_on_joint(marker, is_visible))
         visible_joints = self.joints[is_visible & (self.joints >= 0)]
-        lower_marker_count = int((self.parent_of_joint[visible_joints] == joint).sum())
-        if joint_marker_count >= 2 or (
-            not self.has_free_rotation[joint]
-            and joint_marker_count + lower_marker_count
+        lower_count = int((self.parent_of_joint[visible_joints] == joint).sum())
+        if same_count >= 2 or (
+            not self.has_free_rotation[joint] and same_count + lower_count
         ):
             return 0.0
-        if joint_marker_count and lower_marker_count:
+        if same_count and lower_count:
             return DRIFT_PER_SECOND[0]
-        return DRIFT_PER_SECOND[
-            1 if joint_marker_count or lower_marker_count > 1 else 2
-        ]
+        return DRIFT_PER_SECOND[1 if same_count or lower_count > 1 else 2]
 
 
 def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
@@ -111,7 +105,7 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
     take_from_rig = up_from_up(model.rig.up, markers.up)
     marker_count = len(markers.names)
 
-    def in_take_axes(
+    def to_take(
         points: FloatArray, rotations: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Convert to the take's axes, with an entry for each marker of the take."""
@@ -125,13 +119,11 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
         )
 
     joint_positions = world.positions[:, model.joints]
-    positions, matrices = in_take_axes(
+    positions, matrices = to_take(
         joint_positions + rotated_offsets, world.rotations[:, model.joints]
     )
     parents = np.maximum(parent_of_joint[model.joints], 0)
-    origins, parent_matrices = in_take_axes(
-        joint_positions, world.rotations[:, parents]
-    )
+    origins, parent_matrices = to_take(joint_positions, world.rotations[:, parents])
     joints = np.full(marker_count, -1)
     joints[model.columns] = model.joints
     is_pose_determined = np.ones(len(markers), np.bool_)
@@ -154,10 +146,8 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
     )
 
 
-def _to_all_markers(
-    values: FloatArray, columns: IntArray, marker_count: int
-) -> FloatArray:
+def _to_all_markers(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
     """Spread columns over all markers ``(F, M, …)``; markers without one are NaN."""
-    all_values = np.full((len(values), marker_count, *values.shape[2:]), np.nan)
+    all_values = np.full((len(values), count, *values.shape[2:]), np.nan)
     all_values[:, columns] = values
     return all_values

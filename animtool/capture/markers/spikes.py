@@ -23,7 +23,7 @@ MAX_SPIKE_FRAMES = 4
 SUPPORT_FRAMES = 7
 # Degree of the curve, and minimum number of positions for fitting it.
 CURVE_DEGREE = 2
-MIN_SUPPORT_POSITIONS = CURVE_DEGREE + 3
+MIN_SUPPORT = CURVE_DEGREE + 3
 # Roughness of a motion: variance of its third differences relative to that of its
 # noise.
 ROUGHNESS_LEVELS = tuple(10.0**power for power in range(-4, 3))
@@ -79,60 +79,56 @@ def remove_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
 
 def _marker_spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     """Return first frame, last frame and size of the spikes of a marker ``(F, 3)``."""
-    is_visible = np.isfinite(path[:, 0])
-    if int(is_visible.sum()) < 2 * SUPPORT_FRAMES + 1:
+    is_known = np.isfinite(path[:, 0])
+    if int(is_known.sum()) < 2 * SUPPORT_FRAMES + 1:
         return []
-    path = np.where(is_visible[:, None], path, 0.0)
-    roughness, noise = _noise_model(path, is_visible)
+    path = np.where(is_known[:, None], path, 0.0)
+    roughness, noise = _noise_model(path, is_known)
     spikes: list[tuple[int, int, float]] = []
     for _ in range(MAX_SEARCHES):
-        new_spikes = _clearest_spikes(path, is_visible, roughness, noise)
+        new_spikes = _clearest_spikes(path, is_known, roughness, noise)
         if not new_spikes:
             break
         spikes += new_spikes
         for first, last, _ in new_spikes:
-            is_visible[first : last + 1] = False
+            is_known[first : last + 1] = False
     return sorted(spikes)
 
 
 def _clearest_spikes(
-    path: FloatArray, is_visible: BoolArray, roughness: float, noise: FloatArray
+    path: FloatArray, is_known: BoolArray, roughness: float, noise: FloatArray
 ) -> list[tuple[int, int, float]]:
     """Return first frame, last frame and size of spikes that do not overlap."""
     candidates = []
     local_levels: FloatArray | None = None
     for length in range(1, MAX_SPIKE_FRAMES + 1):
         starts, deviation, gain, residuals = _span_deviations(
-            path, is_visible, length, roughness
+            path, is_known, length, roughness
         )
         if not len(starts):
             continue
         factor = np.where(
-            _is_one_sided(is_visible, starts, length), ONE_SIDED_FACTOR, 1.0
+            _is_one_sided(is_known, starts, length), ONE_SIDED_FACTOR, 1.0
         )
-        noise_deviation = noise[length - 1]
+        sigma = noise[length - 1]
         if local_levels is None:
-            local_levels = _local_noise_levels(
-                starts, gain / (3.0 * noise_deviation**2), len(path)
-            )
+            local_levels = _local_noise(starts, gain / (3.0 * sigma**2), len(path))
         local_scale = local_levels[starts]
         min_clearness = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
-        clearness = gain / (noise_deviation**2 * local_scale)
+        clearness = gain / (sigma**2 * local_scale)
         is_spike = (deviation >= factor * MIN_SPIKE_SIZE) & (clearness > min_clearness)
         is_spike &= residuals < MAX_SUPPORT_RESIDUAL_RATIO**2 * gain / length
         for k in np.flatnonzero(is_spike).tolist():
             score = float(clearness[k]) - LENGTH_PENALTY * length
             candidates.append((-score, int(starts[k]), length, float(deviation[k])))
     candidates.sort()
-    noise_deviation = noise[0] ** 2
+    sigma = noise[0] ** 2
     is_used_frame = np.zeros(len(path), bool)
     spikes = []
     for _, first, length, size in candidates:
         if is_used_frame[first : first + length].any():
             continue
-        if not _is_gap_artifact(
-            path, is_visible, first, length, roughness, noise_deviation
-        ):
+        if not _is_gap_artifact(path, is_known, first, length, roughness, sigma):
             is_used_frame[
                 max(first - SUPPORT_FRAMES, 0) : first + length + SUPPORT_FRAMES
             ] = True
@@ -142,20 +138,20 @@ def _clearest_spikes(
 
 def _is_gap_artifact(
     path: FloatArray,
-    is_visible: BoolArray,
+    is_known: BoolArray,
     first: int,
     length: int,
     roughness: float,
-    noise_variance: float,
+    variance: float,
 ) -> bool:
     """Return whether a span deviates only because of the few frames before a gap."""
     begin, end = max(first - SUPPORT_FRAMES, 0), first + length
-    frames_before = begin + np.flatnonzero(is_visible[begin:first])
-    frames_after = end + np.flatnonzero(is_visible[end : end + SUPPORT_FRAMES])
+    frames_before = begin + np.flatnonzero(is_known[begin:first])
+    frames_after = end + np.flatnonzero(is_known[end : end + SUPPORT_FRAMES])
     for frames_on_side in (frames_before, frames_after):
         if not 0 < len(frames_on_side) < length:
             continue
-        is_visible_without = is_visible[begin : end + SUPPORT_FRAMES].copy()
+        is_visible_without = is_known[begin : end + SUPPORT_FRAMES].copy()
         is_visible_without[frames_on_side - begin] = False
         starts, deviation, gain, _ = _span_deviations(
             path[begin : end + SUPPORT_FRAMES], is_visible_without, length, roughness
@@ -163,30 +159,28 @@ def _is_gap_artifact(
         span_index = np.flatnonzero(starts == first - begin)
         if len(span_index) and (
             deviation[span_index[0]] < MIN_SPIKE_SIZE
-            or gain[span_index[0]] < noise_variance * MIN_SPIKE_RATIO**2 * 3.0 * length
+            or gain[span_index[0]] < variance * MIN_SPIKE_RATIO**2 * 3.0 * length
         ):
             return True
     return False
 
 
-def _is_one_sided(is_visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
+def _is_one_sided(is_known: BoolArray, starts: IntArray, length: int) -> BoolArray:
     """Return a mask of the spans with no visible frame near one of their ends."""
     padding = np.zeros(SUPPORT_FRAMES, bool)
-    padded_mask = np.concatenate([padding, is_visible, padding])
-    cumulative_counts = np.concatenate([[0], np.cumsum(padded_mask)])
-    count_before = (
-        cumulative_counts[starts + SUPPORT_FRAMES] - cumulative_counts[starts]
-    )
+    padded_mask = np.concatenate([padding, is_known, padding])
+    totals = np.concatenate([[0], np.cumsum(padded_mask)])
+    count_before = totals[starts + SUPPORT_FRAMES] - totals[starts]
     end = starts + SUPPORT_FRAMES + length
-    count_after = cumulative_counts[end + SUPPORT_FRAMES] - cumulative_counts[end]
+    count_after = totals[end + SUPPORT_FRAMES] - totals[end]
     return np.asarray((count_before == 0) | (count_after == 0))
 
 
-def _local_noise_levels(
-    starts: IntArray, squared_residuals: FloatArray, frame_count: int
+def _local_noise(
+    starts: IntArray, squared_residuals: FloatArray, count: int
 ) -> FloatArray:
     """Return each frame's local noise variance over the typical one, at least 1."""
-    next_spans = np.searchsorted(starts, np.arange(frame_count))
+    next_spans = np.searchsorted(starts, np.arange(count))
     window_start = np.maximum(next_spans - LOCAL_WINDOW_SPANS, 0)
     window_end = np.minimum(next_spans + LOCAL_WINDOW_SPANS, len(starts))
     padded_residuals = np.concatenate([squared_residuals, [np.inf]])
@@ -196,14 +190,12 @@ def _local_noise_levels(
     window_rows = np.where(is_inside, window_rows, len(squared_residuals))
     windows = np.sort(padded_residuals[window_rows], axis=1)
     quantile_index = (LOCAL_QUANTILE * (window_end - window_start)).astype(np.int64)
-    levels = windows[
-        np.arange(frame_count), np.minimum(quantile_index, window_length - 1)
-    ]
+    levels = windows[np.arange(count), np.minimum(quantile_index, window_length - 1)]
     # That quantile of a chi-squared distribution with 3 degrees, over 3, is below 0.63.
     return np.maximum(np.where(np.isfinite(levels), levels / 0.63, 1.0), 1.0)
 
 
-def _noise_model(path: FloatArray, is_visible: BoolArray) -> tuple[float, FloatArray]:
+def _noise_model(path: FloatArray, is_known: BoolArray) -> tuple[float, FloatArray]:
     """Return the roughness of a motion, and the prediction noise by span length [m].
 
     The roughness is the one that predicts positions best from nearby positions.
@@ -211,19 +203,17 @@ def _noise_model(path: FloatArray, is_visible: BoolArray) -> tuple[float, FloatA
     best_level = (np.inf, ROUGHNESS_LEVELS[0])
     for roughness in ROUGHNESS_LEVELS:
         _, deviation, _, _ = _span_deviations(
-            path, is_visible, 2, roughness, is_complete=True
+            path, is_known, 2, roughness, is_complete=True
         )
         if len(deviation):
             best_level = min(best_level, (float(np.median(deviation)), roughness))
     noise = np.zeros(MAX_SPIKE_FRAMES)
     for length in range(1, MAX_SPIKE_FRAMES + 1):
         starts, _, gain, _ = _span_deviations(
-            path, is_visible, length, best_level[1], is_complete=True
+            path, is_known, length, best_level[1], is_complete=True
         )
         if not len(starts):
-            starts, _, gain, _ = _span_deviations(
-                path, is_visible, length, best_level[1]
-            )
+            starts, _, gain, _ = _span_deviations(path, is_known, length, best_level[1])
         if len(starts):
             # The median of a chi-squared distribution with k degrees is about k - 2/3.
             noise[length - 1] = np.sqrt(np.median(gain) / (3 * length - 2 / 3))
@@ -233,7 +223,7 @@ def _noise_model(path: FloatArray, is_visible: BoolArray) -> tuple[float, FloatA
 
 def _span_deviations(
     path: FloatArray,
-    is_visible: BoolArray,
+    is_known: BoolArray,
     length: int,
     roughness: float,
     *,
@@ -248,61 +238,49 @@ def _span_deviations(
     """
     window_size = length + 2 * SUPPORT_FRAMES
     padded_mask = np.zeros(len(path) + 2 * SUPPORT_FRAMES, bool)
-    padded_mask[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = is_visible
+    padded_mask[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = is_known
     windows = np.lib.stride_tricks.sliding_window_view(padded_mask, window_size)
     is_span = windows[:, SUPPORT_FRAMES : SUPPORT_FRAMES + length].all(axis=1)
     is_visible_around = np.concatenate(
         [windows[:, :SUPPORT_FRAMES], windows[:, SUPPORT_FRAMES + length :]], axis=1
     )
     support_count = is_visible_around.sum(axis=1)
-    is_span &= support_count >= (
-        2 * SUPPORT_FRAMES if is_complete else MIN_SUPPORT_POSITIONS
-    )
+    is_span &= support_count >= (2 * SUPPORT_FRAMES if is_complete else MIN_SUPPORT)
     starts = np.flatnonzero(is_span)
     padded_path = np.zeros((len(path) + 2 * SUPPORT_FRAMES, 3))
     padded_path[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = path
     visibility_codes = is_visible_around[starts] @ (1 << np.arange(2 * SUPPORT_FRAMES))
     deviations, gain, residuals = (np.zeros(len(starts)) for _ in range(3))
-    for visibility_code in np.unique(visibility_codes).tolist():
-        span_indices = np.flatnonzero(visibility_codes == visibility_code)
+    for bits in np.unique(visibility_codes).tolist():
+        spans = np.flatnonzero(visibility_codes == bits)
         offsets, weights, inverse, quadratic_form = _prediction_weights(
-            visibility_code, length, roughness
+            bits, length, roughness
         )
-        support_positions = padded_path[
-            starts[span_indices][:, None] + offsets
-        ]  # (S, K, 3)
-        span_starts = starts[span_indices][:, None] + SUPPORT_FRAMES
+        support_positions = padded_path[starts[spans][:, None] + offsets]  # (S, K, 3)
+        span_starts = starts[spans][:, None] + SUPPORT_FRAMES
         span_positions = padded_path[span_starts + np.arange(length)]
         prediction_error = span_positions - weights @ support_positions
-        gain[span_indices] = (prediction_error * (inverse @ prediction_error)).sum(
-            axis=(1, 2)
-        )
-        deviations[span_indices] = np.sqrt((prediction_error**2).sum(axis=2)).min(
-            axis=1
-        )
+        gain[spans] = (prediction_error * (inverse @ prediction_error)).sum(axis=(1, 2))
+        deviations[spans] = np.sqrt((prediction_error**2).sum(axis=2)).min(axis=1)
         products = support_positions * (quadratic_form @ support_positions)
         remaining_squares = products.sum(axis=(1, 2))
-        residuals[span_indices] = remaining_squares / max(
-            1, len(offsets) - CURVE_DEGREE - 1
-        )
+        residuals[spans] = remaining_squares / max(1, len(offsets) - CURVE_DEGREE - 1)
     return starts, deviations, gain, residuals
 
 
 @lru_cache(maxsize=4096)
 def _prediction_weights(
-    visibility_code: int, length: int, roughness: float
+    bits: int, length: int, roughness: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return the weights with which positions around a span predict its positions.
 
-    visibility_code: Bit mask of the visible frames around. Returns their indices in the
+    bits: Bit mask of the visible frames around. Returns their indices in the
     window, their weights, the inverse variance of the prediction error, and the
     quadratic form of their residuals.
     """
     span_offsets = np.arange(SUPPORT_FRAMES, SUPPORT_FRAMES + length)
     offsets_around = np.delete(np.arange(2 * SUPPORT_FRAMES + length), span_offsets)
-    offsets = offsets_around[
-        [bool(visibility_code >> k & 1) for k in range(2 * SUPPORT_FRAMES)]
-    ]
+    offsets = offsets_around[[bool(bits >> k & 1) for k in range(2 * SUPPORT_FRAMES)]]
     frames = np.concatenate([offsets, span_offsets]) + 1.0
     # White noise integrated three times: its expected curve is a quintic spline.
     earlier_frame = np.minimum(frames[:, None], frames)

@@ -36,7 +36,7 @@ ARBITRARY_COST, NAME_CHANGE_COST, SWAPPED_FRAME_COST = 16.0, 5.0, 0.002
 # evidence of a span, and the number of its frames that are sampled.
 MAX_SHAPE_GAIN, SHAPE_SAMPLES = 4.0, 24
 # Tolerance of a distance: noise and skin motion [m], and a factor on its spread.
-DISTANCE_TOLERANCE, SPREAD_TOLERANCE_RATIO = 0.006, 1.5
+DISTANCE_TOLERANCE, SPREAD_FACTOR = 0.006, 1.5
 # Minimum log-likelihood gain of an exchange.
 MIN_SWAP_GAIN = 2.0
 
@@ -112,29 +112,25 @@ def _expected_positions(
     frame_count, marker_count, _ = positions.shape
     is_visible = np.isfinite(positions[..., 0])
     frames = np.arange(frame_count)[:, None]
-    last_visible_frames = np.maximum.accumulate(
-        np.where(is_visible, frames, -1), axis=0
-    )
-    last_visible_frames = np.vstack(
-        [np.full((1, marker_count), -1), last_visible_frames[:-1]]
-    )
+    last_frames = np.maximum.accumulate(np.where(is_visible, frames, -1), axis=0)
+    last_frames = np.vstack([np.full((1, marker_count), -1), last_frames[:-1]])
     all_markers = np.arange(marker_count)
-    frames_since = frames - last_visible_frames
-    is_known = (last_visible_frames >= 0) & (frames_since <= BRIDGE_SECONDS * rate + 1)
-    last_position = positions[np.maximum(last_visible_frames, 0), all_markers]
+    frames_since = frames - last_frames
+    is_known = (last_frames >= 0) & (frames_since <= BRIDGE_SECONDS * rate + 1)
+    last_position = positions[np.maximum(last_frames, 0), all_markers]
     velocity = np.zeros_like(last_position)
     has_velocity = np.zeros(is_visible.shape, bool)
     for samples_back in range(1, PAST_SAMPLES):
-        earlier_positions = positions[
-            np.maximum(last_visible_frames - samples_back, 0), all_markers
+        past_positions = positions[
+            np.maximum(last_frames - samples_back, 0), all_markers
         ]
         # The earliest sample of a gapless run gives the velocity.
         is_usable = (
-            (last_visible_frames >= samples_back)
-            & np.isfinite(earlier_positions[..., 0])
+            (last_frames >= samples_back)
+            & np.isfinite(past_positions[..., 0])
             & (has_velocity | (samples_back == 1))
         )
-        displacements = last_position[is_usable] - earlier_positions[is_usable]
+        displacements = last_position[is_usable] - past_positions[is_usable]
         velocity[is_usable] = displacements / samples_back
         has_velocity = is_usable if samples_back == 1 else has_velocity
     time = frames_since / rate
@@ -145,16 +141,14 @@ def _expected_positions(
 
 def _jump_pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
     """Return pairs of markers where one jumps to the other, by number of jumps."""
-    expected_positions, tolerance, is_known = _expected_positions(positions, rate)
+    predictions, tolerance, is_known = _expected_positions(positions, rate)
     is_visible = np.isfinite(positions[..., 0])
-    deviations = np.linalg.norm(positions - expected_positions, axis=-1)
+    deviations = np.linalg.norm(positions - predictions, axis=-1)
     is_continuous = is_visible & is_known & (deviations <= tolerance)
     jump_counts: dict[tuple[int, int], int] = {}
     jump_frames, jump_markers = np.nonzero(is_visible & ~is_continuous)
     points = positions[jump_frames, jump_markers]
-    distances = np.linalg.norm(
-        points[:, None] - expected_positions[jump_frames], axis=-1
-    )
+    distances = np.linalg.norm(points[:, None] - predictions[jump_frames], axis=-1)
     jump_sizes = np.where(is_known, deviations, np.inf)[jump_frames, jump_markers]
     max_distance = tolerance * (MAX_ACCELERATION / DEFAULT_ACCELERATION)
     is_reached = is_known[jump_frames] & (distances <= max_distance[jump_frames])
@@ -191,10 +185,10 @@ def _find_crossed_frames(
     pair_positions = positions[:, [a, b]]
     is_pair_visible = np.isfinite(pair_positions[..., 0])
     acceleration = _typical_acceleration(pair_positions, rate)
-    expected_positions, tolerance, is_known = _expected_positions(
+    predictions, tolerance, is_known = _expected_positions(
         pair_positions, rate, acceleration
     )
-    deviations = np.linalg.norm(pair_positions - expected_positions, axis=-1)
+    deviations = np.linalg.norm(pair_positions - predictions, axis=-1)
     is_smooth = ~is_pair_visible | (is_known & (deviations <= tolerance))
     # In frames without events, both keep their names.
     is_unchanged = np.vstack(
@@ -226,19 +220,17 @@ def _find_crossed_frames(
             if state != path.state:
                 cost, changes = cost + NAME_CHANGE_COST, (*changes, start)
             past_positions = []
-            for marker, past_points in enumerate(path.past_positions):
+            for marker, past in enumerate(path.past_positions):
                 column = marker ^ state
                 if start and is_visible[start][column]:
                     point = points[start][column]
-                    cost += _position_cost(
-                        past_points, start, point, rate, acceleration
-                    )
+                    cost += _position_cost(past, start, point, rate, acceleration)
                 new_positions = [
                     (frame, points[frame][column])
                     for frame in range(max(start, end - PAST_SAMPLES), end)
                     if is_visible[frame][column]
                 ]
-                past_positions.append([*past_points, *new_positions][-PAST_SAMPLES:])
+                past_positions.append([*past, *new_positions][-PAST_SAMPLES:])
             return _SwapPath(cost, state, changes, past_positions)
 
         initial_path = extend(initial_path, 0)
@@ -267,24 +259,18 @@ def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
 
 
 def _position_cost(
-    past_points: list[Any],
-    frame: int,
-    point: list[float],
-    rate: float,
-    acceleration: float,
+    past: list[Any], frame: int, point: list[float], rate: float, acceleration: float
 ) -> float:
     """Return the cost of a position after up to `PAST_SAMPLES` earlier positions.
 
     It is a negative log-likelihood, bounded by that of an arbitrary position.
     """
-    if not past_points:
+    if not past:
         return ARBITRARY_COST
-    last_frame, last_position = past_points[-1]
+    last_frame, last_position = past[-1]
     age = frame - last_frame
     first_frame, first_position = next(
-        past_point
-        for past_point in past_points
-        if last_frame - past_point[0] < PAST_SAMPLES
+        sample for sample in past if last_frame - sample[0] < PAST_SAMPLES
     )
     frames_between = last_frame - first_frame
     step_ratio = age / frames_between if frames_between else 0.0
@@ -313,26 +299,22 @@ def _shape_gain(
     if end - start < MIN_SWAP_FRAMES:
         return 0.0
     frames = np.unique(np.linspace(start, end - 1, SHAPE_SAMPLES).astype(np.int64))
-    other_markers = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
+    others = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
     gains = []
     for marker, partner in ((a, b), (b, a)):
-        offsets = (
-            positions[frames][:, other_markers] - positions[frames, marker][:, None]
-        )
+        offsets = positions[frames][:, others] - positions[frames, marker][:, None]
         lengths = np.linalg.norm(offsets, axis=-1)
         costs = []
         for named_marker in (marker, partner):
-            spread = known_lengths.spread[named_marker, other_markers]
-            mean = known_lengths.mean[named_marker, other_markers]
-            deviation = (lengths - mean) / (
-                DISTANCE_TOLERANCE + SPREAD_TOLERANCE_RATIO * spread
-            )
+            spread = known_lengths.spread[named_marker, others]
+            mean = known_lengths.mean[named_marker, others]
+            deviation = (lengths - mean) / (DISTANCE_TOLERANCE + SPREAD_FACTOR * spread)
             costs.append(np.minimum(deviation**2, 9.0))
         is_known = np.isfinite(costs[0] - costs[1])
         if is_known.any():
             scale = DISTANCE_TOLERANCE + np.minimum(
-                known_lengths.spread[marker, other_markers],
-                known_lengths.spread[partner, other_markers],
+                known_lengths.spread[marker, others],
+                known_lengths.spread[partner, others],
             )
             weight = np.where(is_known, (DISTANCE_TOLERANCE / scale) ** 2, 0.0)
             gain = np.where(is_known, costs[0] - costs[1], 0.0)

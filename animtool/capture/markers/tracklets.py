@@ -28,10 +28,8 @@ class Tracklets:
     def trajectory(self, positions: FloatArray, run: int) -> FloatArray:
         """Return the positions of a run from first to last frame ``(L, 3)``."""
         frames = slice(int(self.first[run]), int(self.last[run]) + 1)
-        point_indices = (self.ids[frames] == run).argmax(axis=1)
-        return np.asarray(
-            positions[frames][np.arange(len(point_indices)), point_indices]
-        )
+        indices = (self.ids[frames] == run).argmax(axis=1)
+        return np.asarray(positions[frames][np.arange(len(indices)), indices])
 
 
 def track_points(positions: FloatArray, rate: float) -> Tracklets:
@@ -48,8 +46,8 @@ def track_points(positions: FloatArray, rate: float) -> Tracklets:
     frame_count, point_count, _ = positions.shape
     is_visible = np.asarray(np.isfinite(positions).all(axis=-1))
     ids = np.full((frame_count, point_count), -1)
-    first_frames: list[int] = []
-    last_frames: list[int] = []
+    first: list[int] = []
+    last: list[int] = []
     max_step = STEP_NOISE + MAX_ACCELERATION / rate**2
     max_first_step = STEP_NOISE + MAX_SPEED / rate
     # Latest positions of the open runs, newest first.
@@ -67,14 +65,14 @@ def track_points(positions: FloatArray, rate: float) -> Tracklets:
         row_of_point = np.full(len(point_indices), -1)
         row_of_point[point_rows] = run_rows
         is_continued = row_of_point >= 0
-        new_runs = np.arange(int((~is_continued).sum())) + len(first_frames)
+        new_runs = np.arange(int((~is_continued).sum())) + len(first)
         run_ids = np.empty(len(point_indices), np.int64)
         run_ids[is_continued] = open_run_ids[row_of_point[is_continued]]
         run_ids[~is_continued] = new_runs
-        first_frames += [frame] * len(new_runs)
-        last_frames += [frame] * len(new_runs)
+        first += [frame] * len(new_runs)
+        last += [frame] * len(new_runs)
         for run_id in run_ids[is_continued].tolist():
-            last_frames[run_id] = frame
+            last[run_id] = frame
         ids[frame, point_indices] = run_ids
         next_positions = np.zeros((len(point_indices), PAST_FRAMES, 3))
         next_positions[:, 0] = points
@@ -83,16 +81,11 @@ def track_points(positions: FloatArray, rate: float) -> Tracklets:
         next_ages = np.ones(len(point_indices), np.int64)
         next_ages[is_continued] = np.minimum(run_ages[rows] + 1, PAST_FRAMES)
         past_positions, run_ages, open_run_ids = next_positions, next_ages, run_ids
-    return Tracklets(
-        ids, np.array(first_frames, np.int64), np.array(last_frames, np.int64)
-    )
+    return Tracklets(ids, np.array(first, np.int64), np.array(last, np.int64))
 
 
 def _expected_positions(
-    past_positions: FloatArray,
-    run_ages: IntArray,
-    max_step: float,
-    max_first_step: float,
+    past_positions: FloatArray, ages: IntArray, max_step: float, max_first_step: float
 ) -> tuple[FloatArray, FloatArray]:
     """Extrapolate each run by one frame: positions ``(R, 3)``, and tolerances [m].
 
@@ -104,11 +97,11 @@ def _expected_positions(
     parabola = linear_prediction + 3.0 * current - 3.0 * previous + before_previous
     quadratic_prediction = 0.5 * parabola
     expected_positions = np.where(
-        (run_ages >= 3)[:, None],
+        (ages >= 3)[:, None],
         quadratic_prediction,
-        np.where((run_ages == 2)[:, None], linear_prediction, current),
+        np.where((ages == 2)[:, None], linear_prediction, current),
     )
-    return expected_positions, np.where(run_ages == 1, max_first_step, max_step)
+    return expected_positions, np.where(ages == 1, max_first_step, max_step)
 
 
 # A second candidate is no rival if it is this many times farther away.
@@ -117,23 +110,20 @@ RIVAL_RATIO = 2.0
 EQUAL_DISTANCE = 0.05
 
 
-def _mutual_nearest(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
+def _mutual_nearest(distances: FloatArray) -> tuple[IntArray, IntArray]:
     """Return indices of runs and points that are each other's only near candidate.
 
-    relative_distance: Distances over the tolerance ``(R, P)``.
+    distances: Distances over the tolerance ``(R, P)``.
     """
-    if not relative_distance.size:
+    if not distances.size:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    nearest_point = relative_distance.argmin(axis=1)
-    nearest_run = relative_distance.argmin(axis=0)
-    runs = np.flatnonzero(
-        nearest_run[nearest_point] == np.arange(len(relative_distance))
-    )
+    nearest_point = distances.argmin(axis=1)
+    nearest_run = distances.argmin(axis=0)
+    runs = np.flatnonzero(nearest_run[nearest_point] == np.arange(len(distances)))
     points = nearest_point[runs]
-    nearest = relative_distance[runs, points]
+    nearest = distances[runs, points]
     second_distance = np.minimum(
-        _second_smallest(relative_distance)[runs],
-        _second_smallest(relative_distance.T)[points],
+        _second_smallest(distances)[runs], _second_smallest(distances.T)[points]
     )
     rival_distance = RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
     is_clear = (nearest <= 1.0) & (second_distance > rival_distance)

@@ -35,7 +35,7 @@ MAX_EXCHANGE_ROUNDS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class DoubtfulExchange:
+class NameExchange:
     """A swap of marker names that fits the take about as well as the chosen names."""
 
     markers: tuple[int, ...]  # the exchanged markers
@@ -43,8 +43,8 @@ class DoubtfulExchange:
 
 
 def distinguish_twins(
-    positions: FloatArray, rest_positions: FloatArray
-) -> tuple[IntArray, list[DoubtfulExchange], list[tuple[int, int]]]:
+    positions: FloatArray, rest_shape: FloatArray
+) -> tuple[IntArray, list[NameExchange], list[tuple[int, int]]]:
     """Exchange the names of similar markers if distances and shapes fit better.
 
     Return the new name of each marker ``(M,)``, the exchanges that stay in doubt, and
@@ -54,25 +54,23 @@ def distinguish_twins(
     error of the rest shape on the points, with any two neighbouring markers, in the
     best frames, rotated but not mirrored.
 
-    positions: By current names ``(F, M, 3)``. rest_positions: ``(M, 3)`` [m].
+    positions: By current names ``(F, M, 3)``. rest_shape: ``(M, 3)`` [m].
     """
-    rest_distances = np.linalg.norm(
-        rest_positions[:, None] - rest_positions[None], axis=-1
-    )
+    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     is_visible = np.isfinite(positions[..., 0]).astype(np.float64)
     overlap = is_visible.T @ is_visible
     overlap_fraction = overlap / max(1.0, float(overlap.max()))
     np.fill_diagonal(overlap_fraction, 0.0)
     pair_scores = compute_pair_evidence(
-        marker_distances(positions), overlap_fraction, rest_distances
+        marker_distances(positions), overlap_fraction, rest_lengths
     )
-    exchanges = _drop_unrelated(find_exchanges(rest_distances), rest_distances)
-    names = np.arange(len(rest_positions))
+    exchanges = _drop_unrelated(find_exchanges(rest_lengths), rest_lengths)
+    names = np.arange(len(rest_shape))
     shape_cache: dict[tuple[int, ...], float] = {}
-    doubtful_exchanges: list[DoubtfulExchange] = []
+    doubtful_exchanges: list[NameExchange] = []
     doubtful_pairs: list[tuple[int, int]] = []
     for _ in range(MAX_EXCHANGE_ROUNDS):
-        single_scores = np.zeros(rest_distances.shape)
+        single_scores = np.zeros(rest_lengths.shape)
         for marker, name in enumerate(names.tolist()):
             single_scores += pair_scores[:, marker, :, name]
         best_names, best_gain = None, MIN_GAIN
@@ -88,8 +86,8 @@ def distinguish_twins(
                 score = float(gains[row])
                 score += SHAPE_EVIDENCE * _shape_evidence(
                     positions,
-                    rest_positions,
-                    rest_distances,
+                    rest_shape,
+                    rest_lengths,
                     old[row].tolist(),
                     names,
                     changed_names,
@@ -99,9 +97,7 @@ def distinguish_twins(
                     best_names, best_gain = changed_names, score
                 elif score > MIN_DOUBT_GAIN:
                     markers = tuple(sorted(names[old[row]].tolist()))
-                    doubtful_exchanges.append(
-                        DoubtfulExchange(markers, min(score, 0.0))
-                    )
+                    doubtful_exchanges.append(NameExchange(markers, min(score, 0.0)))
         if best_names is None:
             break
         names = best_names
@@ -109,39 +105,31 @@ def distinguish_twins(
 
 
 def is_exchanged(
-    positions: FloatArray, rest_positions: FloatArray, pair: tuple[int, int]
+    positions: FloatArray, rest_shape: FloatArray, pair: tuple[int, int]
 ) -> bool:
     """Return whether shapes clearly show two markers exchanged in some frames.
 
     positions: Positions in these frames, by current names ``(F, M, 3)``.
     """
-    names = np.arange(len(rest_positions))
+    names = np.arange(len(rest_shape))
     exchanged_names = names.copy()
     exchanged_names[list(pair)] = pair[::-1]
-    rest_distances = np.linalg.norm(
-        rest_positions[:, None] - rest_positions[None], axis=-1
-    )
+    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     shape_evidence = _shape_evidence(
-        positions,
-        rest_positions,
-        rest_distances,
-        list(pair),
-        names,
-        exchanged_names,
-        {},
+        positions, rest_shape, rest_lengths, list(pair), names, exchanged_names, {}
     )
     return SHAPE_EVIDENCE * shape_evidence > MIN_SPAN_GAIN
 
 
 def _drop_unrelated(
-    exchanges: list[tuple[IntArray, IntArray]], rest_distances: FloatArray
+    exchanges: list[tuple[IntArray, IntArray]], rest_lengths: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
     """Drop double exchanges of two pairs that do not affect each other's distances."""
     near_exchanges = []
     for old, new in exchanges:
         is_near = np.ones(len(old), bool)
         if old.shape[1] == 4:
-            pair_distances = rest_distances[old[:, :2, None], old[:, None, 2:]]
+            pair_distances = rest_lengths[old[:, :2, None], old[:, None, 2:]]
             is_near = pair_distances.min(axis=(1, 2)) < NEAR_DISTANCE
         near_exchanges.append((old[is_near], new[is_near]))
     return near_exchanges
@@ -149,15 +137,15 @@ def _drop_unrelated(
 
 def _shape_evidence(
     positions: FloatArray,
-    rest_positions: FloatArray,
-    rest_distances: FloatArray,
+    rest_shape: FloatArray,
+    rest_lengths: FloatArray,
     changed_markers: list[int],
     current_names: IntArray,
     other_names: IntArray,
-    shape_cache: dict[tuple[int, ...], float],
+    cache: dict[tuple[int, ...], float],
 ) -> float:
     """Return the mean log ratio of shape errors, before over after an exchange."""
-    distances = rest_distances[current_names[changed_markers]][:, current_names].min(
+    distances = rest_lengths[current_names[changed_markers]][:, current_names].min(
         axis=0
     )
     distances[changed_markers] = np.inf
@@ -165,20 +153,14 @@ def _shape_evidence(
     ratios = []
     for pair in combinations(nearest.tolist(), 2):
         group = [*changed_markers, *pair]
-        shape_errors = []
+        errors = []
         for names in (current_names, other_names):
             key = (*group, *names[group].tolist())
-            if key not in shape_cache:
-                shape_cache[key] = _shape_error(
-                    positions, group, rest_positions[names[group]]
-                )
-            shape_errors.append(shape_cache[key])
-        if np.isfinite(shape_errors).all():
-            ratios.append(
-                np.log(
-                    (shape_errors[0] + SHAPE_NOISE) / (shape_errors[1] + SHAPE_NOISE)
-                )
-            )
+            if key not in cache:
+                cache[key] = _shape_error(positions, group, rest_shape[names[group]])
+            errors.append(cache[key])
+        if np.isfinite(errors).all():
+            ratios.append(np.log((errors[0] + SHAPE_NOISE) / (errors[1] + SHAPE_NOISE)))
     return float(np.mean(ratios)) if ratios else 0.0
 
 

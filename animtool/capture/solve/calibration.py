@@ -154,12 +154,11 @@ class _CalibrationState:
         motion = positions_in_rig_axes(rig, markers)[:, self.model.columns]
         samples = [motion[fullest_frames(motion, MOTION_FRAMES)]]
         if static is not None:
-            static_positions = self._to_model_order(
+            static_motion = self._to_model_order(
                 positions_in_rig_axes(rig, static), static.names
             )
             samples.insert(
-                0,
-                static_positions[fullest_frames(static_positions, STATIC_FRAMES)],
+                0, static_motion[fullest_frames(static_motion, STATIC_FRAMES)]
             )
         self.static_count = 0 if static is None else len(samples[0])
         self.positions = np.concatenate(samples)
@@ -215,15 +214,12 @@ class _CalibrationState:
         poses = independent_poses(self.model, self.positions, self.noise)
         for step_index in range(MAX_STEPS):
             poses = self._fit_poses(poses)
-            parameter_step = self._solve_step(poses)
-            scale_steps, offset_steps = (
-                parameter_step[: len(self.bone_joints)],
-                parameter_step[len(self.bone_joints) :],
-            )
+            step = self._solve_step(poses)
+            scale_steps, offset_steps = np.split(step, [len(self.bone_joints)])
             self.scales = np.clip(self.scales + scale_steps, 0.1, 10.0)
             self.offsets = self.offsets + offset_steps.reshape(-1, 3)
             self._rebuild_model()
-            if np.abs(parameter_step).max(initial=0) < CONVERGED_STEP:
+            if np.abs(step).max(initial=0) < CONVERGED_STEP:
                 return step_index + 1, True
         return MAX_STEPS, False
 
@@ -252,28 +248,24 @@ class _CalibrationState:
         problem, model = self.model.problem, self.model
         targets = pack_for_chain(problem, model.targets(self.positions, self.noise))
         chain = problem.chain
-        frame_count, degree_count = len(poses), problem.degrees
+        frame_count, dof_count = len(poses), problem.degrees
         _, residuals, jacobian, _ = _kernels.linearize_ik(
             *chain.kernel_arrays,
             starts=chain.from_rig(poses),
             targets=targets,
-            steps=np.zeros((frame_count, degree_count)),
+            steps=np.zeros((frame_count, dof_count)),
         )
         derivatives = self._marker_derivatives(poses)
         distances = np.linalg.norm(residuals.reshape(frame_count, -1, 3), axis=2)
-        robust_weights = np.repeat(
-            1 / (1 + (distances / ROBUST_DEVIATIONS) ** 2), 3, axis=1
-        )
-        residuals = residuals * robust_weights
-        jacobian = jacobian * robust_weights[:, :, None]
-        derivatives = derivatives * robust_weights[:, :, None]
+        weights = np.repeat(1 / (1 + (distances / ROBUST_DEVIATIONS) ** 2), 3, axis=1)
+        residuals = residuals * weights
+        jacobian = jacobian * weights[:, :, None]
+        derivatives = derivatives * weights[:, :, None]
         transposed_jacobian = np.swapaxes(jacobian, 1, 2)
         pose_matrix = transposed_jacobian @ jacobian
-        pose_precision = np.full(
-            (frame_count, degree_count), MOTION_POSE_DEVIATION**-2.0
-        )
+        pose_precision = np.full((frame_count, dof_count), MOTION_POSE_DEVIATION**-2.0)
         pose_precision[: self.static_count] = STATIC_POSE_DEVIATION**-2.0
-        pose_matrix += np.eye(degree_count) * pose_precision[:, :, None]
+        pose_matrix += np.eye(dof_count) * pose_precision[:, :, None]
         # Parameters and residuals with the poses eliminated.
         mixed_terms = transposed_jacobian @ derivatives
         eliminated_columns = np.linalg.solve(pose_matrix, mixed_terms)
@@ -316,10 +308,8 @@ class _CalibrationState:
         for e, j in enumerate(model.joints.tolist()):
             is_above[e, rig.upwards(j)] = True
         for b, j in enumerate(self.bone_joints):
-            bone_vectors = (
-                world.linear[:, rig.joints[j].parent] @ self.base_translations[j]
-            )
-            derivatives[:, is_above[:, j], :, b] += bone_vectors
+            vectors = world.linear[:, rig.joints[j].parent] @ self.base_translations[j]
+            derivatives[:, is_above[:, j], :, b] += vectors
         for e, j in enumerate(model.joints.tolist()):
             first = len(self.bone_joints) + 3 * e
             if not model.template.markers[e].fixed:
@@ -331,14 +321,9 @@ class _CalibrationState:
 
     def _prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """Return matrix and gradient of the priors on bone scales and offsets."""
-        bone_count, parameter_count = (
-            len(self.bone_joints),
-            len(self.bone_joints) + self.offsets.size,
-        )
-        matrix, gradient = (
-            np.zeros((parameter_count, parameter_count)),
-            np.zeros(parameter_count),
-        )
+        bone_count = len(self.bone_joints)
+        size = bone_count + self.offsets.size
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
         # Bones vary about an overall scale, which varies about 1 and is summed out.
         precision = np.eye(bone_count) / BONE_DEVIATION**2
         prior_sum = bone_count / BONE_DEVIATION**2 + OVERALL_DEVIATION**-2.0
@@ -354,7 +339,7 @@ class _CalibrationState:
             matrix[left_bone, right_bone] -= SIDE_DEVIATION**-2.0
             matrix[right_bone, left_bone] -= SIDE_DEVIATION**-2.0
         # Markers scale with their bones; the prior is on the remaining offset, d = A p.
-        offset_map = np.zeros((self.offsets.size, parameter_count))
+        offset_map = np.zeros((self.offsets.size, size))
         offset_map[:, bone_count:] = np.eye(self.offsets.size)
         bone_weights = self._bone_weights()[:, None, :]
         offset_terms = bone_weights * self.initial_offsets[:, :, None]

@@ -64,7 +64,7 @@ NOISE_SAMPLES = 24
 # Ratio of marker distances to the rig's that means other units.
 MIN_UNIT_RATIO = 30.0
 # Logarithm of the largest ratio of the sizes of a rig and a person.
-MAX_LOG_SIZE_RATIO = math.log(2.0)
+MAX_LOG_RATIO = math.log(2.0)
 # Typical residual above which markers do not belong to this rig [m].
 MAX_TYPICAL_RESIDUAL = 0.01
 # A marker this many times farther off than most has a wrong name or offset [1].
@@ -165,15 +165,15 @@ class MarkerSolve:
         rig = self.model.rig
         local = self.model.local_transforms(coordinates)
         goal_joints = sorted({rig.index(name) for name in self.model.problem.joints})
-        sliding_joints = [
+        sliders = [
             j for j in goal_joints if rig.joints[j].type in {"free", "prismatic"}
         ]
         rotations = so3.align_signs(local.rotations[:, goal_joints], previous_rotations)
         return Motion(
             Channel(
                 rig.rest_translations,
-                np.array(sliding_joints, np.int64),
-                local.translations[:, sliding_joints],
+                np.array(sliders, np.int64),
+                local.translations[:, sliders],
             ),
             Channel(rig.rest_rotations, np.array(goal_joints, np.int64), rotations),
         )
@@ -181,19 +181,17 @@ class MarkerSolve:
     def _warn_of_frames(self) -> None:
         """Warn of frames with too few markers (SOL101) or few that fit (SOL102)."""
         clock = self.markers.clock
-        for code, frame_indices, problem in (
+        for code, indices, problem in (
             ("SOL101", self.score.sparse, f"fewer than {MIN_MARKERS} markers are seen"),
             ("SOL102", self.score.poor, "markers do not match"),
         ):
-            if not len(frame_indices):
+            if not len(indices):
                 continue
             frame_numbers = [
-                math.floor(clock.start + clock.step * f) for f in frame_indices.tolist()
+                math.floor(clock.start + clock.step * f) for f in indices.tolist()
             ]
             frames_text = frame_spans(frame_numbers)
-            message = (
-                f"{problem} in {counted(len(frame_indices), 'frame')}: {frames_text}"
-            )
+            message = f"{problem} in {counted(len(indices), 'frame')}: {frames_text}"
             hint = "their poses are taken from nearby frames"
             if code == "SOL102":
                 hint = "labels may be wrong there, or the rig may not match the subject"
@@ -343,20 +341,20 @@ def check_units(
     The error is located in the template if the offsets are suspicious (MKT003).
     """
     rest_points = model.points(model.start_poses(sample[:1]))[0]
-    size_ratios = []
+    ratios = []
     for frame in sample:
         is_visible = np.isfinite(frame).all(axis=1)
         rest_size, frame_size = (
             float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
             for points in (rest_points[is_visible], frame[is_visible])
         )
-        size_ratios.append(frame_size / max(rest_size, 1e-9))
-    size_ratio = float(np.median(size_ratios))
-    if 1 / MIN_UNIT_RATIO < size_ratio < MIN_UNIT_RATIO:
+        ratios.append(frame_size / max(rest_size, 1e-9))
+    ratio = float(np.median(ratios))
+    if 1 / MIN_UNIT_RATIO < ratio < MIN_UNIT_RATIO:
         return
-    comparison = f"{1 / max(size_ratio, 1e-12):.3g} times smaller than those on the rig"
-    if size_ratio > 1:
-        comparison = f"{size_ratio:.3g} times larger than those on the rig"
+    comparison = f"{1 / max(ratio, 1e-12):.3g} times smaller than those on the rig"
+    if ratio > 1:
+        comparison = f"{ratio:.3g} times larger than those on the rig"
     message = f"the markers are {comparison}"
     document = None if template is None else template.document
     for notice in () if document is None else document.notices:
@@ -365,13 +363,10 @@ def check_units(
             severity = Severity.ERROR
             fault = replace(notice, code="SOL005", message=message, severity=severity)
             raise OptionError(fault)
-    unit_written, unit_read = _confused_units(size_ratio)
+    unit_written, unit_read = _confused_units(ratio)
     hint = f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or "
     hint += "in"
-    if (
-        abs(math.log(size_ratio * unit_written.meters / unit_read.meters))
-        < MAX_LOG_SIZE_RATIO
-    ):
+    if abs(math.log(ratio * unit_written.meters / unit_read.meters)) < MAX_LOG_RATIO:
         unit_text = argument("source.unit", str(unit_written))
         hint = f"the numbers look like {unit_written} that are read as {unit_read}: "
         hint += f"set {unit_text}"

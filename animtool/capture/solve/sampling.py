@@ -14,7 +14,7 @@ from animtool.ik.fit import FitOptions, fit
 from animtool.rig.sides import pair_sides
 
 # Median length of a 3D vector whose components have standard deviation 1.
-MEDIAN_LENGTH_3D = 1.538
+MEDIAN_LENGTH = 1.538
 # Residuals beyond this many deviations are downweighted.
 ROBUST_DEVIATIONS = 8.0
 # A marker visible in fewer frames gets the noise of the others.
@@ -23,21 +23,19 @@ MIN_VISIBLE_FRAMES = 5
 # converged.
 INITIAL_NOISE, NOISE_ROUNDS, CONVERGED_RATIO = 0.02, 4, 0.7
 # Residual of swapped markers, and the fraction of it that is left without the swap.
-MIN_SWAPPED_RESIDUAL, MAX_EXCHANGED_FRACTION = 0.02, 0.4
+MIN_SWAP_RESIDUAL, MAX_SWAP_RATIO = 0.02, 0.4
 
 
 def fullest_frames(positions: FloatArray, count: int) -> IntArray:
     """Return the frame with the most markers from each of ``count`` equal intervals."""
-    marker_counts = visibility_mask(positions).sum(axis=1)
+    counts = visibility_mask(positions).sum(axis=1)
     intervals = np.array_split(np.arange(len(positions)), min(count, len(positions)))
     best_frames = [
-        interval[int(np.argmax(marker_counts[interval]))]
+        interval[int(np.argmax(counts[interval]))]
         for interval in intervals
         if len(interval)
     ]
-    return np.array(
-        [f for f in best_frames if marker_counts[f] >= MIN_MARKERS], np.int64
-    )
+    return np.array([f for f in best_frames if counts[f] >= MIN_MARKERS], np.int64)
 
 
 def independent_poses(
@@ -65,12 +63,10 @@ def residual_noise(residuals: FloatArray, min_noise: float) -> FloatArray:
     is_known = np.isfinite(residuals)
     median = min_noise
     if is_known.any():
-        median = float(np.median(residuals[is_known])) / MEDIAN_LENGTH_3D
+        median = float(np.median(residuals[is_known])) / MEDIAN_LENGTH
     noise = np.full(residuals.shape[1], median)
     is_measured = is_known.sum(axis=0) >= MIN_VISIBLE_FRAMES
-    noise[is_measured] = (
-        np.nanmedian(residuals[:, is_measured], axis=0) / MEDIAN_LENGTH_3D
-    )
+    noise[is_measured] = np.nanmedian(residuals[:, is_measured], axis=0) / MEDIAN_LENGTH
     return np.asarray(np.maximum(noise, max(min_noise, median / 2)))
 
 
@@ -114,15 +110,15 @@ def swapped_side_notices(
     """
     names = model.template.names
     pairs = pair_sides(names)
-    if not pairs.left or float(noise.max()) < MIN_SWAPPED_RESIDUAL / 2:
+    if not pairs.left or float(noise.max()) < MIN_SWAP_RESIDUAL / 2:
         return []
     exchanged_sample = sample[:, pairs.partners]
     median_noise = float(np.median(noise))
-    if median_noise >= MIN_SWAPPED_RESIDUAL / 2:
+    if median_noise >= MIN_SWAP_RESIDUAL / 2:
         exchanged_noise = float(
             np.median(estimate_noise(model, exchanged_sample, min_noise))
         )
-        if exchanged_noise < MAX_EXCHANGED_FRACTION * median_noise:
+        if exchanged_noise < MAX_SWAP_RATIO * median_noise:
             message = (
                 "left and right look swapped: with all their markers exchanged, "
                 f"they are {length_text(exchanged_noise)} off their positions "
@@ -138,11 +134,8 @@ def swapped_side_notices(
     for left in pairs.left:
         both_markers = [left, int(pairs.partners[left])]
         residual = residuals[both_markers].min()
-        exchanged_residual = exchanged_residuals[both_markers].max()
-        if (
-            residual > MIN_SWAPPED_RESIDUAL
-            and exchanged_residual < MAX_EXCHANGED_FRACTION * residual
-        ):
+        swap_residual = exchanged_residuals[both_markers].max()
+        if residual > MIN_SWAP_RESIDUAL and swap_residual < MAX_SWAP_RATIO * residual:
             swapped_pairs.append(both_markers)
     if not swapped_pairs:
         return []

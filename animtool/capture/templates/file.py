@@ -22,12 +22,12 @@ from animtool.documents.references import resolve_input
 from animtool.rig.sides import pair_sides
 
 # Largest distance of a marker from its joint [m]; larger numbers mean another unit.
-MAX_MARKER_OFFSET = 10.0
+MAX_OFFSET = 10.0
 # If so many markers are off their joints, but none farther than this, the unit is
 # another, too [m].
-MIN_MARKER_OFFSET, MIN_OFFSET_MARKERS = 0.001, 4
+MIN_OFFSET, MIN_OFFSET_MARKERS = 0.001, 4
 # Largest offset on a body [m].
-TYPICAL_MARKER_OFFSET = 0.3
+TYPICAL_OFFSET = 0.3
 
 
 class MarkerUnitsModel(FileModel):
@@ -155,39 +155,29 @@ def parse_template(document: Document) -> MarkerTemplate:
 def _warn_of_offsets(
     document: Document, markers: Sequence[TemplateMarker], unit: LengthUnit
 ) -> None:
-    """Warn if an offset is above `MAX_MARKER_OFFSET`, or all are tiny (MKT003)."""
-    offset_sizes = [max(map(abs, marker.offset)) for marker in markers]
-    farthest_marker = max(
-        range(len(offset_sizes)),
-        key=lambda farthest_marker: offset_sizes[farthest_marker],
-    )
-    largest = offset_sizes[farthest_marker]
+    """Warn if an offset is above `MAX_OFFSET`, or all are tiny (MKT003)."""
+    sizes = [max(map(abs, marker.offset)) for marker in markers]
+    farthest = max(range(len(sizes)), key=sizes.__getitem__)
+    largest = sizes[farthest]
     if not largest:
         return
-    nearest_unit, converted_size = likely_unit(largest, unit, TYPICAL_MARKER_OFFSET)
+    nearest_unit, converted = likely_unit(largest, unit, TYPICAL_OFFSET)
     hint = f"write units: {{length: {nearest_unit}}} in the template: then it is "
-    hint += length_text(converted_size)
-    if largest > MAX_MARKER_OFFSET:
-        message = (
-            f"{markers[farthest_marker].name!r} is {length_text(largest)} off its joint"
-        )
-        count = sum(size > MAX_MARKER_OFFSET for size in offset_sizes)
+    hint += length_text(converted)
+    if largest > MAX_OFFSET:
+        message = f"{markers[farthest].name!r} is {length_text(largest)} off its joint"
+        count = sum(size > MAX_OFFSET for size in sizes)
         if count > 1:
-            message += (
-                f"; {count} markers are more than {MAX_MARKER_OFFSET:g} m off theirs"
-            )
+            message += f"; {count} markers are more than {MAX_OFFSET:g} m off theirs"
         if nearest_unit is unit:
             hint = f"are the offsets in {unit}?"
-    elif (
-        largest < MIN_MARKER_OFFSET
-        and sum(map(bool, offset_sizes)) >= MIN_OFFSET_MARKERS
-    ):
+    elif largest < MIN_OFFSET and sum(map(bool, sizes)) >= MIN_OFFSET_MARKERS:
         message = f"all markers are within {length_text(largest)} of their joints"
         if nearest_unit is unit:
             hint = f"offsets are in {unit}: were they divided by 1000 twice?"
     else:
         return
-    document.warn("MKT003", ("marker_set", farthest_marker, "offset"), message, hint)
+    document.warn("MKT003", ("marker_set", farthest, "offset"), message, hint)
 
 
 def _warn_of_swapped_sides(
@@ -199,24 +189,20 @@ def _warn_of_swapped_sides(
     marker_pairs = pair_sides([marker.name for marker in markers])
     left_joints = {joints[j] for j in joint_pairs.left}
     partner_of = {joints[j]: joints[p] for j, p in enumerate(joint_pairs.partners)}
-    swapped_markers: list[int] = []
+    swaps: list[int] = []
     for left in marker_pairs.left:
         right = int(marker_pairs.partners[left])
         joint = markers[left].joint
         is_on_partner = partner_of[joint] == markers[right].joint != joint
         if is_on_partner and joint not in left_joints:
-            swapped_markers += [left, right]
-    if not swapped_markers:
+            swaps += [left, right]
+    if not swaps:
         return
-    first = min(swapped_markers)
+    first = min(swaps)
     marker = markers[first]
     other_joint = partner_of[marker.joint]
-    names = [
-        f"{markers[i].name} on {markers[i].joint}" for i in sorted(swapped_markers)
-    ]
-    message = (
-        f"{len(swapped_markers)} of {counted(len(markers), 'marker')} are on joints of "
-    )
+    names = [f"{markers[i].name} on {markers[i].joint}" for i in sorted(swaps)]
+    message = f"{len(swaps)} of {counted(len(markers), 'marker')} are on joints of "
     message += f"the other side: {listed(names, 4)}"
     hint = f"for {marker.name} write joint: {other_joint}"
     document.warn("MKT005", ("marker_set", first, "joint"), message, hint)

@@ -60,30 +60,24 @@ def match_markers(
     [1]
     """
     labelled_names = [name for name in names if not name.startswith("*")]
-    columns_by_subject = {
+    matches = {
         prefix: _marker_columns(template, names, prefix)
         for prefix in dict.fromkeys(_split_prefix(name)[0] for name in labelled_names)
     }
     matching_subjects = {
-        prefix: columns
-        for prefix, columns in columns_by_subject.items()
-        if (columns >= 0).any()
+        prefix: columns for prefix, columns in matches.items() if (columns >= 0).any()
     }
     if subject is not None:
-        if subject not in columns_by_subject:
+        if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
-            raise OptionError(
-                Fault("SOL001", message, hint=name_hint(subject, columns_by_subject))
-            )
-        matching_subjects = {subject: columns_by_subject[subject]}
+            raise OptionError(Fault("SOL001", message, hint=name_hint(subject, matches)))
+        matching_subjects = {subject: matches[subject]}
         labelled_names = [
             name for name in labelled_names if _split_prefix(name)[0] == subject
         ]
     if len(matching_subjects) > 1:
-        subjects_text = counted(len(matching_subjects), "subject")
-        message = (
-            f"holds markers of {subjects_text}: {listed(sorted(matching_subjects))}"
-        )
+        count_text = counted(len(matching_subjects), "subject")
+        message = f"holds markers of {count_text}: {listed(sorted(matching_subjects))}"
         hint = f"choose one with {argument('subject')}"
         raise OptionError(Fault("SOL002", message, hint=hint))
     if not matching_subjects or not (next(iter(matching_subjects.values())) >= 0).any():
@@ -141,22 +135,17 @@ def resembling_names(
     >>> resembling_names(["LASI", "RASI"], ["Ann:L_ASIS", "Ann:C7"])
     [('LASI', 'L_ASIS')]
     """
-    bare_names = {
-        _normalize_name(name): _split_prefix(name)[1] for name in captured_names
-    }
-    names_by_letters = {_normalize_name(name): name for name in names}
+    bare_names = {_letters_of(name): _split_prefix(name)[1] for name in captured_names}
+    names_by_letters = {_letters_of(name): name for name in names}
     pairs = []
     for letters, name in names_by_letters.items():
-        similar_letters = most_similar(letters, bare_names)
-        if (
-            similar_letters is not None
-            and most_similar(similar_letters, names_by_letters) == letters
-        ):
-            pairs.append((name, bare_names[similar_letters]))
+        similar = most_similar(letters, bare_names)
+        if similar is not None and most_similar(similar, names_by_letters) == letters:
+            pairs.append((name, bare_names[similar]))
     return pairs
 
 
-def _normalize_name(name: str) -> str:
+def _letters_of(name: str) -> str:
     """Return a name's lower-case letters and digits, without its subject prefix."""
     return re.sub(r"[^a-z0-9]", "", _split_prefix(name)[1].lower())
 

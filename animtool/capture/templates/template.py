@@ -142,15 +142,13 @@ def _template_lines(
         offset = flow_list(
             [decimal_text(round(x, OFFSET_DECIMALS)) for x in marker.offset]
         )
-        marker_text = (
-            f"name: {yaml_scalar(marker.name)}, joint: {yaml_scalar(marker.joint)}"
-        )
-        marker_text += f", offset: {offset}"
+        line = f"name: {yaml_scalar(marker.name)}, joint: {yaml_scalar(marker.joint)}"
+        line += f", offset: {offset}"
         if marker.weight != 1.0:
-            marker_text += f", weight: {decimal_text(marker.weight)}"
+            line += f", weight: {decimal_text(marker.weight)}"
         if marker.fixed:
-            marker_text += ", fixed: true"
+            line += ", fixed: true"
         if marker.aliases:
             aliases = [yaml_scalar(name) for name in marker.aliases]
-            marker_text += f", aliases: {flow_list(aliases)}"
-        yield f"- {{{marker_text}}}"
+            line += f", aliases: {flow_list(aliases)}"
+        yield f"- {{{line}}}"

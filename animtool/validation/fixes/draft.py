@@ -95,7 +95,7 @@ FixFunction = Callable[[CheckedFile, Fault], FixEdits]
 def load_fix(code: str) -> FixFunction | None:
     """Import the function that fixes a code's findings; None if there is none.
 
-    >>> fix_of("RIG201") is None
+    >>> load_fix("RIG201") is None
     True
     """
     return cast(FixFunction, load_object(FIXES[code])) if code in FIXES else None

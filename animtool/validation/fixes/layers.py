@@ -47,30 +47,24 @@ class LayerDraft:
         """
         codes = {fault.code for fault in findings}
         first_code = next(code for code in EDITS_BY_CODE if code in codes)
-        same_code_findings = (fault for fault in findings if fault.code == first_code)
-        return sorted(
-            same_code_findings, key=lambda fault: -(fault.where or "").count("/")
-        )
+        matches = (fault for fault in findings if fault.code == first_code)
+        return sorted(matches, key=lambda fault: -(fault.where or "").count("/"))
 
     def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
         """Return the layer with the findings fixed that concern only this layer."""
         from animtool.usd.fixes.target import edited_layer
 
-        fixed_findings: list[tuple[Fault, str]] = []
+        fixes: list[tuple[Fault, str]] = []
         refused_findings: list[tuple[Fault, str]] = []
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
                 reason, remedy = _apply_fix(layer, fault)
-                results = refused_findings if reason else fixed_findings
+                results = refused_findings if reason else fixes
                 results.append((fault, reason or remedy))
             content = layer.content()
-        edit_lines = [
-            f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixed_findings
-        ]
+        edit_lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixes]
         edited_draft = LayerDraft(self.path, content, (*self.edits, *edit_lines))
-        return FixStep(
-            edited_draft if fixed_findings else self, fixed_findings, refused_findings
-        )
+        return FixStep(edited_draft if fixes else self, fixes, refused_findings)
 
     def fix_deferred(self, _: Sequence[Fault], /) -> FixStep:
         """Return the layer unchanged: no fix is deferred."""

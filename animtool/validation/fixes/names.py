@@ -41,14 +41,12 @@ def files_using_names(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, s
             continue
         if not any(name in text for name in names):
             continue
-        used_name = _first_used_name(path, text, rig_path, names)
+        used_name = _used_name(path, text, rig_path, names)
         if used_name is not None:
             yield path, used_name
 
 
-def _first_used_name(
-    path: Path, text: str, rig: Path, names: Sequence[str]
-) -> str | None:
+def _used_name(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | None:
     """Return the first name of a rig that a file uses."""
     try:
         value = document_of(text, path).value
@@ -137,8 +135,8 @@ _LIST_NAMES = {
 def make_names_legal(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     """Return edits that rename the illegal USD names of a list and all references."""
     rig = _complete_rig(checked_file)
-    list_name = str(pointer_of(fault)[0])
-    return _rename_entries(rig, list_name, _illegal_names(group_names(rig, list_name)))
+    group = str(pointer_of(fault)[0])
+    return _rename_entries(rig, group, _illegal_names(group_names(rig, group)))
 
 
 def _illegal_names(names: Sequence[str]) -> list[str]:
@@ -151,15 +149,15 @@ def make_name_unique(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     Renames the one that USD does not allow, or else the second.
     """
     rig = _complete_rig(checked_file)
-    list_name, entry_index = pointer_of(fault)[:2]
-    named_entry = rig.file_entries(str(list_name))[entry_index]
-    names = group_names(rig, list_name)
+    group, entry_index = pointer_of(fault)[:2]
+    named_entry = rig.file_entries(str(group))[entry_index]
+    names = group_names(rig, group)
     for name in (named_entry["name"], named_entry.get("mirror")):
         usd_name = legal_usd_name(name) if name else None
         equal_names = [other for other in names if legal_usd_name(other) == usd_name]
         if len(equal_names) > 1:
             illegal_names = _illegal_names(equal_names)
-            return _rename_entries(rig, str(list_name), illegal_names[-1:])
+            return _rename_entries(rig, str(group), illegal_names[-1:])
     raise NotFixedError(f"renames {named_entry['name']!r} to make it unique")
 
 
@@ -170,16 +168,14 @@ def _complete_rig(checked_file: CheckedFile) -> RigSubject:
     return rig
 
 
-def _rename_entries(rig: RigSubject, list_name: str, old_names: list[str]) -> FixEdits:
+def _rename_entries(rig: RigSubject, group: str, old_names: list[str]) -> FixEdits:
     for path, name in files_using_names(rig.document.path, old_names):
         raise NotFixedError(f"{path.name} also uses {name!r}")
-    new_names = _unused_names(old_names, group_names(rig, list_name))
+    new_names = _unused_names(old_names, group_names(rig, group))
     renamings = [f"{name!r} to {new_names[name]!r}" for name in old_names]
     count_text = counted(len(old_names), "name")
-    remedy = f"renames {count_text} of {list_name}: {listed(renamings, 3)}"
-    return FixEdits(
-        remedy, tuple(rename_edits(rig.document.value, list_name, new_names))
-    )
+    remedy = f"renames {count_text} of {group}: {listed(renamings, 3)}"
+    return FixEdits(remedy, tuple(rename_edits(rig.document.value, group, new_names)))
 
 
 def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
@@ -189,21 +185,18 @@ def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
     other_names = {*names, *legal_names}
     for name in old_names:
         used_names = {*other_names, *new_names.values()}
-        unused_name, suffix_number = legal_usd_name(name), 2
-        while unused_name in used_names:
-            unused_name, suffix_number = (
-                f"{legal_usd_name(name)}_{suffix_number}",
-                suffix_number + 1,
-            )
-        new_names[name] = unused_name
+        candidate, number = legal_usd_name(name), 2
+        while candidate in used_names:
+            candidate, number = (f"{legal_usd_name(name)}_{number}", number + 1)
+        new_names[name] = candidate
     return new_names
 
 
 def rename_edits(
-    value: Mapping[str, Any], list_name: str, new_names: Mapping[str, str]
+    value: Mapping[str, Any], group: str, new_names: Mapping[str, str]
 ) -> Iterator[Edit]:
     """Yield the edits that rename list entries and all references to them in a rig."""
-    for path_pattern in NAME_PATHS[list_name]:
+    for path_pattern in NAME_PATHS[group]:
         for value_path, name in _names_at(value, tuple(path_pattern.split("/")), ()):
             if path_pattern.endswith("{}"):
                 if name in new_names:
@@ -217,12 +210,12 @@ def rename_edits(
             if joint in new_names:
                 suffix = f".{coordinate}" if coordinate else ""
                 yield Replace(value_path, f"{new_names[joint]}{suffix}")
-    if list_name == "joints":
+    if group == "joints":
         yield from _expression_edits(value, new_names)
     for value_path, ignore_location in _names_at(value, ("ignore", "*", "where"), ()):
         location = ignore_location
         for old_name, new_name in new_names.items():
-            list_pattern = "|".join(_LIST_NAMES[list_name])
+            list_pattern = "|".join(_LIST_NAMES[group])
             location = re.sub(
                 rf"\b({list_pattern})\[{re.escape(old_name)}\]",
                 rf"\1[{new_name}]",
@@ -253,14 +246,12 @@ def _names_at(
         if isinstance(node, str):
             yield location, node
         return
-    path_step, *later_steps = path_steps
-    if path_step == "{}":
+    step, *later_steps = path_steps
+    if step == "{}":
         for key in node if isinstance(node, dict) else ():
             yield (*location, key), key
-    elif path_step == "*":
+    elif step == "*":
         for i, entry in enumerate(node if isinstance(node, list) else ()):
             yield from _names_at(entry, tuple(later_steps), (*location, i))
-    elif isinstance(node, dict) and path_step in node:
-        yield from _names_at(
-            node[path_step], tuple(later_steps), (*location, path_step)
-        )
+    elif isinstance(node, dict) and step in node:
+        yield from _names_at(node[step], tuple(later_steps), (*location, step))

@@ -95,7 +95,7 @@ def is_package(path: Path) -> bool:
 def is_fixable_file(path: Path) -> bool:
     """Return whether files of a kind can be fixed: documents and USD.
 
-    >>> [has_fixes(Path(name)) for name in ("a.rig.yaml", "a.usda", "a.bvh", "a.glb")]
+    >>> [is_fixable_file(Path(n)) for n in ("a.rig.yaml", "a.usda", "a.bvh", "a.glb")]
     [True, True, False, False]
     """
     return path.suffix.lower() in DOCUMENT_FILE_SUFFIXES or is_layer(path)
@@ -119,10 +119,8 @@ def _untried_findings(
     faults: Sequence[Fault], options: ValidateOptions, tried_keys: set[_FaultKey]
 ) -> list[Fault]:
     """Return the selected findings that have a fix which was not tried yet."""
-    fixable_findings = [
-        f for f in faults if has_fix(f.code) and options.selects(f.code)
-    ]
-    return [fault for fault in fixable_findings if _fault_key(fault) not in tried_keys]
+    findings = [f for f in faults if has_fix(f.code) and options.selects(f.code)]
+    return [fault for fault in findings if _fault_key(fault) not in tried_keys]
 
 
 def _fault_key(fault: Fault) -> _FaultKey:

@@ -61,13 +61,11 @@ def rest_from_bind(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     """Return edits that set a joint's missing rest pose to its bind pose."""
     rig: RigSubject = checked_file.subject
     pointer = pointer_of(fault)
-    joint_entry = rig.file_entries("joints")[pointer[1]]
-    pose = rig.document.value["bind"][joint_entry["name"]]
+    joint = rig.file_entries("joints")[pointer[1]]
+    pose = rig.document.value["bind"][joint["name"]]
     keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
     edits = tuple(Add(pointer, key, pose[key]) for key in keys)
-    return FixEdits(
-        f"sets the rest pose of {joint_entry['name']!r} to its bind pose", edits
-    )
+    return FixEdits(f"sets the rest pose of {joint['name']!r} to its bind pose", edits)
 
 
 def normalize_weights(checked_file: CheckedFile, fault: Fault) -> FixEdits:
@@ -190,10 +188,8 @@ class TextDraft:
     def diff_text(self) -> str:
         """Return the changes as a unified diff."""
         name = self.path.as_posix()
-        old_lines, new_lines = map(_split_lines, (self.original_text, self.text))
-        diff_lines = difflib.unified_diff(
-            old_lines, new_lines, f"a/{name}", f"b/{name}"
-        )
+        old, new = map(_split_lines, (self.original_text, self.text))
+        diff_lines = difflib.unified_diff(old, new, f"a/{name}", f"b/{name}")
         return "".join(
             line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n"
             for line in diff_lines

@@ -32,10 +32,8 @@ def sarif_report(report: Report) -> str:
     sources = SourceLineCache()
     rule_objects = [_rule_object(rules[code]) for code in codes if code in rules]
     driver = {"name": "animtool", "version": version("animtool"), "rules": rule_objects}
-    index_of_rule = {rule["id"]: i for i, rule in enumerate(rule_objects)}
-    results = [
-        _result_object(fault, index_of_rule, sources) for fault in report.findings
-    ]
+    rule_index = {rule["id"]: i for i, rule in enumerate(rule_objects)}
+    results = [_result_object(fault, rule_index, sources) for fault in report.findings]
     _number_duplicates(results)
     file_names = dict.fromkeys(map(str, report.files))
     run = {
@@ -62,16 +60,12 @@ def _rule_object(rule: Rule) -> dict[str, Any]:
 
 
 def _result_object(
-    fault: Fault, index_of_rule: dict[str, int], sources: SourceLineCache
+    fault: Fault, rule_index: dict[str, int], sources: SourceLineCache
 ) -> dict[str, Any]:
     message = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {
         "ruleId": fault.code,
-        **(
-            {"ruleIndex": index_of_rule[fault.code]}
-            if fault.code in index_of_rule
-            else {}
-        ),
+        **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
         # Its levels are error, warning and note, too.
         "level": str(fault.severity),
         # Doubled braces are not placeholders (3.11.5).

@@ -190,12 +190,9 @@ def displacements_around(
     seconds: approximate interval [s]. Returns displacements ``(F, E, 3)`` [m] and frame
     counts ``(F,)``.
     """
-    frame_count, half_span = (
-        len(points),
-        max(1, round(0.5 * seconds / subject.interval)),
-    )
-    frames_before = np.clip(np.arange(frame_count) - half_span, 0, frame_count - 1)
-    frames_after = np.clip(np.arange(frame_count) + half_span, 0, frame_count - 1)
+    count, half_span = (len(points), max(1, round(0.5 * seconds / subject.interval)))
+    frames_before = np.clip(np.arange(count) - half_span, 0, count - 1)
+    frames_after = np.clip(np.arange(count) + half_span, 0, count - 1)
     return points[frames_after] - points[frames_before], frames_after - frames_before
 
 

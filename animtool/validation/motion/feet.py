@@ -43,21 +43,15 @@ def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
     hip_path = float(weights.sum()) * subject.interval / subject.size
     if len(ratios) * subject.interval < MIN_TRAVEL_SECONDS:
         return None
-    sorted_indices = np.argsort(ratios, kind="stable")
-    cumulative_weights = np.cumsum(weights[sorted_indices]) / weights.sum()
-    percentile_indices = np.searchsorted(cumulative_weights, (0.15, 0.5, 0.75)).clip(
-        0, len(sorted_indices) - 1
-    )
-    percentile_15, median, percentile_75 = ratios[sorted_indices][
-        percentile_indices
-    ].tolist()
+    order = np.argsort(ratios, kind="stable")
+    totals = np.cumsum(weights[order]) / weights.sum()
+    indices = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(order) - 1)
+    low, median, high = ratios[order][indices].tolist()
     is_dragged = (
-        percentile_15 > MIN_ALONG_RATIO
-        and median - percentile_15 < MAX_ALONG_SPREAD
-        and median < 1.0
+        low > MIN_ALONG_RATIO and median - low < MAX_ALONG_SPREAD and median < 1.0
     )
-    is_slipping = median < MAX_AGAINST_MEDIAN and percentile_75 < MAX_AGAINST_QUARTILE
-    is_slipping &= median - percentile_15 < MAX_AGAINST_SPREAD * max(1.0, -median)
+    is_slipping = median < MAX_AGAINST_MEDIAN and high < MAX_AGAINST_QUARTILE
+    is_slipping &= median - low < MAX_AGAINST_SPREAD * max(1.0, -median)
     if hip_path * abs(median) < MIN_TOTAL_SLIDE or not (is_dragged or is_slipping):
         return None
     return float(1.0 / (1.0 - median))

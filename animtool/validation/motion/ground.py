@@ -41,12 +41,8 @@ OTHER_ORIGIN_OFFSET = 0.25
 # A leg hangs at rest if it extends downwards by this fraction of its length; spread
 # legs do not show the height of feet [1]. Then ankles and toes are at most this high
 # [size], and at least this fraction of it [1].
-HANGING_FRACTION, MAX_ANKLE_HEIGHT, MAX_TOE_HEIGHT, MIN_HEIGHT_FRACTION = (
-    0.95,
-    0.08,
-    0.03,
-    0.3,
-)
+HANGING_FRACTION, MIN_HEIGHT_FRACTION = 0.95, 0.3
+MAX_ANKLE_HEIGHT, MAX_TOE_HEIGHT = 0.08, 0.03
 # Contacts must last this long to show that a complete take is off the ground [s].
 MIN_CONTACT_SECONDS = 0.3
 
@@ -61,25 +57,21 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     contacts = find_contacts(subject)
     if contacts is None or tilted_stance(subject):
         return
-    offset_faults = list(_constant_offset_fault(subject, contacts))
+    offset_faults = list(_offset_fault(subject, contacts))
     yield from offset_faults or [
         *_sunk_foot_fault(subject, contacts),
         *_floating_fault(subject, contacts),
     ]
 
 
-def _constant_offset_fault(
-    subject: MotionSubject, contacts: FootStances
-) -> Iterator[Fault]:
+def _offset_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault if all contacts are at an equal distance from the ground at 0."""
     if not subject.has_rest:
         return
     contact_counts = contacts.is_static.sum(axis=0)
-    min_contacts = max(
-        MIN_CONTACT_FRAMES, round(MIN_CONTACT_SECONDS / subject.interval)
-    )
+    min_count = max(MIN_CONTACT_FRAMES, round(MIN_CONTACT_SECONDS / subject.interval))
     contact_feet = np.flatnonzero(
-        (contact_counts >= min_contacts) & contacts.has_same_height
+        (contact_counts >= min_count) & contacts.has_same_height
     )
     if not len(contact_feet):
         return
@@ -135,9 +127,8 @@ def _clearances(
     foot_joints = set(find_feet(rig.names).tolist())
     for column, joint in enumerate(feet.tolist()):
         is_toe = int(parents[joint]) in foot_joints
-        max_clearance[column] = (
-            MAX_TOE_HEIGHT if is_toe else MAX_ANKLE_HEIGHT
-        ) * rest_size
+        max_height = MAX_TOE_HEIGHT if is_toe else MAX_ANKLE_HEIGHT
+        max_clearance[column] = max_height * rest_size
         leg = _leg_joints(parents.tolist(), foot_joints, hips, joint)
         if _is_hanging(rest_positions, heights, leg):
             min_clearance[column] = heights[joint] - lowest
@@ -156,9 +147,7 @@ def _clearances(
     return min_clearance * scale, max_clearance * scale, is_resting_at_zero
 
 
-def _leg_joints(
-    parents: list[int], feet: set[int], hips_joint: int, foot: int
-) -> list[int]:
+def _leg_joints(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
     """Return the joints of the leg of a foot, from ankle to thigh.
 
     >>> _leg_joints([-1, 0, 1, 2, 3], {3, 4}, 0, 4)
@@ -168,7 +157,7 @@ def _leg_joints(
     while parents[joint] in feet:
         joint = parents[joint]
     leg = [joint]
-    while parents[joint] not in (-1, hips_joint):
+    while parents[joint] not in (-1, hips):
         joint = parents[joint]
         leg.append(joint)
     return leg
@@ -292,13 +281,10 @@ def _is_climbing(
     if steps_before.any() or steps_after[:window].any():
         return True
     run_contacts, run_heights = is_static[first : last + 1], clearance[first : last + 1]
-    contact_columns = np.flatnonzero(run_contacts.any(axis=0))
+    columns = np.flatnonzero(run_contacts.any(axis=0))
     for direction in (slice(None), slice(None, None, -1)):
-        first_contacts = np.argmax(run_contacts[direction], axis=0)[contact_columns]
-        contact_heights = run_heights[direction][first_contacts, contact_columns]
-        if (
-            len(contact_columns)
-            and float(np.ptp(contact_heights)) > MIN_STEP_HEIGHT * size
-        ):
+        first_contacts = np.argmax(run_contacts[direction], axis=0)[columns]
+        contact_heights = run_heights[direction][first_contacts, columns]
+        if len(columns) and float(np.ptp(contact_heights)) > MIN_STEP_HEIGHT * size:
             return True
     return False

@@ -28,9 +28,7 @@ class _ChannelPops:
 
     joints: IntArray  # joints of the columns ``(N,)``
     is_pop: BoolArray  # steps with a pop ``(S, N)``
-    deviations: (
-        FloatArray  # distance of each step from the surrounding motion ``(S, N)``
-    )
+    deviations: FloatArray  # distance from the motion around each step ``(S, N)``
     unit: str  # ``rad`` or ``m``
 
     def find_largest(self) -> tuple[int, int]:
@@ -106,10 +104,8 @@ def _pop_fault(
         for i in np.flatnonzero(pop_steps.is_pop.any(axis=0))
     }
     name = subject.take.rig.joints[joint].name
-    pop_step_indices = np.concatenate(
-        [np.flatnonzero(p.is_pop.any(axis=1)) for p in all_pops]
-    )
-    step_count = len(np.unique(pop_step_indices))
+    steps = np.concatenate([np.flatnonzero(p.is_pop.any(axis=1)) for p in all_pops])
+    step_count = len(np.unique(steps))
     frames_text = f"{subject.time_text(step)} to {subject.time_text(step + 1)}"
     message = (
         f"{name!r} jumps by {pops.size_text(step, column)} from frame {frames_text}, "

@@ -86,7 +86,7 @@ def range_without_samples(subject: MotionSubject) -> Iterator[Fault]:
 
 
 # With fewer frames there is no typical step.
-MIN_SAMPLED_FRAMES = 12
+MIN_FRAMES = 12
 # With fewer moving joints, a lost frame looks like a key [1].
 MIN_MOVING_JOINTS = 4
 # A step over lost frames is as long as theirs together; up to this many are tested,
@@ -141,19 +141,17 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
     """
     yield from _sample_gaps(subject)
     if (
-        subject.frame_count < MIN_SAMPLED_FRAMES
+        subject.frame_count < MIN_FRAMES
         or len(_column_joints(subject)) < MIN_MOVING_JOINTS
     ):
         return
     step_lengths, is_lost = _find_lost_steps(subject)
-    lost_steps = np.flatnonzero(is_lost)
-    if not len(lost_steps):
+    losses = np.flatnonzero(is_lost)
+    if not len(losses):
         return
-    first_step = int(lost_steps[0])
+    first_step = int(losses[0])
     lost_count = max(1, round(float(step_lengths[first_step])) - 1)
-    repeat_text = (
-        f"; so are {len(lost_steps) - 1} more steps" if len(lost_steps) > 1 else ""
-    )
+    repeat_text = f"; so are {len(losses) - 1} more steps" if len(losses) > 1 else ""
     message = (
         f"all joints move {step_lengths[first_step]:.0f} times as far from frame "
         f"{subject.time_text(first_step)} to {subject.time_text(first_step + 1)} as "
@@ -168,7 +166,7 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
     if (
         subject.time_codes is None
         or subject.is_reduced
-        or subject.frame_count < MIN_SAMPLED_FRAMES
+        or subject.frame_count < MIN_FRAMES
     ):
         return
     gaps = np.diff(subject.time_codes)
@@ -220,17 +218,15 @@ def _find_lost_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     predicted_step = _predicted_step(near_steps, far_steps, 0)
     squared_deviations = _squared_lengths(middle_steps - predicted_step)
     squared_steps = _squared_lengths(predicted_step)
-    noise_variance = (
+    variance = (
         _typical_squares(squared_deviations)
         + (MIN_ROUGHNESS**2) * np.median(squared_steps, axis=0)
         + MIN_JOINT_NOISE**2
     )
-    is_significant = squared_steps > SIGNIFICANT_RATIO**2 * noise_variance
+    is_significant = squared_steps > SIGNIFICANT_RATIO**2 * variance
     is_significant &= squared_steps > 0.001 * squared_steps.max(axis=1, keepdims=True)
     significant_count = is_significant.sum(axis=1)
-    weighted_deviation = (is_significant * squared_deviations / noise_variance).sum(
-        axis=1
-    )
+    weighted_deviation = (is_significant * squared_deviations / variance).sum(axis=1)
     total_steps = np.sqrt(squared_steps.sum(axis=1))
     is_possible = (significant_count >= MIN_FEW_STEPS) & (
         weighted_deviation > OUTLIER_RATIO**2 * significant_count
@@ -251,9 +247,7 @@ def _find_lost_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     for lost_count in range(1, MAX_LOST_FRAMES + 1):
         prediction = _predicted_step(near_steps, far_steps, lost_count)
         remaining_squares = _squared_lengths(middle_steps - prediction)
-        weighted_remaining = (is_significant * remaining_squares / noise_variance).sum(
-            axis=1
-        )
+        weighted_remaining = (is_significant * remaining_squares / variance).sum(axis=1)
         is_better = is_significant & (remaining_squares < 0.5 * squared_deviations)
         better_count = is_better.sum(axis=1)
         is_loss = weighted_remaining < max_remainder
@@ -281,12 +275,11 @@ def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
     moves as far as in several steps counts as two limbs. ``is_flagged``: mask of
     flagged columns ``(S, N)``.
     """
-    limb_of_column = limbs_of(subject.take.rig.parents)[_column_joints(subject)]
-    is_translating = np.arange(len(limb_of_column)) >= len(subject.rotating_joints)
-    limb_of_column = np.where(is_translating & (limb_of_column < 0), -2, limb_of_column)
+    limbs = limbs_of(subject.take.rig.parents)[_column_joints(subject)]
+    is_translating = np.arange(len(limbs)) >= len(subject.rotating_joints)
+    limbs = np.where(is_translating & (limbs < 0), -2, limbs)
     is_limb_flagged = [
-        is_flagged[:, limb_of_column == limb].any(axis=1)
-        for limb in np.unique(limb_of_column)
+        is_flagged[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)
     ]
     return np.asarray(np.sum(is_limb_flagged, axis=0) > 1)
 
@@ -341,11 +334,11 @@ def _near_repeats(subject: MotionSubject) -> BoolArray:
 
 def _repeated_steps(subject: MotionSubject) -> BoolArray | None:
     """Return a mask of steps without motion; None if too few steps have motion."""
-    if subject.frame_count < MIN_SAMPLED_FRAMES or len(_column_joints(subject)) < 2:
+    if subject.frame_count < MIN_FRAMES or len(_column_joints(subject)) < 2:
         return None
     speeds = subject.speeds
     moving_speeds = speeds[speeds > STATIC_SPEED * speeds.max()]
-    if len(moving_speeds) < MIN_SAMPLED_FRAMES // 2:
+    if len(moving_speeds) < MIN_FRAMES // 2:
         return None
     return np.asarray(speeds < STATIC_SPEED * np.median(moving_speeds))
 
@@ -369,11 +362,9 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
     repeat_gaps = np.diff(repeat_starts)
     if len(repeat_gaps) < MIN_REPEATS:
         return is_repeat, False
-    typical_period = float(np.median(repeat_gaps))
-    is_regular = (
-        float(np.mean(np.abs(repeat_gaps - typical_period) <= 1.0)) >= REGULAR_FRACTION
-    )
-    return is_repeat, is_regular and typical_period <= MAX_REPEAT_PERIOD
+    period = float(np.median(repeat_gaps))
+    is_regular = float(np.mean(np.abs(repeat_gaps - period) <= 1.0)) >= REGULAR_FRACTION
+    return is_repeat, is_regular and period <= MAX_REPEAT_PERIOD
 
 
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
@@ -426,7 +417,7 @@ def _is_multiple(ratio: float) -> bool:
 
 def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if samples are even, but neither on frames nor on subframes."""
-    if subject.time_codes is None or subject.frame_count < MIN_SAMPLED_FRAMES:
+    if subject.time_codes is None or subject.frame_count < MIN_FRAMES:
         return
     time_steps = np.diff(subject.time_codes)
     typical_step = float(np.median(time_steps))

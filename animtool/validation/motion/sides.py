@@ -112,20 +112,18 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     rig, bind, rest = subject.take.rig, subject.bind_positions, subject.rest_positions
     distance = float(np.linalg.norm(bind.mean(axis=0) - rest.mean(axis=0)))
     parents = rig.parents
-    bone_joints = np.flatnonzero(parents >= 0)
-    lengths = np.linalg.norm(rest[bone_joints] - rest[parents[bone_joints]], axis=1)
+    bone_ids = np.flatnonzero(parents >= 0)
+    lengths = np.linalg.norm(rest[bone_ids] - rest[parents[bone_ids]], axis=1)
     is_measured = lengths > MIN_BONE_LENGTH * subject.size
-    bone_joints, lengths = bone_joints[is_measured], lengths[is_measured]
-    ratios = (
-        np.linalg.norm(bind[bone_joints] - bind[parents[bone_joints]], axis=1) / lengths
-    )
+    bone_ids, lengths = bone_ids[is_measured], lengths[is_measured]
+    ratios = np.linalg.norm(bind[bone_ids] - bind[parents[bone_ids]], axis=1) / lengths
     is_different = (ratios > MAX_BONE_RATIO) | (ratios < 1.0 / MAX_BONE_RATIO)
     hint = "bind transforms are in world space, in the pose in which the mesh was bound"
-    if len(bone_joints) and float(is_different.mean()) > MAX_DIFFERENT_FRACTION:
+    if len(bone_ids) and float(is_different.mean()) > MAX_DIFFERENT_FRACTION:
         most_different = int(np.abs(np.log(np.maximum(ratios, 1e-12))).argmax())
-        joint = int(bone_joints[most_different])
+        joint = int(bone_ids[most_different])
         message = (
-            f"{np.count_nonzero(is_different)} of {len(bone_joints)} bones have a "
+            f"{np.count_nonzero(is_different)} of {len(bone_ids)} bones have a "
             f"different length in the bind pose; that to {rig.joints[joint].name!r} is "
             f"{plain_number(ratios[most_different])} times its rest length"
         )
@@ -310,33 +308,29 @@ def motionless_side(subject: MotionSubject) -> Iterator[Fault]:
     moving_joints = [*subject.rotating_joints, *subject.translating_joints]
     # With a static root, parts were keyed one by one, and one arm may wave alone.
     has_static_root = set(roots).isdisjoint(moving_joints)
-    if (
-        subject.frame_count - 1
-    ) * subject.interval < MIN_TAKE_SECONDS or has_static_root:
+    seconds = (subject.frame_count - 1) * subject.interval
+    if seconds < MIN_TAKE_SECONDS or has_static_root:
         return
-    rotation_ranges = np.zeros(len(subject.take.rig.joints))
+    ranges = np.zeros(len(subject.take.rig.joints))
     angles = so3.angle_between(channel.values, channel.values[:1])
     # A single deviating frame is no motion.
-    rotation_ranges[channel.animated] = np.maximum(
+    ranges[channel.animated] = np.maximum(
         np.percentile(angles, 90, axis=0) if len(channel.animated) else 0.0,
         np.minimum(angles.max(axis=0, initial=0.0), 2.0 * STATIC_ANGLE),
     )
-    static_pairs: list[tuple[int, int]] = []
+    pairs: list[tuple[int, int]] = []
     for left, right in _side_pairs(subject):
         for joint_index, opposite in ((left, right), (right, left)):
-            if (
-                rotation_ranges[joint_index] <= STATIC_ANGLE
-                and rotation_ranges[opposite] >= ACTIVE_ANGLE
-            ):
-                static_pairs.append((joint_index, opposite))
-    if not static_pairs:
+            if ranges[joint_index] <= STATIC_ANGLE and ranges[opposite] >= ACTIVE_ANGLE:
+                pairs.append((joint_index, opposite))
+    if not pairs:
         return
     names = subject.take.rig.names
-    joint_index, opposite = static_pairs[0]
-    other_names = [names[i] for i, _ in static_pairs[1:]]
+    joint_index, opposite = pairs[0]
+    other_names = [names[i] for i, _ in pairs[1:]]
     message = (
         f"{names[joint_index]!r} never rotates, but {names[opposite]!r} does, by "
-        f"{math.degrees(rotation_ranges[opposite]):.0f}°"
+        f"{math.degrees(ranges[opposite]):.0f}°"
     )
     message += f"; nor do {listed(other_names)}" if other_names else ""
     hint = "its sensor or its channels were lost"

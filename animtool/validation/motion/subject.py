@@ -30,12 +30,8 @@ MIN_SCALE_BONE, SCALE_FRAME_COUNT = 0.02, 32
 MIN_SCALE_RATIO = 1.5
 # A first frame is a reference pose if this many joints leave it, each by this angle
 # [rad] and by this multiple of the following steps, of which so many are used [1].
-MIN_POSE_JOINTS, MIN_POSE_ANGLE, POSE_STEP_RATIO, POSE_STEP_COUNT = (
-    3,
-    math.radians(30.0),
-    4.0,
-    8,
-)
+MIN_POSE_JOINTS, MIN_POSE_ANGLE = 3, math.radians(30.0)
+POSE_STEP_RATIO, POSE_STEP_COUNT = 4.0, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +92,8 @@ class MotionSubject:
     @cached_property
     def _step_rates(self) -> FloatArray:
         """Median time step divided by each time step ``(F - 1,)`` [1]."""
-        time_steps = np.diff(self.times)
-        return np.asarray(
-            np.median(time_steps) / time_steps if len(time_steps) else time_steps
-        )
+        steps = np.diff(self.times)
+        return np.asarray(np.median(steps) / steps if len(steps) else steps)
 
     @property
     def rotating_joints(self) -> IntArray:
@@ -158,12 +152,8 @@ class MotionSubject:
         )
         is_leaving_pose = first_angles > MIN_POSE_ANGLE
         is_leaving_pose &= first_angles > POSE_STEP_RATIO * np.max(later_angles, axis=0)
-        leaving_joints = np.asarray(self.rotating_joints[is_leaving_pose])
-        return (
-            leaving_joints
-            if len(leaving_joints) >= MIN_POSE_JOINTS
-            else leaving_joints[:0]
-        )
+        joints = np.asarray(self.rotating_joints[is_leaving_pose])
+        return joints if len(joints) >= MIN_POSE_JOINTS else joints[:0]
 
     @cached_property
     def without_first_pose(self) -> MotionSubject:
@@ -216,24 +206,22 @@ class MotionSubject:
     def _scale(self) -> float:
         """Median ratio of animated to rest bone lengths, world."""
         parents = self.take.rig.parents
-        bone_joints = np.flatnonzero(parents >= 0)
-        if not self.has_rest or not len(bone_joints) or not self.frame_count:
+        bone_ids = np.flatnonzero(parents >= 0)
+        if not self.has_rest or not len(bone_ids) or not self.frame_count:
             return 1.0
         rest_vectors = (
-            self.rest_positions[bone_joints] - self.rest_positions[parents[bone_joints]]
+            self.rest_positions[bone_ids] - self.rest_positions[parents[bone_ids]]
         )
         rest_lengths = np.linalg.norm(rest_vectors, axis=1)
         is_measured = rest_lengths > MIN_SCALE_BONE * self.rest_size
-        bone_joints, rest_lengths = bone_joints[is_measured], rest_lengths[is_measured]
-        if not len(bone_joints):
+        bone_ids, rest_lengths = bone_ids[is_measured], rest_lengths[is_measured]
+        if not len(bone_ids):
             return 1.0
         frame_indices = np.unique(
             np.linspace(0, self.frame_count - 1, SCALE_FRAME_COUNT).astype(int)
         )
         positions = self.positions[frame_indices]
-        animated_vectors = (
-            positions[:, bone_joints] - positions[:, parents[bone_joints]]
-        )
+        animated_vectors = positions[:, bone_ids] - positions[:, parents[bone_ids]]
         lengths = np.linalg.norm(animated_vectors, axis=2)
         scale = float(np.median(lengths / rest_lengths))
         return scale if max(scale, 1.0 / max(scale, 1e-12)) > MIN_SCALE_RATIO else 1.0

@@ -254,18 +254,16 @@ def _wraps_after(
     if limits is not None and not limits.low <= first_value + short_path <= limits.high:
         return False
     rates = np.diff(values) / np.diff(channel.times)
-    neighbour_rates = [
-        float(rates[j]) for j in (key - 1, key + 1) if 0 <= j < len(rates)
-    ]
-    if any(rate / rates[key] >= MIN_SPIN_RATIO for rate in neighbour_rates):
+    rates_around = [float(rates[j]) for j in (key - 1, key + 1) if 0 <= j < len(rates)]
+    if any(rate / rates[key] >= MIN_SPIN_RATIO for rate in rates_around):
         return False
     largest = max(abs(first_value), abs(second_value))
     if first_value * second_value < 0 and largest <= math.pi + CYCLE_TOLERANCE:
         return True
     # Within another revolution, only reversed motion before and after is a sign of
     # wrapping.
-    return len(neighbour_rates) == 2 and all(
-        rate * short_path > 0 for rate in neighbour_rates
+    return len(rates_around) == 2 and all(
+        rate * short_path > 0 for rate in rates_around
     )
 
 

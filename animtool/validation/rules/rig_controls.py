@@ -119,10 +119,7 @@ def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
                 is_undefined = is_undefined & np.isfinite(values[input_name])
             if not is_undefined.any():
                 continue
-            is_input_moving = [
-                moving_control.name in inputs
-                for moving_control in sweep.moving_controls
-            ]
+            is_input_moving = [c.name in inputs for c in sweep.moving_controls]
             if (is_undefined & is_input_moving).any():
                 is_undefined = is_undefined & is_input_moving
             frame = int(sweep.broadcast(is_undefined).argmax())
@@ -197,15 +194,13 @@ def idle_controls(rig: RigSubject) -> Iterator[Fault]:
 def _sweep_controls(rig: RigSubject) -> _ControlSweep:
     """Return a sweep of each control with all other controls at their defaults."""
     controls = rig.rig.controls
-    samples_by_control = {
-        control.name: _sampled_values(control) for control in controls
-    }
-    frame_count = sum(map(len, samples_by_control.values()))
+    sweeps = {control.name: _sampled_values(control) for control in controls}
+    frame_count = sum(map(len, sweeps.values()))
     keyed_values: dict[str, FloatArray] = {}
     moving_controls: list[Control] = []
     for control in controls:
         values = np.full(frame_count, control.default)
-        samples = samples_by_control[control.name]
+        samples = sweeps[control.name]
         values[len(moving_controls) : len(moving_controls) + len(samples)] = samples
         moving_controls += [control] * len(samples)
         keyed_values[control.name] = values
@@ -218,9 +213,7 @@ def _sampled_values(control: Control) -> FloatArray:
     """Return test values over a control's range, ascending; none if it is open."""
     if control.low is None or control.high is None:
         return np.zeros(0)
-    curve_inputs = [
-        curve_input for drive in control.drives for curve_input, _ in drive.curve
-    ]
+    curve_inputs = [x for drive in control.drives for x, _ in drive.curve]
     samples = np.linspace(control.low, control.high, SWEEP_SAMPLES)
     values = np.concatenate([samples, np.array(curve_inputs, np.float64)])
     # `numpy.unique` would import numpy.ma.

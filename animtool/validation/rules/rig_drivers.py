@@ -26,7 +26,7 @@ def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     for joint in rig.rig.joints:
         if joint.driven is None or not isinstance(joint.limits, RangeLimit):
             continue
-        if joint.name in rig.mirrored_joints:
+        if joint.name in rig.mirrored:
             continue
         values = _driver_values(joint.driven, _input_samples(rig, joint.driven))
         excess = joint.limits.excess(np.where(np.isfinite(values), values, 0.0))
@@ -52,7 +52,7 @@ def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
         ("controls", "control", rig.rig.controls),
     ):
         for element in elements:
-            if element.driven is None or element.name in rig.mirrored_joints:
+            if element.driven is None or element.name in rig.mirrored:
                 continue
             inputs = _input_samples(rig, element.driven)
             is_undefined = ~np.isfinite(_driver_values(element.driven, inputs))

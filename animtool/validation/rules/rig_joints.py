@@ -37,7 +37,7 @@ def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
             case _:
                 continue
         is_inside = lower - LIMIT_TOLERANCE <= rest_value <= upper + LIMIT_TOLERANCE
-        if is_inside or joint.name in rig.mirrored_joints:
+        if is_inside or joint.name in rig.mirrored:
             continue
         message = (
             f"the {limits_noun} of {joint.name!r} are "
@@ -58,7 +58,7 @@ def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
                 is_locked = max(*swing, upper - lower) <= LIMIT_TOLERANCE
             case _:
                 continue
-        if is_locked and joint.name not in rig.mirrored_joints:
+        if is_locked and joint.name not in rig.mirrored:
             location = (*rig.at("joints", joint.name), "limits")
             message = f"the {joint.type} joint {joint.name!r} cannot move"
             yield rig.fault("RIG202", location, message, "write type: fixed")
@@ -72,7 +72,7 @@ def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
         if not isinstance(limits, BallLimit) or limits.twist is None or bone is None:
             continue
         if abs(float(bone @ np.array(limits.twist_axis))) < PERPENDICULAR_COSINE:
-            if joint.name in rig.mirrored_joints:
+            if joint.name in rig.mirrored:
                 continue
             location = (*rig.at("joints", joint.name), "limits", "twist_axis")
             axis = _axis_text(np.array(limits.twist_axis))
@@ -90,10 +90,7 @@ def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
         source = rig.rig.joints[rig.rig.index(joint.mimic.joint)]
-        if (
-            not isinstance(source.limits, RangeLimit)
-            or joint.name in rig.mirrored_joints
-        ):
+        if not isinstance(source.limits, RangeLimit) or joint.name in rig.mirrored:
             continue
         for source_limit in (source.limits.low, source.limits.high):
             value = joint.mimic.gain * source_limit + joint.mimic.offset
@@ -170,12 +167,10 @@ def bind_without_rest(rig: RigSubject) -> Iterator[Fault]:
     bind = rig.document.value.get("bind", {})
     if "from" in rig.document.value:
         return
-    for i, joint_entry in enumerate(rig.file_entries("joints")):
-        pose = bind.get(joint_entry["name"], {})
-        if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {
-            *joint_entry
-        }:
-            name, parent = joint_entry["name"], joint_entry.get("parent")
+    for i, joint in enumerate(rig.file_entries("joints")):
+        pose = bind.get(joint["name"], {})
+        if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*joint}:
+            name, parent = joint["name"], joint.get("parent")
             position = f"where {parent!r} is" if parent else "at the origin"
             message = f"{name!r} has a bind pose but no rest pose: it rests {position}"
             hint = f"translate: {pose['translate']} is its position in the bind pose"
@@ -272,15 +267,13 @@ def _same_limits(left: Joint, right: Joint) -> bool:
             return _same_range((low, high), (other_low, other_high))
         case BallLimit() as left_limits, BallLimit() as right_limits:
             swings = sorted(left_limits.swing or ()), sorted(right_limits.swing or ())
-            are_swings_equal = len(swings[0]) == len(swings[1]) and np.allclose(
+            is_same_swing = len(swings[0]) == len(swings[1]) and np.allclose(
                 *swings, rtol=0, atol=EQUAL_LIMIT_TOLERANCE
             )
             if left_limits.twist is None or right_limits.twist is None:
-                return (
-                    bool(are_swings_equal) and left_limits.twist == right_limits.twist
-                )
+                return bool(is_same_swing) and left_limits.twist == right_limits.twist
             is_same_twist = _same_range(left_limits.twist, right_limits.twist)
-            return bool(are_swings_equal) and is_same_twist
+            return bool(is_same_swing) and is_same_twist
         case left_limits, right_limits:
             return left_limits is None and right_limits is None
 

@@ -164,19 +164,19 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
     if len(rig.rig.joints) < MIN_SKELETON_JOINTS or not rig.size:
         return
     with Archives() as archives:
-        size_of_mesh = {
+        sizes = {
             mesh.name: _bounds_diagonal(mesh, archives) * rig.rig.meters_per_unit
             for mesh in rig.rig.meshes
             if mesh.skin is not None and mesh.geom_bind is None
         }
-    largest_size = max(size_of_mesh.values(), default=0.0)
+    largest = max(sizes.values(), default=0.0)
     if (
-        largest_size
-        and not rig.size / MAX_SIZE_RATIO <= largest_size <= rig.size * MAX_SIZE_RATIO
+        largest
+        and not rig.size / MAX_SIZE_RATIO <= largest <= rig.size * MAX_SIZE_RATIO
     ):
-        largest_name = max(size_of_mesh, key=lambda name: size_of_mesh[name])
+        largest_name = max(sizes, key=lambda name: sizes[name])
         message = (
-            f"{largest_name!r} measures {largest_size:.3g} m, but the joints at rest "
+            f"{largest_name!r} measures {largest:.3g} m, but the joints at rest "
             f"{rig.size:.3g} m"
         )
         hint = "points use the file's unit, as joints do; or write geom_bind"
@@ -225,10 +225,8 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
                 centre = points.mean(axis=0)
                 spread = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
                 distance = _distance_to_joint(rig, centre, joint, positions)
-                max_distance = max(
-                    MAX_SKIN_SPREADS * spread, MAX_SKIN_DISTANCE * rig.size
-                )
-                if distance > max_distance:
+                limit = max(MAX_SKIN_SPREADS * spread, MAX_SKIN_DISTANCE * rig.size)
+                if distance > limit:
                     distances[rig.rig.names[joint]] = distance
             if len(distances) < MIN_DISTANT_JOINTS:
                 continue
@@ -287,12 +285,8 @@ def _points_by_joint(
     points = mesh.points.load(archives) * rig.rig.meters_per_unit
     main_joints = indices[np.arange(len(weights)), weights.argmax(axis=1)]
     joints = enumerate(map(rig.rig.index, skin.joints))
-    point_groups = {joint: points[main_joints == i] for i, joint in joints}
-    return {
-        j: points_of_joint
-        for j, points_of_joint in point_groups.items()
-        if len(points_of_joint) >= MIN_SKIN_POINTS
-    }
+    groups = {joint: points[main_joints == i] for i, joint in joints}
+    return {j: group for j, group in groups.items() if len(group) >= MIN_SKIN_POINTS}
 
 
 def _distance_to_bones(point: FloatArray, ends: FloatArray) -> float:

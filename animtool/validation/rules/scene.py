@@ -33,13 +33,9 @@ def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
         rig_layers = [output.bake.rig_layer] if output.bake.rig_layer else []
         inputs = {path.resolve() for path in (*read_files, *rig_layers)}
         files = create_outline(replace(scene, outputs=(output,)), None).files
-        overwritten_names = [
-            repr(path.name) for path in files if path.resolve() in inputs
-        ]
-        if overwritten_names:
-            message = (
-                f"would overwrite {' and '.join(overwritten_names)}, which it reads"
-            )
+        names = [repr(path.name) for path in files if path.resolve() in inputs]
+        if names:
+            message = f"would overwrite {' and '.join(names)}, which it reads"
             yield subject.fault("OUT003", (*location, "file"), message, "name another")
 
 
@@ -83,22 +79,18 @@ def _scene_outputs(
     except AnimtoolError:
         return ()
     output_value = document.value.get("output")
-    output_entries = output_value if isinstance(output_value, list) else [output_value]
+    outputs = output_value if isinstance(output_value, list) else [output_value]
     return tuple(
-        (
-            (path.parent / name).resolve(),
-            _library_take(path, _take_options(output_entry)),
-        )
-        for output_entry in output_entries
-        if isinstance(output_entry, dict)
-        and isinstance(name := output_entry.get("file"), str)
+        ((path.parent / name).resolve(), _library_take(path, _take_options(output)))
+        for output in outputs
+        if isinstance(output, dict) and isinstance(name := output.get("file"), str)
     )
 
 
-def _take_options(output_entry: dict[str, Any]) -> BakeOptions:
+def _take_options(output: dict[str, Any]) -> BakeOptions:
     """Return bake options with only the library form and take name of an output."""
-    form = "library" if output_entry.get("as") == "library" else None
-    take = output_entry.get("take")
+    form = "library" if output.get("as") == "library" else None
+    take = output.get("take")
     return BakeOptions(form=form, take=take if isinstance(take, str) else None)
 
 
@@ -117,17 +109,13 @@ def outputs_without_folder(subject: SceneSubject) -> Iterator[Fault]:
 def unknown_tolerance_joints(subject: SceneSubject) -> Iterator[Fault]:
     """Report tolerances of unknown joints (SCN207)."""
     for location, output in subject.outputs:
-        tolerance_by_joint = dict(output.bake.reduce_at)
+        tolerances = dict(output.bake.reduce_at)
         try:
-            joint_bounds(
-                subject.take.rig, output.bake.reduce or 1.0, tolerance_by_joint
-            )
+            joint_bounds(subject.take.rig, output.bake.reduce or 1.0, tolerances)
         except OptionError as error:
-            tolerance_location = (*location, "reduce_at")
+            key_path = (*location, "reduce_at")
             for fault in error.faults:
-                yield subject.fault(
-                    "SCN207", tolerance_location, fault.message, fault.hint
-                )
+                yield subject.fault("SCN207", key_path, fault.message, fault.hint)
 
 
 def missing_curves(subject: SceneSubject) -> Iterator[Fault]:
@@ -165,19 +153,19 @@ def idle_passes(subject: SceneSubject) -> Iterator[Fault]:
 def range_outside_take(subject: SceneSubject) -> Iterator[Fault]:
     """Report a range that extends beyond the take (SCN202)."""
     yield from _range_faults(
-        subject, "SCN202", "extends beyond the take", is_fully_outside=False
+        subject, "SCN202", "extends beyond the take", is_outside=False
     )
 
 
 def range_without_frames(subject: SceneSubject) -> Iterator[Fault]:
     """Report a frame range in which there is no frame to write (SCN211)."""
     yield from _range_faults(
-        subject, "SCN211", "contains no frame of the take", is_fully_outside=True
+        subject, "SCN211", "contains no frame of the take", is_outside=True
     )
 
 
 def _range_faults(
-    subject: SceneSubject, code: str, reason: str, *, is_fully_outside: bool
+    subject: SceneSubject, code: str, reason: str, *, is_outside: bool
 ) -> Iterator[Fault]:
     """Yield a fault if a frame range is partly or completely outside the take."""
     scene, clock = subject.scene, subject.take.clock
@@ -187,9 +175,7 @@ def _range_faults(
     last_code = start_code + clock.duration * (scene.bake.fps or clock.fps)
     if start_code <= frame_range.first and frame_range.last <= last_code:
         return
-    if is_fully_outside != (
-        frame_range.last < start_code or frame_range.first > last_code
-    ):
+    if is_outside != (frame_range.last < start_code or frame_range.first > last_code):
         return
     subject_text, location = "range", ("range",)
     if scene.bake.shot is not None:
@@ -242,13 +228,9 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
 
 def _changes_poses(pass_: Pass) -> bool:
     """Return whether a pass changes poses, not only their timing."""
-    is_changing_joints = TakePart.JOINTS in pass_.changes
+    is_moving = TakePart.JOINTS in pass_.changes
     is_retiming = TakePart.CLOCK in pass_.changes
-    return (
-        is_changing_joints
-        and not is_retiming
-        and pass_.name not in _POSE_KEEPING_PASSES
-    )
+    return is_moving and not is_retiming and pass_.name not in _POSE_KEEPING_PASSES
 
 
 def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:

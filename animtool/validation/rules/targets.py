@@ -40,7 +40,7 @@ class TargetsSubject(DocumentSubject):
 
     targets: TargetTracks  # its content, for an unknown rig
 
-    def outside_range_fault(
+    def range_fault(
         self, goal: int, key: Location, message: str, first: float, last: float
     ) -> Fault:
         """Return a fault of keys outside the file's range (TGT201)."""
@@ -69,9 +69,7 @@ def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
             if are_keys:
                 times_text = listed([f"{time:g}" for time in times])
                 message = f"keys of the {keys_text} are never used: {times_text}"
-            yield subject.outside_range_fault(
-                i, (key,), message, first_frame, last_frame
-            )
+            yield subject.range_fault(i, (key,), message, first_frame, last_frame)
 
 
 def _keys_outside(
@@ -92,35 +90,26 @@ def _keys_outside(
 def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
     """Report goals that constrain an effector in the same way as another (TGT202)."""
     goals = subject.targets.goals
-    goals_of_effector: dict[tuple[object, ...], list[int]] = {}
+    groups: dict[tuple[object, ...], list[int]] = {}
     for i, goal in enumerate(goals):
         effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-        goals_of_effector.setdefault(effector, []).append(i)
-    pairs = [
-        pair for group in goals_of_effector.values() for pair in combinations(group, 2)
-    ]
+        groups.setdefault(effector, []).append(i)
+    pairs = [pair for group in groups.values() for pair in combinations(group, 2)]
     for first_index, second_index in sorted(pairs)[:MAX_COMPARED_PAIRS]:
-        first_goal, second_goal = goals[first_index], goals[second_index]
+        first, second = goals[first_index], goals[second_index]
         shared_kinds = [
-            kind.name
-            for kind in first_goal.goal.kinds
-            if kind in second_goal.goal.kinds
+            kind.name for kind in first.goal.kinds if kind in second.goal.kinds
         ]
-        if not shared_kinds or not _spans_overlap(
-            first_goal.during, second_goal.during
-        ):
+        if not shared_kinds or not _spans_overlap(first.during, second.during):
             continue
-        name, kinds_text = second_goal.name, listed(shared_kinds)
-        if all(
-            _equal_values(first_goal.values[k], second_goal.values[k])
-            for k in shared_kinds
-        ):
+        name, kinds_text = second.name, listed(shared_kinds)
+        if all(_equal_values(first.values[k], second.values[k]) for k in shared_kinds):
             message = f"targets the {kinds_text} of {name!r} a second time"
             hint = "remove one of them; weight sets how much it counts"
         else:
             message = (
                 f"targets another {kinds_text} of {name!r} than the goal on line "
-                f"{first_goal.location[0]}: both are missed"
+                f"{first.location[0]}: both are missed"
             )
             hint = "remove one, give it another priority, or other frames: during"
         location = ("goals", second_index, "effector")

@@ -39,7 +39,7 @@ from animtool.validation.motion.subject import MotionSubject, fault_factory_at
 from animtool.validation.subjects.subject import CheckedFile
 
 # Keys with this spacing are samples [frame].
-SAMPLE_SPACING_TOLERANCE = 0.25
+MAX_SPACING_ERROR = 0.25
 
 
 def open_gltf(path: Path) -> CheckedFile:
@@ -90,27 +90,24 @@ def _trim_to_keys(
     """
     take, clock = subject.take, subject.take.clock
     seconds = key_times(animation)
-    key_codes = key_times_in_frames(seconds, frames)
-    whole_frames = np.round(key_codes)
-    is_near = np.abs(key_codes - whole_frames) <= FRAME_TOLERANCE
-    key_codes = np.where(is_near, whole_frames, key_codes)
+    codes = key_times_in_frames(seconds, frames)
+    whole_frames = np.round(codes)
+    is_near = np.abs(codes - whole_frames) <= FRAME_TOLERANCE
+    codes = np.where(is_near, whole_frames, codes)
     frame_range = (float(min(clock.start, frames.start)), float(clock.times[-1]))
-    if (
-        len(key_codes) > 1
-        and abs(np.median(np.diff(key_codes)) - 1.0) <= SAMPLE_SPACING_TOLERANCE
-    ):
-        if len(key_codes) == len(clock.times) and (key_codes == clock.times).all():
+    if len(codes) > 1 and abs(np.median(np.diff(codes)) - 1.0) <= MAX_SPACING_ERROR:
+        if len(codes) == len(clock.times) and (codes == clock.times).all():
             return subject
-        motion = sampler.sample(frames.seconds(key_codes))
+        motion = sampler.sample(frames.seconds(codes))
     else:
-        first_frame = int(np.searchsorted(clock.times, key_codes[0]))
+        first_frame = int(np.searchsorted(clock.times, codes[0]))
         if not 0 < first_frame < clock.count:
             return subject
-        key_codes = clock.times[first_frame:]
+        codes = clock.times[first_frame:]
         motion = take.motion.select(slice(first_frame, None))
-    clock = replace(clock, start=Fraction(key_codes[0]), count=len(key_codes))
+    clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
     take = replace(take, motion=motion, clock=clock, curve=None)
-    return replace(subject, take=take, time_codes=key_codes, frame_range=frame_range)
+    return replace(subject, take=take, time_codes=codes, frame_range=frame_range)
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:

@@ -27,7 +27,7 @@ from animtool.scene.systems.character_motion import motion_of
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Values that differ by less are equal [m], [1].
-EQUAL_VALUE_TOLERANCE = 1e-9
+VALUE_TOLERANCE = 1e-9
 # Options of an output that a bake refuses, and the corresponding codes of the command.
 REFUSED_CODE, OPTION_CODES = "SCN207", {"CLI002", "CLI004"}
 
@@ -146,12 +146,10 @@ def _simulated_seconds(scene: Scene, take: Take | None) -> float:
         return float(take.clock.duration)
     from animtool.scene.scene import DEFAULT_FPS
 
-    frame_range = scene.bake.frame_range
-    if frame_range is None:
+    frames = scene.bake.frame_range
+    if frames is None:
         return 0.0
-    return float(
-        (frame_range.last - frame_range.first) / (scene.bake.fps or DEFAULT_FPS)
-    )
+    return float((frames.last - frames.first) / (scene.bake.fps or DEFAULT_FPS))
 
 
 def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
@@ -185,21 +183,15 @@ def _is_unchanged(old_take: Take, new_take: Take) -> bool:
     """Return whether a pass left a take unchanged."""
     if old_take.clock != new_take.clock or old_take.rig.names != new_take.rig.names:
         return False
-    old_motion, new_motion = old_take.motion, new_take.motion
+    old, new = old_take.motion, new_take.motion
     channel_names = [field.name for field in fields(Motion) if field.name != "points"]
-    channel_pairs = [
-        (getattr(old_motion, name), getattr(new_motion, name)) for name in channel_names
-    ]
-    point_names = {*old_motion.points, *new_motion.points}
-    channel_pairs += [
-        (old_motion.points.get(k), new_motion.points.get(k)) for k in point_names
-    ]
+    channel_pairs = [(getattr(old, name), getattr(new, name)) for name in channel_names]
+    point_names = {*old.points, *new.points}
+    channel_pairs += [(old.points.get(k), new.points.get(k)) for k in point_names]
     return all(starmap(_is_same_channel, channel_pairs))
 
 
 def _is_same_channel(first: Channel | None, second: Channel | None) -> bool:
     if first is None or second is None:
         return first is second
-    return np.allclose(
-        first.dense(), second.dense(), rtol=0.0, atol=EQUAL_VALUE_TOLERANCE
-    )
+    return np.allclose(first.dense(), second.dense(), rtol=0.0, atol=VALUE_TOLERANCE)

@@ -229,7 +229,7 @@ def test_names_are_exchanged_in_parts(
     assert seen == [(4, 0.0, (0, 2)), (3, 45.0, (0, 2))]
     swapped = [[0, 2], [2, 0]]
     wanted = [*swapped[said[0]], *swapped[said[1]], 1]
-    assert work.marker_of_run.tolist() == wanted
+    assert work.run_markers.tolist() == wanted
     # A single part has nothing to be exchanged with.
     alone = Tracklets(ids, np.array([0, 0, 3, 5, 0]), np.array([3, 3, 7, 7, 7]))
     work = TrackletLabels(
