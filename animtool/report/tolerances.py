@@ -13,7 +13,7 @@ LENGTH_TOLERANCE, ANGLE_TOLERANCE, WEIGHT_TOLERANCE = 1e-5, 1e-3, 1e-5
 # Tolerances above this fraction of the compared size cause a warning.
 MAX_TOLERANCE_FRACTION = 0.25
 # Largest difference of rotations [deg], and of usual weights [1].
-MAX_ROTATION, MAX_USUAL_WEIGHT = 180.0, 1.0
+MAX_ROTATION, MAX_TYPICAL_WEIGHT = 180.0, 1.0
 
 
 def length_warnings(tolerance: float, largest: float, size: float) -> list[Fault]:
@@ -54,7 +54,7 @@ def angle_warnings(tolerance: float, largest: float) -> list[Fault]:
 
 def weight_warnings(tolerance: float, largest: float) -> list[Fault]:
     """Warn if a tolerance hides every difference of weights (CLI107)."""
-    if not MAX_USUAL_WEIGHT <= tolerance < math.inf:
+    if not MAX_TYPICAL_WEIGHT <= tolerance < math.inf:
         return []
     if not WEIGHT_TOLERANCE < largest <= tolerance:
         return []

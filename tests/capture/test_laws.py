@@ -674,9 +674,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     seen[10:20] = False
     found = _is_one_sided(seen, np.array([0, 5, 20, 22, 33, 39]), 1).tolist()
     assert found == [True, False, True, False, False, True]
-    level = _local_noise(
-        np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100
-    )
+    level = _local_noise(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
     assert (level[0], level[99]) == (1, pytest.approx(10))
     assert level.min() == 1
 

@@ -49,8 +49,8 @@ from animtool.capture.face.model import FaceModel
 from animtool.capture.face.poses import interpolate_poses
 from animtool.capture.face.solve import (
     _check_landmarks,
-    _notices,
     _merge_shapes,
+    _notices,
 )
 from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
 from animtool.capture.options import FillOptions, SolveOptions, TriangulateOptions

@@ -59,7 +59,7 @@ class FaceCapture:
     notices: tuple[Fault, ...] = ()  # warnings
 
     @property
-    def pixels(self) -> bool:
+    def is_in_pixels(self) -> bool:
         """Whether the points are pixels of a camera, not positions."""
         return int(self.points.shape[-1]) == 2
 

@@ -39,6 +39,7 @@ from animtool.ik.chain import joint_steps
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import pack_for_chain
 from animtool.motion.markers import Markers
+from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import JointType, Pose, Rig
@@ -298,7 +299,7 @@ class _CalibrationState:
     def _marker_derivatives(self, poses: FloatArray) -> FloatArray:
         """Return the Jacobian of weighted marker positions ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
-        local = model.local_transforms(poses)
+        local = local_from_coordinates(rig, poses)
         world = forward_kinematics(rig, local.translations, local.rotations)
         frame_count, marker_count = len(poses), len(model.joints)
         derivatives = np.zeros(

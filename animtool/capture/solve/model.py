@@ -14,11 +14,7 @@ from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build
 from animtool.ik.sub_rig import with_ball_joints
 from animtool.maths import so3
-from animtool.rig.joints import (
-    LocalTransforms,
-    coordinate_slices,
-    local_from_coordinates,
-)
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.skeleton import JointType, Rig
 
@@ -64,7 +60,8 @@ class MarkerProblem:
     def start_poses(self, positions: FloatArray) -> FloatArray:
         """Return rest poses ``(F, Q)`` rigidly aligned to markers ``(F, E, 3)``.
 
-        Markers near the root have the largest weights.
+        Markers near the root have the largest weights. Without a single free root, the
+        rest pose is not moved.
         """
         rig = self.rig
         coordinates = np.zeros((len(positions), self.problem.coordinates))
@@ -72,9 +69,10 @@ class MarkerProblem:
         for joint_columns, joint in zip(slices, rig.joints, strict=True):
             if joint.type in {JointType.BALL, JointType.FREE}:
                 coordinates[:, joint_columns.stop - 1] = 1.0
-        root = self._free_root()
-        if root is None:
+        roots = [j for j in rig.roots if rig.joints[j].type is JointType.FREE]
+        if len(roots) != 1:
             return coordinates
+        root = roots[0]
         depths = np.array([len(rig.upwards(j)) for j in self.joints])
         joint_weights = WEIGHT_FALLOFF ** (depths - depths.min())
         is_visible = visibility_mask(positions)
@@ -99,18 +97,9 @@ class MarkerProblem:
         )
         return coordinates
 
-    def _free_root(self) -> int | None:
-        """Return the one root joint that moves freely; None if there is no such one."""
-        roots = [j for j in self.rig.roots if self.rig.joints[j].type is JointType.FREE]
-        return roots[0] if len(roots) == 1 else None
-
-    def local_transforms(self, coordinates: FloatArray) -> LocalTransforms:
-        """Return the local transforms of all joints for poses ``(F, Q)``."""
-        return local_from_coordinates(self.rig, coordinates)
-
     def points(self, coordinates: FloatArray) -> FloatArray:
         """Return the markers' world positions ``(F, E, 3)`` [m] in poses ``(F, Q)``."""
-        local = self.local_transforms(coordinates)
+        local = local_from_coordinates(self.rig, coordinates)
         world = forward_kinematics(self.rig, local.translations, local.rotations)
         joint_matrices = world.linear[:, self.joints]
         rotated_offsets = np.einsum("feij,ej->fei", joint_matrices, self.offsets)

@@ -50,6 +50,7 @@ from animtool.motion.driving import drive_take
 from animtool.motion.markers import Markers
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
+from animtool.rig.joints import local_from_coordinates
 from animtool.rig.skeleton import Rig
 
 Progress = Callable[[float], None] | None
@@ -163,7 +164,7 @@ class MarkerSolve:
     ) -> Motion:
         """Convert poses ``(F, Q)`` to motion; signs continue the previous rotations."""
         rig = self.model.rig
-        local = self.model.local_transforms(coordinates)
+        local = local_from_coordinates(rig, coordinates)
         goal_joints = sorted({rig.index(name) for name in self.model.problem.joints})
         sliders = [
             j for j in goal_joints if rig.joints[j].type in {"free", "prismatic"}
