@@ -410,7 +410,7 @@ def _option_checks(options: CleanOptions) -> OptionChecks:
     }
 
 
-def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
+def _run_pass(take: Take, options: CleanOptions, context: PassContext) -> Take:
     """Run the pass: clean the take and report its noise."""
     cleaned_take, signals = clean_take(take, options)
     context.notices.extend(cleaning_notices(take, signals, options))
@@ -425,7 +425,7 @@ PASS = Pass(
     "Remove spikes and noise",
     CleanOptions,
     FrameScope.CLIP,
-    _run,
+    _run_pass,
     _option_checks,
     reads=_EDITED_PARTS | {TakePart.RIG, TakePart.CLOCK},
     changes=_EDITED_PARTS,

@@ -245,7 +245,7 @@ def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDiff
     total = TakeDifference(mismatches=mismatches, skeletons=len(pairs))
     for first_path, second_path in pairs:
         difference = _stream_difference(first[first_path](), second[second_path]())
-        total = _merged_difference(total, difference, first_path)
+        total = _add_difference(total, difference, first_path)
     return total
 
 
@@ -273,7 +273,7 @@ def _skeleton_pairs(
     return pairs or list(zip(unmatched_first, unmatched_second, strict=False))
 
 
-def _merged_difference(
+def _add_difference(
     total: TakeDifference, other: TakeDifference, skeleton: str
 ) -> TakeDifference:
     """Add another skeleton's difference to the total: largest values, summed counts."""

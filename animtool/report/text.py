@@ -169,28 +169,28 @@ class _Renderer:
                 if text or not line:
                     yield text or ""
             elif isinstance(line, Each):
-                yield from self._each(scope, line)
+                yield from self._each_lines(scope, line)
             else:
-                yield from self._table(scope, line)
+                yield from self._table_lines(scope, line)
 
-    def _each(self, scope: _Scope, line: Each) -> Iterator[str]:
-        entries = self._entries(scope, line.name)
+    def _each_lines(self, scope: _Scope, line: Each) -> Iterator[str]:
+        entries = self._field_entries(scope, line.name)
         for entry_number, entry in enumerate(entries[: line.max_entries], 1):
             yield from self.lines((entry, {"number": entry_number}, *scope), line.lines)
         omitted_count = len(entries) - (line.max_entries or len(entries))
         if omitted_count > 0:
             yield from self.lines(({"left": omitted_count}, *scope), (line.omitted,))
 
-    def _entries(self, scope: _Scope, name: str) -> list[Any]:
+    def _field_entries(self, scope: _Scope, name: str) -> list[Any]:
         name, _, printer_names = name.partition(":")
-        value = _value(scope, name)
+        value = _find_value(scope, name)
         for printer in filter(None, printer_names.split(" | ")):
             value = None if value is None else self.printers[printer](value)
         if isinstance(value, Mapping):
             return [{"key": key, "value": entry} for key, entry in value.items()]
         return list(value or ())
 
-    def _table(self, scope: _Scope, table: Table) -> Iterator[str]:
+    def _table_lines(self, scope: _Scope, table: Table) -> Iterator[str]:
         for text in aligned_lines(*self.cells(scope, table)):
             yield table.indent + text
 
@@ -199,7 +199,7 @@ class _Renderer:
         templates = [_parse_template(cell) for cell in table.columns.values()]
         cells = [
             [self.fill_template((entry, *scope), cell) or "" for cell in templates]
-            for entry in self._entries(scope, table.name)
+            for entry in self._field_entries(scope, table.name)
         ]
         shown_columns = {
             header: i
@@ -228,7 +228,7 @@ class _Renderer:
 
     def _field_text(self, scope: _Scope, node: _Field) -> str | None:
         """Return a field as text; None if missing, empty if only tested."""
-        value = _value(scope, node.name)
+        value = _find_value(scope, node.name)
         if node.test:
             return "" if bool(value) is (node.test == "?") else None
         width = ""
@@ -306,7 +306,7 @@ def _parse_alternatives(
     return tuple(tuple(nodes) for nodes in alternatives)
 
 
-def _value(scope: _Scope, name: str) -> Any:
+def _find_value(scope: _Scope, name: str) -> Any:
     """Return the field value of the innermost record that has the field."""
     field_name, _, attributes_path = name.partition(".")
     for record in scope:

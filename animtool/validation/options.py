@@ -77,7 +77,7 @@ class ValidateOptions:
         return explicit_length >= _prefix_length_of(profile_prefix)
 
     def with_severity(self, fault: Fault) -> Fault:
-        """Return a finding with the severity of the longest prefix that has one."""
+        """Return a finding with its severity by the options, or else by the profile."""
         longest_prefix = _longest_prefix(fault.code, self.severity)
         if longest_prefix is not None:
             return replace(fault, severity=self.severity[longest_prefix])

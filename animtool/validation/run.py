@@ -196,8 +196,10 @@ def validate_files(
     options = (options or ValidateOptions()).with_profile_levels()
     check_codes(options)
     files = tuple(dict.fromkeys(files))
-    samples = {path.parent: path for path in files}
-    folder_options = {folder: settings_of(path) for folder, path in samples.items()}
+    file_of_folder = {path.parent: path for path in files}
+    folder_options = {
+        folder: settings_of(path) for folder, path in file_of_folder.items()
+    }
     file_options = [options.merged_over(folder_options[path.parent]) for path in files]
     _, failed_rules = all_rules()
     values_by_scene = values_of_batches(files)

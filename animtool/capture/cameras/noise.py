@@ -163,10 +163,10 @@ def _find_stale_camera(
     for camera in suspect_cameras[:_MAX_SUSPECTS].tolist():
         if not is_active[0, camera] or ratios[camera] < _SUSPECT_NOISE_RATIO:
             continue
-        is_other_camera = is_active.copy()
-        is_other_camera[:, camera] = False
+        is_active_other = is_active.copy()
+        is_active_other[:, camera] = False
         points, errors, *_ = _kernels.triangulate_points(
-            pixels, confidences, camera_parameters(cameras), is_other_camera, noise,
+            pixels, confidences, camera_parameters(cameras), is_active_other, noise,
             *limits, detailed=False,
         )  # fmt: skip
         others = [*cameras[:camera], *cameras[camera + 1 :]]

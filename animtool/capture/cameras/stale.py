@@ -194,7 +194,7 @@ def _exact_ranges(
     is_misfit: BoolArray,
     window: int,
 ) -> list[PoseShift]:
-    """Return the misfit runs of windows, extended to the frames with most outliers."""
+    """Return runs of misfit windows, extended by adjacent frames with outliers."""
     is_frame_rejected = np.append(
         rejections[:, camera] > MISFIT_FRACTION * tested_counts[:, camera], False
     )

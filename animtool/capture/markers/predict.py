@@ -29,7 +29,7 @@ TRAINING_SECONDS = 6.0
 MAX_TRAINING_FRAMES, DENSE_FRAMES = 180, 16
 MIN_TRAINING_FRAMES = 12
 # Numbers of markers that define the frame, and the pose.
-AXES_COUNTS, POSE_COUNTS = (3, 4), (0, 5, 9)
+AXES_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 MARKER_NOISE = 0.0005
 # Minimum noise variance relative to the kernel's variance [1], so that float64 can
@@ -74,7 +74,7 @@ class MarkerGap:
         is_usable = self.is_visible[self.frames].all(axis=0) & np.isfinite(deviations)
         is_usable[self.marker] = False
         order = np.argsort(np.where(is_usable, deviations, np.inf), kind="stable")
-        return np.asarray(order[: min(max(POSE_COUNTS), int(is_usable.sum()))])
+        return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
 
     def training_frames(self, neighbours: IntArray) -> IntArray:
         """Return the frames to learn from: all near the gap, and some farther away."""
@@ -117,7 +117,7 @@ def predict_from_markers(gap: MarkerGap) -> Prediction | None:
         return None
     frames = gap.with_gap_frames(training)
     predictions = []
-    for count in AXES_COUNTS:
+    for count in AXES_MARKERS:
         if count <= len(neighbours):
             local, pose, to_world = _in_neighbour_axes(gap, frames, neighbours, count)
             best = _best_prediction(gap, local, pose, frames, DEVIATION_KERNELS, count)
@@ -142,7 +142,7 @@ def _best_prediction(
     """
     known = local[: len(frames) - (gap.frames.stop - gap.frames.start)]
     best_prediction: Prediction | None = None
-    for pose_marker_count in POSE_COUNTS:
+    for pose_marker_count in POSE_MARKERS:
         if pose_marker_count > pose.shape[1]:
             continue
         pose_features = pose[:, : max(pose_marker_count, min_markers)].reshape(
@@ -209,12 +209,16 @@ def _rotate_towards(parent_rotations: FloatArray, directions: FloatArray) -> Flo
     mean_direction = local_directions.mean(axis=0)
     mean_direction /= np.linalg.norm(mean_direction)
     axis = np.cross(mean_direction, local_directions)
-    skew = np.zeros((len(local_directions), 3, 3))
-    skew[:, 0, 1], skew[:, 0, 2] = -axis[:, 2], axis[:, 1]
-    skew[:, 1, 2] = -axis[:, 0]
-    skew -= skew.transpose(0, 2, 1)
+    cross_matrices = np.zeros((len(local_directions), 3, 3))
+    cross_matrices[:, 0, 1], cross_matrices[:, 0, 2] = -axis[:, 2], axis[:, 1]
+    cross_matrices[:, 1, 2] = -axis[:, 0]
+    cross_matrices -= cross_matrices.transpose(0, 2, 1)
     cosine = np.maximum(local_directions @ mean_direction, -0.99)
-    swing = np.eye(3) + skew + skew @ skew / (1.0 + cosine)[:, None, None]
+    swing = (
+        np.eye(3)
+        + cross_matrices
+        + cross_matrices @ cross_matrices / (1.0 + cosine)[:, None, None]
+    )
     return np.asarray(parent_rotations @ swing)
 
 

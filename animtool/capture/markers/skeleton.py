@@ -74,16 +74,16 @@ class SkeletonMarkers:
         a hinge. With fewer, more of its pose is guessed.
         """
         joint = int(self.joints[marker])
-        same_count = len(self.markers_on_joint(marker, is_visible))
+        same_joint_count = len(self.markers_on_joint(marker, is_visible))
         visible_joints = self.joints[is_visible & (self.joints >= 0)]
-        lower_count = int((self.parent_of_joint[visible_joints] == joint).sum())
-        if same_count >= 2 or (
-            not self.has_free_rotation[joint] and same_count + lower_count
+        lower_joint_count = int((self.parent_of_joint[visible_joints] == joint).sum())
+        if same_joint_count >= 2 or (
+            not self.has_free_rotation[joint] and same_joint_count + lower_joint_count
         ):
             return 0.0
-        if same_count and lower_count:
+        if same_joint_count and lower_joint_count:
             return DRIFT_PER_SECOND[0]
-        return DRIFT_PER_SECOND[1 if same_count or lower_count > 1 else 2]
+        return DRIFT_PER_SECOND[1 if same_joint_count or lower_joint_count > 1 else 2]
 
 
 def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:

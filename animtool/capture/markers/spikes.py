@@ -114,12 +114,12 @@ def _clearest_spikes(
         if local_levels is None:
             local_levels = _local_noise(starts, gain / (3.0 * sigma**2), len(path))
         local_scale = local_levels[starts]
-        min_clearness = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
-        clearness = gain / (sigma**2 * local_scale)
-        is_spike = (deviation >= factor * MIN_SPIKE_SIZE) & (clearness > min_clearness)
+        min_strength = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
+        strength = gain / (sigma**2 * local_scale)
+        is_spike = (deviation >= factor * MIN_SPIKE_SIZE) & (strength > min_strength)
         is_spike &= residuals < MAX_SUPPORT_RESIDUAL_RATIO**2 * gain / length
         for k in np.flatnonzero(is_spike).tolist():
-            score = float(clearness[k]) - LENGTH_PENALTY * length
+            score = float(strength[k]) - LENGTH_PENALTY * length
             candidates.append((-score, int(starts[k]), length, float(deviation[k])))
     candidates.sort()
     sigma = noise[0] ** 2
@@ -251,10 +251,10 @@ def _span_deviations(
     padded_path[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = path
     visibility_codes = is_visible_around[starts] @ (1 << np.arange(2 * SUPPORT_FRAMES))
     deviations, gain, residuals = (np.zeros(len(starts)) for _ in range(3))
-    for bits in np.unique(visibility_codes).tolist():
-        spans = np.flatnonzero(visibility_codes == bits)
+    for visibility_bits in np.unique(visibility_codes).tolist():
+        spans = np.flatnonzero(visibility_codes == visibility_bits)
         offsets, weights, inverse, quadratic_form = _prediction_weights(
-            bits, length, roughness
+            visibility_bits, length, roughness
         )
         support_positions = padded_path[starts[spans][:, None] + offsets]  # (S, K, 3)
         span_starts = starts[spans][:, None] + SUPPORT_FRAMES
@@ -270,17 +270,19 @@ def _span_deviations(
 
 @lru_cache(maxsize=4096)
 def _prediction_weights(
-    bits: int, length: int, roughness: float
+    visibility_bits: int, length: int, roughness: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return the weights with which positions around a span predict its positions.
 
-    bits: Bit mask of the visible frames around. Returns their indices in the
+    visibility_bits: Bit mask of the visible frames around. Returns their indices in the
     window, their weights, the inverse variance of the prediction error, and the
     quadratic form of their residuals.
     """
     span_offsets = np.arange(SUPPORT_FRAMES, SUPPORT_FRAMES + length)
     offsets_around = np.delete(np.arange(2 * SUPPORT_FRAMES + length), span_offsets)
-    offsets = offsets_around[[bool(bits >> k & 1) for k in range(2 * SUPPORT_FRAMES)]]
+    offsets = offsets_around[
+        [bool(visibility_bits >> k & 1) for k in range(2 * SUPPORT_FRAMES)]
+    ]
     frames = np.concatenate([offsets, span_offsets]) + 1.0
     # White noise integrated three times: its expected curve is a quintic spline.
     earlier_frame = np.minimum(frames[:, None], frames)

@@ -105,7 +105,7 @@ def _expected_positions(
 
 
 # A second candidate is no rival if it is this many times farther away.
-RIVAL_RATIO = 2.0
+MIN_RIVAL_RATIO = 2.0
 # Positions nearer than this fraction of the reach are equal.
 EQUAL_DISTANCE = 0.05
 
@@ -125,7 +125,7 @@ def _mutual_nearest(distances: FloatArray) -> tuple[IntArray, IntArray]:
     second_distance = np.minimum(
         _second_smallest(distances)[runs], _second_smallest(distances.T)[points]
     )
-    rival_distance = RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
+    rival_distance = MIN_RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
     is_clear = (nearest <= 1.0) & (second_distance > rival_distance)
     return runs[is_clear], points[is_clear]
 

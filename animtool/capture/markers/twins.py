@@ -16,14 +16,14 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
 # Exchanges with more evidence against them are ignored [nat].
-MAX_OPPOSITION = 6.0
+MAX_COUNTER_EVIDENCE = 6.0
 # Number of neighbours; any two of them define a frame with the exchanged markers.
 NEIGHBOUR_COUNT = 5
 # Two pairs this near each other are exchanged together [m].
-NEAR_DISTANCE = 0.26
+PAIR_DISTANCE = 0.26
 # Number of sampled frames, the fraction of them nearest to the trial's pose [1], and
 # their minimum number.
-SAMPLED_FRAME_COUNT, BEST_FRACTION, MIN_COMPLETE_FRAMES = 120, 0.1, 8
+SAMPLED_FRAME_COUNT, BEST_FRAME_FRACTION, MIN_COMPLETE_FRAMES = 120, 0.1, 8
 # Shape error from noise alone [m], and evidence against a shape per factor e of its
 # error [nat].
 SHAPE_NOISE, SHAPE_EVIDENCE = 0.001, 10.0
@@ -77,7 +77,7 @@ def distinguish_twins(
         doubtful_exchanges, doubtful_pairs = [], []
         for old, new in exchanges:
             gains = compute_exchange_gains(pair_scores, single_scores, names, old, new)
-            for row in np.flatnonzero(gains > -MAX_OPPOSITION).tolist():
+            for row in np.flatnonzero(gains > -MAX_COUNTER_EVIDENCE).tolist():
                 if old.shape[1] == 2:
                     a, b = names[old[row]].tolist()
                     doubtful_pairs.append((a, b))
@@ -130,7 +130,7 @@ def _drop_unrelated(
         is_near = np.ones(len(old), bool)
         if old.shape[1] == 4:
             pair_distances = rest_lengths[old[:, :2, None], old[:, None, 2:]]
-            is_near = pair_distances.min(axis=(1, 2)) < NEAR_DISTANCE
+            is_near = pair_distances.min(axis=(1, 2)) < PAIR_DISTANCE
         near_exchanges.append((old[is_near], new[is_near]))
     return near_exchanges
 
@@ -172,5 +172,5 @@ def _shape_error(positions: FloatArray, group: list[int], shape: FloatArray) -> 
         return np.inf
     points = points[frame_indices[:: max(1, len(frame_indices) // SAMPLED_FRAME_COUNT)]]
     shape_errors = np.sqrt(mean_square_errors(points, shape))
-    best_count = max(1, int(BEST_FRACTION * len(shape_errors)))
+    best_count = max(1, int(BEST_FRAME_FRACTION * len(shape_errors)))
     return float(np.partition(shape_errors, best_count - 1)[:best_count].mean())

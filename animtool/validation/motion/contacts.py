@@ -54,7 +54,7 @@ class FootStances:
         floor: The lower of two common contact heights, else the ground; infinite for
             more than two ``(E,)`` [m].
         is_carrying: Whether no other joint is much lower ``(F, E)``.
-        is_near: Whether a foot carries the body near flat ground ``(F, E)``.
+        is_near_ground: Whether a foot carries the body near flat ground ``(F, E)``.
         is_static: Whether it carries the body without moving ``(F, E)``.
     """
 
@@ -65,7 +65,7 @@ class FootStances:
     has_same_height: BoolArray
     floor: FloatArray
     is_carrying: BoolArray
-    is_near: BoolArray
+    is_near_ground: BoolArray
     is_static: BoolArray
 
 
@@ -98,9 +98,13 @@ def find_contacts(subject: MotionSubject) -> FootStances | None:
     partners = _opposite_feet(subject, feet)
     has_same_height = is_level & _is_at_opposite_height(ground, partners, tolerance)
     floor[~_is_at_opposite_height(floor, partners, tolerance)] = np.inf
-    is_near = is_carrying & has_same_height & (np.abs(heights - ground) < tolerance)
+    is_near_ground = (
+        is_carrying & has_same_height & (np.abs(heights - ground) < tolerance)
+    )
     height_fields = ground, is_level, has_same_height, floor
-    return FootStances(feet, partners, *height_fields, is_carrying, is_near, is_static)
+    return FootStances(
+        feet, partners, *height_fields, is_carrying, is_near_ground, is_static
+    )
 
 
 def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]:

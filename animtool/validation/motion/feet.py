@@ -69,14 +69,18 @@ def _velocity_ratios(
     displacements, step_counts = displacements_around(subject, points, VELOCITY_SECONDS)
     velocities = displacements / (step_counts * subject.interval)[:, None, None]
     foot_velocities, hip_velocities = velocities[:, :-1], velocities[:, -1]
-    speeds = np.where(contacts.is_near, np.linalg.norm(foot_velocities, axis=2), np.inf)
+    speeds = np.where(
+        contacts.is_near_ground, np.linalg.norm(foot_velocities, axis=2), np.inf
+    )
     frames = np.arange(len(foot_velocities))
     stance_velocity = foot_velocities[frames, speeds.argmin(axis=1)]
     hip_speed = np.linalg.norm(hip_velocities, axis=1)
-    is_used = contacts.is_near.any(axis=1) & (hip_speed > MIN_HIP_SPEED * subject.size)
-    foot_along_hips = np.einsum("fc,fc->f", stance_velocity, hip_velocities)[is_used]
+    is_used = contacts.is_near_ground.any(axis=1) & (
+        hip_speed > MIN_HIP_SPEED * subject.size
+    )
+    along_products = np.einsum("fc,fc->f", stance_velocity, hip_velocities)[is_used]
     hip_speed = np.asarray(hip_speed[is_used])
-    return np.asarray(foot_along_hips / hip_speed**2), hip_speed
+    return np.asarray(along_products / hip_speed**2), hip_speed
 
 
 # A take that travels less is in place, and its feet slide intentionally [size].
@@ -118,7 +122,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     slowest_speeds = speeds.min(axis=1)
     slide_speeds = _slowest_slides(subject, contacts, speeds, slide_speeds)
     is_fast = np.minimum(slowest_speeds, slide_speeds) > MIN_SLIDE_SPEED * subject.size
-    is_sliding = contacts.is_near.any(axis=1) & is_fast
+    is_sliding = contacts.is_near_ground.any(axis=1) & is_fast
     lowest_heights = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     slides = []
     for first, end in runs(is_sliding):
@@ -171,7 +175,7 @@ def _slowest_slides(
         foot_of_joint[joint].append(column)
     slowest_slides, slowest_speeds = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
     for columns in feet_columns:
-        is_near = contacts.is_near[:, columns]
+        is_near = contacts.is_near_ground[:, columns]
         foot_speeds = np.where(is_near, speeds[:, columns], np.inf).min(axis=1)
         foot_slides = np.where(is_near, slide_speeds[:, columns], 0.0).max(axis=1)
         is_slower = foot_speeds < slowest_speeds
@@ -208,7 +212,7 @@ def _is_skid(
 
     ``speeds``: of the slowest foot ``(F,)`` [m/s].
     """
-    is_airborne = ~np.asarray(contacts.is_near.any(axis=1))
+    is_airborne = ~np.asarray(contacts.is_near_ground.any(axis=1))
     window = max(1, round(LANDING_SECONDS / subject.interval))
     start_speed, end_speed = float(speeds[first]), float(speeds[last])
     has_landed = bool(is_airborne[max(first - window, 0) : first].any())
@@ -227,7 +231,7 @@ def _slide_length(
     """
     half_window = max(1, round(0.5 * SPEED_SECONDS / subject.interval))
     frame_slice = slice(max(first - half_window, 0), last + half_window + 1)
-    feet = contacts.feet[contacts.is_near[first : last + 1].any(axis=0)]
+    feet = contacts.feet[contacts.is_near_ground[first : last + 1].any(axis=0)]
     steps = np.diff(subject.ground_positions(feet)[frame_slice], axis=0)
     return float(np.linalg.norm(steps, axis=2).sum(axis=0).min())
 
@@ -239,8 +243,8 @@ def _travel_scale_fault(
     scale = travel_scale(subject, contacts)
     if scale is None:
         return
-    frame = int(contacts.is_near.any(axis=1).argmax())
-    joint = int(contacts.feet[int(contacts.is_near[frame].argmax())])
+    frame = int(contacts.is_near_ground.any(axis=1).argmax())
+    joint = int(contacts.feet[int(contacts.is_near_ground[frame].argmax())])
     direction = "along with" if scale > 1.0 else "back against"
     message = (
         f"planted feet slide {direction} the body: it travels {scale:.2g} times as far "

@@ -17,7 +17,7 @@ from animtool.validation.motion.subject import MotionSubject
 # Visible displacement of joints against their parents, where rigs may slide and stretch
 # intentionally, and of a root, which is visible sooner [size].
 MIN_POP_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
-CORRECT_HINT = "correct the frames around it, or cut the take there"
+CORRECTION_HINT = "correct the frames around it, or cut the take there"
 # Displacement of joints by capture noise [size].
 SHIFT_NOISE = 0.002
 
@@ -47,7 +47,7 @@ class _ChannelPops:
 
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if joints other than roots jump in one frame (MOT202)."""
-    hint = CORRECT_HINT
+    hint = CORRECTION_HINT
     if subject.is_intended_cut is not None:
         hint = "correct the frames around it; for an intended cut, write interp: step"
     pops = _find_pops(subject, MIN_POP_SHIFT, are_roots=False)
@@ -56,7 +56,7 @@ def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if a root, and all below it, jumps in one frame (MOT203)."""
-    hint = CORRECT_HINT
+    hint = CORRECTION_HINT
     pops = _find_pops(subject, MIN_ROOT_SHIFT, are_roots=True)
     yield from _pop_fault(subject, "MOT203", pops, hint)
 

@@ -94,7 +94,7 @@ MIN_MOVING_JOINTS = 4
 # may remain: in captures, steps with consistent joints leave .45 or more [1].
 MAX_LOST_FRAMES, MAX_LOSS_REMAINDER = 6, 0.35
 # If few joints move, all of them must agree, with at most this remainder [1].
-MAX_FEW_REMAINDER, MIN_FEW_STEPS = 0.06, 2
+MAX_SPARSE_REMAINDER, MIN_SPARSE_JOINTS = 0.06, 2
 # A loss must be this many times farther from its prediction than most steps in blocks
 # of this many frames [1]. Joints are not assumed smoother than this fraction of a
 # typical step (text with few digits), or than this [rad].
@@ -107,15 +107,15 @@ GAP_RATIO = 1.6
 REPEAT_WINDOW = 3
 # Minimum speed relative to the typical one: below, there is no loss, and no motion that
 # stops [1].
-MIN_LOSS_PACE = 0.3
+MIN_SPEED_RATIO = 0.3
 # Minimum fraction of the joints that must show a loss, since a single joint may pop
 # [1].
 MIN_JOINT_FRACTION = 0.5
 # Joints that move at most this many steps contradict a loss. Their fraction, weighted
 # by squared steps, is limited; and if there are not few joints, so is the remaining
 # difference [1].
-CONTRADICTING_STEPS = 1.25
-MAX_FEW_CONTRADICTING = 0.15
+MAX_CONTRADICTING_STEPS = 1.25
+MAX_CONSISTENT_FRACTION = 0.15
 MAX_CONTRADICTING_FRACTION = 0.4
 MAX_GOOD_REMAINDER = 0.2
 # If hardly any difference remains, fast joints such as a landing foot may contradict,
@@ -123,7 +123,7 @@ MAX_GOOD_REMAINDER = 0.2
 CERTAIN_REMAINDER, CERTAIN_CONTRADICTING, CERTAIN_JOINT_FRACTION = 0.04, 0.8, 0.4
 # If few joints show a loss, they must be this fraction of all moving ones, and in two
 # limbs [1].
-MIN_FEW_PACE = 0.1
+MIN_SPARSE_FRACTION = 0.1
 # Speed relative to the typical one below which a frame is repeated, even in text of
 # four digits [1].
 STATIC_SPEED = 1e-4
@@ -228,20 +228,20 @@ def _find_lost_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     significant_count = is_significant.sum(axis=1)
     weighted_deviation = (is_significant * squared_deviations / variance).sum(axis=1)
     total_steps = np.sqrt(squared_steps.sum(axis=1))
-    is_possible = (significant_count >= MIN_FEW_STEPS) & (
+    is_possible = (significant_count >= MIN_SPARSE_JOINTS) & (
         weighted_deviation > OUTLIER_RATIO**2 * significant_count
     )
-    is_possible &= total_steps > MIN_LOSS_PACE * np.median(total_steps)
+    is_possible &= total_steps > MIN_SPEED_RATIO * np.median(total_steps)
     is_possible &= ~(subject.cut_mask() | _near_repeats(subject))[2:-2]
     products = np.einsum("snc,snc->sn", middle_steps, predicted_step)
-    is_contradicting = products < CONTRADICTING_STEPS * squared_steps
+    is_contradicting = products < MAX_CONTRADICTING_STEPS * squared_steps
     loss_weight = (is_significant * squared_steps).sum(axis=1)
     contradicting_weight = (is_significant * is_contradicting * squared_steps).sum(
         axis=1
     )
     contradicting_weight /= np.maximum(loss_weight, np.finfo(float).tiny)
     is_possible &= contradicting_weight < CERTAIN_CONTRADICTING
-    is_consistent = contradicting_weight < MAX_FEW_CONTRADICTING
+    is_consistent = contradicting_weight < MAX_CONSISTENT_FRACTION
     max_remainder = np.where(is_consistent, MAX_LOSS_REMAINDER, MAX_GOOD_REMAINDER)
     max_remainder = max_remainder * weighted_deviation
     for lost_count in range(1, MAX_LOST_FRAMES + 1):
@@ -257,11 +257,13 @@ def _find_lost_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
             better_count > CERTAIN_JOINT_FRACTION * significant_count
         )
         better_steps = (is_better * squared_steps).sum(axis=1)
-        is_few_loss = weighted_remaining < MAX_FEW_REMAINDER * weighted_deviation
-        is_few_loss &= better_count == significant_count
-        is_few_loss &= better_steps > MIN_FEW_PACE * squared_steps.sum(axis=1)
-        is_few_loss &= _in_two_limbs(subject, is_better)
-        is_loss = np.where(significant_count >= MIN_MOVING_JOINTS, is_loss, is_few_loss)
+        is_sparse_loss = weighted_remaining < MAX_SPARSE_REMAINDER * weighted_deviation
+        is_sparse_loss &= better_count == significant_count
+        is_sparse_loss &= better_steps > MIN_SPARSE_FRACTION * squared_steps.sum(axis=1)
+        is_sparse_loss &= _in_two_limbs(subject, is_better)
+        is_loss = np.where(
+            significant_count >= MIN_MOVING_JOINTS, is_loss, is_sparse_loss
+        )
         is_loss &= is_possible
         step_lengths[2:-2][is_loss & ~is_lost[2:-2]] = lost_count + 1.0
         is_lost[2:-2] |= is_loss
@@ -350,7 +352,7 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
         return np.zeros(0, bool), False
     speeds = subject.speeds
     typical_speed = float(np.median(speeds[speeds > STATIC_SPEED * speeds.max()]))
-    min_speed = MIN_LOSS_PACE * typical_speed
+    min_speed = MIN_SPEED_RATIO * typical_speed
     is_repeat = np.zeros(len(is_static), bool)
     repeat_starts = []
     for first, end in runs(is_static):

@@ -50,8 +50,8 @@ MIN_SCALED_FRACTION = 0.8
 # How a file states its up axis.
 UP_AXIS_HINTS = {"USD": 'set upAxis = "{}"', "clip": "write up: {} in the rig"}
 # A rig with a larger fraction of finger joints is a hand, not a body [1].
-DIGIT_NAMES = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
-MAX_DIGIT_FRACTION = 0.8
+FINGER_NAMES = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
+MAX_FINGER_FRACTION = 0.8
 # Plausible extent of any skeleton, with or without feet, from an insect to a ship [m].
 SKELETON_SIZE_RANGE = (0.004, 400.0)
 # With fewer frames, a take is a pose, which may lie.
@@ -227,8 +227,8 @@ def tilted_stance(subject: MotionSubject) -> Stance | None:
     rig = subject.take.rig
     if subject.frame_count < MIN_STANCE_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
-    digit_count = sum(map(bool, map(DIGIT_NAMES.search, rig.names)))
-    if digit_count > MAX_DIGIT_FRACTION * len(rig.joints):
+    finger_count = sum(map(bool, map(FINGER_NAMES.search, rig.names)))
+    if finger_count > MAX_FINGER_FRACTION * len(rig.joints):
         return None
     rest_positions = rest_world(rig).positions[0] if subject.has_rest else None
     roles = find_anatomy(rig).roles
