@@ -293,8 +293,8 @@ def test_landmarks_go_by_their_names_or_their_number() -> None:
     rows = np.arange(2.0 * 6 * 3).reshape(2, 6, 3)
     plain = FaceCapture(Path("a"), None, CLOCK, rows)
     assert order_landmarks(plain, own) == (rows, [])
-    assert not plain.pixels
-    assert replace(plain, points=rows[..., :2]).pixels
+    assert not plain.is_in_pixels
+    assert replace(plain, points=rows[..., :2]).is_in_pixels
     named = replace(plain, names=tuple("fexdcb"))
     made, told = order_landmarks(named, own)
     assert_array_equal(made[:, 5], rows[:, 0])
