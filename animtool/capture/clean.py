@@ -95,10 +95,8 @@ class _JointCleaner:
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
             signal = values[:, i]
-            max_length = self.options.spikes
-            is_spike = _find_spikes(
-                signal, max_length, min_size, is_rotation=is_rotation
-            )
+            longest = self.options.spikes
+            is_spike = _find_spikes(signal, longest, min_size, is_rotation=is_rotation)
             if is_spike.any():
                 signal = bridge_gaps(signal, ~is_spike, is_rotation=is_rotation)
             noise = (rotation_noise if is_rotation else noise_level)(signal)
@@ -164,16 +162,14 @@ def bridge_gaps(
 
 
 def _find_spikes(
-    signal: FloatArray, max_length: int, min_size: float, *, is_rotation: bool
+    signal: FloatArray, longest: int, min_size: float, *, is_rotation: bool
 ) -> BoolArray:
     """Return a mask ``(F,)`` of the frames of a signal ``(F, K)`` in a spike."""
     is_spike = np.zeros(len(signal), np.bool_)
-    for _ in range(MAX_SPIKE_SEARCHES if max_length else 0):
+    for _ in range(MAX_SPIKE_SEARCHES if longest else 0):
         is_new_spike = np.zeros_like(is_spike)
         threshold = SPIKE_ROUGHNESS_RATIO * _roughness(signal) + min_size
-        for length, size in _run_deviations(
-            signal, max_length, is_rotation=is_rotation
-        ):
+        for length, size in _run_deviations(signal, longest, is_rotation=is_rotation):
             # A long spike also looks like a short one in its middle.
             for first in np.flatnonzero(size > threshold[2 : 2 + len(size)]).tolist():
                 span = slice(first + 2, first + 2 + length)
@@ -187,10 +183,10 @@ def _find_spikes(
 
 
 def _run_deviations(
-    signal: FloatArray, max_length: int, *, is_rotation: bool
+    signal: FloatArray, longest: int, *, is_rotation: bool
 ) -> Iterator[tuple[int, FloatArray]]:
     """Yield each run length, and the least deviations of its runs from frame 2 on."""
-    for length in range(max_length, 0, -1):
+    for length in range(longest, 0, -1):
         count = len(signal) - length - 3
         if count < 1:
             continue
@@ -267,10 +263,8 @@ def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSig
     min_shift = MIN_SPIKE_SHIFT * rest_size(take.rig)
     translations = cleaner.clean_channel(motion.translations, min_shift)
     rotations = cleaner.clean_channel(motion.rotations, MIN_SPIKE_ROTATION)
-    rotation_values = so3.align_signs(
-        rotations.values, rotations.rest[rotations.animated]
-    )
-    rotations = replace(rotations, values=rotation_values)
+    values = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
+    rotations = replace(rotations, values=values)
     motion = replace(motion, translations=translations, rotations=rotations)
     return replace(take, motion=motion), cleaner.signals
 

@@ -257,14 +257,14 @@ def _findings_in_processes(
     try:
         with ProcessPoolExecutor(process_count, context, follow_parent) as pool:
             with without_interrupts(), without_main():
-                faults_by_file = pool.map(
+                results = pool.map(
                     _check_file,
                     files,
                     file_options,
                     file_values,
                     chunksize=FILES_PER_CHUNK,
                 )
-            return list(faults_by_file)
+            return list(results)
     except BrokenExecutor:
         return None
 

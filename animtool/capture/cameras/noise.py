@@ -120,9 +120,7 @@ def measure_noise(
     return ObservationNoise(noise, pose_changes)
 
 
-def sampled_initial_noise(
-    observations: Observations, cameras: Sequence[Camera]
-) -> float:
+def sampled_noise(observations: Observations, cameras: Sequence[Camera]) -> float:
     """Return the `initial_noise` of a sample of the frames, for all cameras [px]."""
     frame_count, _, marker_count = observations.stored.shape[:3]
     frame_step = max(1, frame_count * marker_count // NOISE_SAMPLE_POINTS)

@@ -209,11 +209,9 @@ def _read_arrays(
     confidences = None
     if "confidence" in array_names:
         confidences = archives.load(path, "confidence")
-        if confidences.shape != (frame_count, view_count, marker_count):
+        if confidences.shape != header.shape[:3]:
             message = f"'confidence' has shape {confidences.shape}"
-            raise ValueError(
-                f"{message}, not {(frame_count, view_count, marker_count)}"
-            )
+            raise ValueError(f"{message}, not {header.shape[:3]}")
     clock = Clock(rate, Fraction(1), Fraction(1), frame_count)
     return Observations(
         names, clock, stored, cameras, unit, missing, confidences, str(path)

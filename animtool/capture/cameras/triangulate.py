@@ -17,11 +17,7 @@ from animtool import _kernels
 from animtool.capture.cameras.camera import Cameras, camera_parameters
 from animtool.capture.cameras.conventions import MIN_IMPROVEMENT, better_convention
 from animtool.capture.cameras.delays import delay_warnings
-from animtool.capture.cameras.noise import (
-    USED_STATE,
-    measure_noise,
-    sampled_initial_noise,
-)
+from animtool.capture.cameras.noise import USED_STATE, measure_noise, sampled_noise
 from animtool.capture.cameras.observations import (
     Observations,
     match_cameras,
@@ -179,7 +175,7 @@ class _TriangulationRun:
         """Raise if poses fit in another convention, such as w-last quaternions."""
         better_fit = better_convention(
             self.cameras.cameras,
-            lambda cameras: sampled_initial_noise(self.observations, cameras),
+            lambda cameras: sampled_noise(self.observations, cameras),
             max_noise,
         )
         if better_fit is None:
@@ -195,9 +191,9 @@ class _TriangulationRun:
     def _refuse_other_pixels(self, limit: float) -> None:
         """Raise if pixels fit as [v, u], or with v upwards (CAM014)."""
         cameras, observations = self.cameras.cameras, self.observations
-        as_read = sampled_initial_noise(observations, cameras)
+        as_read = sampled_noise(observations, cameras)
         for text, remedy, stored in other_pixels(observations, cameras):
-            noise = sampled_initial_noise(replace(observations, stored=stored), cameras)
+            noise = sampled_noise(replace(observations, stored=stored), cameras)
             if noise <= min(limit, as_read / MIN_IMPROVEMENT):
                 message = f"rays of the cameras miss each other by {as_read:.1f} px, "
                 message += f"but by {noise:.1f} px if pixels are {text}"
@@ -295,7 +291,7 @@ class _TriangulationRun:
         is_compared = is_visible & self.is_active[frames][..., None]
         is_compared[:, camera] = False
         is_compared &= (is_compared.sum(axis=1) > 1)[:, None]
-        other_errors = []
+        errors = []
         for is_kept in (True, False):
             is_active = self.is_active[frames].copy()
             is_active[:, camera] = is_kept
@@ -305,10 +301,10 @@ class _TriangulationRun:
             is_used = states[:, camera] == USED_STATE
             residuals = residuals.astype(np.float64)
             gate = self.options.gate
-            other_errors.append(
+            errors.append(
                 truncated_error(residuals, is_compared, self.noise, gate, is_used)
             )
-        return other_errors[1] <= TIE_COST_RATIO * other_errors[0]
+        return errors[1] <= TIE_COST_RATIO * errors[0]
 
     def _exclude_shifted_cameras(self) -> None:
         """Exclude cameras in frame ranges in which they do not fit, the worst first."""

@@ -92,14 +92,14 @@ class FaceModel:
             lengths.max(axis=1, initial=0) > MIN_LANDMARK_MOTION * self.size
         )
 
-    def select(self, is_kept: BoolArray) -> FaceModel:
+    def select(self, shapes: BoolArray) -> FaceModel:
         """Return the model with only the shapes in a mask ``(S,)``."""
-        names = tuple(compress(self.shapes, is_kept))
+        names = tuple(compress(self.shapes, shapes))
         nonlinear = self.nonlinear_shapes
         if nonlinear is not None:
-            nonlinear = nonlinear.select(is_kept)
+            nonlinear = nonlinear.select(shapes)
         return replace(
-            self, shapes=names, deltas=self.deltas[is_kept], nonlinear_shapes=nonlinear
+            self, shapes=names, deltas=self.deltas[shapes], nonlinear_shapes=nonlinear
         )
 
     def similar_shapes(self) -> list[tuple[int, int]]:
@@ -134,19 +134,19 @@ class FaceModel:
             )
         return notices
 
-    def with_proportions(self, landmarks: FloatArray) -> FaceModel:
+    def with_proportions(self, captured: FloatArray) -> FaceModel:
         """Return the model with the proportions of a captured neutral face.
 
         The captured landmarks ``(N, 3)`` [m] are NaN where not visible and keep their
         model position there. Deltas scale with the sizes of the two faces.
         """
-        is_visible = np.isfinite(landmarks).all(axis=1)
-        scale = rms_spread(landmarks[is_visible]) / rms_spread(self.neutral[is_visible])
+        is_visible = np.isfinite(captured).all(axis=1)
+        scale = rms_spread(captured[is_visible]) / rms_spread(self.neutral[is_visible])
         rotation, shift = rigid_motion(
-            self.neutral[is_visible] * scale, landmarks[is_visible]
+            self.neutral[is_visible] * scale, captured[is_visible]
         )
         neutral = self.neutral * scale
-        neutral[is_visible] = rotate(conjugate(rotation), landmarks[is_visible] - shift)
+        neutral[is_visible] = rotate(conjugate(rotation), captured[is_visible] - shift)
         return replace(
             self, neutral=neutral, deltas=self.deltas * scale, nonlinear_shapes=None
         )

@@ -76,9 +76,8 @@ def identify_runs(
     if not namings:
         return None
     best_naming = max(namings, key=PointNaming.total_evidence)
-    return search_names(
-        best_naming, rest_lengths, seeds[:MAX_RESTART_SEEDS]
-    ).point_markers[chain_of_run]
+    naming = search_names(best_naming, rest_lengths, seeds[:MAX_RESTART_SEEDS])
+    return naming.point_markers[chain_of_run]
 
 
 def _merge_seeds(
@@ -112,9 +111,7 @@ def _find_seeds(
     """Return rigid groups as point → marker, by the error of their shape at rest."""
     seeds = []
     for group in groups:
-        for markers in _matching_markers(
-            group, distances.mean, rest_lengths, tolerance
-        ):
+        for markers in _match_markers(group, distances.mean, rest_lengths, tolerance):
             shape_error = _shape_error(points[:, group], rest_shape[list(markers)])
             if shape_error < MAX_SEED_ERROR:
                 seeds.append((shape_error, dict(zip(group, markers, strict=True))))
@@ -143,20 +140,20 @@ def _rigid_groups(distances: MarkerDistances) -> list[tuple[int, ...]]:
     return [group for _, group in rigid_groups[:MAX_RIGID_GROUPS]]
 
 
-def _matching_markers(
+def _match_markers(
     group: tuple[int, ...],
-    run_distances: FloatArray,
+    lengths: FloatArray,
     rest_lengths: FloatArray,
     tolerance: float,
 ) -> list[tuple[int, ...]]:
     """Return all marker tuples whose rest distances match those of a group of runs."""
     first, second = np.nonzero(
-        np.abs(rest_lengths - run_distances[group[1], group[0]]) < tolerance
+        np.abs(rest_lengths - lengths[group[1], group[0]]) < tolerance
     )
     partial_matches = np.stack([first, second], axis=1)
     partial_matches = partial_matches[first != second]
     for k in range(2, len(group)):
-        group_lengths = run_distances[group[k], group[:k]]
+        group_lengths = lengths[group[k], group[:k]]
         deviation = np.abs(rest_lengths[partial_matches] - group_lengths[None, :, None])
         is_match: BoolArray = np.asarray((deviation < tolerance).all(axis=1))
         is_match[np.arange(len(partial_matches))[:, None], partial_matches] = False
@@ -236,20 +233,18 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
     rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
-    tracklet_labels = TrackletLabels(
+    labels = TrackletLabels(
         cloud.positions, tracklets, rate, marker_of_first_run, rest_lengths
     )
     new_marker_of, exchanges, pairs = distinguish_twins(
-        tracklet_labels.marker_paths(), rest_shape
+        labels.marker_paths(), rest_shape
     )
-    is_named = tracklet_labels.run_markers >= 0
-    tracklet_labels.run_markers = np.where(
-        is_named, new_marker_of[tracklet_labels.run_markers], -1
-    )
+    is_named = labels.run_markers >= 0
+    labels.run_markers = np.where(is_named, new_marker_of[labels.run_markers], -1)
     for pair in pairs:
-        _exchange_where_better(tracklet_labels, rest_shape, pair)
-    tracklet_labels.name_runs()
-    return _apply_names(cloud, names, tracklets, tracklet_labels.run_markers, exchanges)
+        _exchange_where_better(labels, rest_shape, pair)
+    labels.name_runs()
+    return _apply_names(cloud, names, tracklets, labels.run_markers, exchanges)
 
 
 def _static_template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
@@ -309,11 +304,8 @@ def _exchange_doubts(
         if len(shared_frames):
             names = tuple(labelled_cloud.names[marker] for marker in markers)
             score = round(exchange.score, 3)
-            doubts.append(
-                AmbiguousNames(
-                    names, int(shared_frames[0]), int(shared_frames[-1]), score
-                )
-            )
+            first, last = shared_frames[[0, -1]].tolist()
+            doubts.append(AmbiguousNames(names, first, last, score))
     return doubts
 
 
@@ -374,25 +366,25 @@ def _find_first_span(
 
 
 def _exchange_where_better(
-    tracklet_labels: TrackletLabels, rest_shape: FloatArray, pair: tuple[int, int]
+    labels: TrackletLabels, rest_shape: FloatArray, pair: tuple[int, int]
 ) -> None:
     """Exchange two markers' runs where the rest shape fits better exchanged.
 
     Runs are tested in groups that end at a gap of both markers.
     """
-    pair_runs = np.flatnonzero(np.isin(tracklet_labels.run_markers, pair))
-    first, last = tracklet_labels.tracklets.first, tracklet_labels.tracklets.last
+    pair_runs = np.flatnonzero(np.isin(labels.run_markers, pair))
+    first, last = labels.tracklets.first, labels.tracklets.last
     pair_runs = pair_runs[np.argsort(first[pair_runs], kind="stable")]
-    latest_frames = np.maximum.accumulate(last[pair_runs])
+    ends = np.maximum.accumulate(last[pair_runs])
     run_groups = np.split(
-        pair_runs, np.flatnonzero(first[pair_runs][1:] > latest_frames[:-1]) + 1
+        pair_runs, np.flatnonzero(first[pair_runs][1:] > ends[:-1]) + 1
     )
     if len(run_groups) < 2:
         return
-    marker_positions = tracklet_labels.marker_paths()
+    marker_positions = labels.marker_paths()
     for run_group in run_groups:
         end = int(last[run_group].max()) + 1
         frames = slice(int(first[run_group].min()), end)
         if is_exchanged(marker_positions[frames], rest_shape, pair):
-            markers = tracklet_labels.run_markers[run_group]
-            tracklet_labels.run_markers[run_group] = sum(pair) - markers
+            markers = labels.run_markers[run_group]
+            labels.run_markers[run_group] = sum(pair) - markers

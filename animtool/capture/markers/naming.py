@@ -93,10 +93,8 @@ class PointNaming:
 
     def total_evidence(self) -> float:
         """Return the evidence of all distances between named points [nat]."""
-        named_points = np.flatnonzero(self.point_markers >= 0)
-        return 0.5 * float(
-            self.scores[named_points, self.point_markers[named_points]].sum()
-        )
+        points = np.flatnonzero(self.point_markers >= 0)
+        return 0.5 * float(self.scores[points, self.point_markers[points]].sum())
 
     def assign(self, point: int, marker: int) -> None:
         """Assign a marker's name to a point; marker -1 removes the point's name."""
@@ -211,20 +209,18 @@ class PointNaming:
 
         All pairs of markers are tried, and triples and double pairs of near ones.
         """
-        named_points = np.flatnonzero(self.point_markers >= 0)
-        named_markers, first = np.unique(
-            self.point_markers[named_points], return_index=True
-        )
+        points = np.flatnonzero(self.point_markers >= 0)
+        named_markers, first = np.unique(self.point_markers[points], return_index=True)
         marker_count = self.scores.shape[1]
-        rows = self.pair_scores[named_points[first]]
-        later_points = np.setdiff1d(np.arange(len(named_points)), first)
-        for point in named_points[later_points].tolist():
+        rows = self.pair_scores[points[first]]
+        later_points = np.setdiff1d(np.arange(len(points)), first)
+        for point in points[later_points].tolist():
             rows[np.searchsorted(named_markers, self.point_markers[point])] += (
                 self.pair_scores[point]
             )
         pair_scores: FloatArray = np.zeros((marker_count,) * 4, self.pair_scores.dtype)
-        pair_scores[np.ix_(named_markers, named_markers)] = rows[:, named_points[first]]
-        for point in named_points[later_points].tolist():
+        pair_scores[np.ix_(named_markers, named_markers)] = rows[:, points[first]]
+        for point in points[later_points].tolist():
             pair_scores[named_markers, self.point_markers[point]] += rows[:, point]
         pair_scores[np.arange(marker_count), np.arange(marker_count)] = 0.0
         new_markers = np.arange(marker_count)
@@ -283,13 +279,13 @@ class PointNaming:
         np.add.at(
             durations, self.point_markers[is_named], self.visible_fraction[is_named]
         )
-        scarce_markers = np.flatnonzero(durations < MIN_NAMED_FRACTION)
+        markers = np.flatnonzero(durations < MIN_NAMED_FRACTION)
         if (
-            not len(scarce_markers)
+            not len(markers)
             and (self.visible_fraction[~is_named] > LONG_FRACTION).any()
         ):
             return np.arange(len(durations))
-        return scarce_markers
+        return markers
 
     def restart(
         self, is_reassigned: BoolArray, seed: dict[int, int], bias: FloatArray
@@ -372,9 +368,8 @@ def compute_pair_evidence(
     """
     point_count, marker_count = len(overlap), len(rest_distances)
     # Single precision: the table is large, and evidence is not more precise.
-    pair_scores: Any = np.zeros(
-        (point_count, point_count, marker_count, marker_count), np.float32
-    )
+    shape = (point_count, point_count, marker_count, marker_count)
+    pair_scores: Any = np.zeros(shape, np.float32)
     for point in range(point_count - 1):
         later_points = slice(point + 1, point_count)
         evidence = rest_evidence(

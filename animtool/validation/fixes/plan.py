@@ -64,7 +64,7 @@ def mark_fixable(report: Report) -> Report:
     fixable_by_path: dict[str, list[Fault]] = {}
     for fault in report.findings:
         path = Path(fault.path or "")
-        if is_fixable_file(path) and not is_package(path) and has_fix(fault.code):
+        if is_fixable(path) and not is_package(path) and has_fix(fault.code):
             fixable_by_path.setdefault(str(fault.path), []).append(fault)
     fixable_faults = (
         fault
@@ -92,10 +92,10 @@ def is_package(path: Path) -> bool:
     return path.suffix.lower() == ".usdz"
 
 
-def is_fixable_file(path: Path) -> bool:
+def is_fixable(path: Path) -> bool:
     """Return whether files of a kind can be fixed: documents and USD.
 
-    >>> [is_fixable_file(Path(n)) for n in ("a.rig.yaml", "a.usda", "a.bvh", "a.glb")]
+    >>> [is_fixable(Path(n)) for n in ("a.rig.yaml", "a.usda", "a.bvh", "a.glb")]
     [True, True, False, False]
     """
     return path.suffix.lower() in DOCUMENT_FILE_SUFFIXES or is_layer(path)

@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.validation.fixes.draft import has_fix
 from animtool.validation.fixes.plan import (
     FixPlan,
-    is_fixable_file,
+    is_fixable,
     is_layer,
     is_package,
     mark_fixable,
@@ -127,9 +127,7 @@ def _fixable_files(report: Report, *, are_packages: bool = False) -> list[Path]:
     """Return the files with fixable findings: USD packages, or all other files."""
     named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
     fixable_files = [path for path in report.files if str(path) in named_paths]
-    return [
-        p for p in fixable_files if is_fixable_file(p) and is_package(p) is are_packages
-    ]
+    return [p for p in fixable_files if is_fixable(p) and is_package(p) is are_packages]
 
 
 def _unfixed_file_notes(report: Report, paths: Sequence[Path]) -> Iterator[str]:

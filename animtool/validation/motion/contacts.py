@@ -98,13 +98,9 @@ def find_contacts(subject: MotionSubject) -> FootStances | None:
     partners = _opposite_feet(subject, feet)
     has_same_height = is_level & _is_at_opposite_height(ground, partners, tolerance)
     floor[~_is_at_opposite_height(floor, partners, tolerance)] = np.inf
-    is_near_ground = (
-        is_carrying & has_same_height & (np.abs(heights - ground) < tolerance)
-    )
+    is_near = is_carrying & has_same_height & (np.abs(heights - ground) < tolerance)
     height_fields = ground, is_level, has_same_height, floor
-    return FootStances(
-        feet, partners, *height_fields, is_carrying, is_near_ground, is_static
-    )
+    return FootStances(feet, partners, *height_fields, is_carrying, is_near, is_static)
 
 
 def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from animtool.capture.markers.label import (
     SEED_PARTNERS,
     _exchange_where_better,
     _find_first_span,
-    _matching_markers,
+    _match_markers,
     _merge_seeds,
     _rigid_groups,
     _shape_error,
@@ -154,9 +154,9 @@ def test_groups_are_matched_by_all_their_distances() -> None:
     rest = np.linalg.norm(shape[:, None] - shape, axis=-1)
     order = [3, 0, 4, 1, 2]  # the marker of each run
     apart = rest[np.ix_(order, order)]
-    assert _matching_markers((0, 1, 3, 4), apart, rest, 1e-6) == [(3, 0, 1, 2)]
-    assert _matching_markers((2, 4), apart, rest, 1e-6) == [(2, 4), (4, 2)]
-    assert _matching_markers((0, 1, 3, 4), 1.1 * apart, rest, 1e-6) == []
+    assert _match_markers((0, 1, 3, 4), apart, rest, 1e-6) == [(3, 0, 1, 2)]
+    assert _match_markers((2, 4), apart, rest, 1e-6) == [(2, 4), (4, 2)]
+    assert _match_markers((0, 1, 3, 4), 1.1 * apart, rest, 1e-6) == []
 
 
 def test_a_shape_is_off_by_the_median_of_what_frames_leave() -> None:
