@@ -83,10 +83,13 @@ class Observations:
         return np.ascontiguousarray(self.confidences[first:end:step], np.float64)
 
 
-def other_pixels(
+def pixels_in_other_conventions(
     observations: Observations, cameras: Sequence[Camera]
 ) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
-    """Yield the stored pixels in another convention, with its name and remedy."""
+    """Yield name, remedy and stored pixels of each convention that a file may have.
+
+    They are exchanged coordinates and, if image sizes are known, v from the bottom.
+    """
     stored = observations.stored
     yield "[v, u]", "exchange them", np.ascontiguousarray(stored[..., ::-1])
     if observations.missing is None and all(camera.size for camera in cameras):

@@ -21,7 +21,7 @@ from animtool.capture.cameras.noise import USED_STATE, measure_noise, sampled_no
 from animtool.capture.cameras.observations import (
     Observations,
     match_cameras,
-    other_pixels,
+    pixels_in_other_conventions,
 )
 from animtool.capture.cameras.report import (
     ObservationCounts,
@@ -104,7 +104,7 @@ def _check_options(options: TriangulateOptions) -> None:
 
 
 # Warnings about a camera that a delay explains.
-POSE_CODES = {"CAM101", "CAM102", "CAM111"}
+DELAY_CODES = {"CAM101", "CAM102", "CAM111"}
 
 
 class _TriangulationRun:
@@ -188,15 +188,19 @@ class _TriangulationRun:
         path = self.cameras.path or None
         raise OptionError(Fault("CAM014", message, path, hint=hint))
 
-    def _refuse_other_pixels(self, limit: float) -> None:
+    def _refuse_other_pixels(self, max_noise: float) -> None:
         """Raise if pixels fit as [v, u], or with v upwards (CAM014)."""
         cameras, observations = self.cameras.cameras, self.observations
-        as_read = sampled_noise(observations, cameras)
-        for text, remedy, stored in other_pixels(observations, cameras):
+        noise_as_read = sampled_noise(observations, cameras)
+        for convention, remedy, stored in pixels_in_other_conventions(
+            observations, cameras
+        ):
             noise = sampled_noise(replace(observations, stored=stored), cameras)
-            if noise <= min(limit, as_read / MIN_IMPROVEMENT):
-                message = f"rays of the cameras miss each other by {as_read:.1f} px, "
-                message += f"but by {noise:.1f} px if pixels are {text}"
+            if noise <= min(max_noise, noise_as_read / MIN_IMPROVEMENT):
+                message = (
+                    f"rays of the cameras miss each other by {noise_as_read:.1f} px, "
+                )
+                message += f"but by {noise:.1f} px if pixels are {convention}"
                 hint = f"{remedy}: u points right and v down, from the top left"
                 path = observations.path or None
                 raise OptionError(Fault("CAM014", message, path, hint=hint))
@@ -396,15 +400,17 @@ class _TriangulationRun:
         keep_moved = self.options.keep_moved
         notices = self.notices
         path, clock = observations.path, observations.clock
-        errors = [report.error_px for report in reports]
-        delays = delay_warnings(observations, cameras, self.positions, errors)
+        camera_errors = [report.error_px for report in reports]
+        delays = delay_warnings(observations, cameras, self.positions, camera_errors)
         for report, camera in zip(reports, cameras, strict=True):
-            of_camera = camera_notices(report, camera, clock, path, is_kept=keep_moved)
+            camera_faults = camera_notices(
+                report, camera, clock, path, is_kept=keep_moved
+            )
             # A delay explains what looks like another pose.
             notices += [
                 notice
-                for notice in of_camera
-                if report.name not in delays or notice.code not in POSE_CODES
+                for notice in camera_faults
+                if report.name not in delays or notice.code not in DELAY_CODES
             ]
         notices += delays.values()
         is_visible = self.statistics[..., 4] > 1
