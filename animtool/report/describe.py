@@ -116,6 +116,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     take_names = stream.details.get("takes")
     moving_shapes = [] if motion.weights is None else motion.weights.animated.tolist()
     bounds = np.min(block_minima, axis=0), np.max(block_maxima, axis=0)
+    points, shot, characters = _describe_stage(Path(path), options)
     return TakeDescription(
         str(path),
         str(stream.details.get("format", "")),
@@ -136,12 +137,12 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         rig.up.value,
         take_names if isinstance(take_names, list) else [],
         str(stream.details.get("take", "")),
-        _describe_points(Path(path)),
+        points,
         stream.notices,
-        _recorded_shot(Path(path)),
+        shot,
         capture,
         None if capture is None else _find_cycle(take),
-        _describe_characters(Path(path), options),
+        characters,
         _describe_contents(Path(path)),
     )
 
@@ -170,34 +171,22 @@ def _find_cycle(take: Take) -> Cycle | None:
     return cycle if cycle.share <= MAX_GOOD_SEAM else None
 
 
-def _recorded_shot(path: Path) -> dict[str, object] | None:
-    """Return the shot that a bake recorded in a USD layer; None without one."""
+def _describe_stage(
+    path: Path, options: SourceOptions | None
+) -> tuple[list[PointPrimSummary], dict[str, object] | None, CharactersFacts | None]:
+    """Return the animated points, recorded shot and characters of a USD file.
+
+    Characters are None if there is one, or if one is selected.
+    """
     if not is_usd(path):
-        return None
+        return [], None, None
+    from animtool.report.describe_characters import describe_characters
+    from animtool.usd.caches.info import animated_point_prims
     from animtool.usd.layers.sdf import find_layer, layer_shot
 
-    return layer_shot(find_layer(path))
-
-
-def _describe_points(path: Path) -> list[PointPrimSummary]:
-    """Return a summary of each prim of a USD file with animated points."""
-    if not is_usd(path):
-        return []
-    from animtool.usd.caches.info import animated_point_prims
-
-    return animated_point_prims(path)
-
-
-def _describe_characters(
-    path: Path, options: SourceOptions | None
-) -> CharactersFacts | None:
-    """Return a summary of several characters; None for one or a selected character."""
+    points, shot = animated_point_prims(path), layer_shot(find_layer(path))
     is_selected = options is not None and (options.prim_path or options.take)
-    if not is_usd(path) or is_selected:
-        return None
-    from animtool.report.describe_characters import describe_characters
-
-    return describe_characters(path)
+    return points, shot, None if is_selected else describe_characters(path)
 
 
 def _describe_contents(path: Path) -> GltfContents | None:
