@@ -73,7 +73,10 @@ class FaceModel:
         return rms_spread(self.neutral)
 
     def nonlinear_offsets(self, weights: FloatArray) -> FloatArray:
-        """Return the displacement minus the linear sum of deltas ``(F, N, 3)`` [m]."""
+        """Return offsets by in-betweens and correctives alone ``(F, N, 3)`` [m].
+
+        They are the total displacement minus the linear sum of deltas.
+        """
         if self.nonlinear_shapes is None:
             return np.zeros((len(weights), *self.neutral.shape))
         nonlinear_points = self.nonlinear_shapes.points(weights)

@@ -163,7 +163,10 @@ def fit_face(
 
 
 def _merge_shapes(model: FaceModel, is_moving: BoolArray) -> tuple[BoolArray, IntArray]:
-    """Return a mask of solved shapes, and each shape's solved representative."""
+    """Merge shapes with equal deltas, so that one of each group is solved.
+
+    Return a mask of those ``(S,)``, and the index of each shape's ``(S,)``.
+    """
     is_solved, representative_of_shape = is_moving.copy(), np.arange(len(is_moving))
     for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
         distance = np.linalg.norm(model.deltas[a] - model.deltas[b])

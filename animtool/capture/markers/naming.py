@@ -84,7 +84,7 @@ class PointNaming:
         self.blocked_counts = np.zeros((point_count, marker_count), np.int64)
 
     def copy(self) -> PointNaming:
-        """Return a naming that can be changed; constant tables are shared."""
+        """Return an independent copy of the assignment; constant tables are shared."""
         naming = object.__new__(PointNaming)
         naming.__dict__.update(self.__dict__)
         for name in ("point_markers", "scores", "blocked_counts"):
@@ -246,7 +246,7 @@ class PointNaming:
     def most_doubtful_point(
         self, tried_moves: set[tuple[int, int]]
     ) -> tuple[int, int] | None:
-        """Return the point and new marker with most gain, or None if none has [nat]."""
+        """Return the point and marker with most evidence to gain; None without gain."""
         rows = np.arange(len(self.point_markers))
         is_named = self.point_markers >= 0
         current_scores = np.where(is_named, self.scores[rows, self.point_markers], 0.0)
