@@ -51,7 +51,7 @@ class LayerDraft:
         return sorted(matches, key=lambda fault: -(fault.where or "").count("/"))
 
     def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
-        """Return the layer with the findings fixed that concern only this layer."""
+        """Return the layer with findings fixed; list those whose fix is refused."""
         from animtool.usd.fixes.target import edited_layer
 
         fixes: list[tuple[Fault, str]] = []

@@ -30,7 +30,7 @@ class FixPlan:
 
 
 def plan_fixes(path: Path, options: ValidateOptions) -> FixPlan:
-    """Apply all safe fixes of a file in memory; options include the project's.
+    """Apply all safe fixes of a file in memory, with its project settings.
 
     A fix is kept if its finding disappears and no new one appears.
     """
