@@ -115,7 +115,8 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     contacts = find_contacts(subject)
     if contacts is None or tilted_stance(subject):
         return
-    if _travel_size(subject) < MIN_TRAVEL * subject.size:
+    hip_path = subject.ground_positions(np.array([hips_of(subject)]))[:, 0]
+    if np.linalg.norm(np.ptp(hip_path, axis=0)) < MIN_TRAVEL * subject.size:
         return
     speeds, slide_speeds = _foot_speeds(subject, contacts.feet)
     speeds = np.where(contacts.is_carrying, speeds, np.inf)
@@ -252,12 +253,6 @@ def _travel_scale_fault(
     )
     hint = "scale the root motion to the legs, or hold planted feet with IK"
     yield subject.fault("MOT208", joint, frame, message, hint)
-
-
-def _travel_size(subject: MotionSubject) -> float:
-    """Return the diagonal of the bounds of the hips' horizontal path [m]."""
-    points = subject.ground_positions(np.array([hips_of(subject)]))[:, 0]
-    return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
 def _foot_speeds(
