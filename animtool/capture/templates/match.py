@@ -70,7 +70,9 @@ def match_markers(
     if subject is not None:
         if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
-            raise OptionError(Fault("SOL001", message, hint=name_hint(subject, matches)))
+            raise OptionError(
+                Fault("SOL001", message, hint=name_hint(subject, matches))
+            )
         matching_subjects = {subject: matches[subject]}
         labelled_names = [
             name for name in labelled_names if _split_prefix(name)[0] == subject
